@@ -1,0 +1,109 @@
+//! The vocabulary: tasks, modes, frames, episodes and segments. No input or output.
+
+use std::fmt;
+use std::ops::Range;
+
+use re4_geometry::{Point2, Pose2};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Manipulation mode of a frame (paper, section "Manipulation Modes").
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The end effector moves relative to the object.
+    Transit,
+    /// The object moves rigidly with the end effector.
+    Transfer,
+}
+
+impl Mode {
+    /// Every mode, in the order of their codes.
+    pub const ALL: [Self; 2] = [Self::Transit, Self::Transfer];
+
+    /// The word used in tables and messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Transit => "transit",
+            Self::Transfer => "transfer",
+        }
+    }
+
+    /// The mode that [`Mode::as_str`] names.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|mode| mode.as_str() == name)
+    }
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// A frame of a planar demonstration: the object-augmented state and what is recorded beside it. World frame, pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlanarFrame {
+    /// Pusher (end effector) position.
+    pub eef: Point2,
+    /// Pose of the manipulated object.
+    pub object: Pose2,
+    /// Absolute target position commanded to the pusher at this frame.
+    pub action: Point2,
+    /// Contact points counted by the simulator during the control step that led to this frame.
+    pub contacts: f64,
+}
+
+/// A planar demonstration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanarEpisode {
+    /// Number of the demonstration in its source dataset.
+    pub source: u32,
+    /// Frames in the order of time.
+    pub frames: Vec<PlanarFrame>,
+}
+
+/// A maximal run of frames of one mode.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Segment {
+    /// Mode of every frame in the run.
+    pub mode: Mode,
+    /// Frames of the run, end exclusive.
+    pub frames: Range<usize>,
+}
+
+/// Splits a sequence of modes into maximal runs.
+pub fn segments(modes: &[Mode]) -> Vec<Segment> {
+    let mut runs: Vec<Segment> = Vec::new();
+    for (i, &mode) in modes.iter().enumerate() {
+        match runs.last_mut() {
+            Some(run) if run.mode == mode => run.frames.end = i + 1,
+            _ => runs.push(Segment { mode, frames: i..i + 1 }),
+        }
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_are_maximal_and_cover_everything() {
+        use Mode::{Transfer as G, Transit as T};
+        let runs = segments(&[T, T, G, T, T, T]);
+        assert_eq!(
+            runs.iter().map(|s| (s.mode, s.frames.clone())).collect::<Vec<_>>(),
+            vec![(T, 0..2), (G, 2..3), (T, 3..6)]
+        );
+        assert!(segments(&[]).is_empty());
+    }
+
+    #[test]
+    fn names_round_trip() {
+        for mode in Mode::ALL {
+            assert_eq!(Mode::from_name(mode.as_str()), Some(mode));
+        }
+        assert_eq!(Mode::from_name("push"), None);
+    }
+}
