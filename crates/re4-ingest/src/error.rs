@@ -1,0 +1,335 @@
+//! Why an ingest stops: one sentence that says what, where and how to mend it.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use crate::selection::SelectionError;
+
+/// A raw dataset that cannot be ingested.
+#[derive(Debug, Error)]
+#[error("cannot ingest {}: {fault}", dataset.display())]
+pub struct IngestError {
+    /// The path that was given for the dataset.
+    pub dataset: PathBuf,
+    /// What is wrong with it.
+    #[source]
+    pub fault: Box<Fault>,
+}
+
+/// What is wrong with a dataset. Frames are rows of the arrays, counted from 0 over the whole dataset.
+#[derive(Debug, Error)]
+pub enum Fault {
+    /// Nothing at the path.
+    #[error("there is no such file or folder; correct the path, or fetch the dataset first")]
+    MissingPath,
+    /// A folder without content.
+    #[error("the folder is empty; give the folder of a zarr store (it holds .zgroup, data/ and meta/)")]
+    EmptyFolder,
+    /// A folder that is no store.
+    #[error("it is not a zarr store (no .zgroup in it); {hint}")]
+    NotAStore {
+        /// What to give instead.
+        hint: String,
+    },
+    /// An array where a group should be.
+    #[error("it is a single zarr array, not a dataset; give the folder above data/ and meta/")]
+    SingleArray,
+    /// A Zarr v3 store.
+    #[error(
+        "it is a zarr v3 store (zarr.json), and Push-T datasets are read as zarr v2; rewrite it with zarr_format=2"
+    )]
+    ZarrV3,
+    /// A file that is no zip.
+    #[error("the zip file is unreadable ({why}); download or pack it again")]
+    UnreadableZip {
+        /// The unpacker's words.
+        why: String,
+    },
+    /// An entry of a zip that cannot be unpacked.
+    #[error("entry {entry} of the zip file is unreadable ({why}); download or pack it again")]
+    UnreadableZipEntry {
+        /// Name of the entry.
+        entry: String,
+        /// The unpacker's words.
+        why: String,
+    },
+    /// An entry that would be unpacked outside the store.
+    #[error(
+        "entry {entry} of the zip file is a link or leads outside of it; pack the store again without such entries"
+    )]
+    UnsafeZipEntry {
+        /// Name of the entry.
+        entry: String,
+    },
+    /// A zip without a store.
+    #[error(
+        "the zip file holds no zarr store (no .zgroup at its root or up to two folders down); pack the folder of the store"
+    )]
+    ZipWithoutStore,
+    /// A zip with more than one store.
+    #[error("the zip file holds {count} zarr stores ({first} and {second} among them); pack one store only")]
+    SeveralStoresInZip {
+        /// How many.
+        count: usize,
+        /// The first in alphabetical order.
+        first: String,
+        /// The second in alphabetical order.
+        second: String,
+    },
+    /// The operating system refused something.
+    #[error("cannot {action} {}: {source}; {}", path.display(), io_mend(source))]
+    Io {
+        /// What was tried, such as "read".
+        action: &'static str,
+        /// On which path.
+        path: PathBuf,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// A required array is not there.
+    #[error("array {array} is missing (no {array}/.zarray); restore it, or give a complete dataset")]
+    MissingArray {
+        /// Array within the store.
+        array: String,
+    },
+    /// A `.zarray` that cannot be understood.
+    #[error("the metadata of array {array} ({array}/.zarray) cannot be read: {why}; restore that file")]
+    ArrayMetadata {
+        /// Array within the store.
+        array: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A valid encoding that this reader does not know.
+    #[error(
+        "array {array} is stored in a way that is not supported: {why}; rewrite it with zarr's Blosc compressor, C order and no filters"
+    )]
+    Encoding {
+        /// Array within the store.
+        array: String,
+        /// What is not supported.
+        why: String,
+    },
+    /// Chunks too large for the memory budget.
+    #[error(
+        "array {array} has chunks of {} MiB and the limit is {} MiB; rewrite it with smaller chunks along its first axis",
+        bytes.div_ceil(1 << 20), limit >> 20
+    )]
+    ChunkTooLarge {
+        /// Array within the store.
+        array: String,
+        /// Size of a chunk, decoded.
+        bytes: u64,
+        /// The limit.
+        limit: u64,
+    },
+    /// An array of the wrong element type.
+    #[error("array {array} has dtype {found}, but {expected} is expected; convert it")]
+    WrongDtype {
+        /// Array within the store.
+        array: String,
+        /// As written in `.zarray`.
+        found: String,
+        /// Types that are accepted.
+        expected: &'static str,
+    },
+    /// An array of the wrong shape.
+    #[error(
+        "array {array} has shape {found:?}, but {expected} is expected (N: number of frames); reshape it, or give a Push-T dataset"
+    )]
+    WrongShape {
+        /// Array within the store.
+        array: String,
+        /// Its shape.
+        found: Vec<u64>,
+        /// The shape in words.
+        expected: &'static str,
+    },
+    /// Arrays of different lengths.
+    #[error(
+        "array {array} has {found} frames and data/state has {expected}; every array of data/ must have one row per frame, so restore or cut the odd one"
+    )]
+    LengthMismatch {
+        /// Array within the store.
+        array: String,
+        /// Its length.
+        found: u64,
+        /// Length of `data/state`.
+        expected: u64,
+    },
+    /// No episodes.
+    #[error("meta/episode_ends is empty, so the dataset has no episodes; give a dataset with at least one")]
+    NoEpisodes,
+    /// A negative end.
+    #[error("meta/episode_ends is negative at index {index} ({value}); ends are frame counts, so repair that entry")]
+    NegativeEnd {
+        /// Episode.
+        index: usize,
+        /// Its end.
+        value: i128,
+    },
+    /// Ends that do not grow.
+    #[error(
+        "meta/episode_ends is not strictly increasing at index {index} ({value} after {previous}); repair that entry"
+    )]
+    EndsNotIncreasing {
+        /// Episode.
+        index: usize,
+        /// Its end.
+        value: i128,
+        /// End of the episode before it; 0 for the first.
+        previous: i128,
+    },
+    /// Ends that do not cover the arrays.
+    #[error(
+        "meta/episode_ends ends at frame {last} (index {index}) but the arrays have {frames} frames; the last end must be the number of frames, so repair it or restore the missing frames"
+    )]
+    EndsDoNotMatch {
+        /// The last episode.
+        index: usize,
+        /// Its end.
+        last: i128,
+        /// Frames in the arrays.
+        frames: u64,
+    },
+    /// A chunk file that is not there.
+    #[error(
+        "chunk {chunk} of array {array} is missing (no file {array}/{chunk}); restore that file, since the data in it is lost"
+    )]
+    MissingChunk {
+        /// Array within the store.
+        array: String,
+        /// Name of the chunk's file within the array.
+        chunk: String,
+    },
+    /// A chunk file that cannot be decoded.
+    #[error("chunk {chunk} of array {array} cannot be decoded (file {array}/{chunk}): {why}; restore that file")]
+    UndecodableChunk {
+        /// Array within the store.
+        array: String,
+        /// Name of the chunk's file within the array.
+        chunk: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A NaN or an infinity.
+    #[error(
+        "array {array} has {value} at frame {frame} (episode {episode}), column {column} ({name}); remove or repair that frame, or leave that episode out"
+    )]
+    NotFinite {
+        /// Array within the store.
+        array: String,
+        /// Frame.
+        frame: u64,
+        /// Episode of the frame.
+        episode: u32,
+        /// Column.
+        column: usize,
+        /// Name of the column.
+        name: String,
+        /// The value.
+        value: f64,
+    },
+    /// A value no Push-T recording can have.
+    #[error(
+        "array {array} has {value} at frame {frame} (episode {episode}), column {column} ({name}), outside {low} to {high} {unit}; repair that frame, convert its units, or leave that episode out"
+    )]
+    OutOfRange {
+        /// Array within the store.
+        array: String,
+        /// Frame.
+        frame: u64,
+        /// Episode of the frame.
+        episode: u32,
+        /// Column.
+        column: usize,
+        /// Name of the column.
+        name: String,
+        /// The value.
+        value: f64,
+        /// Smallest accepted value.
+        low: f64,
+        /// Largest accepted value.
+        high: f64,
+        /// Unit of the range.
+        unit: &'static str,
+    },
+    /// A number of contacts that is no count.
+    #[error(
+        "array data/n_contacts has {value} at frame {frame} (episode {episode}), which is no count; repair that frame, or leave that episode out"
+    )]
+    NotACount {
+        /// Frame.
+        frame: u64,
+        /// Episode of the frame.
+        episode: u32,
+        /// The value.
+        value: f64,
+    },
+    /// A picture value that is no byte.
+    #[error(
+        "array data/img has {value} at frame {frame}, row {row}, column {column}, channel {channel}; pictures hold whole numbers from 0 to 255, so repair or convert that frame"
+    )]
+    NotAByte {
+        /// Frame.
+        frame: u64,
+        /// Row of the pixel.
+        row: usize,
+        /// Column of the pixel.
+        column: usize,
+        /// Channel of the pixel.
+        channel: usize,
+        /// The value.
+        value: f32,
+    },
+    /// Pictures scaled to 0..1.
+    #[error(
+        "array data/img looks scaled to 0..1 (it has {value} at frame {frame}); pictures hold whole numbers from 0 to 255, so multiply it by 255 and round"
+    )]
+    ScaledImages {
+        /// Frame.
+        frame: u64,
+        /// The first fractional value.
+        value: f32,
+    },
+    /// Pictures asked for, but none there.
+    #[error("the dataset has no pictures (no array data/img); ingest it without images")]
+    NoImages,
+    /// A selection that does not fit.
+    #[error(transparent)]
+    Selection(#[from] SelectionError),
+}
+
+impl Fault {
+    /// Attaches the dataset's path.
+    pub(crate) fn of(self, dataset: &Path) -> IngestError {
+        IngestError {
+            dataset: dataset.to_owned(),
+            fault: Box::new(self),
+        }
+    }
+
+    /// An error of the operating system.
+    pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>, source: io::Error) -> Self {
+        Self::Io {
+            action,
+            path: path.into(),
+            source,
+        }
+    }
+}
+
+/// What to do about an error of the operating system.
+pub(crate) fn io_mend(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => "change its permissions or run as a user who may",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "free some space, or set TMPDIR to a folder on a larger disk"
+        }
+        io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
+        io::ErrorKind::NotFound => "restore it",
+        _ => "check the disk and try again",
+    }
+}

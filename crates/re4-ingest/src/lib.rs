@@ -1,0 +1,17 @@
+//! Readers and writers of raw demonstration datasets.
+//!
+//! [`pusht`] reads and writes the Push-T replay dataset: a Zarr v2 store, as a folder or in a `.zip` file. A reader
+//! checks everything it hands on; what it refuses is an [`IngestError`] that names the array and the index, what it
+//! only finds odd is a [`Warning`] that travels with the data.
+
+mod bitplanes;
+mod error;
+pub mod pusht;
+mod selection;
+mod store;
+mod warning;
+mod zarr;
+
+pub use error::{Fault, IngestError};
+pub use selection::{EpisodeRange, Selection, SelectionError};
+pub use warning::{Warning, WarningCode};

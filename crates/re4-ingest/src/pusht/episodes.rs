@@ -1,0 +1,70 @@
+//! The numeric columns of the selected episodes.
+
+use std::ops::Range;
+
+use re4_episode::{PlanarEpisode, PlanarFrame};
+use re4_geometry::{Point2, Pose2};
+
+/// Number of keypoints of the block in `data/keypoint`.
+pub const KEYPOINTS: usize = 9;
+
+/// The selected episodes, validated, as columns with one entry a frame. Episodes follow each other in dataset order.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PushtEpisodes {
+    /// Number of each episode in the source dataset.
+    pub sources: Vec<u32>,
+    /// Rows of each episode in the dataset's arrays (and so in [`super::ImageBlock::frames`]).
+    pub rows: Vec<Range<usize>>,
+    /// Frames of each episode in the columns below, end exclusive.
+    pub frames: Vec<Range<usize>>,
+    /// `agent_x, agent_y` (pixels), `block_x, block_y` (pixels), `block_theta` (radians, as stored: 0 to 2π).
+    pub state: Vec<[f64; 5]>,
+    /// Absolute target of the agent, `x, y` (pixels).
+    pub action: Vec<[f64; 2]>,
+    /// Contact points counted by the simulator in the control step that led to the frame, if recorded.
+    pub contacts: Option<Vec<f64>>,
+    /// Keypoints of the block in the world, `x, y` each (pixels), if recorded.
+    pub keypoint: Option<Vec<[[f64; 2]; KEYPOINTS]>>,
+}
+
+impl PushtEpisodes {
+    /// Number of episodes.
+    pub fn episode_count(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// Number of frames over all episodes.
+    pub fn frame_count(&self) -> usize {
+        self.state.len()
+    }
+
+    /// Agent position of a frame.
+    pub fn agent(&self, frame: usize) -> Point2 {
+        Point2::new(self.state[frame][0], self.state[frame][1])
+    }
+
+    /// Block pose of a frame, angle as stored.
+    pub fn block(&self, frame: usize) -> Pose2 {
+        let [_, _, x, y, theta] = self.state[frame];
+        Pose2::new(x, y, theta)
+    }
+
+    /// The episodes in the vocabulary of the pipeline. Without recorded contacts `contacts` is NaN, which says
+    /// "unknown" where 0 would say "none".
+    pub fn planar_episodes(&self) -> Vec<PlanarEpisode> {
+        let frame = |i: usize| PlanarFrame {
+            eef: self.agent(i),
+            object: self.block(i),
+            action: Point2::new(self.action[i][0], self.action[i][1]),
+            contacts: self.contacts.as_ref().map_or(f64::NAN, |contacts| contacts[i]),
+        };
+        self.sources
+            .iter()
+            .zip(&self.frames)
+            .map(|(&source, frames)| PlanarEpisode {
+                source,
+                frames: frames.clone().map(frame).collect(),
+            })
+            .collect()
+    }
+}

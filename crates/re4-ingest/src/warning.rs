@@ -1,0 +1,62 @@
+//! What a reader finds odd, as data.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// Kind of a [`Warning`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WarningCode {
+    /// The block angle jumps between 0 and 2π inside an episode: no fault, but a raw difference of angles is wrong there.
+    AngleSeam,
+    /// A commanded target outside the 512 px window.
+    ActionOutsideWindow,
+    /// An episode of fewer than [`crate::pusht::SHORT_EPISODE`] frames.
+    ShortEpisode,
+    /// A state equal to the one before it in the same episode.
+    RepeatedState,
+    /// The dataset has no `data/n_contacts`.
+    NoContacts,
+    /// The dataset has no `data/keypoint`.
+    NoKeypoints,
+    /// The dataset has no `data/img`.
+    NoImages,
+}
+
+impl WarningCode {
+    /// The word used in tables and messages; equal to the serialised form.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::AngleSeam => "angle_seam",
+            Self::ActionOutsideWindow => "action_outside_window",
+            Self::ShortEpisode => "short_episode",
+            Self::RepeatedState => "repeated_state",
+            Self::NoContacts => "no_contacts",
+            Self::NoKeypoints => "no_keypoints",
+            Self::NoImages => "no_images",
+        }
+    }
+}
+
+impl fmt::Display for WarningCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// Something odd that does not stop a reader. One warning stands for all places of its kind: it counts them and names
+/// the first.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Warning {
+    /// Kind.
+    pub code: WarningCode,
+    /// One sentence for people.
+    pub message: String,
+    /// Episode of the first place, by its number in the source dataset.
+    pub episode: Option<u32>,
+    /// Frame of the first place, counted from the start of its episode.
+    pub frame: Option<u64>,
+    /// How many places there are.
+    pub count: u64,
+}
