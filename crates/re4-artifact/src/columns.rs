@@ -1,0 +1,380 @@
+//! Rows to and from plain vectors and slices, checked against the table's description.
+
+use std::sync::Arc;
+
+use arrow::array::{
+    Array, ArrayRef, AsArray, BinaryArray, BooleanArray, DictionaryArray, Float64Array, Int32Array, Int64Array,
+    ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array,
+};
+use arrow::buffer::{NullBuffer, OffsetBuffer};
+use arrow::datatypes::{
+    ArrowPrimitiveType, DataType, Field, Float64Type, Int32Type, Int64Type, SchemaRef, UInt32Type, UInt64Type,
+};
+
+use crate::error::ArtifactError;
+use crate::spec::{ColumnKind, TABLE_KEY, TableSpec};
+
+/// Rows given column by column, in any order; [`Columns::finish`] checks them against the table's description.
+#[derive(Debug)]
+pub struct Columns {
+    spec: &'static TableSpec,
+    arrays: Vec<(String, ArrayRef)>,
+}
+
+impl Columns {
+    /// No columns yet.
+    pub fn new(spec: &'static TableSpec) -> Self {
+        Self {
+            spec,
+            arrays: Vec::with_capacity(spec.columns.len()),
+        }
+    }
+
+    /// A column of unsigned 32-bit integers.
+    #[must_use]
+    pub fn u32(self, name: &str, values: Vec<u32>) -> Self {
+        self.array(name, Arc::new(UInt32Array::from(values)))
+    }
+
+    /// A column of unsigned 32-bit integers, some of them absent.
+    #[must_use]
+    pub fn u32_or_null(self, name: &str, values: Vec<Option<u32>>) -> Self {
+        self.array(name, Arc::new(UInt32Array::from(values)))
+    }
+
+    /// A column of unsigned 64-bit integers.
+    #[must_use]
+    pub fn u64(self, name: &str, values: Vec<u64>) -> Self {
+        self.array(name, Arc::new(UInt64Array::from(values)))
+    }
+
+    /// A column of signed 64-bit integers.
+    #[must_use]
+    pub fn i64(self, name: &str, values: Vec<i64>) -> Self {
+        self.array(name, Arc::new(Int64Array::from(values)))
+    }
+
+    /// A column of floats.
+    #[must_use]
+    pub fn f64(self, name: &str, values: Vec<f64>) -> Self {
+        self.array(name, Arc::new(Float64Array::from(values)))
+    }
+
+    /// A column of floats, some of them absent.
+    #[must_use]
+    pub fn f64_or_null(self, name: &str, values: Vec<Option<f64>>) -> Self {
+        self.array(name, Arc::new(Float64Array::from(values)))
+    }
+
+    /// A column of truth values.
+    #[must_use]
+    pub fn bool(self, name: &str, values: Vec<bool>) -> Self {
+        self.array(name, Arc::new(BooleanArray::from(values)))
+    }
+
+    /// A column of truth values, some of them absent.
+    #[must_use]
+    pub fn bool_or_null(self, name: &str, values: Vec<Option<bool>>) -> Self {
+        self.array(name, Arc::new(BooleanArray::from(values)))
+    }
+
+    /// A column of text or of categories, as the description has it.
+    #[must_use]
+    pub fn text<T: AsRef<str>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
+        self.text_or_null(name, values.into_iter().map(Some))
+    }
+
+    /// A column of text or of categories, as the description has it, some values absent.
+    #[must_use]
+    pub fn text_or_null<T: AsRef<str>>(self, name: &str, values: impl IntoIterator<Item = Option<T>>) -> Self {
+        let values: StringArray = values.into_iter().collect();
+        let is_category = self.spec.column(name).is_some_and(|c| c.kind == ColumnKind::Category);
+        if is_category {
+            let dictionary: DictionaryArray<Int32Type> = values.iter().collect();
+            self.array(name, Arc::new(dictionary))
+        } else {
+            self.array(name, Arc::new(values))
+        }
+    }
+
+    /// A column of byte strings, for instance PNG pictures.
+    #[must_use]
+    pub fn binary<T: AsRef<[u8]>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
+        let values = BinaryArray::from_iter_values(values);
+        self.array(name, Arc::new(values))
+    }
+
+    /// A column of lists of floats.
+    #[must_use]
+    pub fn f64_list<T: AsRef<[f64]>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
+        let mut flat = Vec::new();
+        let mut lengths = Vec::new();
+        for list in values {
+            lengths.push(list.as_ref().len());
+            flat.extend_from_slice(list.as_ref());
+        }
+        let field = Arc::new(Field::new("element", DataType::Float64, false));
+        let nulls: Option<NullBuffer> = None;
+        let list = ListArray::new(
+            field,
+            OffsetBuffer::from_lengths(lengths),
+            Arc::new(Float64Array::from(flat)),
+            nulls,
+        );
+        self.array(name, Arc::new(list))
+    }
+
+    /// A column that is an Arrow array already.
+    #[must_use]
+    pub fn array(mut self, name: &str, values: ArrayRef) -> Self {
+        self.arrays.push((name.to_owned(), values));
+        self
+    }
+
+    /// The rows.
+    ///
+    /// # Errors
+    /// [`ArtifactError::Rows`] when a column is missing, unknown, given twice, of another kind or length, or null where
+    /// the description forbids it.
+    pub fn finish(self) -> Result<RecordBatch, ArtifactError> {
+        let spec = self.spec;
+        let refuse = |reason: String| ArtifactError::Rows {
+            table: spec.name.to_owned(),
+            reason,
+        };
+        let mut given: Vec<Option<ArrayRef>> = vec![None; spec.columns.len()];
+        for (name, array) in self.arrays {
+            let place = spec
+                .columns
+                .iter()
+                .position(|column| column.name == name)
+                .and_then(|i| given.get_mut(i))
+                .ok_or_else(|| refuse(format!("it has no column {name}")))?;
+            if place.replace(array).is_some() {
+                return Err(refuse(format!("column {name} is given twice")));
+            }
+        }
+        let mut arrays: Vec<ArrayRef> = Vec::with_capacity(given.len());
+        for (column, array) in spec.columns.iter().zip(given) {
+            let array = array.ok_or_else(|| refuse(format!("column {} is not given", column.name)))?;
+            if array.data_type() != &column.kind.data_type() {
+                return Err(refuse(format!(
+                    "column {} is of type {}, not {}",
+                    column.name,
+                    array.data_type(),
+                    column.kind
+                )));
+            }
+            if let Some(first) = arrays.first()
+                && first.len() != array.len()
+            {
+                return Err(refuse(format!(
+                    "column {} has {} values where the first column has {}",
+                    column.name,
+                    array.len(),
+                    first.len()
+                )));
+            }
+            if !column.nullable
+                && let Some(row) = first_null(array.as_ref())
+            {
+                return Err(refuse(format!("column {} is null in row {row}", column.name)));
+            }
+            arrays.push(array);
+        }
+        RecordBatch::try_new(spec.schema(), arrays).map_err(|error| refuse(error.to_string()))
+    }
+}
+
+/// The batch under the table's own schema, if its columns are the table's.
+pub(crate) fn check_rows(
+    spec: &'static TableSpec,
+    schema: &SchemaRef,
+    batch: RecordBatch,
+) -> Result<RecordBatch, ArtifactError> {
+    if Arc::ptr_eq(schema, batch.schema_ref()) || schema == batch.schema_ref() {
+        return Ok(batch);
+    }
+    let mut columns = Columns::new(spec);
+    for (field, array) in batch.schema_ref().fields().iter().zip(batch.columns()) {
+        columns = columns.array(field.name(), Arc::clone(array));
+    }
+    columns.finish()
+}
+
+pub(crate) fn first_null(array: &dyn Array) -> Option<usize> {
+    let nulls = array.nulls()?;
+    (0..nulls.len()).find(|&i| nulls.is_null(i))
+}
+
+fn table_name(batch: &RecordBatch) -> String {
+    batch
+        .schema_ref()
+        .metadata
+        .get(TABLE_KEY)
+        .map_or("?", String::as_str)
+        .to_owned()
+}
+
+/// The column of this name, of whatever kind.
+fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, ArtifactError> {
+    batch.column_by_name(name).ok_or_else(|| {
+        let known: Vec<&str> = batch.schema_ref().fields().iter().map(|f| f.name().as_str()).collect();
+        ArtifactError::NoColumn {
+            table: table_name(batch),
+            column: name.to_owned(),
+            known: known.join(", "),
+        }
+    })
+}
+
+fn wrong_kind(batch: &RecordBatch, name: &str, array: &ArrayRef, expected: ColumnKind) -> ArtifactError {
+    ArtifactError::ColumnKind {
+        table: table_name(batch),
+        column: name.to_owned(),
+        expected,
+        found: array.data_type().to_string(),
+    }
+}
+
+fn complete(batch: &RecordBatch, name: &str, array: &dyn Array) -> Result<(), ArtifactError> {
+    first_null(array).map_or(Ok(()), |row| {
+        Err(ArtifactError::Null {
+            table: table_name(batch),
+            column: name.to_owned(),
+            row,
+        })
+    })
+}
+
+fn primitive<'a, T: ArrowPrimitiveType>(
+    batch: &'a RecordBatch,
+    name: &str,
+    kind: ColumnKind,
+) -> Result<&'a arrow::array::PrimitiveArray<T>, ArtifactError> {
+    let array = column(batch, name)?;
+    array
+        .as_primitive_opt::<T>()
+        .ok_or_else(|| wrong_kind(batch, name, array, kind))
+}
+
+fn values<'a, T: ArrowPrimitiveType>(
+    batch: &'a RecordBatch,
+    name: &str,
+    kind: ColumnKind,
+) -> Result<&'a [T::Native], ArtifactError> {
+    let array = primitive::<T>(batch, name, kind)?;
+    complete(batch, name, array)?;
+    Ok(array.values())
+}
+
+/// The values of a column of unsigned 32-bit integers.
+///
+/// # Errors
+/// As all of these getters: [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], and [`ArtifactError::Null`] where
+/// the column has to be complete.
+pub fn col_u32<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [u32], ArtifactError> {
+    values::<UInt32Type>(batch, name, ColumnKind::U32)
+}
+
+/// The values of a column of unsigned 64-bit integers.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_u64<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [u64], ArtifactError> {
+    values::<UInt64Type>(batch, name, ColumnKind::U64)
+}
+
+/// The values of a column of signed 64-bit integers.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_i64<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [i64], ArtifactError> {
+    values::<Int64Type>(batch, name, ColumnKind::I64)
+}
+
+/// The values of a column of floats.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_f64<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [f64], ArtifactError> {
+    values::<Float64Type>(batch, name, ColumnKind::F64)
+}
+
+/// The values of a column of floats that may be absent.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_f64_or_null(batch: &RecordBatch, name: &str) -> Result<Vec<Option<f64>>, ArtifactError> {
+    Ok(primitive::<Float64Type>(batch, name, ColumnKind::F64)?.iter().collect())
+}
+
+/// The values of a column of unsigned 32-bit integers that may be absent.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_u32_or_null(batch: &RecordBatch, name: &str) -> Result<Vec<Option<u32>>, ArtifactError> {
+    Ok(primitive::<UInt32Type>(batch, name, ColumnKind::U32)?.iter().collect())
+}
+
+/// The values of a column of truth values; absent ones are told by the array.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_bool<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a BooleanArray, ArtifactError> {
+    let array = column(batch, name)?;
+    array
+        .as_boolean_opt()
+        .ok_or_else(|| wrong_kind(batch, name, array, ColumnKind::Bool))
+}
+
+/// The values of a column of text or of categories, `None` where absent.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_text<'a>(batch: &'a RecordBatch, name: &str) -> Result<Vec<Option<&'a str>>, ArtifactError> {
+    let array = column(batch, name)?;
+    if let Some(text) = array.as_string_opt::<i32>() {
+        return Ok(text.iter().collect());
+    }
+    let wrong = || wrong_kind(batch, name, array, ColumnKind::Text);
+    let dictionary = array.as_dictionary_opt::<Int32Type>().ok_or_else(wrong)?;
+    let words = dictionary.values().as_string_opt::<i32>().ok_or_else(wrong)?;
+    let keys: &Int32Array = dictionary.keys();
+    Ok(keys
+        .iter()
+        .map(|key| key.map(|key| words.value(key as usize)))
+        .collect())
+}
+
+/// The values of a column of byte strings.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_binary<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a BinaryArray, ArtifactError> {
+    let array = column(batch, name)?;
+    array
+        .as_binary_opt::<i32>()
+        .ok_or_else(|| wrong_kind(batch, name, array, ColumnKind::Binary))
+}
+
+/// The values of a column of lists of floats.
+///
+/// # Errors
+/// As [`col_u32`].
+pub fn col_f64_list(batch: &RecordBatch, name: &str) -> Result<Vec<Vec<f64>>, ArtifactError> {
+    let array = column(batch, name)?;
+    let lists = array
+        .as_list_opt::<i32>()
+        .ok_or_else(|| wrong_kind(batch, name, array, ColumnKind::F64List))?;
+    complete(batch, name, lists)?;
+    lists
+        .iter()
+        .flatten()
+        .map(|list| {
+            list.as_primitive_opt::<Float64Type>()
+                .map(|list| list.values().to_vec())
+                .ok_or_else(|| wrong_kind(batch, name, array, ColumnKind::F64List))
+        })
+        .collect()
+}

@@ -1,0 +1,61 @@
+//! Content-addressed artifacts: Parquet tables, manifests, hashes, atomic publication and the stage cache.
+//!
+//! An artifact is a folder `<root>/<artifact>/<first 16 digits of its key>` that holds one `manifest.json` and one
+//! `<table>.parquet` per table. Its [`Key`] is the hash of everything that decides its bytes (see [`Recipe`]); it is
+//! written in a temporary folder and renamed into place, so that it is there whole or not at all.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use re4_artifact::{Columns, Facts, Recipe, Stage, Store, col_f64, tables};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # let root = folder.path();
+//! let store = Store::open(root)?;
+//! let recipe = Recipe::new(Stage::Index, 1).config(&serde_json::json!({"angle": "periodic"}))?;
+//! let artifact = match store.lookup(Stage::Index, &recipe.key())? {
+//!     Some(found) => found,
+//!     None => {
+//!         let writer = store.begin(&recipe)?;
+//!         let mut table = writer.table(&tables::SCALES)?;
+//!         table.write_columns(
+//!             Columns::new(&tables::SCALES)
+//!                 .text("dimension", ["eef_x"])
+//!                 .f64("minimum", vec![12.0])
+//!                 .f64("maximum", vec![500.0]),
+//!         )?;
+//!         table.finish()?;
+//!         writer.publish(Facts::default())?
+//!     }
+//! };
+//! let scales = artifact.table(&tables::SCALES)?.read_all()?;
+//! assert_eq!(col_f64(&scales, "maximum")?, &[500.0]);
+//! # Ok(())
+//! # }
+//! ```
+
+mod canonical;
+mod columns;
+mod disk;
+mod error;
+mod key;
+mod manifest;
+mod reader;
+mod spec;
+mod store;
+pub mod tables;
+mod verify;
+mod writer;
+
+pub use canonical::{canonical_json, canonical_text};
+pub use columns::{
+    Columns, col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null,
+    col_u64,
+};
+pub use error::{ArtifactError, Damage};
+pub use key::{Key, Recipe, Source, Stage};
+pub use manifest::{MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
+pub use reader::{Artifact, Batches, Table};
+pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
+pub use store::Store;
+pub use verify::{VerifiedFile, VerifyReport, verify};
+pub use writer::{DEFAULT_ROW_GROUP_ROWS, Facts, TableWriter, Writer};

@@ -1,0 +1,186 @@
+//! The manifest: what an artifact is, what made it, and the hashes of its files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::canonical::{canonical_compact, canonical_json, canonical_text};
+use crate::error::{ArtifactError, Damage};
+use crate::key::{Key, Recipe, key_of};
+
+/// Newest manifest format that this build reads, and the one it writes.
+pub const MANIFEST_FORMAT: u32 = 1;
+
+/// Name of the manifest in the folder of an artifact.
+pub const MANIFEST_NAME: &str = "manifest.json";
+
+const HASH_FIELD: &str = "manifest_blake3";
+
+/// The manifest of an artifact, `manifest.json`. Its bytes follow from the recipe and the tables alone: sorted keys, no
+/// time, no host, no absolute path.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Manifest {
+    /// Format of the manifest itself.
+    pub format: u32,
+    /// Stage that made the artifact.
+    pub stage: String,
+    /// What it made: `episodes`, `modes`, ...
+    pub artifact: String,
+    /// BLAKE3 over stage, code version, configuration, inputs and source hash; 64 hexadecimal digits.
+    #[schemars(with = "String")]
+    pub key: Key,
+    /// Version of the stage's code.
+    pub code_version: u32,
+    /// Version of the program.
+    pub tool_version: String,
+    /// Configuration of the stage.
+    pub config: Value,
+    /// Keys of the artifacts that went in, by name.
+    #[schemars(with = "BTreeMap<String, String>")]
+    pub inputs: BTreeMap<String, Key>,
+    /// BLAKE3 of the raw data that went in; null where there was none.
+    #[schemars(with = "Option<String>")]
+    pub source_blake3: Option<Key>,
+    /// What is worth knowing about the raw data; null where there was none.
+    pub source: Value,
+    /// The tables, by name.
+    pub tables: BTreeMap<String, TableFacts>,
+    /// Figures that sum up the content.
+    pub summary: Value,
+    /// Warnings of the stage, structured.
+    pub warnings: Vec<Value>,
+    /// BLAKE3 of this manifest in compact canonical JSON without this field; 64 hexadecimal digits.
+    #[schemars(with = "String")]
+    pub manifest_blake3: Key,
+}
+
+/// What the manifest says of a table.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct TableFacts {
+    /// File, relative to the folder of the artifact.
+    pub file: String,
+    /// Version of the table's schema.
+    pub schema_version: u32,
+    /// Rows.
+    pub rows: u64,
+    /// Rows in every row group but the last, which may have fewer.
+    pub row_group_rows: u64,
+    /// Length of the file in bytes.
+    pub bytes: u64,
+    /// BLAKE3 of the file; 64 hexadecimal digits.
+    #[schemars(with = "String")]
+    pub blake3: Key,
+}
+
+impl Manifest {
+    pub(crate) fn new(
+        recipe: &Recipe,
+        tables: BTreeMap<String, TableFacts>,
+        summary: Value,
+        warnings: Vec<Value>,
+    ) -> Result<Self, ArtifactError> {
+        let source = recipe.raw_source();
+        let mut manifest = Self {
+            format: MANIFEST_FORMAT,
+            stage: recipe.stage().as_str().to_owned(),
+            artifact: recipe.stage().artifact().to_owned(),
+            key: recipe.key(),
+            code_version: recipe.code_version(),
+            tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+            config: recipe.config_json().clone(),
+            inputs: recipe.inputs().clone(),
+            source_blake3: source.map(|source| source.hash),
+            source: source.map_or(Value::Null, |source| source.facts.clone()),
+            tables,
+            summary,
+            warnings,
+            manifest_blake3: Key::from_bytes([0; 32]),
+        };
+        manifest.manifest_blake3 = hash_of(&canonical_json(&manifest)?);
+        Ok(manifest)
+    }
+
+    /// The bytes of the file.
+    pub(crate) fn to_text(&self) -> Result<String, ArtifactError> {
+        Ok(canonical_text(&canonical_json(self)?))
+    }
+
+    /// Reads the manifest of the artifact in `folder` and checks all that can be checked without its tables: its own
+    /// hash, its format, its key.
+    pub(crate) fn read(folder: &Path) -> Result<Self, ArtifactError> {
+        let path = folder.join(MANIFEST_NAME);
+        let damaged = |damage| ArtifactError::damaged(folder, damage);
+        let broken = |reason: &str| {
+            damaged(Damage::Manifest {
+                reason: reason.to_owned(),
+            })
+        };
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Err(damaged(Damage::Missing {
+                    file: MANIFEST_NAME.to_owned(),
+                }));
+            }
+            Err(error) => return Err(ArtifactError::io("read", &path)(error)),
+        };
+        let value: Value = serde_json::from_slice(&bytes).map_err(|_| broken("is not readable as JSON"))?;
+        let stored = value
+            .get(HASH_FIELD)
+            .and_then(Value::as_str)
+            .and_then(|text| text.parse::<Key>().ok());
+        // The hash comes before the format, so that a flipped digit in the format is not taken for a newer build.
+        if stored != Some(hash_of(&value)) || canonical_text(&value).as_bytes() != bytes {
+            return Err(broken("does not match its own hash"));
+        }
+        let format = value.get("format").and_then(Value::as_u64).unwrap_or(0);
+        if format > u64::from(MANIFEST_FORMAT) {
+            return Err(ArtifactError::NewerManifest {
+                folder: folder.to_path_buf(),
+                found: format,
+                supported: MANIFEST_FORMAT,
+            });
+        }
+        let manifest: Self = serde_json::from_value(value).map_err(|error| {
+            damaged(Damage::Manifest {
+                reason: format!("lacks something: {error}"),
+            })
+        })?;
+        if manifest.key != manifest.recomputed_key() {
+            return Err(broken("has a key that does not follow from its recipe"));
+        }
+        if let Some((name, _)) = manifest
+            .tables
+            .iter()
+            .find(|(name, facts)| facts.file != format!("{name}.parquet") || name.contains(['/', '\\']))
+        {
+            return Err(damaged(Damage::Manifest {
+                reason: format!("names a file outside the artifact for table {name}"),
+            }));
+        }
+        Ok(manifest)
+    }
+
+    fn recomputed_key(&self) -> Key {
+        key_of(
+            &self.stage,
+            self.code_version,
+            &self.config,
+            &self.inputs,
+            self.source_blake3.as_ref(),
+        )
+    }
+}
+
+/// BLAKE3 of a manifest without its own hash. This stays as it is in every format, so that any build can tell damage
+/// from a newer format.
+fn hash_of(manifest: &Value) -> Key {
+    let mut rest = manifest.clone();
+    if let Value::Object(map) = &mut rest {
+        map.remove(HASH_FIELD);
+    }
+    blake3::hash(canonical_compact(&rest).as_bytes()).into()
+}

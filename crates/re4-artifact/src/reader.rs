@@ -1,0 +1,413 @@
+//! Reading artifacts: manifests, tables whole, in batches, by row group or by rows.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, RecordBatch, new_null_array};
+use arrow::compute::concat_batches;
+use arrow::datatypes::{Schema, SchemaRef};
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder, RowSelection,
+    RowSelector,
+};
+use parquet::errors::ParquetError;
+
+use crate::disk::hash_file;
+use crate::error::{ArtifactError, Damage};
+use crate::key::Key;
+use crate::manifest::{MANIFEST_NAME, Manifest, TableFacts};
+use crate::spec::TableSpec;
+use crate::tables;
+
+const ROWS_PER_BATCH: usize = 65_536;
+
+/// A published artifact.
+#[derive(Debug, Clone)]
+pub struct Artifact {
+    path: PathBuf,
+    manifest: Manifest,
+}
+
+impl Artifact {
+    /// Opens the artifact in this folder. Its manifest is checked; its tables are only checked by
+    /// [`Artifact::verify_bytes`], by [`crate::verify`] and by [`crate::Store::lookup`].
+    ///
+    /// # Errors
+    /// [`ArtifactError::NoFolder`], [`ArtifactError::Damaged`], [`ArtifactError::NewerManifest`].
+    pub fn open(path: &Path) -> Result<Self, ArtifactError> {
+        if !path.is_dir() {
+            return Err(ArtifactError::NoFolder {
+                folder: path.to_path_buf(),
+            });
+        }
+        Ok(Self {
+            path: path.to_path_buf(),
+            manifest: Manifest::read(path)?,
+        })
+    }
+
+    /// Folder of the artifact.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What it is and what made it.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// The hash of everything that decided its bytes.
+    pub fn key(&self) -> &Key {
+        &self.manifest.key
+    }
+
+    /// A table, read as this build describes it: columns that an older version lacks are null.
+    ///
+    /// # Errors
+    /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::Damaged`] when the file is missing or
+    /// does not have the columns that its version has, [`ArtifactError::Parquet`] when it cannot be decoded.
+    pub fn table(&self, spec: &'static TableSpec) -> Result<Table, ArtifactError> {
+        let facts = self.facts(spec.name)?;
+        if facts.schema_version > spec.version {
+            return Err(self.newer(spec.name, facts, spec.version));
+        }
+        Table::open(self, facts, Some(spec))
+    }
+
+    /// A table by its name, as it is in the file; for programs that show any artifact.
+    ///
+    /// # Errors
+    /// As [`Artifact::table`].
+    pub fn table_named(&self, name: &str) -> Result<Table, ArtifactError> {
+        let facts = self.facts(name)?;
+        self.refuse_newer(name, facts)?;
+        Table::open(self, facts, None)
+    }
+
+    /// Checks every byte: that each file of the manifest is there with its published length and hash, and no other.
+    ///
+    /// # Errors
+    /// [`ArtifactError::Damaged`], [`ArtifactError::NewerTable`], [`ArtifactError::Io`].
+    pub fn verify_bytes(&self) -> Result<(), ArtifactError> {
+        let mut expected: BTreeSet<String> = BTreeSet::from([MANIFEST_NAME.to_owned()]);
+        for (name, facts) in &self.manifest.tables {
+            self.refuse_newer(name, facts)?;
+            self.verify_file(facts)?;
+            expected.insert(facts.file.clone());
+        }
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&self.path).map_err(ArtifactError::io("list", &self.path))? {
+            let entry = entry.map_err(ArtifactError::io("list", &self.path))?;
+            found.push(entry.file_name().to_string_lossy().into_owned());
+        }
+        found.sort();
+        match found.into_iter().find(|name| !expected.contains(name)) {
+            Some(file) => Err(ArtifactError::damaged(&self.path, Damage::Stray { file })),
+            None => Ok(()),
+        }
+    }
+
+    fn verify_file(&self, facts: &TableFacts) -> Result<(), ArtifactError> {
+        let path = self.path.join(&facts.file);
+        let file = facts.file.clone();
+        let found = match fs::metadata(&path) {
+            Ok(metadata) if metadata.is_file() => metadata.len(),
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(ArtifactError::io("read", &path)(error));
+            }
+            _ => return Err(ArtifactError::damaged(&self.path, Damage::Missing { file })),
+        };
+        if found != facts.bytes {
+            let expected = facts.bytes;
+            let damage = Damage::Length { file, expected, found };
+            return Err(ArtifactError::damaged(&self.path, damage));
+        }
+        if hash_file(&path).map_err(ArtifactError::io("read", &path))? != facts.blake3 {
+            return Err(ArtifactError::damaged(&self.path, Damage::Content { file }));
+        }
+        Ok(())
+    }
+
+    fn facts(&self, table: &str) -> Result<&TableFacts, ArtifactError> {
+        self.manifest.tables.get(table).ok_or_else(|| {
+            let known: Vec<&str> = self.manifest.tables.keys().map(String::as_str).collect();
+            ArtifactError::NoTable {
+                folder: self.path.clone(),
+                table: table.to_owned(),
+                known: known.join(", "),
+            }
+        })
+    }
+
+    fn refuse_newer(&self, table: &str, facts: &TableFacts) -> Result<(), ArtifactError> {
+        match tables::find(table) {
+            Some(spec) if facts.schema_version > spec.version => Err(self.newer(table, facts, spec.version)),
+            _ => Ok(()),
+        }
+    }
+
+    fn newer(&self, table: &str, facts: &TableFacts, supported: u32) -> ArtifactError {
+        ArtifactError::NewerTable {
+            folder: self.path.clone(),
+            table: table.to_owned(),
+            found: facts.schema_version,
+            supported,
+        }
+    }
+}
+
+/// A table of an artifact. Cheap to clone; the footer of the file is read once.
+#[derive(Debug, Clone)]
+pub struct Table {
+    path: PathBuf,
+    facts: TableFacts,
+    spec: Option<&'static TableSpec>,
+    metadata: ArrowReaderMetadata,
+}
+
+impl Table {
+    fn open(artifact: &Artifact, facts: &TableFacts, spec: Option<&'static TableSpec>) -> Result<Self, ArtifactError> {
+        let path = artifact.path.join(&facts.file);
+        let file = match File::open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                let file = facts.file.clone();
+                return Err(ArtifactError::damaged(&artifact.path, Damage::Missing { file }));
+            }
+            Err(error) => return Err(ArtifactError::io("read", &path)(error)),
+        };
+        let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
+            .map_err(ArtifactError::parquet("read", &path))?;
+        let table = Self {
+            path,
+            facts: facts.clone(),
+            spec,
+            metadata,
+        };
+        if let Some(reason) = table.disagreement() {
+            let file = facts.file.clone();
+            return Err(ArtifactError::damaged(&artifact.path, Damage::Table { file, reason }));
+        }
+        Ok(table)
+    }
+
+    /// How the file disagrees with the manifest and the table's description, if it does.
+    fn disagreement(&self) -> Option<String> {
+        let rows = self.metadata.metadata().file_metadata().num_rows();
+        if u64::try_from(rows) != Ok(self.facts.rows) {
+            return Some(format!("has {rows} rows where the manifest says {}", self.facts.rows));
+        }
+        let spec = self.spec?;
+        let version = self.facts.schema_version;
+        let fields = self.metadata.schema().fields();
+        let described: Vec<_> = spec.columns_at(version).collect();
+        if fields.len() != described.len() {
+            return Some(format!(
+                "has {} columns where version {version} of the {} table has {}",
+                fields.len(),
+                spec.name,
+                described.len()
+            ));
+        }
+        fields.iter().zip(described).find_map(|(field, column)| {
+            let same = field.name() == column.name && field.data_type() == &column.kind.data_type();
+            (!same).then(|| {
+                format!(
+                    "has a column {} of type {} where version {version} of the {} table has {} of kind {}",
+                    field.name(),
+                    field.data_type(),
+                    spec.name,
+                    column.name,
+                    column.kind
+                )
+            })
+        })
+    }
+
+    /// File of the table.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What the manifest says of it.
+    pub fn facts(&self) -> &TableFacts {
+        &self.facts
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> u64 {
+        self.facts.rows
+    }
+
+    /// Number of row groups.
+    pub fn row_groups(&self) -> usize {
+        self.metadata.metadata().num_row_groups()
+    }
+
+    /// Schema of the batches that it gives: names, types, units and frames of reference.
+    pub fn schema(&self) -> SchemaRef {
+        self.spec
+            .map_or_else(|| Arc::clone(self.metadata.schema()), TableSpec::schema)
+    }
+
+    /// All rows as one batch.
+    ///
+    /// # Errors
+    /// As all reads: [`ArtifactError::Io`] and [`ArtifactError::Parquet`].
+    pub fn read_all(&self) -> Result<RecordBatch, ArtifactError> {
+        self.collect(self.reader(None)?.build(), &self.schema())
+    }
+
+    /// All rows of some columns, as one batch with the columns in the order asked for.
+    ///
+    /// # Errors
+    /// As [`Table::read_all`]; [`ArtifactError::NoColumn`].
+    pub fn read_columns(&self, columns: &[&str]) -> Result<RecordBatch, ArtifactError> {
+        let full = self.schema();
+        let mut fields = Vec::with_capacity(columns.len());
+        for &name in columns {
+            let Ok(field) = full.field_with_name(name) else {
+                let known: Vec<&str> = full.fields().iter().map(|f| f.name().as_str()).collect();
+                return Err(ArtifactError::NoColumn {
+                    table: self.facts.file.trim_end_matches(".parquet").to_owned(),
+                    column: name.to_owned(),
+                    known: known.join(", "),
+                });
+            };
+            fields.push(field.clone());
+        }
+        let schema = Arc::new(Schema::new_with_metadata(fields, full.metadata.clone()));
+        let file_columns = self.metadata.schema().fields();
+        let chosen = (0..file_columns.len()).filter(|&i| columns.contains(&file_columns[i].name().as_str()));
+        let mask = ProjectionMask::roots(self.metadata.parquet_schema(), chosen);
+        self.collect(self.reader(None)?.with_projection(mask).build(), &schema)
+    }
+
+    /// The rows of one row group.
+    ///
+    /// # Errors
+    /// As [`Table::read_all`]; [`ArtifactError::OutOfRange`].
+    pub fn read_row_group(&self, group: usize) -> Result<RecordBatch, ArtifactError> {
+        if group >= self.row_groups() {
+            let size = self.facts.row_group_rows;
+            let first = (group as u64).saturating_mul(size);
+            return Err(self.out_of_range(&(first..first.saturating_add(size))));
+        }
+        self.collect(self.reader(Some(vec![group]))?.build(), &self.schema())
+    }
+
+    /// Some rows; only the row groups that hold them are touched.
+    ///
+    /// # Errors
+    /// As [`Table::read_all`]; [`ArtifactError::OutOfRange`].
+    pub fn read_rows(&self, rows: Range<u64>) -> Result<RecordBatch, ArtifactError> {
+        if rows.start > rows.end || rows.end > self.rows() {
+            return Err(self.out_of_range(&rows));
+        }
+        if rows.is_empty() {
+            return Ok(RecordBatch::new_empty(self.schema()));
+        }
+        let size = self.facts.row_group_rows.max(1);
+        let groups: Vec<usize> = (rows.start / size..rows.end.div_ceil(size))
+            .map(|g| g as usize)
+            .collect();
+        let before = (rows.start % size) as usize;
+        let selection = RowSelection::from(vec![
+            RowSelector::skip(before),
+            RowSelector::select((rows.end - rows.start) as usize),
+        ]);
+        let reader = self.reader(Some(groups))?.with_row_selection(selection);
+        self.collect(reader.build(), &self.schema())
+    }
+
+    /// The rows in order, in batches of bounded size, so that a table need not fit in memory.
+    ///
+    /// # Errors
+    /// As [`Table::read_all`].
+    pub fn batches(&self) -> Result<Batches, ArtifactError> {
+        let size = ROWS_PER_BATCH.min((self.facts.row_group_rows as usize).max(1));
+        let reader = self
+            .reader(None)?
+            .with_batch_size(size)
+            .build()
+            .map_err(ArtifactError::parquet("read", &self.path))?;
+        Ok(Batches {
+            table: self.clone(),
+            schema: self.schema(),
+            reader,
+        })
+    }
+
+    fn out_of_range(&self, rows: &Range<u64>) -> ArtifactError {
+        ArtifactError::OutOfRange {
+            path: self.path.clone(),
+            first: rows.start,
+            end: rows.end,
+            rows: self.rows(),
+        }
+    }
+
+    /// A new handle on the file each time: handles share their position with their clones, and reads may run in parallel.
+    fn reader(&self, groups: Option<Vec<usize>>) -> Result<ParquetRecordBatchReaderBuilder<File>, ArtifactError> {
+        let file = File::open(&self.path).map_err(ArtifactError::io("read", &self.path))?;
+        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
+            .with_batch_size(ROWS_PER_BATCH);
+        Ok(match groups {
+            Some(groups) => builder.with_row_groups(groups),
+            None => builder,
+        })
+    }
+
+    fn collect(
+        &self,
+        reader: Result<ParquetRecordBatchReader, ParquetError>,
+        schema: &SchemaRef,
+    ) -> Result<RecordBatch, ArtifactError> {
+        let refuse = |error| ArtifactError::parquet("read", &self.path)(error);
+        let mut batches = Vec::new();
+        for batch in reader.map_err(refuse)? {
+            batches.push(self.upgrade(&batch.map_err(|e| refuse(e.into()))?, schema)?);
+        }
+        concat_batches(schema, &batches).map_err(|e| refuse(e.into()))
+    }
+
+    /// The batch with the columns of `schema`; those that its version of the table lacks are null.
+    fn upgrade(&self, batch: &RecordBatch, schema: &SchemaRef) -> Result<RecordBatch, ArtifactError> {
+        let columns: Vec<ArrayRef> = schema
+            .fields()
+            .iter()
+            .map(|field| {
+                batch
+                    .column_by_name(field.name())
+                    .map_or_else(|| new_null_array(field.data_type(), batch.num_rows()), Arc::clone)
+            })
+            .collect();
+        RecordBatch::try_new(Arc::clone(schema), columns)
+            .map_err(|error| ArtifactError::parquet("read", &self.path)(error.into()))
+    }
+}
+
+/// The rows of a table in order, batch by batch.
+pub struct Batches {
+    table: Table,
+    schema: SchemaRef,
+    reader: ParquetRecordBatchReader,
+}
+
+impl Iterator for Batches {
+    type Item = Result<RecordBatch, ArtifactError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let batch = self.reader.next()?;
+        Some(
+            batch
+                .map_err(|error| ArtifactError::parquet("read", &self.table.path)(error.into()))
+                .and_then(|batch| self.table.upgrade(&batch, &self.schema)),
+        )
+    }
+}

@@ -1,0 +1,231 @@
+//! Descriptions of tables, declared once as constants, from which schemas, checks and documentation follow.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
+use serde_json::{Value, json};
+
+/// Description of a table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TableSpec {
+    /// Name, also of the file: `<name>.parquet`.
+    pub name: &'static str,
+    /// Version of the schema. It grows when a column is added, and then the new column says so by [`ColumnSpec::since`].
+    pub version: u32,
+    /// What one row is, and what the table is for.
+    pub description: &'static str,
+    /// The columns, in their order in the file.
+    pub columns: &'static [ColumnSpec],
+}
+
+/// Description of a column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColumnSpec {
+    /// Name.
+    pub name: &'static str,
+    /// What its values are.
+    pub kind: ColumnKind,
+    /// Whether a value may be absent.
+    pub nullable: bool,
+    /// Unit of its values, "" for none: `px`, `rad`, `1/256 px`, ...
+    pub unit: &'static str,
+    /// Frame of reference of its values, "" for none: `world`, `object`, ...
+    pub frame: &'static str,
+    /// What it means.
+    pub description: &'static str,
+    /// Schema version of the table that first had this column. Tables of older versions are read with nulls in its
+    /// place, so a column added later has to be nullable.
+    pub since: u32,
+}
+
+/// What the values of a column are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ColumnKind {
+    /// Unsigned 32-bit integers: ids, counts.
+    U32,
+    /// Unsigned 64-bit integers.
+    U64,
+    /// Signed 64-bit integers.
+    I64,
+    /// Double precision floats, stored bit for bit.
+    F64,
+    /// True or false.
+    Bool,
+    /// UTF-8 text.
+    Text,
+    /// UTF-8 text of few distinct values, stored as a dictionary.
+    Category,
+    /// Bytes, for instance of a PNG picture; stored uncompressed.
+    Binary,
+    /// A list of double precision floats.
+    F64List,
+}
+
+impl ColumnKind {
+    /// The word used in descriptions and messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::U32 => "u32",
+            Self::U64 => "u64",
+            Self::I64 => "i64",
+            Self::F64 => "f64",
+            Self::Bool => "bool",
+            Self::Text => "text",
+            Self::Category => "category",
+            Self::Binary => "binary",
+            Self::F64List => "list of f64",
+        }
+    }
+
+    /// The Arrow type that stores it.
+    pub fn data_type(self) -> DataType {
+        match self {
+            Self::U32 => DataType::UInt32,
+            Self::U64 => DataType::UInt64,
+            Self::I64 => DataType::Int64,
+            Self::F64 => DataType::Float64,
+            Self::Bool => DataType::Boolean,
+            Self::Text => DataType::Utf8,
+            Self::Category => DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8)),
+            Self::Binary => DataType::Binary,
+            Self::F64List => DataType::List(Arc::new(Field::new("element", DataType::Float64, false))),
+        }
+    }
+}
+
+impl fmt::Display for ColumnKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl ColumnSpec {
+    /// A column without unit and frame of reference that is never null.
+    pub const fn new(name: &'static str, kind: ColumnKind, description: &'static str) -> Self {
+        Self {
+            name,
+            kind,
+            nullable: false,
+            unit: "",
+            frame: "",
+            description,
+            since: 1,
+        }
+    }
+
+    /// The same column, with values that may be absent.
+    #[must_use]
+    pub const fn nullable(mut self) -> Self {
+        self.nullable = true;
+        self
+    }
+
+    /// The same column, in this unit.
+    #[must_use]
+    pub const fn unit(mut self, unit: &'static str) -> Self {
+        self.unit = unit;
+        self
+    }
+
+    /// The same column, in this frame of reference.
+    #[must_use]
+    pub const fn frame(mut self, frame: &'static str) -> Self {
+        self.frame = frame;
+        self
+    }
+
+    /// The same column, added in this version of the table.
+    #[must_use]
+    pub const fn since(mut self, version: u32) -> Self {
+        self.since = version;
+        self
+    }
+
+    fn field(&self) -> Field {
+        let entries = [
+            ("unit", self.unit),
+            ("frame", self.frame),
+            ("description", self.description),
+        ];
+        let metadata: BTreeMap<String, String> = entries
+            .into_iter()
+            .filter(|(_, text)| !text.is_empty())
+            .map(|(name, text)| (name.to_owned(), text.to_owned()))
+            .collect();
+        Field::new(self.name, self.kind.data_type(), self.nullable).with_metadata(metadata)
+    }
+}
+
+/// Name of the table in the metadata of a Parquet file and of the batches read from it.
+pub(crate) const TABLE_KEY: &str = "re4.table";
+const VERSION_KEY: &str = "re4.version";
+const DESCRIPTION_KEY: &str = "re4.description";
+const COLUMNS_KEY: &str = "re4.columns";
+
+impl TableSpec {
+    /// Name of the file that holds the table.
+    pub fn file(&self) -> String {
+        format!("{}.parquet", self.name)
+    }
+
+    /// The column of this name.
+    pub fn column(&self, name: &str) -> Option<&'static ColumnSpec> {
+        self.columns.iter().find(|column| column.name == name)
+    }
+
+    /// Columns that a table of this schema version has.
+    pub fn columns_at(&self, version: u32) -> impl Iterator<Item = &'static ColumnSpec> {
+        self.columns.iter().filter(move |column| column.since <= version)
+    }
+
+    /// The Arrow schema: fields with unit, frame of reference and description in their metadata.
+    pub fn schema(&self) -> SchemaRef {
+        let fields: Vec<Field> = self.columns.iter().map(ColumnSpec::field).collect();
+        let metadata: BTreeMap<String, String> = self.key_values().into_iter().collect();
+        Arc::new(Schema::new_with_metadata(fields, metadata))
+    }
+
+    /// Key-value metadata of the Parquet file, for readers that do not know Arrow's field metadata.
+    pub(crate) fn key_values(&self) -> Vec<(String, String)> {
+        let columns: Vec<Value> = self
+            .columns
+            .iter()
+            .map(|c| json!({"description": c.description, "frame": c.frame, "name": c.name, "unit": c.unit}))
+            .collect();
+        vec![
+            (COLUMNS_KEY.to_owned(), Value::Array(columns).to_string()),
+            (DESCRIPTION_KEY.to_owned(), self.description.to_owned()),
+            (TABLE_KEY.to_owned(), self.name.to_owned()),
+            (VERSION_KEY.to_owned(), self.version.to_string()),
+        ]
+    }
+}
+
+/// The description of a table as JSON, for people and for programs that do not use this crate.
+pub fn json_description(spec: &TableSpec) -> Value {
+    let columns: Vec<Value> = spec
+        .columns
+        .iter()
+        .map(|c| {
+            json!({
+                "name": c.name,
+                "kind": c.kind.as_str(),
+                "arrow_type": c.kind.data_type().to_string(),
+                "nullable": c.nullable,
+                "unit": c.unit,
+                "frame": c.frame,
+                "description": c.description,
+                "since": c.since,
+            })
+        })
+        .collect();
+    json!({
+        "name": spec.name,
+        "version": spec.version,
+        "file": spec.file(),
+        "description": spec.description,
+        "columns": columns,
+    })
+}

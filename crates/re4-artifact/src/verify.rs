@@ -1,0 +1,73 @@
+//! Verification of an artifact from end to end.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::ArtifactError;
+use crate::key::Key;
+use crate::manifest::{MANIFEST_NAME, Manifest};
+use crate::reader::Artifact;
+use crate::tables;
+
+/// What a verification looked at, all of it found as published.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VerifyReport {
+    /// Folder of the artifact.
+    pub folder: PathBuf,
+    /// Its manifest.
+    pub manifest: Manifest,
+    /// Its files, the manifest first.
+    pub files: Vec<VerifiedFile>,
+}
+
+/// A file found as published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct VerifiedFile {
+    /// Name relative to the folder.
+    pub file: String,
+    /// Length in bytes.
+    pub bytes: u64,
+    /// Rows, for a table.
+    pub rows: Option<u64>,
+    /// BLAKE3 of the file; of the manifest, the hash that it carries of itself.
+    pub blake3: Key,
+}
+
+/// Verifies an artifact: the manifest's own hash, format and key, every file's length and hash, no stray file, and that
+/// every table decodes to the rows and columns that the manifest and this build's descriptions say.
+///
+/// # Errors
+/// [`ArtifactError::NoFolder`], [`ArtifactError::Damaged`] naming the file, [`ArtifactError::NewerManifest`],
+/// [`ArtifactError::NewerTable`], [`ArtifactError::Io`].
+pub fn verify(path: &Path) -> Result<VerifyReport, ArtifactError> {
+    let artifact = Artifact::open(path)?;
+    artifact.verify_bytes()?;
+    let manifest = artifact.manifest();
+    let manifest_path = path.join(MANIFEST_NAME);
+    let manifest_bytes = std::fs::metadata(&manifest_path).map_err(ArtifactError::io("read", &manifest_path))?;
+    let mut files = vec![VerifiedFile {
+        file: MANIFEST_NAME.to_owned(),
+        bytes: manifest_bytes.len(),
+        rows: None,
+        blake3: manifest.manifest_blake3,
+    }];
+    for (name, facts) in &manifest.tables {
+        let table = match tables::find(name) {
+            Some(spec) => artifact.table(spec)?,
+            None => artifact.table_named(name)?,
+        };
+        for batch in table.batches()? {
+            batch?;
+        }
+        files.push(VerifiedFile {
+            file: facts.file.clone(),
+            bytes: facts.bytes,
+            rows: Some(facts.rows),
+            blake3: facts.blake3,
+        });
+    }
+    Ok(VerifyReport {
+        folder: path.to_path_buf(),
+        manifest: manifest.clone(),
+        files,
+    })
+}
