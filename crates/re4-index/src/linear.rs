@@ -1,0 +1,55 @@
+//! Retrieve by definition: every frame is looked at, twice.
+
+use crate::metric::{admissible_squared, object_squared, state_squared};
+use crate::{IndexError, IndexedFrame, Normalization, Query, Retrieved};
+
+/// The two-stage lookup by linear scan over `frames`, sorted by episode and frame. It is the oracle of the tests and
+/// the rival in the benchmarks; [`crate::RetrievalIndex::retrieve`] gives the same answer.
+///
+/// `epsilon` is in normalised units; infinity switches the filter off. `None` when no frame has the query's mode.
+///
+/// # Errors
+/// When the query is not finite.
+pub fn retrieve_linear(
+    frames: &[IndexedFrame],
+    normalization: &Normalization,
+    query: &Query,
+    epsilon: f64,
+) -> Result<Option<Retrieved>, IndexError> {
+    let q = normalization.query(query);
+    if q.iter().any(|v| !v.is_finite()) {
+        return Err(IndexError::QueryNotFinite);
+    }
+    let period = normalization.period();
+    let mut best: Option<Retrieved> = None;
+    let mut least_object = f64::INFINITY;
+    for demo in frames.chunk_by(|a, b| a.episode == b.episode) {
+        let admissible = || demo.iter().filter(|frame| frame.mode == query.mode);
+        let distances = |frame: &IndexedFrame| {
+            let n = normalization.frame(frame);
+            let o = object_squared(&q, n[2], n[3], n[4], period);
+            (o, state_squared(&q, n[0], n[1], o))
+        };
+        let least = admissible()
+            .map(|frame| distances(frame).0)
+            .fold(f64::INFINITY, f64::min);
+        let limit = admissible_squared(least, epsilon);
+        let mut chosen: Option<(f64, f64, &IndexedFrame)> = None;
+        for frame in admissible() {
+            let (o, s) = distances(frame);
+            if o <= limit && chosen.is_none_or(|(nearest, ..)| s < nearest) {
+                chosen = Some((s, o, frame));
+            }
+        }
+        if let Some((s, o, frame)) = chosen.filter(|(_, o, _)| *o < least_object) {
+            least_object = o;
+            best = Some(Retrieved {
+                episode: frame.episode,
+                frame: frame.frame,
+                d_q: s.sqrt(),
+                d_o: o.sqrt(),
+            });
+        }
+    }
+    Ok(best)
+}

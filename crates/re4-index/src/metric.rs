@@ -1,0 +1,124 @@
+//! Min-max normalisation and the two distances.
+
+use std::f64::consts::TAU;
+
+use re4_geometry::wrap_to_two_pi;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{IndexedFrame, Query};
+
+/// How the block angle enters the distances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum AngleMetric {
+    /// Shortest way round the circle, so that 0 and 2π are the same angle.
+    #[default]
+    Periodic,
+    /// Plain difference of the stored numbers, as the paper's L2 distance says; it has a seam at 0 and 2π.
+    Raw,
+}
+
+/// Least and greatest value of one dimension over the indexed frames.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Range {
+    /// Least value.
+    pub minimum: f64,
+    /// Greatest value.
+    pub maximum: f64,
+}
+
+impl Range {
+    /// Length of the range; 1 for a dimension that never varies, so that it adds its plain difference.
+    pub fn span(self) -> f64 {
+        if self.maximum > self.minimum {
+            self.maximum - self.minimum
+        } else {
+            1.0
+        }
+    }
+}
+
+/// Min-max normalisation of `(eef x, eef y, object x, object y, object θ)`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Normalization {
+    /// Ranges in the order of the dimensions.
+    pub ranges: [Range; 5],
+    /// How the angle is compared.
+    pub angle: AngleMetric,
+}
+
+impl Normalization {
+    /// Names of the dimensions, in order.
+    pub const DIMENSIONS: [&str; 5] = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
+
+    /// Ranges over `frames`; angles are first wrapped into `[0, 2π)`.
+    pub fn over(frames: &[IndexedFrame], angle: AngleMetric) -> Self {
+        let mut ranges = [Range {
+            minimum: f64::INFINITY,
+            maximum: f64::NEG_INFINITY,
+        }; 5];
+        for frame in frames {
+            for (range, value) in ranges.iter_mut().zip(raw(frame.eef.x, frame.eef.y, frame.object)) {
+                range.minimum = range.minimum.min(value);
+                range.maximum = range.maximum.max(value);
+            }
+        }
+        Self { ranges, angle }
+    }
+
+    fn apply(&self, values: [f64; 5]) -> [f64; 5] {
+        let mut out = values;
+        for (value, range) in out.iter_mut().zip(&self.ranges) {
+            *value = (*value - range.minimum) / range.span();
+        }
+        out
+    }
+
+    /// Normalised coordinates of a frame.
+    pub fn frame(&self, frame: &IndexedFrame) -> [f64; 5] {
+        self.apply(raw(frame.eef.x, frame.eef.y, frame.object))
+    }
+
+    /// Normalised coordinates of a query.
+    pub fn query(&self, query: &Query) -> [f64; 5] {
+        self.apply(raw(query.eef.x, query.eef.y, query.object))
+    }
+
+    /// Length of a full turn in normalised units; infinite for [`AngleMetric::Raw`], which never wraps.
+    pub fn period(&self) -> f64 {
+        match self.angle {
+            AngleMetric::Periodic => TAU / self.ranges[4].span(),
+            AngleMetric::Raw => f64::INFINITY,
+        }
+    }
+}
+
+fn raw(eef_x: f64, eef_y: f64, object: re4_geometry::Pose2) -> [f64; 5] {
+    [eef_x, eef_y, object.x, object.y, wrap_to_two_pi(object.theta)]
+}
+
+/// Squared `d_o` between normalised states. Every path through the index uses this one expression, in this order of
+/// operations, so that equal distances are equal to the bit and ties are decided the same way everywhere.
+#[inline(always)]
+pub(crate) fn object_squared(a: &[f64; 5], x: f64, y: f64, theta: f64, period: f64) -> f64 {
+    let (dx, dy) = (a[2] - x, a[3] - y);
+    let direct = (a[4] - theta).abs();
+    let turn = direct.min((period - direct).abs());
+    dx * dx + dy * dy + turn * turn
+}
+
+/// Squared `d_q` from the end-effector terms and the squared `d_o`.
+#[inline(always)]
+pub(crate) fn state_squared(a: &[f64; 5], x: f64, y: f64, object_squared: f64) -> f64 {
+    let (dx, dy) = (a[0] - x, a[1] - y);
+    dx * dx + dy * dy + object_squared
+}
+
+/// Squared `d_o` up to which a frame of a demonstration stays a candidate for stage 1.
+#[inline(always)]
+pub(crate) fn admissible_squared(least_object_squared: f64, epsilon: f64) -> f64 {
+    let limit = least_object_squared.sqrt() + epsilon;
+    // Rounding must not shut out the least frame itself.
+    (limit * limit).max(least_object_squared)
+}

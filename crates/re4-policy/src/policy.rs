@@ -1,0 +1,440 @@
+//! The RE4 loop (paper, Algorithm 1), one control step at a time.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+
+use rand_pcg::Pcg64;
+use re4_episode::{Mode, PlanarFrame};
+use re4_geometry::{Point2, Pose2};
+use re4_index::{Query, RetrievalIndex};
+use re4_sim::{GOAL, PushTObservation, coverage};
+
+use crate::config::{PolicyConfig, Selector, Tracking};
+use crate::demos::DemoSet;
+use crate::outcome::{Chunk, ChunkLibrary};
+use crate::path::{Leg, legs};
+use crate::pusher::{PusherModel, PusherState};
+use crate::reframe::{Reframed, reframe, without_reframe};
+use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
+use crate::{Act, Policy, PolicyError};
+
+/// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
+const PLANS_TRIED: usize = 8;
+
+/// What a policy knows: demonstrations, their index, and the chunks searchable by outcome. Shared between rollouts.
+pub struct Knowledge {
+    /// Demonstrations.
+    pub demos: DemoSet,
+    /// Retrieve.
+    pub index: RetrievalIndex,
+    /// Chunks by outcome, where the selector needs them.
+    pub chunks: Option<ChunkLibrary>,
+}
+
+/// Which part of the loop an action belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// On the way to the start of the chunk.
+    Plan,
+    /// Replaying the chunk.
+    Replay,
+}
+
+impl Phase {
+    /// The word used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Plan => "plan",
+            Self::Replay => "replay",
+        }
+    }
+}
+
+/// Why the policy does what it does: one record for every Retrieve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decision {
+    /// Control steps taken before the decision.
+    pub step: u32,
+    /// Mode of the query.
+    pub mode: Mode,
+    /// End effector and object of the query.
+    pub eef: Point2,
+    /// Object pose of the query.
+    pub object: Pose2,
+    /// Retrieved demonstration.
+    pub demo: u32,
+    /// Retrieved frame.
+    pub demo_frame: u32,
+    /// Last frame of the chunk.
+    pub demo_end: u32,
+    /// Distance over the full state, normalised; absent for the outcome selector.
+    pub d_q: Option<f64>,
+    /// Distance over the object pose, normalised; absent for the outcome selector.
+    pub d_o: Option<f64>,
+    /// δ, in the world.
+    pub delta: Pose2,
+    /// Set-point at which the chunk starts.
+    pub set_point: Point2,
+    /// How the connection was found.
+    pub plan_kind: PlanKind,
+    /// Commands of the connection.
+    pub plan_steps: u32,
+    /// Nodes searched for the connection.
+    pub plan_nodes: u32,
+    /// The connection, as a polyline.
+    pub plan_path: Vec<Point2>,
+    /// Commands of the chunk.
+    pub replay_steps: u32,
+    /// Where the demonstration says the object will be after the chunk.
+    pub predicted_object: Pose2,
+    /// Coverage of the goal there.
+    pub predicted_coverage: f64,
+    /// Number of chunks or demonstrations compared.
+    pub compared: u32,
+}
+
+/// One command that waits for its control step.
+#[derive(Debug, Clone, Copy)]
+enum Command {
+    /// Send this target.
+    Target(Point2),
+    /// Send the first of `left` targets that lead to the end of the leg.
+    Follow { leg: Leg, left: usize },
+}
+
+/// A policy in the middle of an episode.
+pub struct Re4 {
+    config: PolicyConfig,
+    knowledge: Arc<Knowledge>,
+    random: Pcg64,
+    model: PusherModel,
+    pusher: Option<PusherState>,
+    queue: VecDeque<(Phase, Command)>,
+    expectation: Option<Expectation>,
+    /// Starts of chunks, as (demonstration, frame), that did not move the object as recorded; not chosen again.
+    set_aside: BTreeSet<(u32, u32)>,
+    step: u32,
+}
+
+/// What the object should do while a chunk is replayed.
+struct Expectation {
+    chunk: Chunk,
+    /// Pose of the object at the decision.
+    before: Pose2,
+    /// Expected poses of the object, frame by frame.
+    poses: Vec<Pose2>,
+}
+
+impl Re4 {
+    /// A policy at the beginning of an episode; `seed` drives the sampling of the planner.
+    pub fn new(config: PolicyConfig, knowledge: Arc<Knowledge>, seed: u64) -> Self {
+        Self {
+            config,
+            knowledge,
+            random: Pcg64::new(u128::from(seed), 0x5245_3452_4f4c_4c4f_5554),
+            model: PusherModel::default(),
+            pusher: None,
+            queue: VecDeque::new(),
+            expectation: None,
+            set_aside: BTreeSet::new(),
+            step: 0,
+        }
+    }
+}
+
+impl Policy for Re4 {
+    fn act(&mut self, observation: &PushTObservation) -> Result<Act, PolicyError> {
+        // The pusher's velocity is not observed; it follows from the commands sent.
+        let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
+        let pusher = PusherState {
+            position: observation.agent,
+            velocity,
+        };
+        if self.strayed(observation.block) {
+            self.queue.clear();
+        }
+        let decision = if self.queue.is_empty() {
+            Some(self.decide(pusher, observation.block)?)
+        } else {
+            None
+        };
+        let (phase, command) = self.queue.pop_front().ok_or(PolicyError::NothingToDo)?;
+        let target = match command {
+            Command::Target(target) => target,
+            Command::Follow { leg, left } => {
+                let free = self.model.first_target(pusher, leg.goal, leg.velocity, left);
+                Point2::new(free.x.clamp(0.0, WORKSPACE), free.y.clamp(0.0, WORKSPACE))
+            }
+        };
+        self.pusher = Some(self.model.predict(pusher, target));
+        self.step += 1;
+        Ok(Act {
+            target,
+            phase,
+            decision,
+        })
+    }
+}
+
+impl Re4 {
+    /// Whether the object left the path that the chunk should have moved it along.
+    fn strayed(&self, block: Pose2) -> bool {
+        let (Some(expectation), Some((Phase::Replay, _))) = (&self.expectation, self.queue.front()) else {
+            return false;
+        };
+        let Some(chunks) = &self.knowledge.chunks else {
+            return false;
+        };
+        let body = chunks.body();
+        expectation
+            .poses
+            .iter()
+            .all(|&pose| body.distance(pose, block) > self.config.replay.divergence)
+    }
+
+    fn decide(&mut self, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
+        // A planar pusher never grasps: every query is transit (paper, appendix "Push-T").
+        let mode = Mode::Transit;
+        self.judge(block);
+        match self.config.retrieve.selector {
+            Selector::TwoStage => self.decide_two_stage(mode, pusher, block),
+            Selector::Outcome => self.decide_outcome(mode, pusher, block),
+        }
+    }
+
+    /// Sets the last chunk aside if the object ended elsewhere than recorded, by more than half of the recorded motion.
+    fn judge(&mut self, block: Pose2) {
+        let (Some(last), Some(chunks)) = (self.expectation.take(), &self.knowledge.chunks) else {
+            return;
+        };
+        let body = chunks.body();
+        let expected = last.before.compose(last.chunk.motion);
+        if body.distance(expected, block) > 0.5 * body.distance(expected, last.before) {
+            self.set_aside.insert((last.chunk.demo, last.chunk.start));
+        }
+    }
+
+    fn decide_two_stage(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
+        let knowledge = Arc::clone(&self.knowledge);
+        let query = Query {
+            mode,
+            eef: pusher.position,
+            object: block,
+        };
+        let found = knowledge
+            .index
+            .retrieve(&query, self.config.retrieve.epsilon)?
+            .ok_or(PolicyError::NoFrameOfMode { mode })?;
+        let frames = knowledge
+            .demos
+            .demo(found.episode)
+            .ok_or(PolicyError::UnknownDemo { demo: found.episode })?;
+        let start = found.frame as usize;
+        let frame = frames
+            .get(start)
+            .ok_or(PolicyError::UnknownDemo { demo: found.episode })?;
+        let reframed = self.reframed(mode, frame.object, frame.eef, pusher.position, block);
+        let connection = plan(
+            &self.config.replan,
+            block,
+            pusher.position,
+            reframed.near,
+            &mut self.random,
+        );
+        let plan_steps = self.queue_plan(&connection);
+        let replay = &self.config.replay;
+        let reach = replay.horizon.saturating_mul(replay.stride);
+        let end = frames.len().min(start.saturating_add(reach));
+        let mut replay_steps = 0;
+        match replay.tracking {
+            Tracking::Actions => {
+                // The last of every `stride` actions, so that the chunk goes as far as its recording; at the end of the
+                // demonstration its last action is held.
+                for first in (start..end).step_by(replay.stride.max(1)) {
+                    let at = (first + replay.stride.max(1) - 1).min(frames.len() - 1);
+                    let target = reframed.carry.transform_point(frames[at].action);
+                    self.queue.push_back((Phase::Replay, Command::Target(target)));
+                    replay_steps += 1;
+                }
+            }
+            Tracking::Path => {
+                let path: Vec<Point2> = frames[start..end]
+                    .iter()
+                    .map(|f| reframed.carry.transform_point(f.eef))
+                    .collect();
+                replay_steps = self.queue_path(&path);
+            }
+        }
+        if replay_steps == 0 {
+            self.queue.push_back((Phase::Replay, Command::Target(reframed.near)));
+            replay_steps = 1;
+        }
+        let last = &frames[end.saturating_sub(1).max(start)];
+        let predicted = reframed.carry.compose(last.object).normalized();
+        Ok(Decision {
+            step: self.step,
+            mode,
+            eef: pusher.position,
+            object: block,
+            demo: found.episode,
+            demo_frame: found.frame,
+            demo_end: end.saturating_sub(1).max(start) as u32,
+            d_q: Some(found.d_q),
+            d_o: Some(found.d_o),
+            delta: reframed.delta,
+            set_point: reframed.near,
+            plan_kind: connection.kind,
+            plan_steps: plan_steps as u32,
+            plan_nodes: connection.nodes,
+            plan_path: connection.path,
+            replay_steps: replay_steps as u32,
+            predicted_object: predicted,
+            predicted_coverage: coverage(predicted, GOAL),
+            compared: knowledge.demos.iter().count() as u32,
+        })
+    }
+
+    fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
+        let knowledge = Arc::clone(&self.knowledge);
+        let chunks = knowledge.chunks.as_ref().ok_or(PolicyError::NoChunks)?;
+        let wanted = block.inverse().compose(GOAL);
+        let count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
+        let candidates = chunks.nearest(wanted, count);
+        let mut ranked: Vec<(f64, Chunk)> = Vec::with_capacity(candidates.len());
+        for (misalignment, chunk) in &candidates {
+            let failed_before = self.set_aside.contains(&(chunk.demo, chunk.start));
+            let cost = if failed_before {
+                f64::INFINITY
+            } else {
+                self.cost(*misalignment, chunk, pusher, block)?
+            };
+            ranked.push((cost, *chunk));
+        }
+        // Stable: equal costs keep the order of their misalignment.
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // The cheapest chunk that can be reached; if none can, the cheapest.
+        let mut chosen = None;
+        for (cost, chunk) in ranked.iter().take(PLANS_TRIED) {
+            let frame = self.demo_frames(chunk.demo)?[chunk.start as usize];
+            let reframed = self.reframed(mode, frame.object, frame.eef, pusher.position, block);
+            let connection = plan(
+                &self.config.replan,
+                block,
+                pusher.position,
+                reframed.near,
+                &mut self.random,
+            );
+            let reached = connection.kind != PlanKind::Failed && cost.is_finite();
+            if reached || chosen.is_none() {
+                chosen = Some((*chunk, reframed, connection));
+            }
+            if reached {
+                break;
+            }
+        }
+        let (chunk, reframed, connection) = chosen.ok_or(PolicyError::NoChunks)?;
+        let frames = knowledge
+            .demos
+            .demo(chunk.demo)
+            .ok_or(PolicyError::UnknownDemo { demo: chunk.demo })?;
+        let (start, end) = (chunk.start as usize, chunk.end as usize);
+        let plan_steps = self.queue_plan(&connection);
+        let path: Vec<Point2> = frames[start..=end]
+            .iter()
+            .map(|f| reframed.carry.transform_point(f.eef))
+            .collect();
+        let replay_steps = self.queue_path(&path);
+        let poses: Vec<Pose2> = frames[start..=end]
+            .iter()
+            .map(|f| reframed.carry.compose(f.object))
+            .collect();
+        let predicted = block.compose(chunk.motion).normalized();
+        self.expectation = Some(Expectation {
+            chunk,
+            before: block,
+            poses,
+        });
+        Ok(Decision {
+            step: self.step,
+            mode,
+            eef: pusher.position,
+            object: block,
+            demo: chunk.demo,
+            demo_frame: chunk.start,
+            demo_end: chunk.end,
+            d_q: None,
+            d_o: None,
+            delta: reframed.delta,
+            set_point: reframed.near,
+            plan_kind: connection.kind,
+            plan_steps: plan_steps as u32,
+            plan_nodes: connection.nodes,
+            plan_path: connection.path,
+            replay_steps: replay_steps as u32,
+            predicted_object: predicted,
+            predicted_coverage: coverage(predicted, GOAL),
+            compared: candidates.len() as u32,
+        })
+    }
+
+    /// Expected misalignment after the chunk, plus the price of getting there and of carrying it out.
+    fn cost(&self, misalignment: f64, chunk: &Chunk, pusher: PusherState, block: Pose2) -> Result<f64, PolicyError> {
+        let frames = self.demo_frames(chunk.demo)?;
+        let carry = block.delta_from(frames[chunk.start as usize].object);
+        let near = carry.transform_point(frames[chunk.start as usize].eef);
+        let reachable =
+            |p: Point2| (10.0..=WORKSPACE - 10.0).contains(&p.x) && (10.0..=WORKSPACE - 10.0).contains(&p.y);
+        let inside = frames[chunk.start as usize..=chunk.end as usize]
+            .iter()
+            .all(|f| reachable(carry.transform_point(f.eef)));
+        if !inside {
+            return Ok(f64::INFINITY);
+        }
+        let steps =
+            (near - pusher.position).norm() / self.config.replan.spacing + chunk.travel / self.config.replay.speed;
+        Ok(misalignment + self.config.retrieve.step_cost * steps + self.config.retrieve.motion_cost * chunk.pushed)
+    }
+
+    fn demo_frames(&self, demo: u32) -> Result<&[PlanarFrame], PolicyError> {
+        self.knowledge.demos.demo(demo).ok_or(PolicyError::UnknownDemo { demo })
+    }
+
+    fn reframed(&self, mode: Mode, demo_object: Pose2, demo_eef: Point2, eef: Point2, object: Pose2) -> Reframed {
+        if self.config.reframe.enabled {
+            reframe(mode, demo_object, demo_eef, object, eef)
+        } else {
+            without_reframe(demo_eef)
+        }
+    }
+
+    fn queue_plan(&mut self, connection: &Plan) -> usize {
+        if connection.kind == PlanKind::Off {
+            return 0;
+        }
+        let before = self.queue.len();
+        match self.config.replay.tracking {
+            Tracking::Actions => {
+                for point in waypoints(&connection.path, self.config.replan.spacing) {
+                    self.queue.push_back((Phase::Plan, Command::Target(point)));
+                }
+            }
+            Tracking::Path => self.queue_legs(Phase::Plan, &legs(&connection.path, self.config.replan.spacing, 0.0)),
+        }
+        self.queue.len() - before
+    }
+
+    fn queue_path(&mut self, path: &[Point2]) -> usize {
+        let before = self.queue.len();
+        self.queue_legs(Phase::Replay, &legs(path, self.config.replay.speed, 0.5));
+        self.queue.len() - before
+    }
+
+    fn queue_legs(&mut self, phase: Phase, legs: &[Leg]) {
+        for &leg in legs {
+            for left in (1..=leg.steps).rev() {
+                self.queue.push_back((phase, Command::Follow { leg, left }));
+            }
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Replan: a path for the pusher round the block, which stays where it is (paper, section "Replan" and appendix).
+
+use rand_pcg::Pcg64;
+use rand_pcg::rand_core::Rng as _;
+use re4_geometry::{Point2, Pose2, distance_point_to_convex, distance_segment_to_convex};
+use re4_sim::tee_rectangles;
+
+use crate::config::{Planner, ReplanConfig};
+
+/// Side of the square workspace in pixels.
+pub(crate) const WORKSPACE: f64 = 512.0;
+
+/// How a connection was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlanKind {
+    /// The straight segment is free.
+    Direct,
+    /// A planner found a way round the block.
+    Planned,
+    /// No way was found; the straight segment is taken.
+    Failed,
+    /// Replan is switched off.
+    Off,
+}
+
+impl PlanKind {
+    /// The word used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Direct => "direct",
+            Self::Planned => "planned",
+            Self::Failed => "failed",
+            Self::Off => "off",
+        }
+    }
+}
+
+/// A connection from the pusher to the start of the chunk.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// How it was found.
+    pub kind: PlanKind,
+    /// Polyline from the pusher's position to the set-point, both included.
+    pub path: Vec<Point2>,
+    /// Nodes of the tree or graph that was searched.
+    pub nodes: u32,
+}
+
+impl Plan {
+    /// Length of the polyline in pixels.
+    pub fn length(&self) -> f64 {
+        self.path.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
+    }
+}
+
+/// The block as an obstacle.
+pub struct Obstacle {
+    rectangles: [[Point2; 4]; 2],
+}
+
+impl Obstacle {
+    /// The block at a pose in the world.
+    pub fn at(block: Pose2) -> Self {
+        let mut rectangles = tee_rectangles();
+        for corner in rectangles.iter_mut().flatten() {
+            *corner = block.transform_point(*corner);
+        }
+        Self { rectangles }
+    }
+
+    /// Distance in pixels from a point to the block; zero inside.
+    pub fn distance(&self, p: Point2) -> f64 {
+        self.rectangles
+            .iter()
+            .map(|r| distance_point_to_convex(p, r))
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// Distance in pixels from a segment to the block; zero when they meet.
+    pub fn segment_distance(&self, a: Point2, b: Point2) -> f64 {
+        self.rectangles
+            .iter()
+            .map(|r| distance_segment_to_convex(a, b, r))
+            .fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Plans a connection from `start` to `goal` with the block fixed at `block`.
+///
+/// Where an end is nearer to the block than the keep-out (a pusher in contact), the keep-out shrinks to what that end
+/// allows, so that contact can be left and taken up.
+pub fn plan(config: &ReplanConfig, block: Pose2, start: Point2, goal: Point2, random: &mut Pcg64) -> Plan {
+    let obstacle = Obstacle::at(block);
+    if !config.enabled {
+        return Plan {
+            kind: PlanKind::Off,
+            path: vec![start],
+            nodes: 0,
+        };
+    }
+    match config.planner {
+        Planner::Rrt => rrt(config, &obstacle, start, goal, random),
+        Planner::Visibility => crate::visibility::shortest(config, &obstacle, block, start, goal),
+    }
+}
+
+fn rrt(config: &ReplanConfig, obstacle: &Obstacle, start: Point2, goal: Point2, random: &mut Pcg64) -> Plan {
+    let keepout = config
+        .keepout
+        .min(obstacle.distance(start))
+        .min(obstacle.distance(goal))
+        - 1e-9;
+    let free = |a: Point2, b: Point2| obstacle.segment_distance(a, b) >= keepout;
+    if free(start, goal) {
+        return Plan {
+            kind: PlanKind::Direct,
+            path: vec![start, goal],
+            nodes: 0,
+        };
+    }
+    let mut nodes: Vec<(Point2, usize)> = vec![(start, 0)];
+    for _ in 0..config.iterations {
+        let sample = if unit(random) < config.goal_bias {
+            goal
+        } else {
+            Point2::new(unit(random) * WORKSPACE, unit(random) * WORKSPACE)
+        };
+        let (nearest, from) =
+            nodes
+                .iter()
+                .enumerate()
+                .map(|(i, (p, _))| (i, *p))
+                .fold((0, start), |best, candidate| {
+                    if (candidate.1 - sample).norm_squared() < (best.1 - sample).norm_squared() {
+                        candidate
+                    } else {
+                        best
+                    }
+                });
+        let reach = (sample - from).norm();
+        let to = if reach > config.step {
+            from + (sample - from) * (config.step / reach)
+        } else {
+            sample
+        };
+        if !free(from, to) {
+            continue;
+        }
+        nodes.push((to, nearest));
+        if (goal - to).norm() <= config.step && free(to, goal) {
+            let mut path = vec![goal];
+            let mut at = nodes.len() - 1;
+            loop {
+                path.push(nodes[at].0);
+                if at == 0 {
+                    break;
+                }
+                at = nodes[at].1;
+            }
+            path.reverse();
+            return Plan {
+                kind: PlanKind::Planned,
+                path,
+                nodes: nodes.len() as u32,
+            };
+        }
+    }
+    Plan {
+        kind: PlanKind::Failed,
+        path: vec![start, goal],
+        nodes: nodes.len() as u32,
+    }
+}
+
+/// A uniform number in `[0, 1)` with 53 random bits.
+fn unit(random: &mut Pcg64) -> f64 {
+    (random.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+}
+
+/// Points along a polyline, at most `spacing` apart, the first left out and the last included.
+pub(crate) fn waypoints(path: &[Point2], spacing: f64) -> Vec<Point2> {
+    let mut points = Vec::new();
+    for pair in path.windows(2) {
+        let length = (pair[1] - pair[0]).norm();
+        let parts = (length / spacing).ceil().max(1.0);
+        if length > 0.0 {
+            points.extend((1..=parts as usize).map(|i| pair[0] + (pair[1] - pair[0]) * (i as f64 / parts)));
+        }
+    }
+    points
+}

@@ -1,0 +1,119 @@
+//! Shortest paths round the block, over its visibility graph.
+
+use re4_geometry::{Point2, Pose2};
+use re4_sim::tee_rectangles;
+
+use crate::config::ReplanConfig;
+use crate::replan::{Obstacle, Plan, PlanKind, WORKSPACE};
+
+/// Way-points round each corner of the block.
+const DIRECTIONS: usize = 8;
+
+/// Room in pixels that way-points keep beyond the keep-out, so that edges between them stay free of rounding.
+const MARGIN: f64 = 0.5;
+
+/// The shortest polyline from `start` to `goal` that keeps the configured distance from the block.
+///
+/// An end nearer to the block than the keep-out is first connected to the nearest point outside it in one straight
+/// move away from the block.
+pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2, start: Point2, goal: Point2) -> Plan {
+    let leave = escape(obstacle, start, config.keepout);
+    let enter = escape(obstacle, goal, config.keepout);
+    let keepout = config.keepout - 1e-9;
+    let free = |a: Point2, b: Point2| obstacle.segment_distance(a, b) >= keepout;
+    let assemble = |kind, middle: &[Point2], nodes| {
+        let mut path = vec![start];
+        for &p in [leave].iter().chain(middle).chain(&[enter, goal]) {
+            if path.last().is_none_or(|last| (p - last).norm() > 1e-9) {
+                path.push(p);
+            }
+        }
+        Plan { kind, path, nodes }
+    };
+    let lowered = config
+        .keepout
+        .min(obstacle.distance(start))
+        .min(obstacle.distance(goal))
+        - 1e-9;
+    if obstacle.segment_distance(start, goal) >= lowered.max(config.keepout - 3.0) {
+        return Plan {
+            kind: PlanKind::Direct,
+            path: vec![start, goal],
+            nodes: 0,
+        };
+    }
+    if free(leave, enter) {
+        return assemble(PlanKind::Direct, &[], 0);
+    }
+    let radius = (config.keepout + MARGIN) / (std::f64::consts::PI / DIRECTIONS as f64).cos();
+    let mut nodes = vec![leave, enter];
+    for corner in tee_rectangles().iter().flatten() {
+        let corner = block.transform_point(*corner);
+        for k in 0..DIRECTIONS {
+            let angle = std::f64::consts::TAU * (k as f64 + 0.5) / DIRECTIONS as f64 + block.theta;
+            let p = corner + Point2::new(angle.cos(), angle.sin()) * radius;
+            let inside = (0.0..=WORKSPACE).contains(&p.x) && (0.0..=WORKSPACE).contains(&p.y);
+            if inside && obstacle.distance(p) >= keepout {
+                nodes.push(p);
+            }
+        }
+    }
+    // Dijkstra over at most 66 nodes; edges are tested when they are first relaxed.
+    let n = nodes.len();
+    let mut distance = vec![f64::INFINITY; n];
+    let mut previous = vec![0; n];
+    let mut done = vec![false; n];
+    distance[0] = 0.0;
+    loop {
+        let next = (0..n)
+            .filter(|&i| !done[i] && distance[i].is_finite())
+            .min_by(|&a, &b| distance[a].total_cmp(&distance[b]));
+        let Some(at) = next else {
+            return assemble(PlanKind::Failed, &[], n as u32);
+        };
+        if at == 1 {
+            break;
+        }
+        done[at] = true;
+        for to in 0..n {
+            let through = distance[at] + (nodes[to] - nodes[at]).norm();
+            if !done[to] && through < distance[to] && free(nodes[at], nodes[to]) {
+                distance[to] = through;
+                previous[to] = at;
+            }
+        }
+    }
+    let mut middle = Vec::new();
+    let mut at = previous[1];
+    while at != 0 {
+        middle.push(nodes[at]);
+        at = previous[at];
+    }
+    middle.reverse();
+    assemble(PlanKind::Planned, &middle, n as u32)
+}
+
+/// The nearest point at the keep-out distance, in a straight move from `p` on which the distance to the block grows.
+fn escape(obstacle: &Obstacle, p: Point2, keepout: f64) -> Point2 {
+    let here = obstacle.distance(p);
+    if here >= keepout {
+        return p;
+    }
+    let mut best = (f64::INFINITY, p);
+    for k in 0..32 {
+        let angle = std::f64::consts::TAU * f64::from(k) / 32.0;
+        let direction = Point2::new(angle.cos(), angle.sin());
+        let mut travel = keepout - here;
+        while travel < 60.0 && travel < best.0 {
+            let q = p + direction * travel;
+            if obstacle.distance(q) >= keepout {
+                if obstacle.segment_distance(p, q) >= here - 0.5 {
+                    best = (travel, q);
+                }
+                break;
+            }
+            travel += 0.5;
+        }
+    }
+    best.1
+}
