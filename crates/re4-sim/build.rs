@@ -1,0 +1,63 @@
+//! Finds the Chipmunk 7 library and tells the linker about it, the archive before the shared library.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A folder that holds `libchipmunk.a` or `libchipmunk.so`; looked in before all others.
+const FOLDER_VARIABLE: &str = "CHIPMUNK_LIB_DIR";
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-env-changed={FOLDER_VARIABLE}");
+
+    let folders = candidate_folders();
+    let holding = |name: &str| folders.iter().find(|folder| folder.join(name).is_file());
+    // The archive first: then the program runs on machines without the library, and no other copy of it can be loaded
+    // in its place. Debian's archive links into position-independent programs, which Rust makes.
+    let (folder, kind) = if let Some(folder) = holding("libchipmunk.a") {
+        (folder, "static")
+    } else if let Some(folder) = holding("libchipmunk.so").or_else(|| holding("libchipmunk.dylib")) {
+        (folder, "dylib")
+    } else {
+        println!(
+            "cargo::error=the Chipmunk 7 physics library is missing; install it (Debian, Ubuntu: \
+             `apt-get install libchipmunk-dev`) or name the folder of libchipmunk.a in {FOLDER_VARIABLE}"
+        );
+        return;
+    };
+    println!("cargo::rustc-link-search=native={}", folder.display());
+    println!("cargo::rustc-link-lib={kind}=chipmunk");
+    println!("cargo::rustc-link-lib=dylib=m");
+}
+
+/// Folders to look in, in order: the variable's, pkg-config's, the C compiler's, the usual ones.
+fn candidate_folders() -> Vec<PathBuf> {
+    let mut folders: Vec<PathBuf> = env::var_os(FOLDER_VARIABLE).map(PathBuf::from).into_iter().collect();
+    // Debian's package ships no chipmunk.pc, so pkg-config is asked but not relied on.
+    if let Some(output) = output_of("pkg-config", &["--variable=libdir", "chipmunk"]) {
+        folders.push(PathBuf::from(output));
+    }
+    for name in ["libchipmunk.a", "libchipmunk.so"] {
+        if let Some(output) = output_of("cc", &[&format!("-print-file-name={name}")]) {
+            // An unknown file is answered with its bare name, which has no folder.
+            folders.extend(
+                Path::new(&output)
+                    .parent()
+                    .filter(|p| p.is_absolute())
+                    .map(PathBuf::from),
+            );
+        }
+    }
+    let architecture = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();
+    folders.push(PathBuf::from(format!("/usr/lib/{architecture}-linux-gnu")));
+    folders.extend(["/usr/lib64", "/usr/lib", "/usr/local/lib", "/opt/homebrew/lib"].map(PathBuf::from));
+    folders
+}
+
+fn output_of(program: &str, arguments: &[&str]) -> Option<String> {
+    let output = Command::new(program).args(arguments).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    let text = text.trim();
+    (output.status.success() && !text.is_empty()).then(|| text.to_owned())
+}

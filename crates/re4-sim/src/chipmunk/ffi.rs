@@ -1,0 +1,86 @@
+//! The part of Chipmunk 7's C interface that Push-T uses. Names and layouts are those of `chipmunk.h`.
+
+use std::ffi::{c_char, c_int, c_uchar, c_void};
+
+/// `cpVect`, with `cpFloat` a double as on every desktop build.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub(super) struct CpVect {
+    pub(super) x: f64,
+    pub(super) y: f64,
+}
+
+/// `cpTransform`: the columns of an affine map.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub(super) struct CpTransform {
+    pub(super) a: f64,
+    pub(super) b: f64,
+    pub(super) c: f64,
+    pub(super) d: f64,
+    pub(super) tx: f64,
+    pub(super) ty: f64,
+}
+
+macro_rules! opaque {
+    ($($name:ident),*) => {$(
+        #[repr(C)]
+        pub(super) struct $name {
+            _private: [u8; 0],
+        }
+    )*};
+}
+
+opaque!(CpSpace, CpBody, CpShape, CpArbiter);
+
+/// `cpCollisionHandler`. The two callbacks that answer yes or no, and `separate`, are never touched here.
+#[repr(C)]
+pub(super) struct CpCollisionHandler {
+    type_a: usize,
+    type_b: usize,
+    begin: Option<unsafe extern "C" fn(*mut CpArbiter, *mut CpSpace, *mut c_void) -> c_uchar>,
+    pre_solve: Option<unsafe extern "C" fn(*mut CpArbiter, *mut CpSpace, *mut c_void) -> c_uchar>,
+    pub(super) post_solve: Option<unsafe extern "C" fn(*mut CpArbiter, *mut CpSpace, *mut c_void)>,
+    separate: Option<unsafe extern "C" fn(*mut CpArbiter, *mut CpSpace, *mut c_void)>,
+    pub(super) user_data: *mut c_void,
+}
+
+unsafe extern "C" {
+    pub(super) safe static cpVersionString: *const c_char;
+
+    pub(super) fn cpSpaceNew() -> *mut CpSpace;
+    pub(super) fn cpSpaceFree(space: *mut CpSpace);
+    pub(super) fn cpSpaceSetDamping(space: *mut CpSpace, damping: f64);
+    pub(super) fn cpSpaceGetStaticBody(space: *const CpSpace) -> *mut CpBody;
+    pub(super) fn cpSpaceAddCollisionHandler(space: *mut CpSpace, a: usize, b: usize) -> *mut CpCollisionHandler;
+    pub(super) fn cpSpaceAddShape(space: *mut CpSpace, shape: *mut CpShape) -> *mut CpShape;
+    pub(super) fn cpSpaceAddBody(space: *mut CpSpace, body: *mut CpBody) -> *mut CpBody;
+    pub(super) fn cpSpaceStep(space: *mut CpSpace, seconds: f64);
+
+    pub(super) fn cpBodyNew(mass: f64, moment: f64) -> *mut CpBody;
+    pub(super) fn cpBodyNewKinematic() -> *mut CpBody;
+    pub(super) fn cpBodyFree(body: *mut CpBody);
+    pub(super) fn cpBodyGetPosition(body: *const CpBody) -> CpVect;
+    pub(super) fn cpBodySetPosition(body: *mut CpBody, position: CpVect);
+    pub(super) fn cpBodySetCenterOfGravity(body: *mut CpBody, centre: CpVect);
+    pub(super) fn cpBodyGetVelocity(body: *const CpBody) -> CpVect;
+    pub(super) fn cpBodySetVelocity(body: *mut CpBody, velocity: CpVect);
+    pub(super) fn cpBodyGetAngle(body: *const CpBody) -> f64;
+    pub(super) fn cpBodySetAngle(body: *mut CpBody, angle: f64);
+
+    pub(super) fn cpMomentForPoly(mass: f64, count: c_int, vertices: *const CpVect, offset: CpVect, radius: f64)
+    -> f64;
+    pub(super) fn cpCircleShapeNew(body: *mut CpBody, radius: f64, offset: CpVect) -> *mut CpShape;
+    pub(super) fn cpSegmentShapeNew(body: *mut CpBody, a: CpVect, b: CpVect, radius: f64) -> *mut CpShape;
+    pub(super) fn cpPolyShapeNew(
+        body: *mut CpBody,
+        count: c_int,
+        vertices: *const CpVect,
+        transform: CpTransform,
+        radius: f64,
+    ) -> *mut CpShape;
+    pub(super) fn cpShapeFree(shape: *mut CpShape);
+    pub(super) fn cpShapeGetCenterOfGravity(shape: *mut CpShape) -> CpVect;
+
+    pub(super) fn cpArbiterGetCount(arbiter: *const CpArbiter) -> c_int;
+}

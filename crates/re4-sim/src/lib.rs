@@ -1,0 +1,23 @@
+//! Simulators behind one trait: Push-T over Chipmunk, with numpy-compatible scene seeds.
+//!
+//! [`PushT`] computes what the Python package gym-pusht 0.1.8 computes, bit for bit in positions, velocities and contact
+//! counts; the README of this crate tells how that is tested. Lengths are pixels of the 512 x 512 window (y points down),
+//! angles radians, time seconds.
+
+mod chipmunk;
+mod error;
+mod pusht;
+mod seed;
+mod simulator;
+mod tee;
+
+pub use chipmunk::chipmunk_version;
+pub use error::SimError;
+pub use pusht::{
+    COORDINATE_LIMIT, DAMPING_GAIN, PROPORTIONAL_GAIN, PushT, PushTObservation, SUBSTEPS, Scene, TIME_STEP, WINDOW,
+};
+pub use seed::{SeedScheme, scene_from_seed};
+pub use simulator::{ResetOrder, Simulator, Step};
+pub use tee::{
+    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, SUCCESS_COVERAGE, TEE_AREA, coverage, iou, tee_rectangles, tee_vertices,
+};

@@ -1,0 +1,38 @@
+//! Resets give back all they took. A test program of its own: the memory of a process is measured.
+#![cfg(target_os = "linux")]
+#![expect(clippy::unwrap_used, reason = "helpers of a test may end it")]
+
+use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator, scene_from_seed};
+
+/// Resident memory of this process, in kB.
+fn resident() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+fn run(resets: u32) {
+    let mut simulator = PushT::new().unwrap();
+    for i in 0..resets {
+        let scene = scene_from_seed(SeedScheme::GymPusht, i % 5000);
+        simulator.reset(&scene, ResetOrder::Legacy).unwrap();
+        if i % 50 == 0 {
+            // Some with contacts, whose buffers Chipmunk allocates; and some dropped whole.
+            simulator.step(&scene.block.translation()).unwrap();
+            simulator = PushT::new().unwrap();
+        }
+    }
+}
+
+#[test]
+fn resets_do_not_leak() {
+    // RESETS measures more than the usual run has time for.
+    let resets = std::env::var("RESETS").map_or(100_000, |text| text.parse().expect("RESETS is a number"));
+    run(2_000);
+    let before = resident();
+    run(resets);
+    let grown = resident().saturating_sub(before);
+    println!("{resets} resets: {before} kB before, grown by {grown} kB");
+    // One space takes about 100 kB, so a leak of any of its parts would show as many megabytes.
+    assert!(grown < 4_096, "{resets} resets made the process grow by {grown} kB");
+}
