@@ -23,8 +23,8 @@ pub enum Stage {
     Index,
     /// `index` to `rollouts`.
     Rollout,
-    /// Any artifacts to `reports`.
-    Report,
+    /// `episodes`, replayed open-loop in the simulator, to `replays`.
+    Replay,
 }
 
 impl Stage {
@@ -35,7 +35,7 @@ impl Stage {
         Self::TrainPose,
         Self::Index,
         Self::Rollout,
-        Self::Report,
+        Self::Replay,
     ];
 
     /// Name of the stage, as typed on the command line.
@@ -46,7 +46,7 @@ impl Stage {
             Self::TrainPose => "train-pose",
             Self::Index => "index",
             Self::Rollout => "rollout",
-            Self::Report => "report",
+            Self::Replay => "replay",
         }
     }
 
@@ -58,7 +58,7 @@ impl Stage {
             Self::TrainPose => "poses",
             Self::Index => "index",
             Self::Rollout => "rollouts",
-            Self::Report => "reports",
+            Self::Replay => "replays",
         }
     }
 

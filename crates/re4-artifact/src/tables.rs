@@ -4,7 +4,7 @@
 //! growing angle turns clockwise on the screen. Angles are radians. Frames are control steps of 0.1 s.
 
 use crate::key::Stage;
-use crate::spec::ColumnKind::{Binary, Bool, Category, F64, Text, U32};
+use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 const fn id(name: &'static str, description: &'static str) -> ColumnSpec {
@@ -247,6 +247,84 @@ pub const SCALES: TableSpec = TableSpec {
     ],
 };
 
+/// Parts of demonstrations that can be retrieved by what they do to the object.
+pub const CHUNKS: TableSpec = TableSpec {
+    name: "chunks",
+    version: 1,
+    description: "One row a chunk: a part of a demonstration that starts with the pusher clear of the block and ends anywhere after the block began to move. The motion is o_j^-1 o_e, the pose of the block at the last frame in its own frame at the first. Sorted by episode, first and last frame.",
+    columns: &[
+        EPISODE,
+        id("first_frame", "First frame of the chunk."),
+        id("last_frame", "Last frame of the chunk, included."),
+        in_object("motion_x", "Translation of the block's motion, x."),
+        in_object("motion_y", "Translation of the block's motion, y."),
+        turn("motion_theta", "Rotation of the block's motion.").frame("object"),
+        length("travel", "Length of the pusher's path."),
+        length(
+            "pushed",
+            "Length of the block's path: root mean square displacement of its points, summed over the frames.",
+        ),
+    ],
+};
+
+/// Open-loop replays of demonstrations.
+pub const REPLAYS: TableSpec = TableSpec {
+    name: "replays",
+    version: 1,
+    description: "One row a demonstration whose actions were replayed open-loop from its own first state: how far the simulator strays from the recording. The distance between two poses of the block is the root mean square displacement of its points.",
+    columns: &[
+        EPISODE,
+        id(
+            "source_episode",
+            "Number of the demonstration in the raw dataset, from 0.",
+        ),
+        id("frames", "Frames compared."),
+        length(
+            "pusher_max",
+            "Greatest distance between the replayed and the recorded pusher.",
+        ),
+        length(
+            "block_median",
+            "Median distance between the replayed and the recorded block.",
+        ),
+        length(
+            "block_max",
+            "Greatest distance between the replayed and the recorded block.",
+        ),
+        length(
+            "block_final",
+            "Distance between the replayed and the recorded block at the last frame.",
+        ),
+        number("coverage_recorded", "Coverage of the goal at the last recorded frame."),
+        number(
+            "coverage_replayed",
+            "Coverage of the goal at the same frame of the replay.",
+        ),
+        number(
+            "coverage_after",
+            "Coverage of the goal after the last action, which no recorded frame shows.",
+        ),
+    ],
+};
+
+/// Divergence of open-loop replays, frame by frame.
+pub const DIVERGENCE: TableSpec = TableSpec {
+    name: "divergence",
+    version: 1,
+    description: "One row a frame of every replayed demonstration: the distance between the replay and the recording. Sorted by episode and frame.",
+    columns: &[
+        EPISODE,
+        FRAME,
+        length("pusher", "Distance between the replayed and the recorded pusher."),
+        length("block_position", "Distance between the origins of the block's frame."),
+        turn(
+            "block_angle",
+            "Difference of the block's angles, the short way round, at least 0.",
+        ),
+        length("block", "Root mean square displacement of the block's points."),
+    ],
+};
+
 const SEED: ColumnSpec = id("seed", "Seed of the scene.");
 
 /// Outcomes of rollouts.
@@ -262,6 +340,7 @@ pub const RESULTS: TableSpec = TableSpec {
         world("block_x", "Origin of the block's frame in the first state, x."),
         world("block_y", "Origin of the block's frame in the first state, y."),
         heading("block_theta", "Angle of the block in the first state."),
+        number("contacts", "Contact points counted while the scene was set up."),
         number("coverage_max", "Greatest coverage of the rollout."),
         number("iou_max", "Greatest IoU of the rollout."),
         number(
@@ -298,7 +377,7 @@ pub const STEPS: TableSpec = TableSpec {
             "decision",
             "Number of the decision, in the rollout, that the action belongs to.",
         ),
-        category("phase", "What the action is part of: plan, replay or hold."),
+        category("phase", "What the action is part of: plan or replay."),
     ],
 };
 
@@ -312,57 +391,74 @@ pub const DECISIONS: TableSpec = TableSpec {
         id("decision", "Number of the decision in its rollout, from 0."),
         id("step", "Control step at which it was taken."),
         MODE,
-        ColumnSpec::new("selector", Text, "Rule that chose among the retrieved candidates."),
+        category("selector", "Rule that chose: two_stage or outcome."),
         world("query_eef_x", "Observed position of the pusher, x."),
         world("query_eef_y", "Observed position of the pusher, y."),
         world("query_object_x", "Observed origin of the block's frame, x."),
         world("query_object_y", "Observed origin of the block's frame, y."),
         heading("query_object_theta", "Observed angle of the block."),
+        id("demo", "Retrieved demonstration: its episode in the index."),
         id(
-            "demo",
-            "Retrieved demonstration: its episode in the index; null where nothing was retrieved.",
-        )
-        .nullable(),
-        id("demo_frame", "Retrieved frame of that demonstration.").nullable(),
+            "demo_frame",
+            "Retrieved frame of that demonstration, where the chunk starts.",
+        ),
+        id("demo_end", "Last frame of the chunk, included."),
+        id(
+            "compared",
+            "How many demonstrations (two_stage) or chunks (outcome) were compared.",
+        ),
         number(
             "d_q",
-            "Distance of the object-augmented states in normalised coordinates.",
+            "Distance of the object-augmented states in normalised coordinates; null for the outcome rule.",
         )
         .nullable(),
-        number("d_o", "Distance of the object poses alone in normalised coordinates.").nullable(),
+        number(
+            "d_o",
+            "Distance of the object poses alone in normalised coordinates; null for the outcome rule.",
+        )
+        .nullable(),
         world(
             "delta_x",
-            "Translation of the motion that carries the demonstration's object onto the observed one, x.",
-        )
-        .nullable(),
-        world("delta_y", "Translation of that motion, y.").nullable(),
+            "Translation of the motion that carries the demonstration's object onto the observed one, x; 0 with Reframe off.",
+        ),
+        world("delta_y", "Translation of that motion, y."),
         heading(
             "delta_theta",
             "Rotation of that motion, about the world's origin, before the translation.",
-        )
-        .nullable(),
-        world("set_point_x", "Position that the plan leads the pusher to, x.").nullable(),
-        world("set_point_y", "Position that the plan leads the pusher to, y.").nullable(),
-        category("plan", "How it was planned to get there: direct, rrt, failed or none."),
-        id("plan_steps", "Control steps of the plan that were executed."),
-        id("rrt_nodes", "Nodes of the search tree; 0 where none was grown."),
-        id("replay_steps", "Actions of the demonstration that were executed."),
+        ),
+        world("set_point_x", "Position that the plan leads the pusher to, x."),
+        world("set_point_y", "Position that the plan leads the pusher to, y."),
+        category(
+            "plan",
+            "How it was planned to get there: direct, planned, failed or off.",
+        ),
+        id("plan_steps", "Control steps of the plan."),
+        id(
+            "plan_nodes",
+            "Nodes of the tree or graph that was searched; 0 where none was.",
+        ),
+        ColumnSpec::new(
+            "plan_path",
+            F64List,
+            "Polyline of the plan, from the pusher to the set-point: x and y by turns, world frame, px.",
+        ),
+        id(
+            "replay_steps",
+            "Control steps of the chunk; fewer are executed when the next decision comes earlier.",
+        ),
         world(
             "predicted_object_x",
-            "Predicted origin of the block's frame after the replay, x.",
-        )
-        .nullable(),
+            "Where the demonstration says the block's origin will be after the chunk, x.",
+        ),
         world(
             "predicted_object_y",
-            "Predicted origin of the block's frame after the replay, y.",
-        )
-        .nullable(),
+            "Where the demonstration says the block's origin will be after the chunk, y.",
+        ),
         heading(
             "predicted_object_theta",
-            "Predicted angle of the block after the replay.",
-        )
-        .nullable(),
-        number("predicted_coverage", "Predicted coverage after the replay.").nullable(),
+            "Angle that the demonstration says the block will have after the chunk.",
+        ),
+        number("predicted_coverage", "Coverage of the goal at that predicted pose."),
         ColumnSpec::new("reason", Text, "The decision in words."),
     ],
 };
@@ -372,9 +468,10 @@ pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
     match stage {
         Stage::Ingest => &[&EPISODES, &FRAMES, &IMAGES],
         Stage::Segment => &[&MODES, &SEGMENTS],
-        Stage::Index => &[&INDEX, &SCALES],
+        Stage::Index => &[&INDEX, &SCALES, &CHUNKS],
         Stage::Rollout => &[&RESULTS, &STEPS, &DECISIONS],
-        Stage::TrainPose | Stage::Report => &[],
+        Stage::Replay => &[&REPLAYS, &DIVERGENCE],
+        Stage::TrainPose => &[],
     }
 }
 
@@ -419,6 +516,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 10);
+        assert_eq!(names.len(), 13);
     }
 }
