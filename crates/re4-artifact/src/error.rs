@@ -293,3 +293,22 @@ impl fmt::Display for Damage {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use parquet::errors::ParquetError;
+
+    #[test]
+    fn a_full_disk_is_told_from_a_broken_encoder() {
+        let full = io::Error::from(io::ErrorKind::StorageFull);
+        let path = Path::new("a/frames.parquet");
+        let said = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).to_string();
+        assert_eq!(
+            said,
+            "cannot write a/frames.parquet: the disk is full; free space there or choose another artifacts folder"
+        );
+        let broken = ArtifactError::parquet("read", path)(ParquetError::General("odd page".to_owned()));
+        assert!(matches!(broken, ArtifactError::Parquet { .. }));
+    }
+}

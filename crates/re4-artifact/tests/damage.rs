@@ -1,0 +1,308 @@
+//! Whatever happens to a published artifact is found, and said in one sentence.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "helpers of tests fail by panicking"
+)]
+
+mod common;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use common::{EVERY_KIND, files, publish_sample, recipe};
+use re4_artifact::{Artifact, ArtifactError, Facts, Stage, Store, canonical_json, canonical_text, tables, verify};
+use serde_json::{Value, json};
+
+struct Published {
+    _root: tempfile::TempDir,
+    store: Store,
+    folder: PathBuf,
+}
+
+fn published() -> Published {
+    let root = tempfile::tempdir().unwrap();
+    let store = Store::open(root.path()).unwrap();
+    let folder = publish_sample(&store, 1, 30).path().to_path_buf();
+    verify(&folder).unwrap();
+    Published {
+        _root: root,
+        store,
+        folder,
+    }
+}
+
+impl Published {
+    fn lookup(&self) -> Result<Option<Artifact>, ArtifactError> {
+        self.store.lookup(Stage::Segment, &recipe(1).key())
+    }
+
+    /// What verification and lookup say; both find every damage, and say the same of it.
+    fn complaint(&self) -> String {
+        let verified = verify(&self.folder).unwrap_err().to_string();
+        assert_eq!(self.lookup().unwrap_err().to_string(), verified);
+        assert!(!verified.contains('\n'));
+        verified
+    }
+
+    fn damaged(&self, what: &str) -> String {
+        let folder = self.folder.display();
+        format!("artifact {folder} is damaged: {what}; delete the folder {folder} and run again")
+    }
+
+    /// Changes the manifest the way a program would: with a hash that fits.
+    fn rewrite_manifest(&self, change: impl FnOnce(&mut Value)) {
+        let path = self.folder.join("manifest.json");
+        let mut manifest: Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
+        change(&mut manifest);
+        manifest.as_object_mut().unwrap().remove("manifest_blake3");
+        let compact = canonical_json(&manifest).unwrap().to_string();
+        manifest["manifest_blake3"] = json!(blake3::hash(compact.as_bytes()).to_string());
+        fs::write(&path, canonical_text(&manifest)).unwrap();
+    }
+}
+
+#[test]
+fn a_flip_of_any_byte_of_any_file_is_found() {
+    let artifact = published();
+    let mut flips = 0;
+    for (name, bytes) in files(&artifact.folder) {
+        let path = artifact.folder.join(&name);
+        // Every byte of the manifest, and of the tables every byte at both ends and every seventh between.
+        let whole = name.extension().is_some_and(|extension| extension == "json");
+        let ends = |position| position < 64 || position + 64 >= bytes.len();
+        for position in (0..bytes.len()).filter(|&position| whole || ends(position) || position % 7 == 0) {
+            let mut flipped = bytes.clone();
+            flipped[position] ^= 1 << (position % 8);
+            fs::write(&path, &flipped).unwrap();
+            let error = Artifact::open(&artifact.folder)
+                .and_then(|a| a.verify_bytes())
+                .unwrap_err();
+            assert!(
+                matches!(error, ArtifactError::Damaged { .. }) && error.to_string().contains(&*name.to_string_lossy()),
+                "byte {position} of {}: {error}",
+                name.display()
+            );
+            flips += 1;
+        }
+        fs::write(&path, &bytes).unwrap();
+    }
+    assert!(flips > 2_000, "only {flips} bytes were tried");
+    verify(&artifact.folder).unwrap();
+}
+
+#[test]
+fn a_flipped_byte_is_said_so() {
+    let artifact = published();
+    let path = artifact.folder.join("every_kind.parquet");
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[100] ^= 4;
+    fs::write(&path, bytes).unwrap();
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("the content of every_kind.parquet does not match its published hash")
+    );
+}
+
+#[test]
+fn a_truncated_file_is_said_so() {
+    let artifact = published();
+    let path = artifact.folder.join("every_kind.parquet");
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..50]).unwrap();
+    let what = format!("every_kind.parquet has 50 bytes where {} were published", bytes.len());
+    assert_eq!(artifact.complaint(), artifact.damaged(&what));
+}
+
+#[test]
+fn a_missing_file_is_said_so() {
+    let artifact = published();
+    let open = Artifact::open(&artifact.folder).unwrap();
+    fs::remove_file(artifact.folder.join("every_kind.parquet")).unwrap();
+    assert_eq!(artifact.complaint(), artifact.damaged("every_kind.parquet is missing"));
+    let read = open.table(&EVERY_KIND).unwrap_err().to_string();
+    assert_eq!(read, artifact.damaged("every_kind.parquet is missing"));
+}
+
+#[test]
+fn a_missing_or_truncated_manifest_is_said_so() {
+    let artifact = published();
+    let path = artifact.folder.join("manifest.json");
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("manifest.json is not readable as JSON")
+    );
+    fs::write(&path, "").unwrap();
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("manifest.json is not readable as JSON")
+    );
+    fs::write(&path, "{}").unwrap();
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("manifest.json does not match its own hash")
+    );
+    fs::remove_file(&path).unwrap();
+    assert_eq!(artifact.complaint(), artifact.damaged("manifest.json is missing"));
+}
+
+#[test]
+fn stray_files_and_folders_are_said_so() {
+    let artifact = published();
+    fs::write(artifact.folder.join("notes.txt"), "hello").unwrap();
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("notes.txt does not belong to it")
+    );
+    fs::remove_file(artifact.folder.join("notes.txt")).unwrap();
+    fs::create_dir(artifact.folder.join("more")).unwrap();
+    assert_eq!(artifact.complaint(), artifact.damaged("more does not belong to it"));
+    fs::remove_dir(artifact.folder.join("more")).unwrap();
+    artifact.lookup().unwrap().unwrap();
+}
+
+#[test]
+fn a_newer_manifest_is_refused_by_name() {
+    let artifact = published();
+    artifact.rewrite_manifest(|manifest| {
+        manifest["format"] = json!(3);
+        manifest["something"] = json!("new");
+    });
+    assert_eq!(
+        artifact.complaint(),
+        format!(
+            "cannot read artifact {}: its manifest has format 3, this build reads up to 1; update re4-pipe",
+            artifact.folder.display()
+        )
+    );
+}
+
+#[test]
+fn a_newer_table_is_refused_by_name() {
+    let root = tempfile::tempdir().unwrap();
+    let store = Store::open(root.path()).unwrap();
+    let writer = store.begin(&recipe(1)).unwrap();
+    let table = writer.table(&tables::SCALES).unwrap();
+    table.finish().unwrap();
+    let folder = writer.publish(Facts::default()).unwrap().path().to_path_buf();
+    let artifact = Published {
+        _root: root,
+        store,
+        folder,
+    };
+    artifact.rewrite_manifest(|manifest| manifest["tables"]["scales"]["schema_version"] = json!(3));
+    assert_eq!(
+        artifact.complaint(),
+        format!(
+            "cannot read artifact {}: scales table has schema version 3, this build reads up to 1; update re4-pipe",
+            artifact.folder.display()
+        )
+    );
+    let open = Artifact::open(&artifact.folder).unwrap();
+    assert!(matches!(
+        open.table(&tables::SCALES),
+        Err(ArtifactError::NewerTable { .. })
+    ));
+    assert!(matches!(
+        open.table_named("scales"),
+        Err(ArtifactError::NewerTable { .. })
+    ));
+}
+
+#[test]
+fn a_forged_manifest_is_found_though_its_hash_fits() {
+    let artifact = published();
+    artifact.rewrite_manifest(|manifest| manifest["config"]["epsilon"] = json!(0.2));
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("manifest.json has a key that does not follow from its recipe")
+    );
+
+    let artifact = published();
+    artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["file"] = json!("../x.parquet"));
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("manifest.json names a file outside the artifact for table every_kind")
+    );
+
+    let artifact = published();
+    artifact.rewrite_manifest(|manifest| drop(manifest.as_object_mut().unwrap().remove("tool_version")));
+    assert_eq!(
+        artifact.complaint(),
+        artifact.damaged("manifest.json lacks something: missing field `tool_version`")
+    );
+
+    // Hashes fit, the row count does not: only the verification that decodes finds it.
+    let artifact = published();
+    artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["rows"] = json!(31));
+    assert_eq!(
+        verify(&artifact.folder).unwrap_err().to_string(),
+        artifact.damaged("every_kind.parquet has 30 rows where the manifest says 31")
+    );
+}
+
+#[test]
+fn a_table_with_other_columns_than_its_version_has_is_refused() {
+    const OTHER: re4_artifact::TableSpec = re4_artifact::TableSpec {
+        columns: &[re4_artifact::ColumnSpec::new(
+            "episode",
+            re4_artifact::ColumnKind::U32,
+            "An id.",
+        )],
+        ..EVERY_KIND
+    };
+    let artifact = published();
+    let open = Artifact::open(&artifact.folder).unwrap();
+    assert_eq!(
+        open.table(&OTHER).unwrap_err().to_string(),
+        artifact.damaged("every_kind.parquet has 11 columns where version 1 of the every_kind table has 1")
+    );
+}
+
+#[test]
+fn another_keys_folder_is_not_taken_for_ours() {
+    let artifact = published();
+    let other = artifact.store.folder(Stage::Segment, &recipe(2).key());
+    fs::rename(&artifact.folder, &other).unwrap();
+    let error = artifact
+        .store
+        .lookup(Stage::Segment, &recipe(2).key())
+        .unwrap_err()
+        .to_string();
+    assert_eq!(
+        error,
+        format!(
+            "artifact {} belongs to key {}, not to {}; move that folder away and run again",
+            other.display(),
+            recipe(1).key(),
+            recipe(2).key()
+        )
+    );
+}
+
+#[test]
+fn a_path_without_artifact_is_said_so() {
+    assert_eq!(
+        verify(Path::new("/nowhere/at/all")).unwrap_err().to_string(),
+        "cannot read artifact /nowhere/at/all: there is no such folder; check the path, or run the stage that makes it"
+    );
+    let root = tempfile::tempdir().unwrap();
+    let store = Store::open(root.path()).unwrap();
+    assert!(store.lookup(Stage::Segment, &recipe(1).key()).unwrap().is_none());
+}
+
+#[test]
+fn a_report_names_every_file() {
+    let artifact = published();
+    let report = verify(&artifact.folder).unwrap();
+    let names: Vec<(&str, Option<u64>)> = report.files.iter().map(|f| (f.file.as_str(), f.rows)).collect();
+    assert_eq!(names, [("manifest.json", None), ("every_kind.parquet", Some(30))]);
+    let hash = blake3::hash(&fs::read(artifact.folder.join("every_kind.parquet")).unwrap());
+    assert_eq!(report.files[1].blake3.to_string(), hash.to_string());
+    assert_eq!(report.manifest.summary, json!({"rows": 30}));
+    assert_eq!(report.manifest.warnings, [json!({"kind": "sample"})]);
+    assert_eq!(report.manifest.source, json!({"format": "zarr"}));
+}
