@@ -4,22 +4,26 @@ use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A folder that holds `libchipmunk.a` or `libchipmunk.so`; looked in before all others.
+/// Names a folder that holds `libchipmunk.a` or `libchipmunk.so`; it is looked in before all others.
 const FOLDER_VARIABLE: &str = "CHIPMUNK_LIB_DIR";
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed={FOLDER_VARIABLE}");
 
-    let folders = candidate_folders();
-    let holding = |name: &str| folders.iter().find(|folder| folder.join(name).is_file());
-    // The archive first: then the program runs on machines without the library, and no other copy of it can be loaded
-    // in its place. Debian's archive links into position-independent programs, which Rust makes.
-    let (folder, kind) = if let Some(folder) = holding("libchipmunk.a") {
-        (folder, "static")
-    } else if let Some(folder) = holding("libchipmunk.so").or_else(|| holding("libchipmunk.dylib")) {
-        (folder, "dylib")
-    } else {
+    // The archive before the shared library of the same folder: then the program runs on machines without the library, and
+    // no other copy of it can be loaded in its place. Debian's archive links into position-independent programs, which
+    // Rust makes.
+    let kinds = [
+        ("libchipmunk.a", "static"),
+        ("libchipmunk.so", "dylib"),
+        ("libchipmunk.dylib", "dylib"),
+    ];
+    let found = candidate_folders().into_iter().find_map(|folder| {
+        let (_, kind) = kinds.iter().find(|(name, _)| folder.join(name).is_file())?;
+        Some((folder, *kind))
+    });
+    let Some((folder, kind)) = found else {
         println!(
             "cargo::error=the Chipmunk 7 physics library is missing; install it (Debian, Ubuntu: \
              `apt-get install libchipmunk-dev`) or name the folder of libchipmunk.a in {FOLDER_VARIABLE}"

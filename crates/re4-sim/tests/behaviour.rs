@@ -266,7 +266,7 @@ fn coverage_on_a_grid(block: Pose2, goal: Pose2, cell: f64) -> f64 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn coverage_agrees_with_counting_points(dx in -60.0..60.0f64, dy in -60.0..60.0f64, theta in -4.0..4.0f64) {
@@ -317,4 +317,29 @@ fn names_in_files_are_those_of_the_programs() {
         serde_json::to_string(&SeedScheme::GymPusht).unwrap(),
         json("\"gym_pusht\"")
     );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Overlapping bodies, targets far outside of the window: an assertion that failed in the library would end this test
+    /// program. `PROPTEST_CASES` sets how many episodes are tried.
+    #[test]
+    fn no_allowed_input_ends_the_process(
+        agent in prop::array::uniform2(-50.0..562.0f64),
+        near in prop::array::uniform2(-80.0..80.0f64),
+        theta in -20.0..20.0f64,
+        overlapping in any::<bool>(),
+        targets in prop::collection::vec(prop::array::uniform2(-300.0..812.0f64), 8),
+        far in prop::array::uniform2(-COORDINATE_LIMIT..COORDINATE_LIMIT),
+    ) {
+        let spread = if overlapping { 1.0 } else { 6.0 };
+        let block = [agent[0] + spread * near[0], agent[1] + spread * near[1], theta];
+        let mut simulator = PushT::new().unwrap();
+        simulator.reset(&scene(agent, block), ResetOrder::PoseIsPose).unwrap();
+        for target in targets.into_iter().chain([far, agent]) {
+            let step = simulator.step(&target.into()).unwrap();
+            prop_assert!((0.0..=1.0).contains(&step.coverage) && (0.0..=1.0).contains(&step.iou));
+        }
+    }
 }
