@@ -1,0 +1,254 @@
+//! Pictures as SVG: one rollout in the plane, and the divergence of open-loop replays.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use thiserror::Error;
+
+/// Why a picture could not be drawn.
+#[derive(Debug, Error)]
+#[error("the drawing library refused: {reason}")]
+pub struct PictureError {
+    reason: String,
+}
+
+impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PictureError {
+    fn from(error: DrawingAreaErrorKind<E>) -> Self {
+        Self {
+            reason: error.to_string(),
+        }
+    }
+}
+
+/// A decision in a [`RolloutPicture`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct PictureDecision {
+    /// Control step at which it was taken.
+    pub step: u32,
+    /// Demonstration that it follows.
+    pub demo: u32,
+    /// Plan to the start of the chunk, world frame, pixels.
+    pub plan: Vec<[f64; 2]>,
+}
+
+/// What the picture of a rollout shows; world frame, pixels and radians, y down.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RolloutPicture {
+    /// Seed of the scene.
+    pub seed: u32,
+    /// Greatest scaled score.
+    pub score: f64,
+    /// Pose of the block before each step and after the last.
+    pub blocks: Vec<[f64; 3]>,
+    /// Position of the pusher before each step and after the last.
+    pub pusher: Vec<[f64; 2]>,
+    /// Whether each step replays a chunk (else it follows a plan).
+    pub replaying: Vec<bool>,
+    /// Decisions.
+    pub decisions: Vec<PictureDecision>,
+    /// Goal pose of the block.
+    pub goal: [f64; 3],
+    /// Convex parts of the block, in its own frame.
+    pub outline: Vec<Vec<[f64; 2]>>,
+    /// Radius of the pusher.
+    pub pusher_radius: f64,
+}
+
+/// Side of the workspace in pixels, and of its drawing.
+const WORKSPACE: u32 = 512;
+const MARGIN: u32 = 8;
+const LEGEND: u32 = 48;
+
+const GOAL: RGBColor = RGBColor(144, 238, 144);
+const BLOCK: RGBColor = RGBColor(119, 136, 153);
+const PLAN: RGBColor = RGBColor(214, 126, 20);
+const REPLAY: RGBColor = RGBColor(40, 80, 200);
+
+/// Draws a rollout: the goal, the block where each decision was taken (darker with time) and at the end, the plans, and
+/// the way of the pusher.
+///
+/// # Errors
+/// When the drawing library refuses.
+pub fn rollout_picture(rollout: &RolloutPicture) -> Result<String, PictureError> {
+    let mut svg = String::new();
+    {
+        let size = (WORKSPACE + 2 * MARGIN, WORKSPACE + 2 * MARGIN + LEGEND);
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        let area = root.margin(MARGIN, MARGIN + LEGEND, MARGIN, MARGIN);
+        tee(&area, rollout, rollout.goal, GOAL.filled())?;
+        let last = rollout.blocks.len().saturating_sub(1);
+        let shown: Vec<usize> = rollout
+            .decisions
+            .iter()
+            .map(|d| (d.step as usize).min(last))
+            .chain([last])
+            .collect();
+        for (i, &at) in shown.iter().enumerate() {
+            let strength = 0.15 + 0.55 * (i + 1) as f64 / shown.len() as f64;
+            tee(&area, rollout, rollout.blocks[at], BLOCK.mix(strength).filled())?;
+        }
+        for decision in &rollout.decisions {
+            let path: Vec<(i32, i32)> = decision.plan.iter().map(|&p| pixel(p)).collect();
+            area.draw(&PathElement::new(path, PLAN.mix(0.5).stroke_width(1)))?;
+        }
+        for (pair, &replaying) in rollout.pusher.windows(2).zip(&rollout.replaying) {
+            let colour = if replaying { REPLAY } else { PLAN };
+            area.draw(&PathElement::new(
+                vec![pixel(pair[0]), pixel(pair[1])],
+                colour.stroke_width(2),
+            ))?;
+            area.draw(&Circle::new(pixel(pair[1]), 2, colour.filled()))?;
+        }
+        for (point, colour) in [(rollout.pusher.first(), PLAN), (rollout.pusher.last(), REPLAY)] {
+            if let Some(&point) = point {
+                area.draw(&Circle::new(
+                    pixel(point),
+                    rollout.pusher_radius as i32,
+                    colour.stroke_width(2),
+                ))?;
+            }
+        }
+        let demos: Vec<String> = rollout
+            .decisions
+            .iter()
+            .map(|d| format!("step {}: demo {}", d.step, d.demo))
+            .collect();
+        let caption = format!("seed {}, score {:.3} after {last} steps", rollout.seed, rollout.score);
+        let font = ("sans-serif", 14).into_font();
+        let y = (WORKSPACE + 2 * MARGIN + 4) as i32;
+        root.draw(&Text::new(caption, (MARGIN as i32, y), font.clone()))?;
+        root.draw(&Text::new("plan", (360, y), font.clone().color(&PLAN)))?;
+        root.draw(&Text::new("replay", (400, y), font.clone().color(&REPLAY)))?;
+        root.draw(&Text::new("goal", (455, y), font.color(&RGBColor(60, 150, 60))))?;
+        let small = ("sans-serif", 11).into_font().color(&RGBColor(90, 90, 90));
+        root.draw(&Text::new(demos.join(", "), (MARGIN as i32, y + 20), small))?;
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+fn pixel([x, y]: [f64; 2]) -> (i32, i32) {
+    (x.round() as i32, y.round() as i32)
+}
+
+fn tee<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    rollout: &RolloutPicture,
+    [x, y, theta]: [f64; 3],
+    style: ShapeStyle,
+) -> Result<(), PictureError>
+where
+    B::ErrorType: 'static,
+{
+    let (s, c) = theta.sin_cos();
+    for part in &rollout.outline {
+        let corners: Vec<(i32, i32)> = part
+            .iter()
+            .map(|[u, v]| pixel([x + c * u - s * v, y + s * u + c * v]))
+            .collect();
+        area.draw(&Polygon::new(corners, style))?;
+    }
+    Ok(())
+}
+
+/// Draws how far open-loop replays stray from their recordings: for every frame, the median, the 90th percentile and the
+/// greatest distance over all demonstrations that are that long. `frames` and `distances` (pixels) go together.
+///
+/// # Errors
+/// When the drawing library refuses.
+pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, PictureError> {
+    let longest = frames.iter().copied().max().unwrap_or(0) as usize;
+    let mut columns = vec![Vec::new(); longest + 1];
+    for (&frame, &distance) in frames.iter().zip(distances) {
+        columns[frame as usize].push(distance);
+    }
+    for column in &mut columns {
+        column.sort_unstable_by(f64::total_cmp);
+    }
+    let curve = |share: f64| -> Vec<(f64, f64)> {
+        columns
+            .iter()
+            .enumerate()
+            .filter(|(_, column)| !column.is_empty())
+            .map(|(frame, column)| (frame as f64, crate::quantile(column, share).max(FLOOR)))
+            .collect()
+    };
+    let top = distances.iter().copied().fold(1.0, f64::max) * 1.5;
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (760, 400)).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(&root)
+            .margin(12)
+            .x_label_area_size(40)
+            .y_label_area_size(64)
+            .build_cartesian_2d(0.0..longest as f64, (FLOOR..top).log_scale())?;
+        chart
+            .configure_mesh()
+            .x_desc("frame of the demonstration")
+            .y_desc("block, replayed to recorded, px")
+            .light_line_style(WHITE.mix(0.0))
+            .draw()?;
+        for (share, label, colour) in [
+            (1.0, "greatest", PLAN),
+            (0.9, "90th percentile", BLOCK),
+            (0.5, "median", REPLAY),
+        ] {
+            chart
+                .draw_series(LineSeries::new(curve(share), colour.stroke_width(2)))?
+                .label(label)
+                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], colour.stroke_width(2)));
+        }
+        chart
+            .configure_series_labels()
+            .background_style(WHITE.mix(0.8))
+            .border_style(BLACK.mix(0.2))
+            .draw()?;
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+/// Distances below this, in pixels, are drawn here: the axis is logarithmic, and recorded states are rounded to float32.
+const FLOOR: f64 = 1e-5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> RolloutPicture {
+        RolloutPicture {
+            seed: 7,
+            score: 0.5,
+            blocks: vec![[100.0, 100.0, 0.0], [110.0, 100.0, 0.1]],
+            pusher: vec![[50.0, 50.0], [60.0, 60.0]],
+            replaying: vec![true],
+            decisions: vec![PictureDecision {
+                step: 0,
+                demo: 3,
+                plan: vec![[50.0, 50.0], [55.0, 55.0]],
+            }],
+            goal: [256.0, 256.0, 0.7],
+            outline: vec![vec![[-60.0, 0.0], [60.0, 0.0], [60.0, 30.0], [-60.0, 30.0]]],
+            pusher_radius: 15.0,
+        }
+    }
+
+    #[test]
+    fn a_rollout_shows_goal_block_plan_and_caption() {
+        let svg = rollout_picture(&sample()).unwrap();
+        assert!(svg.starts_with("<svg"));
+        // The goal and the block at the decision and at the end: one polygon each for a block of one part.
+        assert_eq!(svg.matches("<polygon").count(), 3);
+        assert!(svg.contains("seed 7, score 0.500 after 1 steps"));
+        assert!(svg.contains("step 0: demo 3"));
+        assert_eq!(svg, rollout_picture(&sample()).unwrap());
+    }
+
+    #[test]
+    fn an_empty_divergence_is_still_a_picture() {
+        assert!(divergence_plot(&[], &[]).unwrap().starts_with("<svg"));
+        let svg = divergence_plot(&[0, 1, 0, 1], &[0.0, 2.0, 0.0, 4.0]).unwrap();
+        assert!(svg.contains("median"));
+    }
+}
