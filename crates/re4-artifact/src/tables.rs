@@ -184,7 +184,7 @@ pub const MODES: TableSpec = TableSpec {
 pub const SEGMENTS: TableSpec = TableSpec {
     name: "segments",
     version: 1,
-    description: "One row a segment: a maximal run of frames of one mode. The grasp frame g(d) of a demonstration is its first transfer frame.",
+    description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
     columns: &[
         EPISODE,
         id("segment", "Number of the segment in its episode, from 0."),
