@@ -1,0 +1,37 @@
+//! What can go wrong with segmentation.
+
+/// Why an episode could not be segmented.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SegmentError {
+    /// A threshold is out of range.
+    #[error("cannot segment: segment.{field} is {value}; set it to a finite number {range}")]
+    Config {
+        /// Name of the threshold.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+        /// The range it has to be in.
+        range: &'static str,
+    },
+    /// An episode without frames.
+    #[error("cannot segment episode {episode} of the dataset: it has no frames; leave it out of the selection")]
+    Empty {
+        /// Number of the demonstration in its source dataset.
+        episode: u32,
+    },
+    /// A coordinate that is no number.
+    #[error(
+        "cannot segment episode {episode} of the dataset: {column} is {value} at frame {frame}; repair that frame or leave the episode out"
+    )]
+    NotFinite {
+        /// Number of the demonstration in its source dataset.
+        episode: u32,
+        /// Frame in the episode, from 0.
+        frame: usize,
+        /// Name of the coordinate.
+        column: &'static str,
+        /// Its value.
+        value: f64,
+    },
+}
