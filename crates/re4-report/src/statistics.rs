@@ -94,8 +94,14 @@ pub fn wilson_interval(successes: u64, n: u64) -> Interval {
     }
 }
 
-/// Quantile of sorted values, linear between neighbours, as numpy's default.
+/// Quantile of values sorted in ascending order, linear between neighbours, as numpy's default; NaN of nothing.
+///
+/// `share` is taken to the nearest number in `[0, 1]`.
 pub fn quantile(sorted: &[f64], share: f64) -> f64 {
+    if sorted.is_empty() || share.is_nan() {
+        return f64::NAN;
+    }
+    let share = share.clamp(0.0, 1.0);
     let at = share * (sorted.len() - 1) as f64;
     let below = at.floor();
     let (low, high) = (sorted[below as usize], sorted[at.ceil() as usize]);
@@ -168,6 +174,23 @@ mod tests {
         assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
         assert!((median(&SCORES) - 0.745).abs() < 1e-15);
         assert!(median(&[]).is_nan() && median(&[1.0, f64::NAN]).is_nan());
+    }
+
+    #[test]
+    fn quantiles() {
+        // numpy 2.4.6: quantile([1, 2, 4, 8], [0, 0.1, 0.5, 0.9, 1]) = 1, 1.3, 3, 6.8, 8.
+        for (share, expected) in [
+            (0.0, 1.0),
+            (0.1, 1.3),
+            (0.5, 3.0),
+            (0.9, 6.8),
+            (1.0, 8.0),
+            (-1.0, 1.0),
+            (9.0, 8.0),
+        ] {
+            assert!((quantile(&[1.0, 2.0, 4.0, 8.0], share) - expected).abs() < 1e-14);
+        }
+        assert!(quantile(&[], 0.5).is_nan() && quantile(&[1.0], f64::NAN).is_nan());
     }
 
     #[test]
