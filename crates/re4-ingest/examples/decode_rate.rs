@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let report = serde_json::json!({
             "frames": episodes.frame_count(),
             "threads": rayon::current_num_threads(),
-            "source_hash": hash.iter().map(|byte| format!("{byte:02x}")).collect::<String>(),
+            "source_hash": hash,
             "open_s": open_s,
             "columns_s": columns_s,
             "hash_s": hash_s,

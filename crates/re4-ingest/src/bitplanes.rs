@@ -9,7 +9,7 @@
 //! Format: c-blosc 1.21, `README_CHUNK_FORMAT.rst` (header, block starts, splits) and `blosc/bitshuffle-generic.c` (bit
 //! `b` of element `8 j + k` of a block of `n` elements is bit `k` of byte `b n / 8 + j`).
 
-use std::ops::Range;
+use std::ops::{BitAnd, BitOr, Not, Range};
 
 const HEADER: usize = 16;
 const FORMAT_VERSION: u8 = 2;
@@ -23,13 +23,13 @@ const CODEC_ZSTD: u8 = 4;
 const TYPE_SIZE: usize = 4;
 /// Lowest bit plane that a whole number below 256 can use: its top seven fraction bits are bits 16 to 22.
 const FRACTION: usize = 16;
-const EXPONENT: usize = 23;
 const SIGN: usize = 31;
 /// Largest block that gets a buffer; c-blosc makes blocks of at most a few MiB.
 const LARGEST_BLOCK: usize = 16 << 20;
 /// Words of 64 values handled at once, so that the compiler can use vector registers.
 const LANES: usize = 4;
-type Word = [u64; LANES];
+/// Values handled at once.
+const GROUP: usize = LANES * 64;
 
 /// Buffers of one thread, kept between chunks.
 #[derive(Default)]
@@ -99,121 +99,186 @@ pub(crate) fn decode(encoded: &[u8], values: usize, out: &mut [u8], scratch: &mu
 fn planes_to_bytes(block: &[u8], out: &mut [u8]) -> Option<()> {
     let stride = block.len() / (8 * TYPE_SIZE);
     let planes: Vec<&[u8]> = block.chunks_exact(stride).collect();
-    let empty = |plane: &[u8]| {
-        let (words, rest) = plane.as_chunks::<64>();
-        words
-            .iter()
-            .all(|word| word.iter().fold(0, |any, byte| any | byte) == 0)
-            && rest.iter().all(|&byte| byte == 0)
-    };
-    if planes.len() != 8 * TYPE_SIZE || !planes[..FRACTION].iter().all(|plane| empty(plane)) || !empty(planes[SIGN]) {
+    let always_empty = planes.get(..FRACTION)?.iter().chain(planes.get(SIGN));
+    if planes.len() != 8 * TYPE_SIZE || !always_empty.copied().all(is_empty) {
         return None;
     }
-    let mut faulty = [0; LANES];
-    let group = LANES * 8;
-    for (number, out) in out.chunks_mut(LANES * 64).enumerate() {
-        let mut words = [[0; LANES]; SIGN - FRACTION];
-        for (word, plane) in words.iter_mut().zip(&planes[FRACTION..SIGN]) {
-            *word = load(&plane[number * group..stride.min((number + 1) * group)]);
+    let planes: &[&[u8]; SIGN - FRACTION] = planes[FRACTION..SIGN].try_into().ok()?;
+    let mut faulty = Word::ZERO;
+    let (groups, rest) = out.as_chunks_mut::<GROUP>();
+    for (number, group) in groups.iter_mut().enumerate() {
+        let mut words = [Word::ZERO; SIGN - FRACTION];
+        for (word, plane) in words.iter_mut().zip(planes) {
+            *word = Word::from_bytes(&plane.as_chunks::<{ GROUP / 8 }>().0[number]);
         }
-        let (fraction, exponent) = words.split_at(EXPONENT - FRACTION);
-        let (bits, bad) = value_bits(fraction, exponent);
-        faulty = or(faulty, bad);
-        for lane in 0..LANES {
-            let bytes = interleave(bits.map(|bit| bit[lane]));
-            let Some(target) = out.get_mut(lane * 64..) else { break };
-            let length = target.len().min(64);
-            target[..length].copy_from_slice(&bytes[..length]);
+        let (bits, bad) = value_bits(&words);
+        faulty = faulty | bad;
+        interleave(bits, group);
+    }
+    if !rest.is_empty() {
+        let mut words = [Word::ZERO; SIGN - FRACTION];
+        for (word, plane) in words.iter_mut().zip(planes) {
+            let mut bytes = [0; GROUP / 8];
+            for (byte, from) in bytes.iter_mut().zip(&plane[groups.len() * (GROUP / 8)..]) {
+                *byte = *from;
+            }
+            *word = Word::from_bytes(&bytes);
+        }
+        let (bits, bad) = value_bits(&words);
+        faulty = faulty | bad;
+        let mut group = [0; GROUP];
+        interleave(bits, &mut group);
+        rest.copy_from_slice(&group[..rest.len()]);
+    }
+    (faulty == Word::ZERO).then_some(())
+}
+
+fn is_empty(plane: &[u8]) -> bool {
+    plane.iter().fold(0, |any, byte| any | byte) == 0
+}
+
+/// One bit of 256 values.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Word([u64; LANES]);
+
+impl Word {
+    const ZERO: Self = Self([0; LANES]);
+
+    #[inline]
+    fn from_bytes(bytes: &[u8; GROUP / 8]) -> Self {
+        let mut words = [0; LANES];
+        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<8>().0) {
+            *word = u64::from_le_bytes(*bytes);
+        }
+        Self(words)
+    }
+
+    #[inline]
+    fn zip(self, other: Self, operation: impl Fn(u64, u64) -> u64) -> Self {
+        let mut words = self.0;
+        for (word, other) in words.iter_mut().zip(other.0) {
+            *word = operation(*word, other);
+        }
+        Self(words)
+    }
+
+    /// Swaps the bits of `low` under `mask << shift` with those of `high` under `mask`.
+    #[inline]
+    fn swap(low: &mut Self, high: &mut Self, shift: u32, mask: u64) {
+        for (low, high) in low.0.iter_mut().zip(&mut high.0) {
+            let swap = ((*low >> shift) ^ *high) & mask;
+            *high ^= swap;
+            *low ^= swap << shift;
         }
     }
-    (faulty == [0; LANES]).then_some(())
-}
 
-/// Little-endian words of up to 32 bytes, the missing ones zero.
-fn load(bytes: &[u8]) -> Word {
-    let mut padded = [0; LANES * 8];
-    if let Ok(whole) = <&[u8; LANES * 8]>::try_from(bytes) {
-        padded = *whole;
-    } else {
-        padded[..bytes.len()].copy_from_slice(bytes);
+    /// Swaps the bits under `mask << shift` with those under `mask`.
+    #[inline]
+    fn swap_within(&mut self, shift: u32, mask: u64) {
+        for word in &mut self.0 {
+            let swap = (*word ^ (*word >> shift)) & mask;
+            *word ^= swap ^ (swap << shift);
+        }
     }
-    let (words, _) = padded.as_chunks::<8>();
-    std::array::from_fn(|lane| u64::from_le_bytes(words[lane]))
 }
 
-fn and(a: Word, b: Word) -> Word {
-    std::array::from_fn(|lane| a[lane] & b[lane])
+impl BitAnd for Word {
+    type Output = Self;
+
+    #[inline]
+    fn bitand(self, other: Self) -> Self {
+        self.zip(other, |a, b| a & b)
+    }
 }
 
-fn or(a: Word, b: Word) -> Word {
-    std::array::from_fn(|lane| a[lane] | b[lane])
+impl BitOr for Word {
+    type Output = Self;
+
+    #[inline]
+    fn bitor(self, other: Self) -> Self {
+        self.zip(other, |a, b| a | b)
+    }
 }
 
-fn not(a: Word) -> Word {
-    a.map(|word| !word)
+impl Not for Word {
+    type Output = Self;
+
+    #[inline]
+    fn not(self) -> Self {
+        self.zip(self, |a, _| !a)
+    }
 }
 
-/// The eight bits of each value, and where a value is not a whole number from 0 to 255.
+/// The eight bits of each value, lowest first, and where a value is not a whole number from 0 to 255.
 ///
 /// A float `2^e (1 + f)` with `0 <= e <= 7` has its bit `e` set, its bits below `e` are the first `e` fraction bits, and
-/// it is whole if the other fraction bits are zero. `fraction` holds planes from the lowest of seven to the highest,
-/// `exponent` the eight planes of `e + 127`.
-fn value_bits(fraction: &[Word], exponent: &[Word]) -> ([Word; 8], Word) {
-    let high = exponent[7];
-    let low_of = |e: usize| {
-        // e + 127 is 0111_1111 for e = 0 and 1000_0000 + (e - 1) above.
-        (0..3).map(move |bit| {
-            if (e - 1) >> bit & 1 == 1 {
-                exponent[bit]
-            } else {
-                not(exponent[bit])
-            }
-        })
-    };
-    let middle_empty = not(exponent[3..7].iter().copied().fold([0; LANES], or));
-    let is_exponent: [Word; 8] = std::array::from_fn(|e| {
-        if e == 0 {
-            exponent[..7].iter().copied().fold(not(high), and)
-        } else {
-            low_of(e).fold(and(high, middle_empty), and)
-        }
-    });
-    let mut bits = [[0; LANES]; 8];
-    let mut fractional = [0; LANES];
-    let mut known = [0; LANES];
-    for (e, &here) in is_exponent.iter().enumerate() {
-        known = or(known, here);
-        bits[e] = or(bits[e], here);
-        for (place, &plane) in fraction.iter().rev().enumerate() {
-            // Fraction bit `place` has the weight 2^(e - 1 - place).
-            if place < e {
-                bits[e - 1 - place] = or(bits[e - 1 - place], and(here, plane));
-            } else {
-                fractional = or(fractional, and(here, plane));
-            }
+/// it is whole if the other fraction bits are zero. `planes` holds seven fraction bits and the eight bits of `e + 127`,
+/// lowest first.
+#[inline]
+fn value_bits(planes: &[Word; SIGN - FRACTION]) -> ([Word; 8], Word) {
+    let [f7, f6, f5, f4, f3, f2, f1, e0, e1, e2, e3, e4, e5, e6, e7] = *planes;
+    // Fraction bit i, counted from the highest, has the weight 2^(e - 1 - i).
+    let fraction = [f1, f2, f3, f4, f5, f6, f7];
+    // e + 127 is 0111_1111 for e = 0 and 1000_0000 + (e - 1) above.
+    let above = e7 & !(e3 | e4 | e5 | e6);
+    let (n0, n1, n2) = (!e0, !e1, !e2);
+    let low = [n1 & n0, n1 & e0, e1 & n0, e1 & e0];
+    let (small, large) = (above & n2, above & e2);
+    let exponent = [
+        !e7 & e6 & e5 & e4 & e3 & e2 & low[3],
+        small & low[0],
+        small & low[1],
+        small & low[2],
+        small & low[3],
+        large & low[0],
+        large & low[1],
+        large & low[2],
+    ];
+    let mut bits = exponent;
+    for e in 1..8 {
+        for i in 0..e {
+            bits[e - 1 - i] = bits[e - 1 - i] | (exponent[e] & fraction[i]);
         }
     }
-    let any = fraction.iter().chain(exponent).copied().fold([0; LANES], or);
-    (bits, or(fractional, and(any, not(known))))
+    let mut fractional = Word::ZERO;
+    let mut below = Word::ZERO;
+    for e in (0..7).rev() {
+        below = below | fraction[e];
+        fractional = fractional | (exponent[e] & below);
+    }
+    let known = exponent.into_iter().fold(Word::ZERO, |any, word| any | word);
+    let any = [e0, e1, e2, e3, e4, e5, e6, e7]
+        .into_iter()
+        .fold(below, |any, word| any | word);
+    (bits, fractional | (any & !known))
 }
 
-/// 64 bytes from their eight bit planes: byte `i` has bit `b` from bit `i` of `planes[b]`.
-fn interleave(planes: [u64; 8]) -> [u8; 64] {
-    let planes = planes.map(u64::to_le_bytes);
-    let mut bytes = [0; 64];
-    let (groups, _) = bytes.as_chunks_mut::<8>();
-    for (at, group) in groups.iter_mut().enumerate() {
-        let mut square = u64::from_le_bytes(std::array::from_fn(|bit| planes[bit][at]));
-        // Transposes an 8 x 8 matrix of bits by swapping its blocks of 1, 2 and 4 (Hacker's Delight, section 7-3).
-        for (shift, mask) in [
-            (7, 0x00AA_00AA_00AA_00AA),
-            (14, 0x0000_CCCC_0000_CCCC),
-            (28, 0x0000_0000_F0F0_F0F0),
-        ] {
-            let swap = (square ^ (square >> shift)) & mask;
-            square ^= swap ^ (swap << shift);
+/// 256 bytes from their eight bit planes: byte `i` has bit `b` from bit `i` of `planes[b]`.
+///
+/// In each lane the planes are an 8 x 8 matrix of bytes, transposed by swapping its blocks of 4, 2 and 1; then each word
+/// is an 8 x 8 matrix of bits, transposed the same way (Hacker's Delight, section 7-3).
+#[inline]
+fn interleave(mut planes: [Word; 8], out: &mut [u8; GROUP]) {
+    for (distance, mask) in [
+        (4, 0x0000_0000_FFFF_FFFF),
+        (2, 0x0000_FFFF_0000_FFFF),
+        (1, 0x00FF_00FF_00FF_00FF),
+    ] {
+        for pair in planes.chunks_exact_mut(2 * distance) {
+            let (low, high) = pair.split_at_mut(distance);
+            for (low, high) in low.iter_mut().zip(high) {
+                Word::swap(low, high, 8 * distance as u32, mask);
+            }
         }
-        *group = square.to_le_bytes();
     }
-    bytes
+    for word in &mut planes {
+        word.swap_within(7, 0x00AA_00AA_00AA_00AA);
+        word.swap_within(14, 0x0000_CCCC_0000_CCCC);
+        word.swap_within(28, 0x0000_0000_F0F0_F0F0);
+    }
+    for (lane, bytes) in out.as_chunks_mut::<64>().0.iter_mut().enumerate() {
+        for (bytes, word) in bytes.as_chunks_mut::<8>().0.iter_mut().zip(&planes) {
+            *bytes = word.0[lane].to_le_bytes();
+        }
+    }
 }

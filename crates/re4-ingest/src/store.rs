@@ -84,7 +84,7 @@ impl Store {
     /// Files are hashed in parallel through a fixed buffer or a memory map, so memory does not grow with the store.
     pub(crate) fn hash(&self) -> Result<[u8; 32], Fault> {
         let mut files = Vec::new();
-        list_files(&self.folder, String::new(), &mut files)?;
+        list_files(&self.folder, "", &mut files)?;
         files.sort_unstable();
         let hashes: Vec<(u64, blake3::Hash)> = files
             .par_iter()
@@ -163,12 +163,12 @@ fn find_stores(folder: &Path, depth: usize, stores: &mut Vec<PathBuf>) -> Result
 }
 
 /// Collects the paths of all files below a folder, relative to it and with `/`.
-fn list_files(folder: &Path, prefix: String, files: &mut Vec<String>) -> Result<(), Fault> {
+fn list_files(folder: &Path, prefix: &str, files: &mut Vec<String>) -> Result<(), Fault> {
     for entry in sorted_entries(folder)? {
         let Some(name) = entry.file_name() else { continue };
         let name = format!("{prefix}{}", name.to_string_lossy());
         if entry.is_dir() {
-            list_files(&entry, format!("{name}/"), files)?;
+            list_files(&entry, &format!("{name}/"), files)?;
         } else {
             files.push(name);
         }

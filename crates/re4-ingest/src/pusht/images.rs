@@ -190,7 +190,7 @@ impl ImageBlocks {
                     },
                     None => waiting.push_back(Job {
                         chunk_row,
-                        runs: vec![start..end],
+                        runs: Vec::from([start..end]),
                     }),
                 }
                 start = end;

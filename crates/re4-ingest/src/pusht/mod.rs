@@ -9,8 +9,10 @@ mod episodes;
 mod images;
 mod reader;
 mod validate;
+mod writer;
 
 pub use episodes::{KEYPOINTS, PushtEpisodes};
 pub use images::{IMAGE_BUDGET, ImageBlock, ImageBlocks};
 pub use reader::PushtReader;
 pub use validate::{ANGLE_TOLERANCE, POSITION_HIGH, POSITION_LOW, SHORT_EPISODE, WINDOW};
+pub use writer::{KEYPOINTS_IN_BLOCK, PushtWriter, RecordError, RecordedEpisode};

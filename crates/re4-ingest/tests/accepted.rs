@@ -1,0 +1,266 @@
+//! Every accepted variety of store reads as the same numbers.
+
+mod common;
+
+use std::ops::Range;
+
+use common::{Copy, FRAMES, SIDE, copy_folder, expected, files_of, fixture, picture, read_all, zip_files};
+use re4_ingest::pusht::{ImageBlock, PushtReader};
+use re4_ingest::{EpisodeRange, Selection, WarningCode};
+use tempfile::TempDir;
+
+const VARIETIES: [(&str, bool, bool); 4] = [
+    ("original", true, true),
+    ("modern", true, true),
+    ("minimal", false, false),
+    ("mixed", true, true),
+];
+
+fn blocks(reader: &PushtReader, selection: &Selection) -> Vec<ImageBlock> {
+    reader
+        .image_blocks(selection)
+        .unwrap()
+        .collect::<Result<_, _>>()
+        .unwrap()
+}
+
+fn check_pictures(blocks: &[ImageBlock], frames: impl Iterator<Item = usize>) {
+    let mut delivered = Vec::new();
+    for block in blocks {
+        let pictures: Vec<&[u8]> = block.bytes.chunks(SIDE * SIDE * 3).collect();
+        assert_eq!(pictures.len(), block.frames.len());
+        for (frame, bytes) in block.frames.clone().zip(pictures) {
+            assert_eq!(bytes, picture(frame), "frame {frame}");
+            delivered.push(frame);
+        }
+    }
+    assert_eq!(delivered, frames.collect::<Vec<_>>());
+}
+
+#[test]
+fn every_variety_reads_as_the_same_numbers() {
+    for (name, complete, pictures) in VARIETIES {
+        let reader = PushtReader::open(&fixture(name)).unwrap();
+        assert_eq!(reader.episode_ranges(), [0..12, 12..17, 17..30], "{name}");
+        assert_eq!(reader.frame_count(), FRAMES);
+        let (episodes, _) = reader.read_episodes(&Selection::All).unwrap();
+        assert_eq!(episodes, expected(&[0, 1, 2], complete), "{name}");
+        assert_eq!(reader.image_shape(), pictures.then_some([SIDE, SIDE, 3]), "{name}");
+        if pictures {
+            check_pictures(&blocks(&reader, &Selection::All), 0..FRAMES);
+        }
+    }
+}
+
+#[test]
+fn selections_read_their_episodes_in_dataset_order() {
+    let range = |start, end| Selection::Range(EpisodeRange { start, end });
+    for name in ["original", "modern", "mixed"] {
+        let reader = PushtReader::open(&fixture(name)).unwrap();
+        for (selection, sources) in [
+            (Selection::First(2), vec![0, 1]),
+            (Selection::Last(1), vec![2]),
+            (Selection::List(vec![2, 0]), vec![0, 2]),
+            (range(1, 2), vec![1]),
+        ] {
+            let (episodes, _) = reader.read_episodes(&selection).unwrap();
+            assert_eq!(episodes, expected(&sources, true), "{name} {selection}");
+            let rows: Vec<Range<usize>> = episodes.rows.clone();
+            check_pictures(&blocks(&reader, &selection), rows.into_iter().flatten());
+        }
+    }
+}
+
+#[test]
+fn blocks_end_at_chunks_and_gaps_only() {
+    let frames = |name, selection| -> Vec<Range<usize>> {
+        let reader = PushtReader::open(&fixture(name)).unwrap();
+        blocks(&reader, &selection)
+            .into_iter()
+            .map(|block| block.frames)
+            .collect()
+    };
+    assert_eq!(
+        frames("original", Selection::All),
+        [0..7, 7..14, 14..21, 21..28, 28..30]
+    );
+    assert_eq!(
+        frames("original", Selection::List(vec![0, 2])),
+        [0..7, 7..12, 17..21, 21..28, 28..30]
+    );
+    assert_eq!(frames("modern", Selection::List(vec![0, 2])), [0..12, 17..30]);
+    assert_eq!(frames("modern", Selection::First(2)), [0..16, 16..17]);
+}
+
+#[test]
+fn blocks_are_the_same_for_any_pool_and_inside_of_it() {
+    let reader = PushtReader::open(&fixture("original")).unwrap();
+    let reference = blocks(&reader, &Selection::All);
+    for threads in 1..4 {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        assert_eq!(pool.install(|| blocks(&reader, &Selection::All)), reference);
+    }
+    // Stopping early leaves nothing behind that could block.
+    drop(reader.image_blocks(&Selection::All).unwrap().next());
+}
+
+#[test]
+fn zip_files_read_as_their_folders() {
+    let folder = TempDir::new().unwrap();
+    for (name, _, _) in VARIETIES {
+        let hash = PushtReader::open(&fixture(name)).unwrap().source_hash().unwrap();
+        for (prefix, stored) in [
+            ("", true),
+            ("", false),
+            ("store.zarr/", false),
+            ("pusht/store.zarr/", true),
+        ] {
+            let path = folder.path().join("store.zip");
+            zip_files(&path, &files_of(&fixture(name), prefix), stored);
+            let reader = PushtReader::open(&path).unwrap();
+            assert_eq!(reader.source_hash().unwrap(), hash, "{name} at {prefix}");
+            assert_eq!(read_all(&path), read_all(&fixture(name)), "{name} at {prefix}");
+        }
+    }
+}
+
+#[test]
+fn large_compressed_zip_entries_unpack_whole() {
+    // 3 MiB of pictures in one uncompressed chunk that DEFLATE makes much smaller: more than any buffer on the way.
+    let side = 187;
+    let bytes: Vec<u8> = (0..FRAMES * side * side * 3).map(|i| (i / 40 % 256) as u8).collect();
+    assert!(bytes.len() > 3 << 20);
+    let store = Copy::of("minimal");
+    std::fs::create_dir(store.path().join("data/img")).unwrap();
+    let store = store.replace("data/img", "|u1", &[FRAMES, side, side, 3], bytes.clone());
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("store.zip");
+    zip_files(&path, &files_of(&store.path(), "pusht.zarr/"), false);
+    assert!(std::fs::metadata(&path).unwrap().len() < 1 << 20);
+    let reader = PushtReader::open(&path).unwrap();
+    let read: Vec<u8> = blocks(&reader, &Selection::All)
+        .into_iter()
+        .flat_map(|block| block.bytes)
+        .collect();
+    assert!(read == bytes);
+}
+
+#[test]
+fn a_zip_is_unpacked_only_as_long_as_it_is_read() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("store.zip");
+    zip_files(&path, &files_of(&fixture("original"), ""), false);
+    let reader = PushtReader::open(&path).unwrap();
+    let iterator = reader.image_blocks(&Selection::All).unwrap();
+    drop(reader);
+    let blocks: Vec<ImageBlock> = iterator.collect::<Result<_, _>>().unwrap();
+    check_pictures(&blocks, 0..FRAMES);
+}
+
+#[test]
+fn the_hash_covers_names_lengths_and_bytes() {
+    let hash = |copy: &Copy| PushtReader::open(&copy.path()).unwrap().source_hash().unwrap();
+    let reference = hash(&Copy::of("original"));
+    assert_eq!(hash(&Copy::of("original")), reference);
+    let changed = [
+        Copy::of("original").edit("data/.zgroup", |bytes| bytes.push(b' ')),
+        Copy::of("original").write("data/extra", ""),
+        Copy::of("original").write("data/.zgroup", "{}"),
+        // One byte moved from one file to the next.
+        Copy::of("original").write("data/x", "a").write("data/y", "b"),
+        Copy::of("original").write("data/x", "ab").write("data/y", ""),
+    ];
+    let mut hashes: Vec<[u8; 32]> = changed.iter().map(hash).chain([reference]).collect();
+    hashes.sort_unstable();
+    hashes.dedup();
+    assert_eq!(hashes.len(), changed.len() + 1);
+}
+
+#[test]
+fn a_folder_reads_the_same_under_another_name() {
+    let folder = TempDir::new().unwrap();
+    copy_folder(&fixture("mixed"), &folder.path().join("renamed"));
+    assert_eq!(read_all(&folder.path().join("renamed")), read_all(&fixture("mixed")));
+}
+
+#[test]
+fn warnings_are_counted_and_placed() {
+    let warnings = |name: &str, selection: &Selection| {
+        PushtReader::open(&fixture(name))
+            .unwrap()
+            .read_episodes(selection)
+            .unwrap()
+            .1
+    };
+    // The angle falls from 6 to 0 at frame 25, the 9th of episode 2; episode 1 has 5 frames.
+    let found = warnings("original", &Selection::All);
+    let brief: Vec<_> = found.iter().map(|w| (w.code, w.episode, w.frame, w.count)).collect();
+    assert_eq!(
+        brief,
+        [
+            (WarningCode::AngleSeam, Some(2), Some(8), 1),
+            (WarningCode::ShortEpisode, Some(1), Some(0), 1)
+        ]
+    );
+    assert!(warnings("original", &Selection::First(1)).is_empty());
+    insta::assert_snapshot!(serde_json::to_string_pretty(&warnings("minimal", &Selection::All)).unwrap());
+
+    let mut states: Vec<f64> = (0..FRAMES).flat_map(common::state).collect();
+    states.copy_within(5 * 3..5 * 4, 5 * 4);
+    // Equal states on both sides of a boundary between episodes are no repetition.
+    states.copy_within(5 * 11..5 * 12, 5 * 12);
+    let mut actions: Vec<f64> = (0..FRAMES).flat_map(common::action).collect();
+    actions[2 * 20] = -3.0;
+    actions[2 * 21 + 1] = 512.5;
+    let copy =
+        Copy::of("original")
+            .floats("data/state", &[FRAMES, 5], &states)
+            .floats("data/action", &[FRAMES, 2], &actions);
+    let found = PushtReader::open(&copy.path())
+        .unwrap()
+        .read_episodes(&Selection::All)
+        .unwrap()
+        .1;
+    let brief: Vec<_> = found.iter().map(|w| (w.code, w.episode, w.frame, w.count)).collect();
+    assert_eq!(
+        brief,
+        [
+            (WarningCode::AngleSeam, Some(2), Some(8), 1),
+            (WarningCode::ActionOutsideWindow, Some(2), Some(3), 2),
+            (WarningCode::ShortEpisode, Some(1), Some(0), 1),
+            (WarningCode::RepeatedState, Some(0), Some(4), 1),
+        ]
+    );
+}
+
+#[test]
+fn planar_episodes_carry_the_columns() {
+    let (episodes, _) = PushtReader::open(&fixture("original"))
+        .unwrap()
+        .read_episodes(&Selection::Last(2))
+        .unwrap();
+    let planar = episodes.planar_episodes();
+    assert_eq!(
+        planar.iter().map(|e| (e.source, e.frames.len())).collect::<Vec<_>>(),
+        [(1, 5), (2, 13)]
+    );
+    let frame = planar[1].frames[4];
+    let state = common::state(21);
+    assert_eq!(
+        [
+            frame.eef.x,
+            frame.eef.y,
+            frame.object.x,
+            frame.object.y,
+            frame.object.theta
+        ],
+        state
+    );
+    assert_eq!([frame.action.x, frame.action.y], common::action(21));
+    assert_eq!(frame.contacts, common::contacts(21));
+    let (episodes, _) = PushtReader::open(&fixture("minimal"))
+        .unwrap()
+        .read_episodes(&Selection::All)
+        .unwrap();
+    assert!(episodes.planar_episodes()[0].frames[0].contacts.is_nan());
+}
