@@ -1,0 +1,183 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Staged batch jobs from robot demonstrations to explainable imitation policies.
+///
+/// A pipeline file names a dataset and how it is ingested, segmented, indexed and rolled out. Each stage leaves an
+/// artifact: Parquet tables and a manifest, addressed by the hash of everything that went in. A stage whose artifact is
+/// there is skipped.
+#[derive(Debug, Parser)]
+#[command(name = "re4-pipe", version, max_term_width = 100, propagate_version = true)]
+pub(crate) struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// Subcommands.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Read the raw dataset into the `episodes` artifact
+    Ingest(IngestArguments),
+    /// Label manipulation modes: the `modes` artifact
+    Segment(StageArguments),
+    /// Train the pose estimator: the `poses` artifact
+    TrainPose(StageArguments),
+    /// Build what Retrieve searches: the `index` artifact
+    Index(StageArguments),
+    /// Roll the policy out in the simulator: the `rollouts` artifact
+    Rollout(RolloutArguments),
+    /// Run every stage of a pipeline
+    Run(RolloutArguments),
+    /// Replay the demonstrations' actions open-loop and measure how far the simulator strays from the recording
+    Replay(ReplayArguments),
+    /// Check every byte of artifacts against their manifests
+    Verify(VerifyArguments),
+    /// Show what an artifact holds: tables, rows, columns with units, provenance
+    Inspect(InspectArguments),
+    /// Download a dataset into the data folder
+    Fetch(FetchArguments),
+    /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
+    Schemas(SchemasArguments),
+}
+
+/// What all commands share.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct Common {
+    /// Folder that holds the artifacts
+    #[arg(long, value_name = "DIR", default_value = "artifacts")]
+    pub(crate) artifacts: PathBuf,
+    /// Worker threads; results do not depend on it [default: all processors]
+    #[arg(long, value_name = "N")]
+    pub(crate) jobs: Option<std::num::NonZeroUsize>,
+    /// Print one JSON object on standard output, and nothing else
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Print neither progress nor notes
+    #[arg(long, short)]
+    pub(crate) quiet: bool,
+}
+
+/// Arguments of a stage.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct StageArguments {
+    /// Pipeline file
+    #[arg(value_name = "PIPELINE.toml")]
+    pub(crate) pipeline: PathBuf,
+    /// Override a setting of the pipeline file, as often as needed
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `ingest`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct IngestArguments {
+    /// What all stages share.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Leave the pictures out, for work on states; as --set ingest.images=false
+    #[arg(long)]
+    pub(crate) no_images: bool,
+}
+
+/// Arguments of `rollout` and `run`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct RolloutArguments {
+    /// What all stages share.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Leave the pictures out of ingest; as --set ingest.images=false
+    #[arg(long)]
+    pub(crate) no_images: bool,
+    /// Seeds of the scenes, half-open: 500..600; as --set rollout.seeds=...
+    #[arg(long, value_name = "SEEDS")]
+    pub(crate) seeds: Option<String>,
+    /// Policy preset: paper, re4 or re2; as --set rollout.policy=...
+    #[arg(long, value_name = "NAME")]
+    pub(crate) policy: Option<String>,
+    /// Control steps an episode lasts at most; as --set `rollout.max_steps`=...
+    #[arg(long, value_name = "N")]
+    pub(crate) max_steps: Option<u32>,
+    /// Also write the rollouts as a dataset in Push-T's own zarr format, to a folder that does not exist yet
+    #[arg(long, value_name = "OUT.zarr")]
+    pub(crate) record: Option<PathBuf>,
+}
+
+/// Arguments of `replay`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct ReplayArguments {
+    /// What all stages share.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Also draw the divergence as an SVG picture
+    #[arg(long, value_name = "OUT.svg")]
+    pub(crate) plot: Option<PathBuf>,
+}
+
+/// Arguments of `verify`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct VerifyArguments {
+    /// Artifact folders [default: every artifact in the artifacts folder]
+    #[arg(value_name = "ARTIFACT")]
+    pub(crate) paths: Vec<PathBuf>,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `inspect`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct InspectArguments {
+    /// Artifact folder
+    #[arg(value_name = "ARTIFACT")]
+    pub(crate) path: PathBuf,
+    /// Also print the first rows of every table
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) rows: usize,
+    /// Also draw the rollout of this seed as an SVG picture
+    #[arg(long, value_name = "SEED", requires = "picture")]
+    pub(crate) seed: Option<u32>,
+    /// File that the picture is written to
+    #[arg(long, value_name = "OUT.svg", requires = "seed")]
+    pub(crate) picture: Option<PathBuf>,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `fetch`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct FetchArguments {
+    /// Dataset, as data/datasets.toml names it
+    #[arg(value_name = "DATASET")]
+    pub(crate) dataset: String,
+    /// Folder to put it into [default: the folder in `RE4_DATA`, else data]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) destination: Option<PathBuf>,
+    /// Address to download from in place of the official one
+    #[arg(long, value_name = "URL")]
+    pub(crate) url: Option<String>,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `schemas`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct SchemasArguments {
+    /// Folder to write to
+    #[arg(value_name = "DIR", default_value = "schemas")]
+    pub(crate) folder: PathBuf,
+    /// Write nothing; fail (exit code 1) when the folder is not up to date
+    #[arg(long)]
+    pub(crate) check: bool,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}

@@ -1,0 +1,192 @@
+//! The commands that run stages, each after those that it needs.
+
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Context as _, Result};
+use re4_artifact::{col_f64, tables};
+use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
+use re4_report::divergence_plot;
+use serde_json::{Value, json};
+
+use super::Outcome;
+use crate::arguments::{IngestArguments, ReplayArguments, RolloutArguments, StageArguments};
+use crate::pipeline::PoseSource;
+use crate::stages::{Built, Runner, metrics, read_rollouts};
+
+/// `re4-pipe ingest`.
+pub(crate) fn ingest(arguments: &IngestArguments) -> Result<Outcome> {
+    let runner = Runner::new(&arguments.stage, &without_images(arguments.no_images))?;
+    let built = runner.ingest()?;
+    report(&runner, &built)
+}
+
+/// `re4-pipe segment`.
+pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
+    let runner = Runner::new(arguments, &[])?;
+    let built = runner.segment(&runner.ingest()?)?;
+    report(&runner, &built)
+}
+
+/// `re4-pipe train-pose`: there is nothing to train where the recorded pose is the pose.
+pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
+    let runner = Runner::new(arguments, &[])?;
+    match runner.pipeline.pose.source {
+        PoseSource::Recorded => anyhow::bail!(
+            "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; estimators from pictures are not part of this version",
+            arguments.pipeline.display()
+        ),
+    }
+}
+
+/// `re4-pipe index`.
+pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
+    let runner = Runner::new(arguments, &[])?;
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let built = runner.index(&episodes, &modes)?;
+    report(&runner, &built)
+}
+
+/// `re4-pipe rollout` and `re4-pipe run`.
+pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
+    let start = Instant::now();
+    let mut overrides = without_images(arguments.no_images);
+    let text = |value: &String| format!("\"{}\"", value.replace(['"', '\\'], ""));
+    overrides.extend(
+        arguments
+            .seeds
+            .as_ref()
+            .map(|seeds| format!("rollout.seeds={}", text(seeds))),
+    );
+    overrides.extend(
+        arguments
+            .policy
+            .as_ref()
+            .map(|policy| format!("rollout.policy={}", text(policy))),
+    );
+    overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
+    let runner = Runner::new(&arguments.stage, &overrides)?;
+    if let Some(path) = &arguments.record {
+        anyhow::ensure!(
+            !path.exists(),
+            "cannot record to {}: there is something at that path; give one that does not exist yet",
+            path.display()
+        );
+    }
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let index = runner.index(&episodes, &modes)?;
+    let built = runner.rollout(&index)?;
+    if let Some(path) = &arguments.record {
+        record(&runner, &built, path)?;
+    }
+    let metrics = metrics(&built.artifact);
+    let section = &runner.pipeline.rollout;
+    let rollouts = section.seeds.as_slice().len();
+    runner.console.answer(&json!({
+        "task": runner.pipeline.task,
+        "variant": runner.pipeline.variant,
+        "policy": section.policy,
+        "episodes": rollouts,
+        "max_steps": section.max_steps,
+        "metrics": metrics,
+        "artifact": built.artifact.path(),
+        "wall_s": start.elapsed().as_secs_f64(),
+    }))?;
+    runner
+        .console
+        .say(&score_table(&section.policy, rollouts, section.max_steps, &metrics))?;
+    Ok(Outcome::Done)
+}
+
+/// `re4-pipe replay`.
+pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
+    let runner = Runner::new(&arguments.stage, &[])?;
+    let built = runner.replay(&runner.ingest()?)?;
+    if let Some(path) = &arguments.plot {
+        let table = built
+            .artifact
+            .table(&tables::DIVERGENCE)?
+            .read_columns(&["frame", "block"])?;
+        let frames = re4_artifact::col_u32(&table, "frame")?;
+        let svg = divergence_plot(frames, col_f64(&table, "block")?)
+            .with_context(|| format!("cannot draw {}", path.display()))?;
+        std::fs::write(path, svg).with_context(|| {
+            format!(
+                "cannot write the picture {}; give a path in a folder that exists",
+                path.display()
+            )
+        })?;
+        runner.console.note(&format!("picture in {}", path.display()));
+    }
+    report(&runner, &built)
+}
+
+fn without_images(no_images: bool) -> Vec<String> {
+    if no_images {
+        vec!["ingest.images=false".to_owned()]
+    } else {
+        Vec::new()
+    }
+}
+
+fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
+    let episodes: Vec<RecordedEpisode> = read_rollouts(&built.artifact)?
+        .into_iter()
+        .map(|frames| RecordedEpisode { frames })
+        .collect();
+    PushtWriter::write(path, &episodes)?;
+    runner.console.note(&format!(
+        "{:>10}  {}  {} episodes",
+        "record",
+        path.display(),
+        episodes.len()
+    ));
+    Ok(())
+}
+
+fn report(runner: &Runner, built: &Built) -> Result<Outcome> {
+    runner.console.answer(&built.to_json())?;
+    let manifest = built.artifact.manifest();
+    let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
+    for (name, table) in &manifest.tables {
+        text.push_str(&format!(
+            "\n  {name:<12} {:>9} rows  {:>11} bytes",
+            table.rows, table.bytes
+        ));
+    }
+    for warning in &manifest.warnings {
+        let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
+        text.push_str(&format!("\n  warning {}: {}", word("code"), word("message")));
+    }
+    runner.console.say(&text)?;
+    Ok(Outcome::Done)
+}
+
+fn score_table(policy: &str, rollouts: usize, max_steps: u32, metrics: &Value) -> String {
+    let mut text = format!("policy {policy}, {rollouts} rollouts of at most {max_steps} steps; mean, 95 % interval\n");
+    let rows = [
+        ("scaled score", "score_scaled_mean"),
+        ("raw coverage", "coverage_raw_mean"),
+        ("IoU", "iou_mean"),
+        ("success rate", "success_rate"),
+    ];
+    for (label, name) in rows {
+        let number = |key| {
+            metrics
+                .get(name)
+                .and_then(|m| m.get(key))
+                .and_then(Value::as_f64)
+                .unwrap_or(f64::NAN)
+        };
+        text.push_str(&format!(
+            "  {label:<13} {:.3}   [{:.3}, {:.3}]\n",
+            number("value"),
+            number("low"),
+            number("high")
+        ));
+    }
+    text.truncate(text.trim_end().len());
+    text
+}

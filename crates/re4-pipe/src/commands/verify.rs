@@ -1,0 +1,75 @@
+//! `re4-pipe verify`: every byte of an artifact against its manifest.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use re4_artifact::{MANIFEST_NAME, verify as verify_artifact};
+use serde_json::json;
+
+use super::Outcome;
+use crate::arguments::VerifyArguments;
+use crate::console::Console;
+
+/// Verifies the artifacts named, or all below the artifacts folder; the first damaged one is the error.
+pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.common);
+    let paths = if arguments.paths.is_empty() {
+        all_artifacts(&arguments.common.artifacts)?
+    } else {
+        arguments.paths.clone()
+    };
+    let mut verified = Vec::new();
+    let mut damaged = Vec::new();
+    for path in &paths {
+        match verify_artifact(path) {
+            Ok(report) => {
+                let bytes: u64 = report.files.iter().map(|file| file.bytes).sum();
+                console.say(&format!(
+                    "intact  {}  {} files, {bytes} bytes",
+                    path.display(),
+                    report.files.len()
+                ))?;
+                verified.push(json!({ "artifact": path, "key": report.manifest.key, "files": report.files.len(), "bytes": bytes }));
+            }
+            Err(error) => damaged.push(error),
+        }
+    }
+    console.answer(&json!({
+        "intact": verified,
+        "damaged": damaged.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    }))?;
+    match damaged.into_iter().next() {
+        Some(error) => Err(error.into()),
+        None => Ok(Outcome::Done),
+    }
+}
+
+fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {
+    let listing = |folder: &Path| -> Result<Vec<PathBuf>> {
+        let entries = std::fs::read_dir(folder).with_context(|| {
+            format!(
+                "cannot verify: {} is not a folder with artifacts; name one with --artifacts",
+                folder.display()
+            )
+        })?;
+        let mut paths = entries
+            .map(|entry| entry.map(|e| e.path()))
+            .collect::<std::io::Result<Vec<_>>>()?;
+        paths.sort();
+        Ok(paths)
+    };
+    let mut found = Vec::new();
+    for kind in listing(root)?.into_iter().filter(|path| path.is_dir()) {
+        found.extend(
+            listing(&kind)?
+                .into_iter()
+                .filter(|path| path.join(MANIFEST_NAME).exists()),
+        );
+    }
+    anyhow::ensure!(
+        !found.is_empty(),
+        "cannot verify: there is no artifact below {}; run a pipeline first",
+        root.display()
+    );
+    Ok(found)
+}

@@ -1,0 +1,80 @@
+//! Everything that is printed. Results go to standard output, notes and progress to standard error.
+
+use std::io::{IsTerminal as _, Write as _};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::Value;
+
+use crate::arguments::Common;
+
+/// How to print.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Console {
+    json: bool,
+    quiet: bool,
+}
+
+impl Console {
+    /// Printing as the command line asks.
+    pub(crate) fn new(common: &Common) -> Self {
+        Self {
+            json: common.json,
+            quiet: common.quiet,
+        }
+    }
+
+    /// A note on progress, on standard error.
+    pub(crate) fn note(self, text: &str) {
+        if !self.quiet {
+            // A closed standard error is no reason to stop the work.
+            let _ = writeln!(std::io::stderr(), "{text}");
+        }
+    }
+
+    /// A part of the result for people, on standard output.
+    pub(crate) fn say(self, text: &str) -> std::io::Result<()> {
+        if self.json {
+            Ok(())
+        } else {
+            closed_pipe_is_fine(writeln!(std::io::stdout(), "{text}"))
+        }
+    }
+
+    /// The result for machines, on standard output.
+    pub(crate) fn answer(self, value: &Value) -> std::io::Result<()> {
+        if self.json {
+            closed_pipe_is_fine(writeln!(std::io::stdout(), "{value}"))
+        } else {
+            Ok(())
+        }
+    }
+
+    /// A progress bar; invisible when asked to be quiet or when standard error is no terminal.
+    pub(crate) fn progress(self, length: u64, what: &'static str) -> ProgressBar {
+        let visible = !self.quiet && std::io::stderr().is_terminal();
+        let target = if visible {
+            ProgressDrawTarget::stderr()
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let bar = ProgressBar::with_draw_target(Some(length), target);
+        if let Ok(style) = ProgressStyle::with_template("{msg:>10} [{bar:40}] {pos}/{len} {per_sec} eta {eta}") {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        bar.set_message(what);
+        bar
+    }
+}
+
+/// A reader that has read enough (`| head`) ends the printing, not the work.
+fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
+    match result {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
+}
+
+/// Prints an error as one sentence on standard error.
+pub(crate) fn print_error(error: &anyhow::Error) {
+    let _ = writeln!(std::io::stderr(), "error: {error:#}");
+}

@@ -1,0 +1,42 @@
+//! `re4-pipe`: staged batch jobs from robot demonstrations to explainable imitation policies.
+//!
+//! This crate holds arguments, printing, exit codes and the wiring of stages to artifacts; what stages compute is in the
+//! library crates. Exit codes: 0 done, 1 a gate failed, 2 the user's or the machine's fault.
+
+mod arguments;
+mod commands;
+mod console;
+mod interrupt;
+mod pipeline;
+mod seeds;
+mod stages;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+use crate::arguments::{Arguments, Command};
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let outcome = match arguments.command {
+        Command::Ingest(arguments) => commands::run::ingest(&arguments),
+        Command::Segment(arguments) => commands::run::segment(&arguments),
+        Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
+        Command::Index(arguments) => commands::run::index(&arguments),
+        Command::Rollout(arguments) | Command::Run(arguments) => commands::run::rollout(&arguments),
+        Command::Replay(arguments) => commands::run::replay(&arguments),
+        Command::Verify(arguments) => commands::verify::verify(&arguments),
+        Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
+        Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
+        Command::Schemas(arguments) => commands::schemas::schemas(&arguments),
+    };
+    match outcome {
+        Ok(commands::Outcome::Done) => ExitCode::SUCCESS,
+        Ok(commands::Outcome::GateFailed) => ExitCode::from(1),
+        Err(error) => {
+            console::print_error(&error);
+            ExitCode::from(2)
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! The pipeline file: one experiment, stage by stage.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use re4_ingest::Selection;
+use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
+use re4_segment::SegmentConfig;
+use re4_sim::{ResetOrder, SeedScheme};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+
+use crate::seeds::Seeds;
+
+/// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Pipeline {
+    /// Task of the experiment.
+    pub(crate) task: TaskName,
+    /// What the policy observes.
+    pub(crate) variant: Variant,
+    /// Raw dataset to `episodes`.
+    pub(crate) ingest: IngestSection,
+    /// `episodes` to `modes`.
+    pub(crate) segment: SegmentConfig,
+    /// Where object poses come from.
+    pub(crate) pose: PoseSection,
+    /// `episodes` and `modes` to `index`.
+    pub(crate) index: IndexSection,
+    /// `index` to `rollouts`.
+    pub(crate) rollout: RolloutSection,
+}
+
+/// Tasks that this version knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum TaskName {
+    /// Push-T: a disc pushes a T-shaped block onto a goal pose in the plane.
+    PushT,
+}
+
+/// What the policy observes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Variant {
+    /// End-effector state and the object's true pose.
+    State,
+}
+
+/// Raw dataset to `episodes`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct IngestSection {
+    /// Folder or zip file of the Push-T zarr store: absolute, or below the data folder.
+    pub(crate) source: PathBuf,
+    /// Whether the pictures are ingested too.
+    #[serde(default = "yes")]
+    pub(crate) images: bool,
+    /// Which episodes to take.
+    #[serde(default)]
+    pub(crate) select: Selection,
+}
+
+/// Where object poses come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PoseSection {
+    /// Source of the poses that are indexed and that the policy sees.
+    pub(crate) source: PoseSource,
+}
+
+/// Source of object poses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum PoseSource {
+    /// The pose recorded in the dataset is the pose; nothing is trained.
+    Recorded,
+}
+
+/// `episodes` and `modes` to `index`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct IndexSection {
+    /// Longest chunk searchable by outcome, in frames.
+    #[serde(default = "longest_chunk")]
+    pub(crate) longest_chunk: u32,
+}
+
+/// `index` to `rollouts`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RolloutSection {
+    /// Preset that the policy starts from: `paper`, `re4` or `re2`. The tables below change single settings of it.
+    #[schemars(extend("enum" = PRESETS))]
+    pub(crate) policy: String,
+    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers.
+    pub(crate) seeds: Seeds,
+    /// Whose seeds: which generator makes the scene of a seed.
+    #[serde(default = "diffusion_policy")]
+    pub(crate) seed_scheme: SeedScheme,
+    /// In which order a reset sets the block's position and angle.
+    #[serde(default)]
+    pub(crate) reset: ResetOrder,
+    /// Control steps an episode lasts at most.
+    #[serde(default = "paper_steps")]
+    pub(crate) max_steps: u32,
+    /// Retrieve.
+    pub(crate) retrieve: RetrieveConfig,
+    /// Reframe.
+    pub(crate) reframe: ReframeConfig,
+    /// Replan.
+    pub(crate) replan: ReplanConfig,
+    /// Replay.
+    pub(crate) replay: ReplayConfig,
+}
+
+impl RolloutSection {
+    /// The policy with all its settings.
+    pub(crate) fn policy_config(&self) -> PolicyConfig {
+        PolicyConfig {
+            retrieve: self.retrieve.clone(),
+            reframe: self.reframe,
+            replan: self.replan.clone(),
+            replay: self.replay.clone(),
+        }
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn longest_chunk() -> u32 {
+    256
+}
+
+fn diffusion_policy() -> SeedScheme {
+    SeedScheme::DiffusionPolicy
+}
+
+fn paper_steps() -> u32 {
+    200
+}
+
+/// JSON Schema of the pipeline file. The policy's own tables need not be complete: the preset fills them.
+pub(crate) fn schema() -> Value {
+    let mut schema = json!(schemars::schema_for!(Pipeline));
+    if let Some(definitions) = schema.get_mut("$defs").and_then(Value::as_object_mut) {
+        for name in ["RetrieveConfig", "ReframeConfig", "ReplanConfig", "ReplayConfig"] {
+            if let Some(definition) = definitions.get_mut(name).and_then(Value::as_object_mut) {
+                definition.remove("required");
+            }
+        }
+        if let Some(required) = definitions
+            .get_mut("RolloutSection")
+            .and_then(|section| section.get_mut("required"))
+            .and_then(Value::as_array_mut)
+        {
+            required.retain(|name| {
+                !["retrieve", "reframe", "replan", "replay"]
+                    .iter()
+                    .any(|table| name == table)
+            });
+        }
+    }
+    schema
+}
+
+/// Reads a pipeline file and applies `--set` overrides.
+///
+/// # Errors
+/// When the file cannot be read, is not TOML, has an unknown key (named, with the nearest known one) or a value that
+/// does not fit.
+pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
+    let text = std::fs::read_to_string(path).with_context(|| {
+        format!(
+            "cannot read the pipeline file {}; give the path of a TOML file such as pipelines/demo.toml",
+            path.display()
+        )
+    })?;
+    let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
+        anyhow::anyhow!("cannot read the pipeline file {}: {}", path.display(), one_line(&error))
+    })?;
+    let mut document = serde_json::to_value(table).context("cannot represent the pipeline file")?;
+    for text in overrides {
+        apply(&mut document, text)?;
+    }
+    let schema = schema();
+    refuse_unknown(&schema, &schema, &document, "")
+        .with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    complete_policy(&mut document)?;
+    serde_path_to_error::deserialize(document).map_err(|error| {
+        let place = error.path().to_string();
+        anyhow::anyhow!(
+            "cannot use the pipeline file {}: {place}: {}",
+            path.display(),
+            error.into_inner()
+        )
+    })
+}
+
+fn one_line(error: &toml::de::Error) -> String {
+    let message = error.message().replace('\n', "; ");
+    match error.span() {
+        Some(span) => format!("{message} (at byte {})", span.start),
+        None => message,
+    }
+}
+
+/// Applies one `stage.key=value`; the value is TOML, or a plain string where it is not.
+fn apply(document: &mut Value, text: &str) -> Result<()> {
+    let Some((path, value)) = text.split_once('=') else {
+        bail!("cannot apply --set {text}: write stage.key=value, for instance rollout.seeds=500..600");
+    };
+    let parsed = format!("value = {value}")
+        .parse::<toml::Table>()
+        .ok()
+        .and_then(|mut table| table.remove("value"))
+        .map_or_else(|| Ok(Value::String(value.to_owned())), serde_json::to_value)?;
+    let mut at = document;
+    for key in path.trim().split('.') {
+        if key.is_empty() {
+            bail!("cannot apply --set {text}: the key is empty; write stage.key=value");
+        }
+        if !at.is_object() {
+            *at = Value::Object(Map::new());
+        }
+        let Value::Object(map) = at else { continue };
+        at = map.entry(key).or_insert(Value::Null);
+    }
+    *at = parsed;
+    Ok(())
+}
+
+/// Starts from the preset and lets the file's own settings replace single ones.
+fn complete_policy(document: &mut Value) -> Result<()> {
+    let Some(rollout) = document.get_mut("rollout").and_then(Value::as_object_mut) else {
+        return Ok(());
+    };
+    let Some(name) = rollout.get("policy").and_then(Value::as_str) else {
+        return Ok(());
+    };
+    let Some(preset) = PolicyConfig::preset(name) else {
+        bail!(
+            "unknown policy {name:?} in rollout.policy{}; the presets are {}",
+            suggestion(name, PRESETS),
+            PRESETS.join(", ")
+        );
+    };
+    if let Value::Object(sections) = serde_json::to_value(preset)? {
+        for (section, mut settings) in sections {
+            if let (Some(Value::Object(own)), Value::Object(settings)) = (rollout.get(&section), &mut settings) {
+                settings.extend(own.clone());
+            }
+            rollout.insert(section, settings);
+        }
+    }
+    Ok(())
+}
+
+/// Walks the document along its schema and refuses the first key that the schema does not know.
+fn refuse_unknown(root: &Value, schema: &Value, document: &Value, place: &str) -> Result<()> {
+    let schema = resolve(root, schema);
+    let (Value::Object(map), Some(properties)) = (document, schema.get("properties").and_then(Value::as_object)) else {
+        return Ok(());
+    };
+    for (key, value) in map {
+        let path = if place.is_empty() {
+            key.clone()
+        } else {
+            format!("{place}.{key}")
+        };
+        match properties.get(key) {
+            Some(inner) => refuse_unknown(root, inner, value, &path)?,
+            None => bail!(
+                "unknown key {path}{}; known here: {}",
+                suggestion(key, properties.keys().map(String::as_str)),
+                properties.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+            ),
+        }
+    }
+    Ok(())
+}
+
+fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
+    let target = schema
+        .get("$ref")
+        .and_then(Value::as_str)
+        .and_then(|r| r.strip_prefix('#'));
+    target.and_then(|pointer| root.pointer(pointer)).unwrap_or(schema)
+}
+
+fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    known
+        .into_iter()
+        .map(|candidate| (strsim::jaro_winkler(word, candidate), candidate))
+        .filter(|(likeness, _)| *likeness > 0.75)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or_else(String::new, |(_, candidate)| format!(" (did you mean {candidate}?)"))
+}

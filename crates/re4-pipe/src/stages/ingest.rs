@@ -1,0 +1,168 @@
+//! Ingest: raw dataset to `episodes`.
+
+use anyhow::{Context as _, Result};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+use rayon::prelude::*;
+use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
+use re4_ingest::pusht::{PushtEpisodes, PushtReader};
+use serde_json::json;
+
+use super::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 1;
+
+/// Pictures in a row group: few enough that one picture is read without decoding many.
+const PICTURES_IN_GROUP: usize = 256;
+
+impl Runner {
+    /// The `episodes` artifact.
+    pub(crate) fn ingest(&self) -> Result<Built> {
+        let section = &self.pipeline.ingest;
+        let path = self.data.join(&section.source);
+        if !path.exists() && section.source.is_relative() {
+            anyhow::bail!(
+                "cannot ingest {}: there is nothing at that path; set RE4_DATA to the folder that holds {}, or run re4-pipe fetch pusht",
+                path.display(),
+                section.source.display()
+            );
+        }
+        let reader = PushtReader::open(&path)?;
+        let hash = reader.source_hash()?;
+        let name = section
+            .source
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned());
+        let facts = json!({
+            "name": name,
+            "format": "zarr v2, Push-T replay buffer",
+            "episodes": reader.episode_ranges().len(),
+            "frames": reader.frame_count(),
+        });
+        let recipe = Recipe::new(Stage::Ingest, CODE_VERSION)
+            .config(&json!({ "images": section.images, "select": section.select }))?
+            .source(&hash, facts);
+        self.build(&recipe, |writer| self.ingest_from(&reader, writer))
+    }
+
+    fn ingest_from(&self, reader: &PushtReader, writer: &Writer) -> Result<Facts> {
+        let section = &self.pipeline.ingest;
+        let (episodes, warnings) = reader.read_episodes(&section.select)?;
+        write_episodes(&episodes, writer)?;
+        let mut pictures = 0;
+        if let (true, Some(shape)) = (section.images, reader.image_shape()) {
+            pictures = self.write_images(reader, &episodes, shape, writer)?;
+        }
+        let warnings = warnings.iter().map(serde_json::to_value).collect::<Result<_, _>>()?;
+        Ok(Facts {
+            summary: json!({
+                "episodes": episodes.episode_count(),
+                "frames": episodes.frame_count(),
+                "images": pictures,
+            }),
+            warnings,
+        })
+    }
+
+    fn write_images(
+        &self,
+        reader: &PushtReader,
+        episodes: &PushtEpisodes,
+        [height, width, channels]: [usize; 3],
+        writer: &Writer,
+    ) -> Result<usize> {
+        let bar = self.console.progress(episodes.frame_count() as u64, "images");
+        let mut table = writer.table_in_groups(&tables::IMAGES, PICTURES_IN_GROUP)?;
+        let mut episode = 0;
+        let mut written = 0;
+        for block in reader.image_blocks(&self.pipeline.ingest.select)? {
+            self.interrupt.check("ingest")?;
+            let block = block?;
+            let encoded = block
+                .bytes
+                .par_chunks_exact(height * width * channels)
+                .map(|pixels| encode_png(pixels, width as u32, height as u32))
+                .collect::<Result<Vec<_>>>()?;
+            let (mut numbers, mut frames) = (Vec::new(), Vec::new());
+            for row in block.frames {
+                while !episodes.rows.get(episode).is_none_or(|rows| rows.contains(&row)) {
+                    episode += 1;
+                }
+                let first = episodes.rows.get(episode).map_or(0, |rows| rows.start);
+                numbers.push(episode as u32);
+                frames.push((row - first) as u32);
+            }
+            written += encoded.len();
+            bar.inc(encoded.len() as u64);
+            table.write_columns(
+                Columns::new(&tables::IMAGES)
+                    .u32("episode", numbers)
+                    .u32("frame", frames)
+                    .binary("image", encoded),
+            )?;
+        }
+        table.finish()?;
+        bar.finish_and_clear();
+        Ok(written)
+    }
+}
+
+fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(4096);
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::NoFilter)
+        .write_image(pixels, width, height, ExtendedColorType::Rgb8)
+        .context("cannot encode a picture as PNG")?;
+    Ok(bytes)
+}
+
+fn write_episodes(episodes: &PushtEpisodes, writer: &Writer) -> Result<()> {
+    let numbers: Vec<u32> = (0..episodes.episode_count() as u32).collect();
+    let mut table = writer.table(&tables::EPISODES)?;
+    table.write_columns(
+        Columns::new(&tables::EPISODES)
+            .u32("episode", numbers)
+            .u32("source_episode", episodes.sources.clone())
+            .u32(
+                "frames",
+                episodes.frames.iter().map(|range| range.len() as u32).collect(),
+            ),
+    )?;
+    table.finish()?;
+
+    let rows = episodes.frame_count();
+    let (mut episode, mut frame) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+    for (number, range) in episodes.frames.iter().enumerate() {
+        episode.extend(std::iter::repeat_n(number as u32, range.len()));
+        frame.extend(0..range.len() as u32);
+    }
+    let state = |i: usize| episodes.state.iter().map(|row| row[i]).collect::<Vec<f64>>();
+    let action = |i: usize| episodes.action.iter().map(|row| row[i]).collect::<Vec<f64>>();
+    let optional = |values: Option<Vec<f64>>| {
+        values.map_or_else(|| vec![None; rows], |values| values.into_iter().map(Some).collect())
+    };
+    let mut columns = Columns::new(&tables::FRAMES)
+        .u32("episode", episode)
+        .u32("frame", frame)
+        .f64("eef_x", state(0))
+        .f64("eef_y", state(1))
+        .f64("object_x", state(2))
+        .f64("object_y", state(3))
+        .f64("object_theta", state(4))
+        .f64("action_x", action(0))
+        .f64("action_y", action(1))
+        .f64_or_null("contacts", optional(episodes.contacts.clone()));
+    for keypoint in 0..re4_ingest::pusht::KEYPOINTS {
+        for (axis, name) in ["x", "y"].into_iter().enumerate() {
+            let values = episodes
+                .keypoint
+                .as_ref()
+                .map(|points| points.iter().map(|row| row[keypoint][axis]).collect());
+            columns = columns.f64_or_null(&format!("keypoint_{keypoint}_{name}"), optional(values));
+        }
+    }
+    let mut table = writer.table(&tables::FRAMES)?;
+    table.write_columns(columns)?;
+    table.finish()?;
+    Ok(())
+}

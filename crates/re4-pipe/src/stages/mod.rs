@@ -1,0 +1,161 @@
+//! The stages: which artifacts go in, which come out.
+
+mod index;
+mod ingest;
+mod replay;
+mod rollout;
+mod segment;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use re4_artifact::{Artifact, Facts, Recipe, Stage, Store, Writer};
+use serde_json::{Value, json};
+
+use crate::arguments::{Common, StageArguments};
+use crate::console::Console;
+use crate::interrupt::Interrupt;
+use crate::pipeline::{Pipeline, load};
+
+pub(crate) use rollout::{metrics, read_rollouts};
+
+/// A pipeline with all that its stages need.
+pub(crate) struct Runner {
+    /// The pipeline file, overrides applied.
+    pub(crate) pipeline: Pipeline,
+    /// Where artifacts are.
+    pub(crate) store: Store,
+    /// Where to print.
+    pub(crate) console: Console,
+    /// Ctrl-C.
+    pub(crate) interrupt: Interrupt,
+    data: PathBuf,
+}
+
+/// An artifact, and how it came about.
+pub(crate) struct Built {
+    /// Stage.
+    pub(crate) stage: Stage,
+    /// The artifact.
+    pub(crate) artifact: Artifact,
+    /// Whether it was there already.
+    pub(crate) skipped: bool,
+    /// How long making or checking it took.
+    pub(crate) wall: Duration,
+}
+
+impl Built {
+    /// For `--json`.
+    pub(crate) fn to_json(&self) -> Value {
+        json!({
+            "stage": self.stage.as_str(),
+            "artifact": self.artifact.path(),
+            "key": self.artifact.key(),
+            "skipped": self.skipped,
+            "summary": self.artifact.manifest().summary,
+            "warnings": self.artifact.manifest().warnings,
+            "wall_s": self.wall.as_secs_f64(),
+        })
+    }
+}
+
+impl Runner {
+    /// Reads the pipeline file, sets up threads and opens the store.
+    pub(crate) fn new(arguments: &StageArguments, more_overrides: &[String]) -> Result<Self> {
+        let mut overrides = arguments.set.clone();
+        overrides.extend_from_slice(more_overrides);
+        let pipeline = load(&arguments.pipeline, &overrides)?;
+        set_up_threads(&arguments.common)?;
+        Ok(Self {
+            pipeline,
+            store: Store::open(&arguments.common.artifacts)?,
+            console: Console::new(&arguments.common),
+            interrupt: Interrupt::listen(),
+            data: data_folder(),
+        })
+    }
+
+    /// Makes an artifact unless it is there.
+    fn build(&self, recipe: &Recipe, make: impl FnOnce(&Writer) -> Result<Facts>) -> Result<Built> {
+        let stage = recipe.stage();
+        let start = Instant::now();
+        let key = recipe.key();
+        if let Some(artifact) = self.store.lookup(stage, &key)? {
+            let built = Built {
+                stage,
+                artifact,
+                skipped: true,
+                wall: start.elapsed(),
+            };
+            self.console.note(&format!(
+                "{:>10}  {}  unchanged, skipped",
+                stage.as_str(),
+                built.artifact.path().display()
+            ));
+            return Ok(built);
+        }
+        let writer = self.store.begin(recipe)?;
+        let facts = make(&writer)?;
+        self.interrupt.check(stage.as_str())?;
+        let artifact = writer.publish(facts)?;
+        let wall = start.elapsed();
+        // Facts of the run itself stand beside the artifact, outside of every hash.
+        self.store.record_run(
+            stage,
+            &key,
+            &json!({ "wall_s": wall.as_secs_f64(), "threads": rayon::current_num_threads() }),
+        )?;
+        let manifest = artifact.manifest();
+        self.console.note(&format!(
+            "{:>10}  {}  {}{}  {:.2} s",
+            stage.as_str(),
+            artifact.path().display(),
+            headline(&manifest.summary),
+            match manifest.warnings.len() {
+                0 => String::new(),
+                1 => ", 1 warning".to_owned(),
+                n => format!(", {n} warnings"),
+            },
+            wall.as_secs_f64()
+        ));
+        Ok(Built {
+            stage,
+            artifact,
+            skipped: false,
+            wall,
+        })
+    }
+}
+
+/// Whole numbers of a summary, as `25650 frames, 206 episodes`.
+fn headline(summary: &Value) -> String {
+    summary
+        .as_object()
+        .map(|map| {
+            map.iter()
+                .filter(|(_, value)| value.is_u64())
+                .map(|(name, value)| format!("{value} {}", name.replace('_', " ")))
+                .collect::<Vec<_>>()
+                .join(", ")
+        })
+        .unwrap_or_default()
+}
+
+/// The folder with raw datasets: `RE4_DATA`, else `data`.
+pub(crate) fn data_folder() -> PathBuf {
+    std::env::var_os("RE4_DATA")
+        .filter(|value| !value.is_empty())
+        .map_or_else(|| PathBuf::from("data"), PathBuf::from)
+}
+
+/// Sizes the thread pool as the command line asks.
+pub(crate) fn set_up_threads(common: &Common) -> Result<()> {
+    if let Some(jobs) = common.jobs {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(jobs.get())
+            .build_global()
+            .with_context(|| format!("cannot start {jobs} worker threads; give a smaller --jobs"))?;
+    }
+    Ok(())
+}
