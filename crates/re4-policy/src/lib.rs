@@ -2,6 +2,7 @@
 
 mod config;
 mod demos;
+mod open_loop;
 mod outcome;
 mod path;
 mod policy;
@@ -15,6 +16,7 @@ pub use config::{
     PRESETS, Planner, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig, Selector, Tracking,
 };
 pub use demos::DemoSet;
+pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
 pub use policy::{Decision, Knowledge, Phase, Re4};
 pub use pusher::{PusherModel, PusherState};

@@ -94,6 +94,30 @@ pub struct Decision {
     pub compared: u32,
 }
 
+impl Decision {
+    /// The decision in words.
+    pub fn reason(&self) -> String {
+        let chosen = format!("demonstration {} from frame {}", self.demo, self.demo_frame);
+        let why = match (self.d_q, self.d_o) {
+            (Some(d_q), Some(d_o)) => format!(
+                "nearest object pose (d_o {d_o:.4}) among the nearest states of {} demonstrations (d_q {d_q:.4})",
+                self.compared
+            ),
+            _ => format!(
+                "its push to frame {} is expected to lead to a coverage of {:.3}, at the least cost of {} chunks compared",
+                self.demo_end, self.predicted_coverage, self.compared
+            ),
+        };
+        let way = match self.plan_kind {
+            PlanKind::Direct => "the straight way to its start is free",
+            PlanKind::Planned => "a way round the block leads to its start",
+            PlanKind::Failed => "no free way to its start was found, so the straight one is taken",
+            PlanKind::Off => "it is replayed from where the pusher is",
+        };
+        format!("{chosen}: {why}; {way}")
+    }
+}
+
 /// One command that waits for its control step.
 #[derive(Debug, Clone, Copy)]
 enum Command {

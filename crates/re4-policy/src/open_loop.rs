@@ -1,0 +1,63 @@
+//! Open-loop replay of demonstrations: the recorded actions, from the recorded first state, without looking again.
+
+use re4_episode::PlanarFrame;
+use re4_geometry::periodic_distance;
+use re4_sim::{GOAL, PushT, ResetOrder, Scene, SimError, Simulator as _, coverage};
+
+use crate::outcome::Body;
+
+/// Distance between a replay and its recording at one frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Divergence {
+    /// Between the pushers, in pixels.
+    pub pusher: f64,
+    /// Between the origins of the block's frame, in pixels.
+    pub block_position: f64,
+    /// Between the block's angles, the short way round, in radians.
+    pub block_angle: f64,
+    /// Root mean square displacement of the block's points, in pixels.
+    pub block: f64,
+}
+
+/// An open-loop replay of one demonstration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OpenLoop {
+    /// Divergence at every recorded frame, the first included.
+    pub divergence: Vec<Divergence>,
+    /// Coverage at the last recorded frame.
+    pub coverage_recorded: f64,
+    /// Coverage of the replay at the same frame.
+    pub coverage_replayed: f64,
+    /// Coverage after the last action, which no recorded frame shows.
+    pub coverage_after: f64,
+}
+
+/// Replays a demonstration from its own first state. `None` for one without frames.
+///
+/// # Errors
+/// When the simulator refuses the first state or an action.
+pub fn replay_open_loop(simulator: &mut PushT, frames: &[PlanarFrame]) -> Result<Option<OpenLoop>, SimError> {
+    let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return Ok(None) };
+    let body = Body::tee();
+    simulator.reset(&Scene::from_observed(first.eef, first.object), ResetOrder::Legacy)?;
+    let mut now = simulator.outcome();
+    let mut divergence = Vec::with_capacity(frames.len());
+    let mut coverage_replayed = now.coverage;
+    for frame in frames {
+        let block = now.observation.block;
+        divergence.push(Divergence {
+            pusher: (now.observation.agent - frame.eef).norm(),
+            block_position: (block.translation() - frame.object.translation()).norm(),
+            block_angle: periodic_distance(block.theta, frame.object.theta, std::f64::consts::TAU),
+            block: body.distance(block, frame.object),
+        });
+        coverage_replayed = now.coverage;
+        now = simulator.step(&frame.action)?;
+    }
+    Ok(Some(OpenLoop {
+        divergence,
+        coverage_recorded: coverage(last.object, GOAL),
+        coverage_replayed,
+        coverage_after: now.coverage,
+    }))
+}
