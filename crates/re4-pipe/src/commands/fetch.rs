@@ -6,12 +6,12 @@ use serde_json::json;
 use super::Outcome;
 use crate::arguments::FetchArguments;
 use crate::console::Console;
-use crate::stages::data_folder;
+use crate::stages::data_folders;
 
 /// Downloads, checks and unpacks.
 pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let destination = arguments.destination.clone().unwrap_or_else(data_folder);
+    let destination = arguments.destination.clone().or_else(|| data_folders().into_iter().next()).unwrap_or_default();
     let _ = (json!({}), destination, console);
     Ok(Outcome::Done)
 }

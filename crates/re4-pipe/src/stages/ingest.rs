@@ -1,5 +1,7 @@
 //! Ingest: raw dataset to `episodes`.
 
+use std::path::{Path, PathBuf};
+
 use anyhow::{Context as _, Result};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
@@ -8,7 +10,7 @@ use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
 use re4_ingest::pusht::{PushtEpisodes, PushtReader};
 use serde_json::json;
 
-use super::{Built, Runner};
+use super::{Built, Runner, data_folders};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
@@ -20,14 +22,7 @@ impl Runner {
     /// The `episodes` artifact.
     pub(crate) fn ingest(&self) -> Result<Built> {
         let section = &self.pipeline.ingest;
-        let path = self.data.join(&section.source);
-        if !path.exists() && section.source.is_relative() {
-            anyhow::bail!(
-                "cannot ingest {}: there is nothing at that path; set RE4_DATA to the folder that holds {}, or run re4-pipe fetch pusht",
-                path.display(),
-                section.source.display()
-            );
-        }
+        let path = find_source(&section.source)?;
         let reader = PushtReader::open(&path)?;
         let hash = reader.source_hash()?;
         let name = section
@@ -106,6 +101,22 @@ impl Runner {
         bar.finish_and_clear();
         Ok(written)
     }
+}
+
+/// A relative source is looked for below `RE4_DATA`, then below `data`.
+fn find_source(source: &Path) -> Result<PathBuf> {
+    if source.is_absolute() {
+        return Ok(source.to_owned());
+    }
+    let folders = data_folders();
+    if let Some(found) = folders.iter().map(|folder| folder.join(source)).find(|path| path.exists()) {
+        return Ok(found);
+    }
+    anyhow::bail!(
+        "cannot ingest {}: it is not below {}; set RE4_DATA to the folder that holds it, or get the data with re4-pipe fetch pusht",
+        source.display(),
+        folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(" or ")
+    )
 }
 
 fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {

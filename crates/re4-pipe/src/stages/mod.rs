@@ -30,7 +30,6 @@ pub(crate) struct Runner {
     pub(crate) console: Console,
     /// Ctrl-C.
     pub(crate) interrupt: Interrupt,
-    data: PathBuf,
 }
 
 /// An artifact, and how it came about.
@@ -72,7 +71,6 @@ impl Runner {
             store: Store::open(&arguments.common.artifacts)?,
             console: Console::new(&arguments.common),
             interrupt: Interrupt::listen(),
-            data: data_folder(),
         })
     }
 
@@ -142,11 +140,10 @@ fn headline(summary: &Value) -> String {
         .unwrap_or_default()
 }
 
-/// The folder with raw datasets: `RE4_DATA`, else `data`.
-pub(crate) fn data_folder() -> PathBuf {
-    std::env::var_os("RE4_DATA")
-        .filter(|value| !value.is_empty())
-        .map_or_else(|| PathBuf::from("data"), PathBuf::from)
+/// The folders with raw datasets, in the order in which they are searched: `RE4_DATA` where it is set, then `data`.
+pub(crate) fn data_folders() -> Vec<PathBuf> {
+    let named = std::env::var_os("RE4_DATA").filter(|value| !value.is_empty()).map(PathBuf::from);
+    named.into_iter().chain([PathBuf::from("data")]).collect()
 }
 
 /// Sizes the thread pool as the command line asks.
