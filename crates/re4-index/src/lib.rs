@@ -18,6 +18,7 @@
 mod linear;
 mod metric;
 mod search;
+mod tree;
 
 pub use linear::retrieve_linear;
 pub use metric::{AngleMetric, Normalization, Range};

@@ -108,6 +108,25 @@ pub(crate) fn object_squared(a: &[f64; 5], x: f64, y: f64, theta: f64, period: f
     dx * dx + dy * dy + turn * turn
 }
 
+/// A lower bound of [`object_squared`] over the poses in a box, in the same order of operations: rounding is monotonic,
+/// so the bound holds to the bit and needs no slack.
+#[inline(always)]
+pub(crate) fn box_squared(a: &[f64; 5], low: [f64; 3], high: [f64; 3], period: f64) -> f64 {
+    let outside = |q: f64, i: usize| larger(larger(low[i] - q, q - high[i]), 0.0);
+    let (dx, dy) = (outside(a[2], 0), outside(a[3], 1));
+    let (nearest, farthest) = (outside(a[4], 2), larger(a[4] - low[2], high[2] - a[4]));
+    // Going the other way round is shortest to the angle that is farthest the direct way.
+    let around = larger(period - farthest, 0.0);
+    let turn = if around < nearest { around } else { nearest };
+    dx * dx + dy * dy + turn * turn
+}
+
+/// The maximum as one instruction: unlike `f64::max` it need not tell NaN apart, which never comes here.
+#[inline(always)]
+fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
 /// Squared `d_q` from the end-effector terms and the squared `d_o`.
 #[inline(always)]
 pub(crate) fn state_squared(a: &[f64; 5], x: f64, y: f64, object_squared: f64) -> f64 {
