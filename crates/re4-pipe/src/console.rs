@@ -76,5 +76,72 @@ fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
 
 /// Prints an error as one sentence on standard error.
 pub(crate) fn print_error(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr(), "error: {error:#}");
+    let _ = writeln!(std::io::stderr(), "error: {}", sentence(error));
+}
+
+/// Prints what is wrong with the command line, as one sentence on standard error.
+pub(crate) fn print_usage_error(error: &clap::Error) {
+    let _ = writeln!(
+        std::io::stderr(),
+        "error: {}",
+        usage_sentence(&error.render().to_string())
+    );
+}
+
+/// What, where and how to mend: contexts are written `what; mend`, and the cause stands between the two. Errors of the
+/// library crates are whole sentences that name their causes.
+fn sentence(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    let mut mend = String::new();
+    for cause in error.chain() {
+        let words = cause.to_string();
+        let whole = is_whole(cause);
+        let (what, how) = match words.split_once("; ") {
+            Some((what, how)) if !whole && mend.is_empty() => (what, format!("; {how}")),
+            _ => (words.as_str(), String::new()),
+        };
+        if text.is_empty() {
+            what.clone_into(&mut text);
+        } else {
+            text = format!("{text}: {what}");
+        }
+        mend.push_str(&how);
+        if whole {
+            break;
+        }
+    }
+    text + &mend
+}
+
+fn is_whole(error: &(dyn std::error::Error + 'static)) -> bool {
+    error.is::<re4_artifact::ArtifactError>()
+        || error.is::<re4_ingest::IngestError>()
+        || error.is::<re4_ingest::pusht::RecordError>()
+        || error.is::<re4_segment::SegmentError>()
+        || error.is::<re4_index::IndexError>()
+        || error.is::<re4_policy::PolicyError>()
+        || error.is::<re4_policy::RolloutError>()
+        || error.is::<re4_sim::SimError>()
+}
+
+/// The parser answers in paragraphs: what is wrong (in its last line, the names it is about), a tip, the usage.
+fn usage_sentence(rendered: &str) -> String {
+    let mut parts = Vec::new();
+    for paragraph in rendered.split("\n\n") {
+        let lines: Vec<&str> = paragraph
+            .lines()
+            .map(str::trim)
+            .filter(|line| !line.is_empty())
+            .collect();
+        match lines.first() {
+            None => {}
+            Some(line) if line.starts_with("Usage:") || line.starts_with("For more information") => {}
+            Some(line) => parts.push(
+                lines
+                    .join(" ")
+                    .replacen("error: ", "", usize::from(line.starts_with("error: "))),
+            ),
+        }
+    }
+    format!("{}; see re4-pipe --help", parts.join("; "))
 }

@@ -7,6 +7,7 @@ mod arguments;
 mod commands;
 mod console;
 mod interrupt;
+mod limits;
 mod pipeline;
 mod seeds;
 mod stages;
@@ -18,7 +19,14 @@ use clap::Parser as _;
 use crate::arguments::{Arguments, Command};
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) if is_help(&error) => error.exit(),
+        Err(error) => {
+            console::print_usage_error(&error);
+            return ExitCode::from(2);
+        }
+    };
     let outcome = match arguments.command {
         Command::Ingest(arguments) => commands::run::ingest(&arguments),
         Command::Segment(arguments) => commands::run::segment(&arguments),
@@ -39,4 +47,13 @@ fn main() -> ExitCode {
             ExitCode::from(2)
         }
     }
+}
+
+/// Help and version are asked for, or shown where a subcommand is missing; they are printed as they are.
+fn is_help(error: &clap::Error) -> bool {
+    use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
+    matches!(
+        error.kind(),
+        DisplayHelp | DisplayHelpOnMissingArgumentOrSubcommand | DisplayVersion
+    )
 }

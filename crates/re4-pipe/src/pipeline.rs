@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
+use crate::limits;
 use crate::seeds::Seeds;
 
 /// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
@@ -181,7 +182,11 @@ pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
         )
     })?;
     let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
-        anyhow::anyhow!("cannot read the pipeline file {}: {}", path.display(), one_line(&error))
+        anyhow::anyhow!(
+            "cannot read the pipeline file {}: {}",
+            path.display(),
+            one_line(&text, &error)
+        )
     })?;
     let mut document = serde_json::to_value(table).context("cannot represent the pipeline file")?;
     for text in overrides {
@@ -190,23 +195,49 @@ pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
     let schema = schema();
     refuse_unknown(&schema, &schema, &document, "")
         .with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
-    complete_policy(&mut document)?;
-    serde_path_to_error::deserialize(document).map_err(|error| {
-        let place = error.path().to_string();
-        anyhow::anyhow!(
-            "cannot use the pipeline file {}: {place}: {}",
-            path.display(),
-            error.into_inner()
-        )
-    })
+    complete_policy(&mut document).with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    let pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
+        let place = match error.path().to_string().as_str() {
+            "." => String::new(),
+            place => format!("{place}: "),
+        };
+        let why = in_words(&error.into_inner().to_string());
+        anyhow::anyhow!("cannot use the pipeline file {}: {place}{why}", path.display())
+    })?;
+    limits::check(&pipeline).with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    Ok(pipeline)
 }
 
-fn one_line(error: &toml::de::Error) -> String {
+/// The message with line and column, both counted from 1.
+fn one_line(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().replace('\n', "; ");
-    match error.span() {
-        Some(span) => format!("{message} (at byte {})", span.start),
-        None => message,
+    let Some(before) = error.span().and_then(|span| text.get(..span.start)) else {
+        return message;
+    };
+    let line = before.matches('\n').count() + 1;
+    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
+    format!("line {line}, column {column}: {message}")
+}
+
+/// The decoder's words without names of Rust types.
+fn in_words(message: &str) -> String {
+    let mut words = Vec::new();
+    let mut rest = message.split(' ').peekable();
+    while let Some(word) = rest.next() {
+        words.push(match word {
+            "struct" if words.last() == Some(&"expected") => {
+                rest.next();
+                "a table"
+            }
+            "u32" => "a whole number from 0 to 4294967295",
+            "usize" => "a whole number of at least 0",
+            "f64" => "a number",
+            // Neither TOML nor JSON can say null: it stands for what JSON cannot say.
+            "null," => "nan or inf,",
+            other => other,
+        });
     }
+    words.join(" ")
 }
 
 /// Applies one `stage.key=value`; the value is TOML, or a plain string where it is not.
@@ -251,8 +282,11 @@ fn complete_policy(document: &mut Value) -> Result<()> {
     };
     if let Value::Object(sections) = serde_json::to_value(preset)? {
         for (section, mut settings) in sections {
-            if let (Some(Value::Object(own)), Value::Object(settings)) = (rollout.get(&section), &mut settings) {
-                settings.extend(own.clone());
+            match (rollout.get(&section), &mut settings) {
+                (Some(Value::Object(own)), Value::Object(settings)) => settings.extend(own.clone()),
+                // Not a table: left for the decoder to refuse.
+                (Some(_), _) => continue,
+                (None, _) => {}
             }
             rollout.insert(section, settings);
         }

@@ -1,6 +1,7 @@
 //! `re4-pipe fetch`: download a dataset.
 
 use anyhow::Result;
+use re4_fetch::{Outcome as Fetched, find};
 use serde_json::json;
 
 use super::Outcome;
@@ -11,7 +12,51 @@ use crate::stages::data_folders;
 /// Downloads, checks and unpacks.
 pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let destination = arguments.destination.clone().or_else(|| data_folders().into_iter().next()).unwrap_or_default();
-    let _ = (json!({}), destination, console);
+    let destination = arguments
+        .destination
+        .clone()
+        .or_else(|| data_folders().into_iter().next())
+        .unwrap_or_default();
+    let mut dataset = find(&arguments.dataset)?;
+    if let Some(url) = &arguments.url {
+        dataset = dataset.with_url(url);
+    }
+    console.note(&format!(
+        "fetching {} ({}) to {}",
+        dataset.url,
+        dataset.licence,
+        destination.display()
+    ));
+    let bar = console.progress(0, "bytes");
+    let report = re4_fetch::fetch(&dataset, &destination, &mut |done, length| {
+        bar.set_length(length.unwrap_or(done));
+        bar.set_position(done);
+    })?;
+    bar.finish_and_clear();
+    let path = report.path.display();
+    let (text, facts) = match &report.outcome {
+        Fetched::AlreadyThere => (
+            format!("{path} is there already; nothing was downloaded"),
+            json!({ "skipped": true }),
+        ),
+        Fetched::Fetched {
+            bytes,
+            resumed_from,
+            sha256,
+            verified,
+        } => {
+            let check = if *verified {
+                "equal to the recorded one"
+            } else {
+                "none is recorded to compare it with"
+            };
+            (
+                format!("{path}: {bytes} bytes downloaded, sha256 {sha256} ({check})"),
+                json!({ "skipped": false, "bytes": bytes, "resumed_from": resumed_from, "sha256": sha256, "verified": verified }),
+            )
+        }
+    };
+    console.answer(&json!({ "dataset": report.dataset, "path": report.path, "outcome": facts }))?;
+    console.say(&text)?;
     Ok(Outcome::Done)
 }

@@ -90,7 +90,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
         "policy": section.policy,
         "episodes": rollouts,
         "max_steps": section.max_steps,
-        "metrics": metrics,
+        "metrics": in_order(&metrics),
         "artifact": built.artifact.path(),
         "wall_s": start.elapsed().as_secs_f64(),
     }))?;
@@ -164,15 +164,27 @@ fn report(runner: &Runner, built: &Built) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Value before bounds; manifests sort their keys.
+fn in_order(metrics: &Value) -> Value {
+    let ordered = |metric: &Value| json!({ "value": metric["value"], "low": metric["low"], "high": metric["high"] });
+    Value::Object(
+        METRICS
+            .iter()
+            .map(|(_, name)| ((*name).to_owned(), ordered(&metrics[*name])))
+            .collect(),
+    )
+}
+
+const METRICS: [(&str, &str); 4] = [
+    ("scaled score", "score_scaled_mean"),
+    ("raw coverage", "coverage_raw_mean"),
+    ("IoU", "iou_mean"),
+    ("success rate", "success_rate"),
+];
+
 fn score_table(policy: &str, rollouts: usize, max_steps: u32, metrics: &Value) -> String {
     let mut text = format!("policy {policy}, {rollouts} rollouts of at most {max_steps} steps; mean, 95 % interval\n");
-    let rows = [
-        ("scaled score", "score_scaled_mean"),
-        ("raw coverage", "coverage_raw_mean"),
-        ("IoU", "iou_mean"),
-        ("success rate", "success_rate"),
-    ];
-    for (label, name) in rows {
+    for (label, name) in METRICS {
         let number = |key| {
             metrics
                 .get(name)

@@ -109,19 +109,27 @@ fn find_source(source: &Path) -> Result<PathBuf> {
         return Ok(source.to_owned());
     }
     let folders = data_folders();
-    if let Some(found) = folders.iter().map(|folder| folder.join(source)).find(|path| path.exists()) {
+    if let Some(found) = folders
+        .iter()
+        .map(|folder| folder.join(source))
+        .find(|path| path.exists())
+    {
         return Ok(found);
     }
     anyhow::bail!(
         "cannot ingest {}: it is not below {}; set RE4_DATA to the folder that holds it, or get the data with re4-pipe fetch pusht",
         source.display(),
-        folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(" or ")
+        folders
+            .iter()
+            .map(|folder| folder.display().to_string())
+            .collect::<Vec<_>>()
+            .join(" or ")
     )
 }
 
 fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(4096);
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::NoFilter)
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(pixels, width, height, ExtendedColorType::Rgb8)
         .context("cannot encode a picture as PNG")?;
     Ok(bytes)

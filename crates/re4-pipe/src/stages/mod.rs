@@ -142,7 +142,9 @@ fn headline(summary: &Value) -> String {
 
 /// The folders with raw datasets, in the order in which they are searched: `RE4_DATA` where it is set, then `data`.
 pub(crate) fn data_folders() -> Vec<PathBuf> {
-    let named = std::env::var_os("RE4_DATA").filter(|value| !value.is_empty()).map(PathBuf::from);
+    let named = std::env::var_os("RE4_DATA")
+        .filter(|value| !value.is_empty())
+        .map(PathBuf::from);
     named.into_iter().chain([PathBuf::from("data")]).collect()
 }
 
