@@ -282,3 +282,125 @@ fn interleave(mut planes: [Word; 8], out: &mut [u8; GROUP]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use proptest::prelude::*;
+    use zarrs::array::{Array, ArrayBytes, ArrayMetadata, ArrayToBytesCodecTraits, CodecOptions};
+    use zarrs::storage::store::MemoryStore;
+
+    use super::*;
+
+    /// Floats as the original dataset stores them.
+    fn encode(values: &[f32], cname: &str, shuffle: u8, blocksize: usize) -> Vec<u8> {
+        let metadata = serde_json::json!({
+            "zarr_format": 2, "shape": [values.len()], "chunks": [values.len()], "dtype": "<f4", "fill_value": 0.0,
+            "filters": null, "order": "C",
+            "compressor": { "id": "blosc", "cname": cname, "clevel": 5, "shuffle": shuffle, "blocksize": blocksize },
+        });
+        let metadata = ArrayMetadata::V2(serde_json::from_value(metadata).unwrap());
+        let array = Array::new_with_metadata(Arc::new(MemoryStore::new()), "/a", metadata).unwrap();
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_ne_bytes()).collect();
+        let shape = array.chunk_shape(&[0]).unwrap();
+        let options = CodecOptions::default();
+        let encoded = array.codecs().encode(
+            ArrayBytes::new_flen(bytes),
+            &shape,
+            array.data_type(),
+            array.fill_value(),
+            &options,
+        );
+        encoded.unwrap().into_owned()
+    }
+
+    fn decoded(encoded: &[u8], values: usize, wanted: usize) -> Option<Vec<u8>> {
+        let mut out = vec![0xA5; wanted];
+        decode(encoded, values, &mut out, &mut Scratch::default()).map(|()| out)
+    }
+
+    /// Values with runs, so that they compress and blosc does not store them plainly.
+    fn bytes() -> impl Strategy<Value = Vec<u8>> {
+        prop::collection::vec((any::<u8>(), 1..60usize), 8..200).prop_map(|runs| {
+            let mut bytes: Vec<u8> = runs.iter().flat_map(|&(byte, count)| vec![byte; count]).collect();
+            bytes.truncate(bytes.len() / 8 * 8);
+            bytes
+        })
+    }
+
+    #[test]
+    fn every_byte_value_survives() {
+        let bytes: Vec<u8> = (0..=255).flat_map(|byte| [byte; 8]).collect();
+        let floats: Vec<f32> = bytes.iter().copied().map(f32::from).collect();
+        assert_eq!(
+            decoded(&encode(&floats, "zstd", 2, 0), floats.len(), floats.len()),
+            Some(bytes)
+        );
+    }
+
+    #[test]
+    fn other_encodings_are_left_to_the_general_path() {
+        let floats = vec![7.0; 4096];
+        for (cname, shuffle) in [("zstd", 0), ("zstd", 1), ("lz4", 2), ("blosclz", 2), ("zlib", 2)] {
+            assert_eq!(
+                decoded(&encode(&floats, cname, shuffle, 0), 4096, 4096),
+                None,
+                "{cname} {shuffle}"
+            );
+        }
+        let encoded = encode(&floats, "zstd", 2, 0);
+        assert!(decoded(&encoded, 4096, 4096).is_some());
+        assert_eq!(decoded(&encoded, 4095, 4095), None);
+        assert_eq!(decoded(&encoded, 4096, 4097), None);
+        // An element count that does not fill whole bytes of the planes is stored without shuffling.
+        assert_eq!(decoded(&encode(&vec![7.0; 4095], "zstd", 2, 0), 4095, 4095), None);
+    }
+
+    proptest! {
+        #[test]
+        fn whole_numbers_survive(bytes in bytes(), blocksize in prop::sample::select(vec![0, 128, 512, 4096]), part in 0.0..1.0f64) {
+            let floats: Vec<f32> = bytes.iter().copied().map(f32::from).collect();
+            let encoded = encode(&floats, "zstd", 2, blocksize);
+            let wanted = (part * bytes.len() as f64) as usize;
+            // Blosc stores plainly what does not shrink; that is for the general path.
+            prop_assume!(encoded[2] & FLAG_COPIED == 0);
+            if let Some(out) = decoded(&encoded, bytes.len(), bytes.len()) {
+                prop_assert_eq!(&out, &bytes);
+                prop_assert_eq!(decoded(&encoded, bytes.len(), wanted).unwrap(), &bytes[..wanted]);
+            } else {
+                // A last block whose elements do not fill whole bytes of the planes.
+                prop_assert!(bytes.len() % 8 != 0 || blocksize != 0);
+            }
+        }
+
+        #[test]
+        fn anything_else_is_noticed(
+            bytes in bytes(),
+            at in any::<prop::sample::Index>(),
+            odd in prop_oneof![
+                (0.0..256.0f32).prop_filter("whole", |value| value.fract() != 0.0),
+                256.0..1e6f32,
+                -300.0..-0.001f32,
+                prop::sample::select(vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MIN_POSITIVE, 1e-45, 256.0, 0.5, -1.0]),
+            ],
+        ) {
+            let mut floats: Vec<f32> = bytes.iter().copied().map(f32::from).collect();
+            let place = at.index(floats.len());
+            floats[place] = odd;
+            prop_assert_eq!(decoded(&encode(&floats, "zstd", 2, 0), floats.len(), floats.len()), None);
+        }
+
+        #[test]
+        fn damage_never_panics(bytes in bytes(), at in 0..64usize, byte in any::<u8>(), cut in any::<prop::sample::Index>()) {
+            let floats: Vec<f32> = bytes.iter().copied().map(f32::from).collect();
+            let mut encoded = encode(&floats, "zstd", 2, 128);
+            if let Some(place) = encoded.get_mut(at) {
+                *place = byte;
+            }
+            let _ = decoded(&encoded, bytes.len(), bytes.len());
+            encoded.truncate(cut.index(encoded.len()));
+            let _ = decoded(&encoded, bytes.len(), bytes.len());
+        }
+    }
+}

@@ -329,7 +329,30 @@ pub(crate) fn io_mend(error: &io::Error) -> &'static str {
             "free some space, or set TMPDIR to a folder on a larger disk"
         }
         io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
-        io::ErrorKind::NotFound => "restore it",
+        io::ErrorKind::NotFound => "restore or create it",
         _ => "check the disk and try again",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_the_system_name_the_path_and_the_mend() {
+        let sentences: Vec<String> = [
+            io::ErrorKind::PermissionDenied,
+            io::ErrorKind::StorageFull,
+            io::ErrorKind::ReadOnlyFilesystem,
+            io::ErrorKind::NotFound,
+            io::ErrorKind::TimedOut,
+        ]
+        .map(|kind| {
+            Fault::io("read", "/data/x.zarr/data/img/3.0.0.0", kind.into())
+                .of(Path::new("/data/x.zarr"))
+                .to_string()
+        })
+        .into();
+        insta::assert_snapshot!(sentences.join("\n"));
     }
 }

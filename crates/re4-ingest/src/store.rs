@@ -40,7 +40,8 @@ impl Store {
         let unpacked = tempfile::Builder::new()
             .prefix("re4-ingest-")
             .tempdir()
-            .map_err(|error| Fault::io("create a folder in", std::env::temp_dir(), error))?;
+            // The kind alone: tempfile's own words repeat the path.
+            .map_err(|error| Fault::io("create a folder in", std::env::temp_dir(), error.kind().into()))?;
         unpack(path, unpacked.path())?;
         let mut stores = Vec::new();
         find_stores(unpacked.path(), ZIP_DEPTH, &mut stores)?;

@@ -190,7 +190,7 @@ impl ImageBlocks {
                     },
                     None => waiting.push_back(Job {
                         chunk_row,
-                        runs: Vec::from([start..end]),
+                        runs: std::iter::once(start..end).collect(),
                     }),
                 }
                 start = end;

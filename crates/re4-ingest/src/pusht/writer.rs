@@ -158,7 +158,8 @@ impl PushtWriter {
         let temporary = tempfile::Builder::new()
             .prefix(".re4-record-")
             .tempdir_in(parent)
-            .map_err(|error| io_error("create a folder in", parent, error))?;
+            // The kind alone: tempfile's own words repeat the path and add a random name.
+            .map_err(|error| io_error("create a folder in", parent, error.kind().into()))?;
         // The temporary folder is private to its owner, so the store is built one folder down, with usual permissions.
         let building = temporary.path().join("store");
         for (name, bytes) in files {

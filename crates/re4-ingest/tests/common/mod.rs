@@ -1,5 +1,11 @@
 //! Shared by the tests: the fixtures, their formulas, and copies of them that can be broken.
-#![allow(dead_code, clippy::missing_panics_doc)]
+#![allow(dead_code, reason = "each test uses a part of this")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "helpers of tests may fail like tests"
+)]
 
 use std::fs;
 use std::ops::Range;

@@ -1,0 +1,110 @@
+//! The datasets that are known by name.
+
+use serde::Deserialize;
+
+use crate::error::{Fault, FetchError};
+
+/// A dataset that can be downloaded.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dataset {
+    /// Name, as given on the command line.
+    pub name: String,
+    /// One sentence about it.
+    pub description: String,
+    /// Address of a zip file.
+    pub url: String,
+    /// Size of the zip file, where it is known.
+    pub bytes: Option<u64>,
+    /// SHA-256 of the zip file in hexadecimal, where it is known.
+    pub sha256: Option<String>,
+    /// Licence and holder of the rights.
+    pub licence: String,
+    /// Path below the destination at which the dataset will lie. In the zip file it is at this path or at its last part.
+    pub provides: String,
+}
+
+impl Dataset {
+    /// The same dataset from another address, such as a mirror.
+    #[must_use]
+    pub fn with_url(self, url: impl Into<String>) -> Self {
+        Self {
+            url: url.into(),
+            ..self
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Catalogue {
+    dataset: Vec<Dataset>,
+}
+
+/// All known datasets, in the order of `data/datasets.toml`, which is part of the program.
+///
+/// # Errors
+/// None in a program whose tests pass: the catalogue is fixed when it is built.
+pub fn catalogue() -> Result<Vec<Dataset>, FetchError> {
+    toml::from_str::<Catalogue>(include_str!("../../../data/datasets.toml"))
+        .map(|catalogue| catalogue.dataset)
+        .map_err(|error| FetchError {
+            dataset: "any dataset".to_owned(),
+            url: "the catalogue".to_owned(),
+            fault: Fault::Catalogue {
+                why: error.message().to_owned(),
+            },
+        })
+}
+
+/// The known dataset of a name.
+///
+/// # Errors
+/// A name that is not in the catalogue; the error lists those that are.
+pub fn find(name: &str) -> Result<Dataset, FetchError> {
+    let known = catalogue()?;
+    let names: Vec<String> = known.iter().map(|dataset| dataset.name.clone()).collect();
+    known
+        .into_iter()
+        .find(|dataset| dataset.name == name)
+        .ok_or_else(|| FetchError {
+            dataset: name.to_owned(),
+            url: "the catalogue".to_owned(),
+            fault: Fault::UnknownDataset {
+                known: names.join(", "),
+            },
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_catalogue_is_sound() {
+        let known = catalogue().unwrap();
+        assert!(known.iter().any(|dataset| dataset.name == "pusht"));
+        for dataset in known {
+            assert_eq!(find(&dataset.name).unwrap(), dataset);
+            assert!(dataset.url.starts_with("https://"), "{}", dataset.url);
+            assert!(!dataset.licence.is_empty() && !dataset.description.is_empty());
+            assert!(
+                dataset.provides.starts_with(&format!("{}/", dataset.name)),
+                "{}",
+                dataset.provides
+            );
+            if let Some(sha256) = &dataset.sha256 {
+                assert!(sha256.len() == 64 && sha256.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f')));
+            }
+        }
+    }
+
+    #[test]
+    fn unknown_names_get_the_known_ones() {
+        let sentence = find("push-t").unwrap_err().to_string();
+        assert_eq!(
+            sentence,
+            "cannot fetch push-t from the catalogue: there is no such dataset; known are: pusht"
+        );
+    }
+}

@@ -1,0 +1,75 @@
+//! Unpacking of a zip file, whole or not at all.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::Path;
+
+use zip::ZipArchive;
+use zip::result::ZipError;
+
+use crate::error::Fault;
+
+/// Unpacks `archive` to a temporary folder in `destination` and moves the dataset in it to `destination/provides`. In the
+/// archive it lies at `provides` or at its last part.
+pub(crate) fn unpack(archive: &Path, destination: &Path, provides: &Path) -> Result<(), Fault> {
+    let temporary = tempfile::Builder::new()
+        .prefix(".re4-fetch-")
+        .tempdir_in(destination)
+        // The kind alone: tempfile's own words repeat the path and add a random name.
+        .map_err(|error| Fault::io("create a folder in", destination, error.kind().into()))?;
+    unpack_all(archive, temporary.path())?;
+    let last = provides.file_name().map_or(provides, Path::new);
+    let unpacked = [provides, last]
+        .map(|inside| temporary.path().join(inside))
+        .into_iter()
+        .find(|path| path.exists())
+        .ok_or_else(|| Fault::Incomplete {
+            expected: provides.display().to_string(),
+        })?;
+    let target = destination.join(provides);
+    if let Some(parent) = target.parent() {
+        fs::create_dir_all(parent).map_err(|error| Fault::io("create", parent, error))?;
+    }
+    fs::rename(unpacked, &target).map_err(|error| Fault::io("move the unpacked dataset to", &target, error))
+}
+
+fn unpack_all(archive: &Path, target: &Path) -> Result<(), Fault> {
+    let unreadable = |why: String| Fault::UnreadableZip { why };
+    let file = File::open(archive).map_err(|error| Fault::io("read", archive, error))?;
+    let mut zip = ZipArchive::new(io::BufReader::new(file)).map_err(|error| unreadable(error.to_string()))?;
+    for index in 0..zip.len() {
+        let mut entry = zip.by_index(index).map_err(|error| match error {
+            ZipError::Io(error) => Fault::io("read", archive, error),
+            error => unreadable(format!("entry {index}: {error}")),
+        })?;
+        let name = entry
+            .name()
+            .map_or_else(|_| format!("number {index}"), std::borrow::Cow::into_owned);
+        let path = match entry.enclosed_name() {
+            Some(inside) if !entry.is_symlink() => target.join(inside),
+            _ => return Err(Fault::UnsafeZipEntry { entry: name }),
+        };
+        if entry.is_dir() {
+            fs::create_dir_all(&path).map_err(|error| Fault::io("create", &path, error))?;
+            continue;
+        }
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(|error| Fault::io("create", parent, error))?;
+        }
+        let mut output = File::create(&path).map_err(|error| Fault::io("write", &path, error))?;
+        let expected = entry.size();
+        let written = io::copy(&mut entry, &mut output).map_err(|error| match error.kind() {
+            // The disk's faults; everything else comes from the archive.
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
+                Fault::io("write", &path, error)
+            }
+            _ => unreadable(format!("entry {name}: {error}")),
+        })?;
+        if written != expected {
+            return Err(unreadable(format!(
+                "entry {name}: {written} bytes instead of {expected}"
+            )));
+        }
+    }
+    Ok(())
+}
