@@ -81,7 +81,8 @@ pub struct ReplanConfig {
     pub iterations: u32,
     /// `rrt`: share of the samples that are the goal itself.
     pub goal_bias: f64,
-    /// Spacing in pixels of the way-points that are executed, one a control step.
+    /// Greatest distance in pixels between way-points that are executed, one a control step; the vertices of the plan
+    /// are always among them.
     pub spacing: f64,
 }
 
@@ -108,9 +109,9 @@ pub struct ReplayConfig {
     pub stride: usize,
     /// `path`: greatest travel of the pusher in a control step, in pixels.
     pub speed: f64,
-    /// `path`: how far the object may stray from the recorded motion, root mean square over its points in pixels,
-    /// before the chunk is given up.
-    pub divergence: f64,
+    /// How far the object may stray from the recorded motion, root mean square over its points in pixels, before the
+    /// chunk is given up; never when absent.
+    pub divergence: Option<f64>,
 }
 
 /// Names of the presets.
@@ -147,14 +148,16 @@ impl PolicyConfig {
                 step: 15.0,
                 iterations: 1000,
                 goal_bias: 0.1,
-                spacing: 15.0,
+                // Wider than the workspace: the vertices of the polyline are the way-points, so that a free straight
+                // segment is executed directly, as the paper says.
+                spacing: 1024.0,
             },
             replay: ReplayConfig {
                 tracking: Tracking::Actions,
                 horizon: 24,
                 stride: 1,
                 speed: 20.0,
-                divergence: f64::MAX,
+                divergence: None,
             },
         }
     }
@@ -181,7 +184,7 @@ impl PolicyConfig {
         config.replay.tracking = Tracking::Path;
         config.replay.horizon = 200;
         config.replay.speed = 20.0;
-        config.replay.divergence = 8.0;
+        config.replay.divergence = Some(8.0);
         config
     }
 }

@@ -64,13 +64,15 @@ pub enum PolicyError {
         /// Mode of the query.
         mode: Mode,
     },
-    /// Index and episodes do not belong together.
+    /// What is retrieved is not among the demonstrations.
     #[error(
-        "cannot replay demonstration {demo}: the episodes artifact does not hold the frame that the index names; build both again"
+        "cannot replay demonstration {demo} at frame {frame}: the index names a frame that it does not hold; build the index again"
     )]
     UnknownDemo {
         /// Demonstration that the index names.
         demo: u32,
+        /// Frame that the index names.
+        frame: u32,
     },
     /// The outcome selector has nothing to choose from.
     #[error(

@@ -37,7 +37,9 @@ pub struct OpenLoop {
 /// # Errors
 /// When the simulator refuses the first state or an action.
 pub fn replay_open_loop(simulator: &mut PushT, frames: &[PlanarFrame]) -> Result<Option<OpenLoop>, SimError> {
-    let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return Ok(None) };
+    let (Some(first), Some(last)) = (frames.first(), frames.last()) else {
+        return Ok(None);
+    };
     let body = Body::tee();
     simulator.reset(&Scene::from_observed(first.eef, first.object), ResetOrder::Legacy)?;
     let mut now = simulator.outcome();

@@ -12,7 +12,7 @@ use re4_sim::{GOAL, PushTObservation, coverage};
 
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
-use crate::outcome::{Chunk, ChunkLibrary};
+use crate::outcome::{Body, Chunk, ChunkLibrary};
 use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
@@ -21,6 +21,9 @@ use crate::{Act, Policy, PolicyError};
 
 /// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
 const PLANS_TRIED: usize = 8;
+
+/// How far, in pixels, a replayed path may cut the corners of the recorded one.
+const CORNER_TOLERANCE: f64 = 0.5;
 
 /// What a policy knows: demonstrations, their index, and the chunks searchable by outcome. Shared between rollouts.
 pub struct Knowledge {
@@ -133,21 +136,45 @@ pub struct Re4 {
     knowledge: Arc<Knowledge>,
     random: Pcg64,
     model: PusherModel,
+    body: Body,
     pusher: Option<PusherState>,
     queue: VecDeque<(Phase, Command)>,
-    expectation: Option<Expectation>,
+    /// Poses that the object should pass, by the demonstration that is being replayed.
+    expected: Vec<Pose2>,
+    trial: Option<Trial>,
     /// Starts of chunks, as (demonstration, frame), that did not move the object as recorded; not chosen again.
     set_aside: BTreeSet<(u32, u32)>,
     step: u32,
 }
 
-/// What the object should do while a chunk is replayed.
-struct Expectation {
+/// A chunk whose effect on the object is awaited.
+struct Trial {
     chunk: Chunk,
     /// Pose of the object at the decision.
     before: Pose2,
-    /// Expected poses of the object, frame by frame.
-    poses: Vec<Pose2>,
+}
+
+/// What a selector chose.
+struct Selected {
+    demo: u32,
+    /// First frame of the chunk.
+    start: u32,
+    /// Last frame of the chunk, included.
+    end: u32,
+    /// `d_q` and `d_o`, where the selector has them.
+    distances: Option<(f64, f64)>,
+    compared: usize,
+    reframed: Reframed,
+    connection: Plan,
+}
+
+/// The frames of a demonstration from `frame` on; at least one.
+fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame], PolicyError> {
+    demos
+        .demo(demo)
+        .and_then(|frames| frames.get(frame as usize..))
+        .filter(|frames| !frames.is_empty())
+        .ok_or(PolicyError::UnknownDemo { demo, frame })
 }
 
 impl Re4 {
@@ -160,7 +187,9 @@ impl Re4 {
             model: PusherModel::default(),
             pusher: None,
             queue: VecDeque::new(),
-            expectation: None,
+            body: Body::tee(),
+            expected: Vec::new(),
+            trial: None,
             set_aside: BTreeSet::new(),
             step: 0,
         }
@@ -204,17 +233,12 @@ impl Policy for Re4 {
 impl Re4 {
     /// Whether the object left the path that the chunk should have moved it along.
     fn strayed(&self, block: Pose2) -> bool {
-        let (Some(expectation), Some((Phase::Replay, _))) = (&self.expectation, self.queue.front()) else {
+        let (Some(limit), Some((Phase::Replay, _))) = (self.config.replay.divergence, self.queue.front()) else {
             return false;
         };
-        let Some(chunks) = &self.knowledge.chunks else {
-            return false;
-        };
-        let body = chunks.body();
-        expectation
-            .poses
+        self.expected
             .iter()
-            .all(|&pose| body.distance(pose, block) > self.config.replay.divergence)
+            .all(|&pose| self.body.distance(pose, block) > limit)
     }
 
     fn decide(&mut self, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
@@ -229,13 +253,12 @@ impl Re4 {
 
     /// Sets the last chunk aside if the object ended elsewhere than recorded, by more than half of the recorded motion.
     fn judge(&mut self, block: Pose2) {
-        let (Some(last), Some(chunks)) = (self.expectation.take(), &self.knowledge.chunks) else {
+        let Some(Trial { chunk, before }) = self.trial.take() else {
             return;
         };
-        let body = chunks.body();
-        let expected = last.before.compose(last.chunk.motion);
-        if body.distance(expected, block) > 0.5 * body.distance(expected, last.before) {
-            self.set_aside.insert((last.chunk.demo, last.chunk.start));
+        let expected = before.compose(chunk.motion);
+        if self.body.distance(expected, block) > 0.5 * self.body.distance(expected, before) {
+            self.set_aside.insert((chunk.demo, chunk.start));
         }
     }
 
@@ -250,73 +273,19 @@ impl Re4 {
             .index
             .retrieve(&query, self.config.retrieve.epsilon)?
             .ok_or(PolicyError::NoFrameOfMode { mode })?;
-        let frames = knowledge
-            .demos
-            .demo(found.episode)
-            .ok_or(PolicyError::UnknownDemo { demo: found.episode })?;
-        let start = found.frame as usize;
-        let frame = frames
-            .get(start)
-            .ok_or(PolicyError::UnknownDemo { demo: found.episode })?;
-        let reframed = self.reframed(mode, frame.object, frame.eef, pusher.position, block);
-        let connection = plan(
-            &self.config.replan,
-            block,
-            pusher.position,
-            reframed.near,
-            &mut self.random,
-        );
-        let plan_steps = self.queue_plan(&connection);
-        let replay = &self.config.replay;
-        let reach = replay.horizon.saturating_mul(replay.stride);
-        let end = frames.len().min(start.saturating_add(reach));
-        let mut replay_steps = 0;
-        match replay.tracking {
-            Tracking::Actions => {
-                // The last of every `stride` actions, so that the chunk goes as far as its recording; at the end of the
-                // demonstration its last action is held.
-                for first in (start..end).step_by(replay.stride.max(1)) {
-                    let at = (first + replay.stride.max(1) - 1).min(frames.len() - 1);
-                    let target = reframed.carry.transform_point(frames[at].action);
-                    self.queue.push_back((Phase::Replay, Command::Target(target)));
-                    replay_steps += 1;
-                }
-            }
-            Tracking::Path => {
-                let path: Vec<Point2> = frames[start..end]
-                    .iter()
-                    .map(|f| reframed.carry.transform_point(f.eef))
-                    .collect();
-                replay_steps = self.queue_path(&path);
-            }
-        }
-        if replay_steps == 0 {
-            self.queue.push_back((Phase::Replay, Command::Target(reframed.near)));
-            replay_steps = 1;
-        }
-        let last = &frames[end.saturating_sub(1).max(start)];
-        let predicted = reframed.carry.compose(last.object).normalized();
-        Ok(Decision {
-            step: self.step,
-            mode,
-            eef: pusher.position,
-            object: block,
+        let frames = demo_frames(&knowledge.demos, found.episode, found.frame)?;
+        let end = found.frame + self.frames_within_horizon(frames) as u32 - 1;
+        let (reframed, connection) = self.connect(mode, &frames[0], pusher, block);
+        let selected = Selected {
             demo: found.episode,
-            demo_frame: found.frame,
-            demo_end: end.saturating_sub(1).max(start) as u32,
-            d_q: Some(found.d_q),
-            d_o: Some(found.d_o),
-            delta: reframed.delta,
-            set_point: reframed.near,
-            plan_kind: connection.kind,
-            plan_steps: plan_steps as u32,
-            plan_nodes: connection.nodes,
-            plan_path: connection.path,
-            replay_steps: replay_steps as u32,
-            predicted_object: predicted,
-            predicted_coverage: coverage(predicted, GOAL),
-            compared: knowledge.demos.iter().count() as u32,
-        })
+            start: found.frame,
+            end,
+            distances: Some((found.d_q, found.d_o)),
+            compared: knowledge.demos.iter().count(),
+            reframed,
+            connection,
+        };
+        self.carry_out(selected, mode, pusher, block)
     }
 
     fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
@@ -340,15 +309,8 @@ impl Re4 {
         // The cheapest chunk that can be reached; if none can, the cheapest.
         let mut chosen = None;
         for (cost, chunk) in ranked.iter().take(PLANS_TRIED) {
-            let frame = self.demo_frames(chunk.demo)?[chunk.start as usize];
-            let reframed = self.reframed(mode, frame.object, frame.eef, pusher.position, block);
-            let connection = plan(
-                &self.config.replan,
-                block,
-                pusher.position,
-                reframed.near,
-                &mut self.random,
-            );
+            let frames = demo_frames(&knowledge.demos, chunk.demo, chunk.start)?;
+            let (reframed, connection) = self.connect(mode, &frames[0], pusher, block);
             let reached = connection.kind != PlanKind::Failed && cost.is_finite();
             if reached || chosen.is_none() {
                 chosen = Some((*chunk, reframed, connection));
@@ -358,37 +320,93 @@ impl Re4 {
             }
         }
         let (chunk, reframed, connection) = chosen.ok_or(PolicyError::NoChunks)?;
-        let frames = knowledge
-            .demos
-            .demo(chunk.demo)
-            .ok_or(PolicyError::UnknownDemo { demo: chunk.demo })?;
-        let (start, end) = (chunk.start as usize, chunk.end as usize);
+        self.trial = Some(Trial { chunk, before: block });
+        let selected = Selected {
+            demo: chunk.demo,
+            start: chunk.start,
+            end: chunk.end,
+            distances: None,
+            compared: candidates.len(),
+            reframed,
+            connection,
+        };
+        self.carry_out(selected, mode, pusher, block)
+    }
+
+    /// Reframe and Replan for a chunk that starts at `frame`.
+    fn connect(&mut self, mode: Mode, frame: &PlanarFrame, pusher: PusherState, block: Pose2) -> (Reframed, Plan) {
+        let reframed = if self.config.reframe.enabled {
+            reframe(mode, frame.object, frame.eef, block, pusher.position)
+        } else {
+            without_reframe(frame.eef)
+        };
+        let connection = plan(
+            &self.config.replan,
+            block,
+            pusher.position,
+            reframed.near,
+            &mut self.random,
+        );
+        (reframed, connection)
+    }
+
+    /// How many of `frames`, at least one, the horizon's commands carry out.
+    fn frames_within_horizon(&self, frames: &[PlanarFrame]) -> usize {
+        let replay = &self.config.replay;
+        let count = match replay.tracking {
+            Tracking::Actions => replay.horizon.saturating_mul(replay.stride.max(1)),
+            Tracking::Path => {
+                let mut travel = 0.0;
+                let reach = replay.horizon as f64 * replay.speed;
+                1 + frames
+                    .windows(2)
+                    .take_while(|pair| {
+                        travel += (pair[1].eef - pair[0].eef).norm();
+                        travel <= reach
+                    })
+                    .count()
+            }
+        };
+        count.clamp(1, frames.len())
+    }
+
+    /// Queues the connection and the chunk, and says why.
+    fn carry_out(
+        &mut self,
+        selected: Selected,
+        mode: Mode,
+        pusher: PusherState,
+        block: Pose2,
+    ) -> Result<Decision, PolicyError> {
+        let knowledge = Arc::clone(&self.knowledge);
+        let Selected {
+            demo,
+            start,
+            end,
+            distances,
+            compared,
+            reframed,
+            connection,
+        } = selected;
+        let rest = demo_frames(&knowledge.demos, demo, start)?;
+        let frames = rest
+            .get(..=(end - start) as usize)
+            .ok_or(PolicyError::UnknownDemo { demo, frame: end })?;
         let plan_steps = self.queue_plan(&connection);
-        let path: Vec<Point2> = frames[start..=end]
-            .iter()
-            .map(|f| reframed.carry.transform_point(f.eef))
-            .collect();
-        let replay_steps = self.queue_path(&path);
-        let poses: Vec<Pose2> = frames[start..=end]
-            .iter()
-            .map(|f| reframed.carry.compose(f.object))
-            .collect();
-        let predicted = block.compose(chunk.motion).normalized();
-        self.expectation = Some(Expectation {
-            chunk,
-            before: block,
-            poses,
-        });
+        let replay_steps = self.queue_chunk(frames, &reframed);
+        let poses: Vec<Pose2> = frames.iter().map(|f| reframed.carry.compose(f.object)).collect();
+        let predicted = poses.last().map_or(block, |pose| pose.normalized());
+        self.expected = poses;
         Ok(Decision {
             step: self.step,
             mode,
             eef: pusher.position,
             object: block,
-            demo: chunk.demo,
-            demo_frame: chunk.start,
-            demo_end: chunk.end,
-            d_q: None,
-            d_o: None,
+            demo,
+            demo_frame: start,
+            demo_end: end,
+            d_q: distances.map(|(d_q, _)| d_q),
+            d_o: distances.map(|(_, d_o)| d_o),
             delta: reframed.delta,
             set_point: reframed.near,
             plan_kind: connection.kind,
@@ -398,19 +416,21 @@ impl Re4 {
             replay_steps: replay_steps as u32,
             predicted_object: predicted,
             predicted_coverage: coverage(predicted, GOAL),
-            compared: candidates.len() as u32,
+            compared: compared as u32,
         })
     }
 
     /// Expected misalignment after the chunk, plus the price of getting there and of carrying it out.
     fn cost(&self, misalignment: f64, chunk: &Chunk, pusher: PusherState, block: Pose2) -> Result<f64, PolicyError> {
-        let frames = self.demo_frames(chunk.demo)?;
-        let carry = block.delta_from(frames[chunk.start as usize].object);
-        let near = carry.transform_point(frames[chunk.start as usize].eef);
+        let rest = demo_frames(&self.knowledge.demos, chunk.demo, chunk.start)?;
+        let carry = block.delta_from(rest[0].object);
+        let near = carry.transform_point(rest[0].eef);
         let reachable =
             |p: Point2| (10.0..=WORKSPACE - 10.0).contains(&p.x) && (10.0..=WORKSPACE - 10.0).contains(&p.y);
-        let inside = frames[chunk.start as usize..=chunk.end as usize]
+        let length = (chunk.end - chunk.start) as usize;
+        let inside = rest
             .iter()
+            .take(length + 1)
             .all(|f| reachable(carry.transform_point(f.eef)));
         if !inside {
             return Ok(f64::INFINITY);
@@ -418,18 +438,6 @@ impl Re4 {
         let steps =
             (near - pusher.position).norm() / self.config.replan.spacing + chunk.travel / self.config.replay.speed;
         Ok(misalignment + self.config.retrieve.step_cost * steps + self.config.retrieve.motion_cost * chunk.pushed)
-    }
-
-    fn demo_frames(&self, demo: u32) -> Result<&[PlanarFrame], PolicyError> {
-        self.knowledge.demos.demo(demo).ok_or(PolicyError::UnknownDemo { demo })
-    }
-
-    fn reframed(&self, mode: Mode, demo_object: Pose2, demo_eef: Point2, eef: Point2, object: Pose2) -> Reframed {
-        if self.config.reframe.enabled {
-            reframe(mode, demo_object, demo_eef, object, eef)
-        } else {
-            without_reframe(demo_eef)
-        }
     }
 
     fn queue_plan(&mut self, connection: &Plan) -> usize {
@@ -448,9 +456,29 @@ impl Re4 {
         self.queue.len() - before
     }
 
-    fn queue_path(&mut self, path: &[Point2]) -> usize {
+    fn queue_chunk(&mut self, frames: &[PlanarFrame], reframed: &Reframed) -> usize {
+        let replay = self.config.replay.clone();
         let before = self.queue.len();
-        self.queue_legs(Phase::Replay, &legs(path, self.config.replay.speed, 0.5));
+        match replay.tracking {
+            // The last of every `stride` actions, so that the chunk goes as far as its recording.
+            Tracking::Actions => {
+                for group in frames.chunks(replay.stride.max(1)) {
+                    if let Some(last) = group.last() {
+                        let target = reframed.carry.transform_point(last.action);
+                        self.queue.push_back((Phase::Replay, Command::Target(target)));
+                    }
+                }
+            }
+            Tracking::Path => {
+                let path: Vec<Point2> = frames.iter().map(|f| reframed.carry.transform_point(f.eef)).collect();
+                self.queue_legs(Phase::Replay, &legs(&path, replay.speed, CORNER_TOLERANCE));
+                // A chunk of one frame has no path: its start is held for one step.
+                if self.queue.len() == before {
+                    self.queue.push_back((Phase::Replay, Command::Target(reframed.near)));
+                }
+            }
+        }
+        self.queue.truncate(before + replay.horizon.max(1));
         self.queue.len() - before
     }
 
