@@ -340,6 +340,20 @@ mod tests {
     }
 
     #[test]
+    fn the_original_format_takes_this_path() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/original/data/img/0.0.0.0");
+        let values = 7 * 8 * 8 * 3;
+        let bytes = decoded(&std::fs::read(path).unwrap(), values, values).unwrap();
+        let formula = |i: usize| (7 * (i / 192) + 31 * (i / 24 % 8) + 5 * (i / 3 % 8) + 11 * (i % 3)) % 256;
+        assert!(
+            bytes
+                .iter()
+                .enumerate()
+                .all(|(i, &byte)| usize::from(byte) == formula(i))
+        );
+    }
+
+    #[test]
     fn other_encodings_are_left_to_the_general_path() {
         let floats = vec![7.0; 4096];
         for (cname, shuffle) in [("zstd", 0), ("zstd", 1), ("lz4", 2), ("blosclz", 2), ("zlib", 2)] {

@@ -290,8 +290,8 @@ fn values_that_no_recording_has() {
 
 #[test]
 fn values_at_the_edge_are_accepted() {
-    // The largest f32 angle below and the smallest at or above 2π: both are 2π to the precision of the store.
-    for angle in [0.0, 6.283_185_5, 6.283_185] {
+    // The f32 nearest to 2π is above it.
+    for angle in [0.0, f64::from(std::f32::consts::TAU), std::f64::consts::TAU - 1e-6] {
         let values = changed(common::state, 5, 4, angle);
         let store = Copy::of("original").floats("data/state", &[FRAMES, 5], &values);
         common::read_all(&store.path()).unwrap();
