@@ -1,4 +1,9 @@
 //! Every accepted variety of store reads as the same numbers.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "helpers of tests may fail like tests"
+)]
 
 mod common;
 

@@ -1,4 +1,9 @@
 //! Random damage to a store ends in a sentence or in data, never in a panic or a hang.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "helpers of tests may fail like tests"
+)]
 
 mod common;
 

@@ -1,4 +1,9 @@
 //! The real dataset, where it is at hand.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "helpers of tests may fail like tests"
+)]
 
 mod common;
 

@@ -1,4 +1,9 @@
 //! Every fault of a dataset is refused by one sentence that names it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "helpers of tests may fail like tests"
+)]
 
 mod common;
 

@@ -1,4 +1,9 @@
 //! What the writer writes, the reader reads.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "helpers of tests may fail like tests"
+)]
 
 mod common;
 
