@@ -88,40 +88,25 @@ pub(crate) fn print_usage_error(error: &clap::Error) {
     );
 }
 
-/// What, where and how to mend: contexts are written `what; mend`, and the cause stands between the two. Errors of the
-/// library crates are whole sentences that name their causes.
+/// What, where and how to mend: contexts are written `what; mend`, and their cause stands between the two. A cause that
+/// the sentence already tells is not told again.
 fn sentence(error: &anyhow::Error) -> String {
-    let mut text = String::new();
-    let mut mend = String::new();
-    for cause in error.chain() {
-        let words = cause.to_string();
-        let whole = is_whole(cause);
-        let (what, how) = match words.split_once("; ") {
-            Some((what, how)) if !whole && mend.is_empty() => (what, format!("; {how}")),
-            _ => (words.as_str(), String::new()),
-        };
-        if text.is_empty() {
-            what.clone_into(&mut text);
-        } else {
-            text = format!("{text}: {what}");
+    let (mut text, mut mend) = (String::new(), String::new());
+    for words in error.chain().map(ToString::to_string) {
+        if text.contains(&words) || mend.contains(&words) {
+            continue;
         }
-        mend.push_str(&how);
-        if whole {
-            break;
+        let (what, how) = words.split_once("; ").map_or((words.as_str(), None), |(what, how)| (what, Some(how)));
+        if !text.contains(what) {
+            text.push_str(if text.is_empty() { "" } else { ": " });
+            text.push_str(what);
+        }
+        if let Some(how) = how.filter(|how| !mend.contains(how)) {
+            mend.push_str("; ");
+            mend.push_str(how);
         }
     }
     text + &mend
-}
-
-fn is_whole(error: &(dyn std::error::Error + 'static)) -> bool {
-    error.is::<re4_artifact::ArtifactError>()
-        || error.is::<re4_ingest::IngestError>()
-        || error.is::<re4_ingest::pusht::RecordError>()
-        || error.is::<re4_segment::SegmentError>()
-        || error.is::<re4_index::IndexError>()
-        || error.is::<re4_policy::PolicyError>()
-        || error.is::<re4_policy::RolloutError>()
-        || error.is::<re4_sim::SimError>()
 }
 
 /// The parser answers in paragraphs: what is wrong (in its last line, the names it is about), a tip, the usage.

@@ -21,7 +21,9 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     not_negative("rollout.retrieve.step_cost", retrieve.step_cost)?;
     not_negative("rollout.retrieve.motion_cost", retrieve.motion_cost)?;
     not_negative("rollout.replan.keepout", replan.keepout)?;
-    not_negative("rollout.replay.divergence", replay.divergence)?;
+    if let Some(divergence) = replay.divergence {
+        not_negative("rollout.replay.divergence", divergence)?;
+    }
     long_enough("rollout.replan.step", replan.step)?;
     long_enough("rollout.replan.spacing", replan.spacing)?;
     long_enough("rollout.replay.speed", replay.speed)?;
