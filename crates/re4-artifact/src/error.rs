@@ -51,6 +51,15 @@ pub enum ArtifactError {
         /// The folder asked for.
         folder: PathBuf,
     },
+    /// The folder has no manifest: another folder was named, or the manifest was lost. Nobody is told to delete it.
+    #[error(
+        "cannot read artifact {folder}: it has no manifest.json; check the path, and where an artifact should be there, move the folder away and run again",
+        folder = .folder.display()
+    )]
+    NoManifest {
+        /// The folder asked for.
+        folder: PathBuf,
+    },
     /// The manifest was written by a newer build.
     #[error(
         "cannot read artifact {folder}: its manifest has format {found}, this build reads up to {supported}; update re4-pipe",
@@ -233,6 +242,7 @@ fn explain(error: &io::Error) -> String {
         io::ErrorKind::PermissionDenied => {
             "permission denied; give yourself write permission there or choose another artifacts folder".to_owned()
         }
+        io::ErrorKind::NotFound => format!("{error}; check the path, or choose another artifacts folder"),
         _ => error.to_string(),
     }
 }

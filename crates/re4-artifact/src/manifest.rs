@@ -121,9 +121,9 @@ impl Manifest {
         let bytes = match std::fs::read(&path) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Err(damaged(Damage::Missing {
-                    file: MANIFEST_NAME.to_owned(),
-                }));
+                return Err(ArtifactError::NoManifest {
+                    folder: folder.to_path_buf(),
+                });
             }
             Err(error) => return Err(ArtifactError::io("read", &path)(error)),
         };

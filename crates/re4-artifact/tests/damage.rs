@@ -146,7 +146,13 @@ fn a_missing_or_truncated_manifest_is_said_so() {
         artifact.damaged("manifest.json does not match its own hash")
     );
     fs::remove_file(&path).unwrap();
-    assert_eq!(artifact.complaint(), artifact.damaged("manifest.json is missing"));
+    let folder = artifact.folder.display();
+    assert_eq!(
+        artifact.complaint(),
+        format!(
+            "cannot read artifact {folder}: it has no manifest.json; check the path, and where an artifact should be there, move the folder away and run again"
+        )
+    );
 }
 
 #[test]
