@@ -1,0 +1,223 @@
+//! The command line and the pipeline file: help, versions, and every refusal.
+
+mod support;
+
+use insta::assert_snapshot;
+use support::Place;
+
+const COMMANDS: [&str; 11] = [
+    "ingest",
+    "segment",
+    "train-pose",
+    "index",
+    "rollout",
+    "run",
+    "replay",
+    "verify",
+    "inspect",
+    "fetch",
+    "schemas",
+];
+
+#[test]
+fn help_of_the_program_and_of_every_subcommand() {
+    let place = Place::empty();
+    let help = place.run("--help").done();
+    assert_eq!(help.stderr, "");
+    assert_snapshot!("help", help.stdout);
+    let listed: Vec<&str> = help
+        .stdout
+        .lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .map_while(|line| line.strip_prefix("  "))
+        .filter(|line| !line.starts_with(" "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|word| *word != "help")
+        .collect();
+    assert_eq!(listed, COMMANDS);
+    for command in COMMANDS {
+        let help = place.run(&format!("{command} --help")).done();
+        assert_eq!(help.stderr, "");
+        assert_snapshot!(format!("help_{command}"), help.stdout);
+    }
+}
+
+#[test]
+fn version() {
+    let place = Place::empty();
+    let expected = format!("re4-pipe {}\n", env!("CARGO_PKG_VERSION"));
+    assert_eq!(place.run("--version").done().stdout, expected);
+}
+
+#[test]
+fn no_subcommand_shows_the_help_and_fails() {
+    let answer = Place::empty().run("");
+    assert_eq!((answer.code, answer.stdout.as_str()), (Some(2), ""));
+    assert!(answer.stderr.contains("Usage: re4-pipe <COMMAND>"), "{}", answer.stderr);
+}
+
+#[test]
+fn errors_of_the_command_line() {
+    let place = Place::empty();
+    let sentences: Vec<String> = [
+        "ingst small.toml",
+        "run",
+        "run small.toml more",
+        "run small.toml --artefacts x",
+        "run small.toml --jobs 0",
+        "run small.toml --jobs many",
+        "run small.toml --jobs 1025",
+        "run small.toml --jobs -1",
+        "run small.toml --set",
+        "run small.toml --max-steps 1.5",
+        "inspect",
+        "inspect x --seed 500",
+        "inspect x --rows -1",
+        "train-pose small.toml",
+    ]
+    .into_iter()
+    .map(|arguments| format!("re4-pipe {arguments}\n  {}", place.run(arguments).refused_at_once()))
+    .collect();
+    assert_snapshot!(sentences.join("\n"));
+    assert!(!place.artifacts().join("episodes").exists());
+}
+
+#[test]
+fn errors_of_overrides() {
+    let place = Place::empty();
+    let sentences: Vec<String> = [
+        "seeds",
+        "=3",
+        "rollout..seeds=3",
+        "rollot.seeds=3",
+        "rollout.sedes=3",
+        "ingest.sorce=x",
+        "rollout.replan.planer=rrt",
+        "anything=1",
+        "task=robomimic",
+        "variant=image",
+        "pose.source=trained",
+        "segment.rule=never",
+        "ingest.images=maybe",
+        "ingest.select.frist=3",
+        "ingest.select={first=3,last=3}",
+        "ingest.select.range=3-5",
+        "index.longest_chunk=long",
+        "index.longest_chunk=0",
+        "rollout=3",
+        "rollout.policy=re44",
+        "rollout.policy=3",
+        "rollout.seed_scheme=numpy",
+        "rollout.reset=old",
+        "rollout.seeds=",
+        "rollout.seeds=five",
+        "rollout.seeds=5..5",
+        "rollout.seeds=5..3",
+        "rollout.seeds=1,1",
+        "rollout.seeds=1..4,3",
+        "rollout.seeds=[1,1]",
+        "rollout.seeds=-1",
+        "rollout.seeds=1.5",
+        "rollout.seeds=4294967296",
+        "rollout.seeds=0..4294967295",
+        "rollout.max_steps=0",
+        "rollout.max_steps=-1",
+        "rollout.max_steps=many",
+        "rollout.replan=3",
+        "rollout.replan.planner=rtt",
+        "rollout.replan.spacing=0",
+        "rollout.replan.step=-1",
+        "rollout.replan.goal_bias=1.5",
+        "rollout.replan.iterations=0",
+        "rollout.retrieve.candidates=0",
+        "rollout.retrieve.epsilon=nan",
+        "rollout.retrieve.epsilon=-0.5",
+        "rollout.replay.horizon=0",
+        "rollout.replay.stride=0",
+        "rollout.replay.speed=0",
+    ]
+    .into_iter()
+    .map(|text| {
+        let sentence = place.run_each(&["run", "small.toml", "--set", text]).refused_at_once();
+        format!("--set {text}\n  {sentence}")
+    })
+    .collect();
+    assert_snapshot!(sentences.join("\n"));
+}
+
+#[test]
+fn flags_are_checked_as_overrides_are() {
+    let place = Place::empty();
+    let say = |flag: &str| place.run(&format!("run small.toml {flag}")).refused_at_once();
+    let sentences = [
+        "--seeds 5..5",
+        "--seeds 7,7",
+        "--seeds x",
+        "--policy re5",
+        "--max-steps 0",
+    ]
+    .map(say);
+    assert_snapshot!(sentences.join("\n"));
+}
+
+#[test]
+fn errors_of_the_pipeline_file() {
+    let place = Place::empty();
+    let small = std::fs::read_to_string(place.path().join("small.toml")).unwrap();
+    let files = [
+        ("not TOML", "task = pusht\n".to_owned()),
+        ("a table left open", small.replace("[pose]", "[pose")),
+        (
+            "a key twice",
+            small.replace("[pose]\n", "[pose]\nsource = \"recorded\"\n"),
+        ),
+        ("nothing", String::new()),
+        ("a table missing", small.replace("[pose]\nsource = \"recorded\"\n", "")),
+        ("a key missing", small.replace("seeds = \"500..506\"\n", "")),
+        ("an unknown table", format!("{small}\n[report]\n")),
+        ("a misspelt table", small.replace("[segment]", "[segments]")),
+        ("a misspelt key", small.replace("longest_chunk", "longst_chunk")),
+        (
+            "a misspelt key in a table of the policy",
+            format!("{small}\n[rollout.retrieve]\nepsilom = 1\n"),
+        ),
+        (
+            "a word for a number",
+            small.replace("max_steps = 60", "max_steps = \"sixty\""),
+        ),
+        ("a number for a word", small.replace("\"re4\"", "4")),
+        (
+            "a value for a table",
+            small
+                .replace("[pose]\nsource = \"recorded\"\n", "")
+                .replace("task", "pose = 1\ntask"),
+        ),
+        ("an unknown preset", small.replace("\"re4\"", "\"papers\"")),
+        ("empty seeds", small.replace("500..506", "506..506")),
+        ("repeated seeds", small.replace("\"500..506\"", "[500, 501, 500]")),
+    ];
+    let mut sentences = Vec::new();
+    for (what, text) in files {
+        place.write("bad.toml", text);
+        sentences.push(format!("{what}\n  {}", place.run("run bad.toml").refused_at_once()));
+    }
+    place.write("bad.toml", b"task = \"\xff\"");
+    sentences.push(format!("not UTF-8\n  {}", place.run("run bad.toml").refused_at_once()));
+    sentences.push(format!("no file\n  {}", place.run("run absent.toml").refused_at_once()));
+    sentences.push(format!("a folder\n  {}", place.run("run data").refused_at_once()));
+    assert_snapshot!(sentences.join("\n"));
+}
+
+#[test]
+fn every_stage_command_checks_the_file() {
+    let place = Place::empty();
+    place.write("bad.toml", "tusk = \"pusht\"\n");
+    for command in ["ingest", "segment", "train-pose", "index", "rollout", "run", "replay"] {
+        let sentence = place.run(&format!("{command} bad.toml")).refused_at_once();
+        assert!(
+            sentence.contains("unknown key tusk (did you mean task?)"),
+            "{command}: {sentence}"
+        );
+    }
+}

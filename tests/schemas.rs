@@ -1,0 +1,118 @@
+//! The descriptions in `schemas/`: up to date, and true of the files that stages write.
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::fs;
+
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use serde_json::Value;
+use support::{Place, folders_in, repository};
+
+#[test]
+fn the_committed_schemas_are_up_to_date() {
+    let place = Place::empty();
+    let folder = repository().join("schemas");
+    let answer = place.run_each(&["schemas", folder.to_str().unwrap(), "--check"]);
+    assert_eq!(answer.code, Some(0), "{}{}", answer.stdout, answer.stderr);
+    let named: BTreeSet<String> = fs::read_dir(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    place.run("schemas written").done();
+    let written: BTreeSet<String> = fs::read_dir(place.path().join("written"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    assert_eq!(named, written, "schemas/ holds nothing else");
+}
+
+#[test]
+fn a_check_finds_what_is_stale_and_writes_nothing() {
+    let place = Place::empty();
+    place.run("schemas described").done();
+    let file = place.path().join("described/frames.json");
+    let stale = fs::read_to_string(&file).unwrap().replace("px", "pixel");
+    fs::write(&file, &stale).unwrap();
+    fs::remove_file(place.path().join("described/modes.json")).unwrap();
+    let answer = place.run("schemas described --check");
+    assert_eq!(answer.code, Some(1));
+    assert_eq!(
+        answer.stdout,
+        "out of date in described: frames.json, modes.json; run re4-pipe schemas\n"
+    );
+    assert_eq!(fs::read_to_string(&file).unwrap(), stale);
+    let object = place.run("schemas described --check --json").json();
+    assert_eq!(object["stale"], serde_json::json!(["frames.json", "modes.json"]));
+}
+
+/// Read with the Parquet library alone, so that the descriptions are compared with the files and not with themselves.
+#[test]
+fn the_schemas_describe_the_columns_that_are_written() {
+    let place = Place::new();
+    place.run("run small.toml").done();
+    place.run("replay small.toml").done();
+    let mut compared = 0;
+    for kind in folders_in(&place.artifacts()) {
+        for artifact in folders_in(&kind)
+            .into_iter()
+            .filter(|folder| folder.join("manifest.json").exists())
+        {
+            for file in fs::read_dir(&artifact).unwrap().map(|entry| entry.unwrap().path()) {
+                if file.extension().is_none_or(|extension| extension != "parquet") {
+                    continue;
+                }
+                let name = file.file_stem().unwrap().to_str().unwrap();
+                let path = repository().join(format!("schemas/{name}.json"));
+                let described: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+                assert_eq!(described["file"], format!("{name}.parquet"));
+                let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
+                let found: Vec<[String; 5]> = reader
+                    .schema()
+                    .fields()
+                    .iter()
+                    .map(|field| {
+                        let metadata = |key| field.metadata().get(key).cloned().unwrap_or_default();
+                        let kind = field.data_type().to_string();
+                        [
+                            field.name().clone(),
+                            kind,
+                            field.is_nullable().to_string(),
+                            metadata("unit"),
+                            metadata("frame"),
+                        ]
+                    })
+                    .collect();
+                let columns: Vec<[String; 5]> = described["columns"]
+                    .as_array()
+                    .unwrap()
+                    .iter()
+                    .map(|column| {
+                        let text = |key: &str| column[key].as_str().unwrap().to_owned();
+                        let nullable = column["nullable"].as_bool().unwrap().to_string();
+                        [text("name"), text("arrow_type"), nullable, text("unit"), text("frame")]
+                    })
+                    .collect();
+                assert_eq!(found, columns, "{name}");
+                compared += 1;
+            }
+        }
+    }
+    assert_eq!(compared, 13, "every table is written by some stage");
+}
+
+#[test]
+fn the_shipped_pipelines_are_accepted() {
+    let place = Place::empty();
+    let folder = repository().join("pipelines");
+    let mut count = 0;
+    for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        // Settings are checked before train-pose says that there is nothing to train.
+        let sentence = place
+            .run_each(&["train-pose", path.to_str().unwrap()])
+            .refused_at_once();
+        assert!(sentence.starts_with("error: nothing to train"), "{sentence}");
+        count += 1;
+    }
+    assert!(count >= 2);
+}

@@ -1,0 +1,101 @@
+//! Small Push-T datasets: a scripted pusher goes behind the block and pushes it towards the goal.
+
+use std::fs;
+use std::path::Path;
+
+use re4_episode::PlanarFrame;
+use re4_geometry::Point2;
+use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
+use re4_sim::{CENTRE_OF_GRAVITY, GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, Step, scene_from_seed};
+
+/// Side of the pictures, in pixels; their content says nothing.
+pub(crate) const SIDE: usize = 12;
+
+/// Frames of an episode.
+pub(crate) const LENGTH: usize = 70;
+
+/// Rows of a chunk of pictures.
+const PICTURES_IN_CHUNK: usize = 100;
+
+/// Writes `episodes` episodes, from the scenes of the seeds from 1000 on.
+pub(crate) fn write(path: &Path, episodes: u32, pictures: bool) {
+    let recorded: Vec<RecordedEpisode> = (0..episodes).map(|number| episode(1000 + number)).collect();
+    PushtWriter::write(path, &recorded).unwrap();
+    if pictures {
+        write_pictures(path, episodes as usize * LENGTH);
+    }
+}
+
+fn episode(seed: u32) -> RecordedEpisode {
+    let mut simulator = PushT::new().unwrap();
+    let scene = scene_from_seed(SeedScheme::DiffusionPolicy, seed);
+    simulator.reset(&scene, ResetOrder::Legacy).unwrap();
+    let mut seen = simulator.outcome();
+    let mut pushing = false;
+    let frames = (0..LENGTH)
+        .map(|_| {
+            let action = target(&seen, &mut pushing);
+            let frame = PlanarFrame {
+                eef: seen.observation.agent,
+                object: seen.observation.block,
+                action,
+                contacts: f64::from(seen.contacts),
+            };
+            seen = simulator.step(&action).unwrap();
+            frame
+        })
+        .collect();
+    RecordedEpisode { frames }
+}
+
+/// Goes to a point behind the block, seen from the goal, and then through the block; starts anew when it is past it.
+fn target(seen: &Step<re4_sim::PushTObservation>, pushing: &mut bool) -> Point2 {
+    let agent = seen.observation.agent;
+    let centre = seen.observation.block.transform_point(CENTRE_OF_GRAVITY);
+    let to_goal = GOAL.transform_point(CENTRE_OF_GRAVITY) - centre;
+    let direction = to_goal.try_normalize(1e-9).unwrap_or(Point2::new(1.0, 0.0));
+    let behind = centre - direction * 110.0;
+    let along = (centre - agent).dot(&direction);
+    *pushing = if *pushing {
+        along > -20.0
+    } else {
+        (behind - agent).norm() < 40.0
+    };
+    let step = if *pushing {
+        direction * 18.0
+    } else {
+        let way = behind - agent;
+        way * (30.0 / way.norm()).min(1.0)
+    };
+    (agent + step).map(|value| value.clamp(20.0, 490.0))
+}
+
+/// Adds `data/img`: bytes, uncompressed.
+fn write_pictures(path: &Path, frames: usize) {
+    let folder = path.join("data/img");
+    fs::create_dir(&folder).unwrap();
+    let metadata = serde_json::json!({
+        "zarr_format": 2, "shape": [frames, SIDE, SIDE, 3], "chunks": [PICTURES_IN_CHUNK, SIDE, SIDE, 3],
+        "dtype": "|u1", "compressor": null, "fill_value": 0, "filters": null, "order": "C"
+    });
+    fs::write(folder.join(".zarray"), metadata.to_string()).unwrap();
+    for chunk in 0..frames.div_ceil(PICTURES_IN_CHUNK) {
+        let bytes: Vec<u8> = (chunk * PICTURES_IN_CHUNK..(chunk + 1) * PICTURES_IN_CHUNK)
+            .flat_map(|frame| picture(frame, frames))
+            .collect();
+        fs::write(folder.join(format!("{chunk}.0.0.0")), bytes).unwrap();
+    }
+}
+
+/// The picture of a frame of the dataset; zeros beyond its end.
+pub(crate) fn picture(frame: usize, frames: usize) -> Vec<u8> {
+    (0..SIDE * SIDE * 3)
+        .map(|i| {
+            if frame < frames {
+                ((frame * 31 + i * i * 7) % 251) as u8
+            } else {
+                0
+            }
+        })
+        .collect()
+}

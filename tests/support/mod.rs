@@ -1,0 +1,277 @@
+//! Shared by the end-to-end tests: the program in a folder of its own, with a small dataset and a pipeline file.
+#![allow(dead_code)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use re4_artifact::{Artifact, Stage};
+use tempfile::TempDir;
+
+pub(crate) mod dataset;
+
+/// The program that is tested.
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_re4-pipe");
+
+/// The top folder of the repository.
+pub(crate) fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
+}
+
+/// A folder with `data/small.zarr` (12 scripted pushes with pictures) and `small.toml`; commands run inside of it.
+pub(crate) struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    /// With dataset and pipeline file.
+    pub(crate) fn new() -> Self {
+        let place = Self::empty();
+        dataset::write(&place.dataset(), 12, true);
+        place
+    }
+
+    /// With the pipeline file, and an empty folder for data.
+    pub(crate) fn empty() -> Self {
+        let folder = TempDir::with_prefix("re4-").unwrap();
+        fs::create_dir(folder.path().join("data")).unwrap();
+        fs::write(folder.path().join("small.toml"), PIPELINE).unwrap();
+        Self { folder }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    pub(crate) fn dataset(&self) -> PathBuf {
+        self.path().join("data/small.zarr")
+    }
+
+    pub(crate) fn artifacts(&self) -> PathBuf {
+        self.path().join("artifacts")
+    }
+
+    pub(crate) fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        fs::write(self.path().join(name), content).unwrap();
+    }
+
+    /// The program, to be run in this folder with its data.
+    pub(crate) fn command(&self) -> Command {
+        let mut command = Command::new(PROGRAM);
+        command
+            .current_dir(self.path())
+            .env("RE4_DATA", self.path().join("data"))
+            .env_remove("NO_COLOR")
+            .env("COLUMNS", "100");
+        command
+    }
+
+    /// Runs the program to its end; arguments are separated by blanks.
+    pub(crate) fn run(&self, arguments: &str) -> Answer {
+        self.run_each(&arguments.split_whitespace().collect::<Vec<_>>())
+    }
+
+    /// Runs the program to its end, for arguments that hold blanks.
+    pub(crate) fn run_each(&self, arguments: &[&str]) -> Answer {
+        let output = self.command().args(arguments).output().unwrap();
+        Answer::new(&output, self.path())
+    }
+
+    /// Starts the program and leaves it running.
+    pub(crate) fn start(&self, arguments: &str) -> Child {
+        self.command()
+            .args(arguments.split_whitespace())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap()
+    }
+
+    /// The artifact of a stage; there has to be exactly one.
+    pub(crate) fn artifact(&self, stage: Stage) -> Artifact {
+        let folders = folders_in(&self.artifacts().join(stage.artifact()));
+        assert_eq!(folders.len(), 1, "{stage} has {folders:?}");
+        Artifact::open(&folders[0]).unwrap()
+    }
+
+    /// Bytes of every file of every artifact, by path below the artifacts folder. Notes on single runs are left out.
+    pub(crate) fn bytes(&self) -> BTreeMap<String, Vec<u8>> {
+        artifact_bytes(&self.artifacts())
+    }
+
+    /// Temporaries in the artifacts folder.
+    pub(crate) fn temporaries(&self) -> Vec<String> {
+        let mut all = Vec::new();
+        list(&self.artifacts(), "", &mut all);
+        all.retain(|name| name.contains(".tmp-") || name.contains(".re4-record-"));
+        all
+    }
+}
+
+/// What the program answered, with the folder of the test written as `[folder]`.
+pub(crate) struct Answer {
+    pub(crate) code: Option<i32>,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Answer {
+    pub(crate) fn new(output: &Output, folder: &Path) -> Self {
+        let text = |bytes: &[u8]| {
+            let text = String::from_utf8(bytes.to_vec()).unwrap();
+            text.replace(folder.to_str().unwrap(), "[folder]")
+        };
+        Self {
+            code: output.status.code(),
+            stdout: text(&output.stdout),
+            stderr: text(&output.stderr),
+        }
+    }
+
+    /// Asserts success; the answer itself.
+    #[track_caller]
+    pub(crate) fn done(self) -> Self {
+        assert_eq!(self.code, Some(0), "stdout {}\nstderr {}", self.stdout, self.stderr);
+        self
+    }
+
+    /// Asserts a refusal: exit code 2, nothing on standard output, and as last line of standard error one sentence,
+    /// which is returned.
+    #[track_caller]
+    pub(crate) fn refused(self) -> String {
+        assert_eq!(self.code, Some(2), "stdout {}\nstderr {}", self.stdout, self.stderr);
+        assert_eq!(self.stdout, "", "standard output should stay empty");
+        let mut lines = self.stderr.lines().rev();
+        let last = lines.next().unwrap_or_default();
+        assert!(last.starts_with("error: "), "{}", self.stderr);
+        assert!(
+            lines.all(|line| !line.contains("error") && !line.contains("panicked")),
+            "more than one sentence: {}",
+            self.stderr
+        );
+        assert!(!last.contains(". "), "more than one sentence: {last}");
+        last.to_owned()
+    }
+
+    /// Asserts a refusal that has nothing else on standard error.
+    #[track_caller]
+    pub(crate) fn refused_at_once(self) -> String {
+        assert_eq!(self.stderr.lines().count(), 1, "{}", self.stderr);
+        self.refused()
+    }
+
+    /// Standard output as one JSON object.
+    #[track_caller]
+    pub(crate) fn json(&self) -> serde_json::Value {
+        assert_eq!(self.stdout.lines().count(), 1, "{}", self.stdout);
+        let value: serde_json::Value = serde_json::from_str(&self.stdout).unwrap();
+        assert!(value.is_object(), "{value}");
+        value
+    }
+}
+
+/// Folders directly in a folder, sorted; none if it is not there.
+pub(crate) fn folders_in(folder: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(folder) else {
+        return Vec::new();
+    };
+    let mut folders: Vec<PathBuf> = entries
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_dir())
+        .collect();
+    folders.sort();
+    folders
+}
+
+/// Bytes of every file of every artifact below an artifacts folder.
+pub(crate) fn artifact_bytes(artifacts: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut names = Vec::new();
+    list(artifacts, "", &mut names);
+    names
+        .into_iter()
+        .filter(|name| !name.starts_with("runs/") && name != ".lock")
+        .map(|name| {
+            let bytes = fs::read(artifacts.join(&name)).unwrap();
+            (name, bytes)
+        })
+        .collect()
+}
+
+/// Every file below a folder, by path relative to it; sorted.
+fn list(folder: &Path, prefix: &str, names: &mut Vec<String>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    let mut entries: Vec<_> = entries.map(Result::unwrap).collect();
+    entries.sort_by_key(fs::DirEntry::file_name);
+    for entry in entries {
+        let name = format!("{prefix}{}", entry.file_name().to_str().unwrap());
+        if entry.file_type().unwrap().is_dir() {
+            list(&entry.path(), &format!("{name}/"), names);
+        } else {
+            names.push(name);
+        }
+    }
+}
+
+/// Two sets of artifact bytes are equal; says which file differs, not how.
+#[track_caller]
+pub(crate) fn assert_same_bytes(left: &BTreeMap<String, Vec<u8>>, right: &BTreeMap<String, Vec<u8>>) {
+    assert!(!left.is_empty());
+    assert_eq!(
+        left.keys().collect::<Vec<_>>(),
+        right.keys().collect::<Vec<_>>(),
+        "other files"
+    );
+    for (name, bytes) in left {
+        assert!(bytes == &right[name], "{name} differs");
+    }
+}
+
+/// Words of a path or text that differ from machine to machine: keys, other hashes and times.
+pub(crate) fn filters() -> Vec<(&'static str, &'static str)> {
+    vec![
+        (r"\b[0-9a-f]{64}\b", "[hash]"),
+        (r"\b[0-9a-f]{16}\b", "[key]"),
+        (r"\b\d+\.\d\d s\b", "[time] s"),
+        (r#""wall_s":[0-9.e-]+"#, r#""wall_s":"[time]""#),
+        (r"\.tmp-\S+", "[temporary]"),
+    ]
+}
+
+/// The folder of real datasets, if the human demonstrations are there; says so if not.
+pub(crate) fn real_data() -> Option<PathBuf> {
+    let beside = || repository().join("../shared/data");
+    let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
+    let there = data.join("pusht/pusht_cchi_v7_replay.zarr").is_dir();
+    if !there {
+        println!(
+            "skipped: no pusht/pusht_cchi_v7_replay.zarr below {}; set RE4_DATA to the folder of the datasets",
+            data.display()
+        );
+    }
+    there.then_some(data)
+}
+
+const PIPELINE: &str = r#"task = "pusht"
+variant = "state"
+
+[ingest]
+source = "small.zarr"
+
+[segment]
+rule = "always_transit"
+
+[pose]
+source = "recorded"
+
+[index]
+longest_chunk = 128
+
+[rollout]
+policy = "re4"
+seeds = "500..506"
+max_steps = 60
+"#;
