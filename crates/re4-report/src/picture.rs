@@ -75,6 +75,8 @@ pub fn rollout_picture(rollout: &RolloutPicture) -> Result<String, PictureError>
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
         let area = root.margin(MARGIN, MARGIN + LEGEND, MARGIN, MARGIN);
+        let side = WORKSPACE as i32;
+        area.draw(&Rectangle::new([(0, 0), (side, side)], BLACK.mix(0.2).stroke_width(1)))?;
         tee(&area, rollout, rollout.goal, GOAL.filled())?;
         let last = rollout.blocks.len().saturating_sub(1);
         let shown: Vec<usize> = rollout
@@ -186,6 +188,7 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Pict
         chart
             .configure_mesh()
             .x_desc("frame of the demonstration")
+            .x_label_formatter(&|frame| format!("{frame:.0}"))
             .y_desc("block, replayed to recorded, px")
             .light_line_style(WHITE.mix(0.0))
             .draw()?;
@@ -201,6 +204,7 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Pict
         }
         chart
             .configure_series_labels()
+            .position(SeriesLabelPosition::UpperLeft)
             .background_style(WHITE.mix(0.8))
             .border_style(BLACK.mix(0.2))
             .draw()?;
