@@ -11,9 +11,10 @@
 //! For Push-T, `d_q` is the Euclidean distance over the min-max-normalised `(eef x, eef y, block x, block y, block θ)`
 //! and `d_o` over its last three entries (paper, appendix "Push-T").
 //!
-//! One nearest neighbour over all frames is *not* the answer, since stage 1 is a minimum per demonstration. A KD-tree
-//! over object poses serves as a bound instead: it yields demonstrations in the order of their least `d_o`, stage 1 is
-//! evaluated exactly for each, and the search ends as soon as that bound passes the best answer so far.
+//! One nearest neighbour over all frames is *not* the answer, since stage 1 is a minimum per demonstration. A tree over
+//! object poses serves as a bound instead: the frame that stage 1 chooses is never nearer by `d_o` than the nearest frame
+//! of its demonstration. Stage 1 is evaluated exactly for the demonstration nearest by `d_o`, then for those others that
+//! have a frame within the best answer so far.
 
 mod linear;
 mod metric;
@@ -73,7 +74,7 @@ pub enum IndexError {
     /// There is nothing to retrieve from.
     #[error("cannot build the index: there are no frames; select at least one episode")]
     Empty,
-    /// A coordinate is not a finite number.
+    /// A coordinate is not a finite number, or absurdly far from the ranges it is normalised by.
     #[error(
         "cannot build the index: episode {episode}, frame {frame} has a coordinate that is not finite; repair the episodes artifact"
     )]
@@ -89,13 +90,17 @@ pub enum IndexError {
         /// Number of frames given.
         frames: usize,
     },
-    /// The tree could not be constructed.
-    #[error("cannot build the index: {reason}")]
-    Tree {
-        /// What the tree library reports.
-        reason: String,
+    /// Two frames with the same number, of which ties could choose either.
+    #[error("cannot build the index: episode {episode} has frame {frame} twice; give every frame once")]
+    Duplicate {
+        /// Demonstration.
+        episode: u32,
+        /// Frame inside the demonstration.
+        frame: u32,
     },
-    /// A query coordinate is not a finite number.
-    #[error("cannot retrieve: the query has a coordinate that is not finite; check the observation it was made from")]
+    /// A query coordinate is not a finite number, or absurdly far from the demonstrations.
+    #[error(
+        "cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration; check the observation it was made from"
+    )]
     QueryNotFinite,
 }

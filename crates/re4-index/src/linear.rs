@@ -1,6 +1,6 @@
 //! Retrieve by definition: every frame is looked at, twice.
 
-use crate::metric::{admissible_squared, object_squared, state_squared};
+use crate::metric::{admissible_squared, in_bounds, object_squared, state_squared};
 use crate::{IndexError, IndexedFrame, Normalization, Query, Retrieved};
 
 /// The two-stage lookup by linear scan over `frames`, sorted by episode and frame. It is the oracle of the tests and
@@ -17,7 +17,7 @@ pub fn retrieve_linear(
     epsilon: f64,
 ) -> Result<Option<Retrieved>, IndexError> {
     let q = normalization.query(query);
-    if q.iter().any(|v| !v.is_finite()) {
+    if !in_bounds(&q) {
         return Err(IndexError::QueryNotFinite);
     }
     let period = normalization.period();

@@ -94,13 +94,18 @@ impl Normalization {
     }
 }
 
+/// Whether squares of differences between such coordinates stay finite.
+pub(crate) fn in_bounds(normalized: &[f64; 5]) -> bool {
+    normalized.iter().all(|v| v.abs() < 1e100)
+}
+
 fn raw(eef_x: f64, eef_y: f64, object: re4_geometry::Pose2) -> [f64; 5] {
     [eef_x, eef_y, object.x, object.y, wrap_to_two_pi(object.theta)]
 }
 
 /// Squared `d_o` between normalised states. Every path through the index uses this one expression, in this order of
 /// operations, so that equal distances are equal to the bit and ties are decided the same way everywhere.
-#[inline(always)]
+#[inline]
 pub(crate) fn object_squared(a: &[f64; 5], x: f64, y: f64, theta: f64, period: f64) -> f64 {
     let (dx, dy) = (a[2] - x, a[3] - y);
     let direct = (a[4] - theta).abs();
@@ -110,7 +115,7 @@ pub(crate) fn object_squared(a: &[f64; 5], x: f64, y: f64, theta: f64, period: f
 
 /// A lower bound of [`object_squared`] over the poses in a box, in the same order of operations: rounding is monotonic,
 /// so the bound holds to the bit and needs no slack.
-#[inline(always)]
+#[inline]
 pub(crate) fn box_squared(a: &[f64; 5], low: [f64; 3], high: [f64; 3], period: f64) -> f64 {
     let outside = |q: f64, i: usize| larger(larger(low[i] - q, q - high[i]), 0.0);
     let (dx, dy) = (outside(a[2], 0), outside(a[3], 1));
@@ -122,20 +127,20 @@ pub(crate) fn box_squared(a: &[f64; 5], low: [f64; 3], high: [f64; 3], period: f
 }
 
 /// The maximum as one instruction: unlike `f64::max` it need not tell NaN apart, which never comes here.
-#[inline(always)]
+#[inline]
 fn larger(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
 /// Squared `d_q` from the end-effector terms and the squared `d_o`.
-#[inline(always)]
+#[inline]
 pub(crate) fn state_squared(a: &[f64; 5], x: f64, y: f64, object_squared: f64) -> f64 {
     let (dx, dy) = (a[0] - x, a[1] - y);
     dx * dx + dy * dy + object_squared
 }
 
 /// Squared `d_o` up to which a frame of a demonstration stays a candidate for stage 1.
-#[inline(always)]
+#[inline]
 pub(crate) fn admissible_squared(least_object_squared: f64, epsilon: f64) -> f64 {
     let limit = least_object_squared.sqrt() + epsilon;
     // Rounding must not shut out the least frame itself.

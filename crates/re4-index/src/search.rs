@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use re4_episode::Mode;
 
-use crate::metric::{admissible_squared, object_squared, state_squared};
+use crate::metric::{admissible_squared, in_bounds, object_squared, state_squared};
 use crate::tree::{FAN, Pose, PoseTree};
 use crate::{AngleMetric, IndexError, IndexedFrame, Normalization, Query, Retrieved};
 
@@ -20,7 +20,7 @@ pub struct RetrievalIndex {
 pub struct SearchStatistics {
     /// Demonstrations for which stage 1 was evaluated.
     pub demos_evaluated: u32,
-    /// Frames looked at, in the tree's blocks and in stage 1.
+    /// Frames whose distance was computed, in leaves of the tree and in stage 1; some twice.
     pub frames_evaluated: u32,
 }
 
@@ -38,7 +38,7 @@ impl RetrievalIndex {
     /// Builds the index over `frames`, normalising by their own minima and maxima.
     ///
     /// # Errors
-    /// When there are no frames, or one has a coordinate that is not finite.
+    /// When there are no frames, one has a coordinate that is not finite, or two have the same number.
     pub fn build(frames: Vec<IndexedFrame>, angle: AngleMetric) -> Result<Self, IndexError> {
         let normalization = Normalization::over(&frames, angle);
         Self::with_normalization(frames, normalization)
@@ -47,7 +47,7 @@ impl RetrievalIndex {
     /// Builds the index with a given normalisation, as an index artifact records it.
     ///
     /// # Errors
-    /// When there are no frames, or one has a coordinate that is not finite.
+    /// When there are no frames, one has a coordinate that is not finite, or two have the same number.
     pub fn with_normalization(mut frames: Vec<IndexedFrame>, normalization: Normalization) -> Result<Self, IndexError> {
         if frames.is_empty() {
             return Err(IndexError::Empty);
@@ -55,16 +55,22 @@ impl RetrievalIndex {
         if u32::try_from(frames.len()).is_err() {
             return Err(IndexError::TooLarge { frames: frames.len() });
         }
-        if let Some(bad) = frames
-            .iter()
-            .find(|f| normalization.frame(f).iter().any(|v| !v.is_finite()))
-        {
+        if let Some(bad) = frames.iter().find(|f| !in_bounds(&normalization.frame(f))) {
             return Err(IndexError::NotFinite {
                 episode: bad.episode,
                 frame: bad.frame,
             });
         }
         frames.sort_by_key(|f| (f.episode, f.frame));
+        if let Some(pair) = frames
+            .windows(2)
+            .find(|w| (w[0].episode, w[0].frame) == (w[1].episode, w[1].frame))
+        {
+            return Err(IndexError::Duplicate {
+                episode: pair[0].episode,
+                frame: pair[0].frame,
+            });
+        }
         let modes = Mode::ALL
             .into_iter()
             .filter_map(|mode| ModeIndex::build(mode, &frames, &normalization))
@@ -106,7 +112,7 @@ impl RetrievalIndex {
         epsilon: f64,
     ) -> Result<(Option<Retrieved>, SearchStatistics), IndexError> {
         let q = self.normalization.query(query);
-        if q.iter().any(|v| !v.is_finite()) {
+        if !in_bounds(&q) {
             return Err(IndexError::QueryNotFinite);
         }
         let Some(mode) = self.modes.iter().find(|m| m.mode == query.mode) else {
@@ -165,9 +171,9 @@ impl ModeIndex {
         Some(Self {
             mode,
             demos,
-            tree,
             position,
             columns,
+            tree,
         })
     }
 
@@ -176,7 +182,12 @@ impl ModeIndex {
         let range = self.demos[demo as usize].clone();
         let [eef_x, eef_y, x, y, theta] = self.columns.each_ref().map(|column| &column[range.clone()]);
         scratch.clear();
-        scratch.extend((0..range.len()).map(|i| object_squared(q, x[i], y[i], theta[i], period)));
+        scratch.extend(
+            x.iter()
+                .zip(y)
+                .zip(theta)
+                .map(|((&x, &y), &theta)| object_squared(q, x, y, theta, period)),
+        );
         let least = scratch.iter().copied().fold(f64::INFINITY, f64::min);
         let limit = admissible_squared(least, epsilon);
         let mut chosen = Stage1 {
@@ -185,14 +196,12 @@ impl ModeIndex {
             state_squared: f64::INFINITY,
             object_squared: f64::INFINITY,
         };
-        for (i, &o) in scratch.iter().enumerate() {
-            if o <= limit {
-                let s = state_squared(q, eef_x[i], eef_y[i], o);
-                if s < chosen.state_squared {
-                    chosen.frame = range.start + i;
-                    chosen.state_squared = s;
-                    chosen.object_squared = o;
-                }
+        for (i, ((&o, &x), &y)) in scratch.iter().zip(eef_x).zip(eef_y).enumerate() {
+            let s = state_squared(q, x, y, o);
+            if o <= limit && s < chosen.state_squared {
+                chosen.frame = range.start + i;
+                chosen.state_squared = s;
+                chosen.object_squared = o;
             }
         }
         chosen
@@ -221,20 +230,21 @@ impl ModeIndex {
         let mut best = evaluate(nearest, &mut statistics);
         let mut seen = vec![0u64; self.demos.len().div_ceil(64)];
         seen[nearest as usize / 64] |= 1 << (nearest % 64);
-        self.tree.visit(q, period, best.object_squared, |distances, demos, reach| {
-            statistics.frames_evaluated += FAN as u32;
-            for (&distance, &demo) in distances.iter().zip(demos) {
-                let (word, bit) = (demo as usize / 64, 1u64 << (demo % 64));
-                if distance <= *reach && seen[word] & bit == 0 {
-                    seen[word] |= bit;
-                    let found = evaluate(demo, &mut statistics);
-                    if (found.object_squared, found.demo) < (best.object_squared, best.demo) {
-                        *reach = found.object_squared;
-                        best = found;
+        self.tree
+            .visit(q, period, best.object_squared, |distances, demos, reach| {
+                statistics.frames_evaluated += FAN as u32;
+                for (&distance, &demo) in distances.iter().zip(demos) {
+                    let (word, bit) = (demo as usize / 64, 1u64 << (demo % 64));
+                    if distance <= *reach && seen[word] & bit == 0 {
+                        seen[word] |= bit;
+                        let found = evaluate(demo, &mut statistics);
+                        if (found.object_squared, found.demo) < (best.object_squared, best.demo) {
+                            *reach = found.object_squared;
+                            best = found;
+                        }
                     }
                 }
-            }
-        });
+            });
         (best, statistics)
     }
 }

@@ -100,7 +100,10 @@ impl PoseTree {
                 continue;
             }
             if level == 0 {
-                let Leaf { at: [x, y, theta], demos } = &self.leaves[at as usize];
+                let Leaf {
+                    at: [x, y, theta],
+                    demos,
+                } = &self.leaves[at as usize];
                 let mut distances = [0.0; FAN];
                 for (c, distance) in distances.iter_mut().enumerate() {
                     *distance = object_squared(q, x[c], y[c], theta[c], period);
@@ -111,7 +114,12 @@ impl PoseTree {
             let Group { low, high } = &self.levels[level as usize - 1][at as usize];
             let mut bounds = [0.0; FAN];
             for (c, bound) in bounds.iter_mut().enumerate() {
-                *bound = box_squared(q, [low[0][c], low[1][c], low[2][c]], [high[0][c], high[1][c], high[2][c]], period);
+                *bound = box_squared(
+                    q,
+                    [low[0][c], low[1][c], low[2][c]],
+                    [high[0][c], high[1][c], high[2][c]],
+                    period,
+                );
             }
             let first = stack.len();
             for (c, bound) in bounds.into_iter().enumerate() {
@@ -148,9 +156,11 @@ fn arrange(poses: &mut [Pose]) {
         return;
     }
     let width = |i: usize| {
-        let (low, high) = poses.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), pose| {
-            (low.min(pose.at[i]), high.max(pose.at[i]))
-        });
+        let (low, high) = poses
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), pose| {
+                (low.min(pose.at[i]), high.max(pose.at[i]))
+            });
         high - low
     };
     let widths = [0, 1, 2].map(width);

@@ -1,0 +1,141 @@
+//! What an index and a query refuse, and what they merely find nothing for.
+
+mod common;
+
+use common::{agreed, frame, query};
+use re4_episode::Mode;
+use re4_index::{AngleMetric, IndexError, Normalization, Range, RetrievalIndex, retrieve_linear};
+
+const HERE: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 0.5];
+const BROKEN: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
+
+#[test]
+fn a_frame_that_is_not_finite_is_named() {
+    for broken in BROKEN {
+        for dimension in 0..5 {
+            let mut c = HERE;
+            c[dimension] = broken;
+            let frames = vec![frame(2, 0, Mode::Transit, HERE), frame(7, 31, Mode::Transit, c)];
+            let error = RetrievalIndex::build(frames, AngleMetric::Periodic).err().unwrap();
+            // An infinite coordinate spoils the range that every frame is normalised by.
+            match error {
+                IndexError::NotFinite { episode, frame } => {
+                    assert!(!broken.is_nan() || (episode, frame) == (7, 31), "{episode}, {frame}");
+                }
+                other => panic!("{broken} in dimension {dimension}: {other}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn no_frames_or_the_same_frame_twice_are_refused() {
+    assert_eq!(
+        RetrievalIndex::build(Vec::new(), AngleMetric::Raw).err(),
+        Some(IndexError::Empty)
+    );
+    let twice = vec![
+        frame(1, 5, Mode::Transit, HERE),
+        frame(0, 5, Mode::Transit, HERE),
+        frame(1, 5, Mode::Transfer, [0.0; 5]),
+    ];
+    let error = RetrievalIndex::build(twice, AngleMetric::Raw).err().unwrap();
+    assert_eq!(error, IndexError::Duplicate { episode: 1, frame: 5 });
+    assert!(error.to_string().contains("episode 1 has frame 5 twice"), "{error}");
+}
+
+#[test]
+fn a_range_that_makes_coordinates_overflow_is_refused() {
+    let tiny = Range {
+        minimum: 0.0,
+        maximum: 1e-200,
+    };
+    let normalization = Normalization {
+        ranges: [tiny; 5],
+        angle: AngleMetric::Raw,
+    };
+    let error = RetrievalIndex::with_normalization(vec![frame(0, 0, Mode::Transit, HERE)], normalization).err();
+    assert_eq!(error, Some(IndexError::NotFinite { episode: 0, frame: 0 }));
+}
+
+#[test]
+fn a_query_that_is_not_finite_is_an_error_for_index_and_scan_alike() {
+    let index = RetrievalIndex::build(vec![frame(0, 0, Mode::Transit, HERE)], AngleMetric::Periodic).unwrap();
+    for broken in BROKEN.into_iter().chain([1e300, -1e300]) {
+        for dimension in 0..4 {
+            let mut c = HERE;
+            c[dimension] = broken;
+            let q = query(Mode::Transit, c);
+            assert_eq!(index.retrieve(&q, 0.1), Err(IndexError::QueryNotFinite), "{q:?}");
+            let linear = retrieve_linear(index.frames(), index.normalization(), &q, 0.1);
+            assert_eq!(linear, Err(IndexError::QueryNotFinite), "{q:?}");
+        }
+    }
+    for broken in BROKEN {
+        let q = query(Mode::Transit, [1.0, 2.0, 3.0, 4.0, broken]);
+        assert_eq!(index.retrieve(&q, 0.1), Err(IndexError::QueryNotFinite), "{q:?}");
+    }
+}
+
+#[test]
+fn a_mode_that_no_frame_has_finds_nothing_and_a_mode_is_never_crossed() {
+    let transit_only = RetrievalIndex::build(vec![frame(0, 0, Mode::Transit, HERE)], AngleMetric::Raw).unwrap();
+    assert_eq!(agreed(&transit_only, &query(Mode::Transfer, HERE), f64::INFINITY), None);
+    // The nearest frame has the wrong mode, in the same episode and in another.
+    let frames = vec![
+        frame(0, 0, Mode::Transfer, HERE),
+        frame(1, 0, Mode::Transfer, HERE),
+        frame(1, 1, Mode::Transit, [400.0, 400.0, 300.0, 10.0, 3.0]),
+    ];
+    let index = RetrievalIndex::build(frames, AngleMetric::Periodic).unwrap();
+    let answer = agreed(&index, &query(Mode::Transit, HERE), 0.1).unwrap();
+    assert_eq!((answer.episode, answer.frame), (1, 1));
+    let answer = agreed(&index, &query(Mode::Transfer, HERE), 0.1).unwrap();
+    assert_eq!((answer.episode, answer.frame, answer.d_q), (0, 0, 0.0));
+}
+
+#[test]
+fn a_query_far_outside_the_ranges_is_answered() {
+    let frames = (0..500)
+        .map(|i| {
+            frame(
+                i / 50,
+                i % 50,
+                Mode::Transit,
+                [f64::from(i), 0.0, f64::from(i * i % 97), f64::from(i % 31), 1.0],
+            )
+        })
+        .collect();
+    let index = RetrievalIndex::build(frames, AngleMetric::Periodic).unwrap();
+    for far in [1e3, -1e3, 1e9, -1e9, 1e90] {
+        for dimension in 0..4 {
+            let mut c = HERE;
+            c[dimension] = far;
+            for epsilon in [0.0, 0.1, f64::INFINITY] {
+                assert!(agreed(&index, &query(Mode::Transit, c), epsilon).is_some());
+            }
+        }
+    }
+}
+
+#[test]
+fn stage_one_is_a_choice_within_the_demonstration_not_over_all_frames() {
+    // Demonstration 0 has the nearest object pose, but its state nearest to the query lies elsewhere; within epsilon of its
+    // least d_o that frame may not be chosen.
+    let frames = vec![
+        frame(0, 0, Mode::Transit, [100.0, 0.0, 0.0, 0.0, 0.0]),
+        frame(0, 1, Mode::Transit, [0.0, 0.0, 40.0, 0.0, 0.0]),
+        frame(1, 0, Mode::Transit, [100.0, 100.0, 20.0, 0.0, 0.0]),
+        frame(2, 0, Mode::Transit, [0.0, 0.0, 100.0, 100.0, 1.0]),
+    ];
+    let index = RetrievalIndex::build(frames, AngleMetric::Raw).unwrap();
+    let here = query(Mode::Transit, [0.0; 5]);
+    let strict = agreed(&index, &here, 0.1).unwrap();
+    assert_eq!((strict.episode, strict.frame), (0, 0));
+    let open = agreed(&index, &here, f64::INFINITY).unwrap();
+    assert_eq!(
+        (open.episode, open.frame),
+        (1, 0),
+        "demonstration 0 offers its frame 1, at d_o 0.4"
+    );
+}
