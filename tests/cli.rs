@@ -1,4 +1,10 @@
 //! The command line and the pipeline file: help, versions, and every refusal.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
 
 mod support;
 
@@ -31,7 +37,7 @@ fn help_of_the_program_and_of_every_subcommand() {
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .map_while(|line| line.strip_prefix("  "))
-        .filter(|line| !line.starts_with(" "))
+        .filter(|line| !line.starts_with(' '))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|word| *word != "help")
         .collect();

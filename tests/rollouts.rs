@@ -1,4 +1,10 @@
 //! The rollouts artifact: steps, decisions and results tell one story, and the simulator tells it again.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
 
 mod support;
 

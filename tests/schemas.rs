@@ -1,4 +1,10 @@
 //! The descriptions in `schemas/`: up to date, and true of the files that stages write.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
 
 mod support;
 

@@ -99,3 +99,32 @@ pub(crate) fn picture(frame: usize, frames: usize) -> Vec<u8> {
         })
         .collect()
 }
+
+/// Replaces an array of a dataset by an uncompressed one of a single chunk.
+pub(crate) fn replace(dataset: &Path, array: &str, dtype: &str, shape: &[usize], bytes: &[u8]) {
+    let folder = dataset.join(array);
+    fs::remove_dir_all(&folder).unwrap();
+    fs::create_dir(&folder).unwrap();
+    let metadata = serde_json::json!({
+        "zarr_format": 2, "shape": shape, "chunks": shape.iter().map(|length| (*length).max(1)).collect::<Vec<_>>(),
+        "dtype": dtype, "compressor": null, "fill_value": 0, "filters": null, "order": "C"
+    });
+    fs::write(folder.join(".zarray"), metadata.to_string()).unwrap();
+    if shape.iter().product::<usize>() > 0 {
+        fs::write(folder.join(vec!["0"; shape.len()].join(".")), bytes).unwrap();
+    }
+}
+
+/// Replaces `meta/episode_ends`.
+pub(crate) fn replace_ends(dataset: &Path, ends: &[i64]) {
+    let bytes: Vec<u8> = ends.iter().flat_map(|end| end.to_le_bytes()).collect();
+    replace(dataset, "meta/episode_ends", "<i8", &[ends.len()], &bytes);
+}
+
+/// Replaces `data/state` by states that stand still, one of them with another value in one column.
+pub(crate) fn replace_state(dataset: &Path, frames: usize, frame: usize, column: usize, value: f32) {
+    let mut values = [100.0_f32, 120.0, 300.0, 310.0, 1.0].repeat(frames);
+    values[frame * 5 + column] = value;
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    replace(dataset, "data/state", "<f4", &[frames, 5], &bytes);
+}

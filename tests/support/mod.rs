@@ -237,7 +237,8 @@ pub(crate) fn filters() -> Vec<(&'static str, &'static str)> {
         (r"\b[0-9a-f]{16}\b", "[key]"),
         (r"\b\d+\.\d\d s\b", "[time] s"),
         (r#""wall_s":[0-9.e-]+"#, r#""wall_s":"[time]""#),
-        (r"\.tmp-\S+", "[temporary]"),
+        (r"\.tmp-[0-9a-z]+-\w+", "[temporary]"),
+        (r"\.re4-record-\w+", "[temporary]"),
     ]
 }
 

@@ -102,8 +102,12 @@ pub(crate) struct RolloutArguments {
     /// Policy preset: paper, re4 or re2; as --set rollout.policy=...
     #[arg(long, value_name = "NAME")]
     pub(crate) policy: Option<String>,
-    /// Control steps an episode lasts at most; as --set `rollout.max_steps`=...
-    #[arg(long, value_name = "N")]
+    /// Control steps an episode lasts at most.
+    #[arg(
+        long,
+        value_name = "N",
+        help = "Control steps an episode lasts at most; as --set rollout.max_steps=..."
+    )]
     pub(crate) max_steps: Option<u32>,
     /// Also write the rollouts as a dataset in Push-T's own zarr format, to a folder that does not exist yet
     #[arg(long, value_name = "OUT.zarr")]
@@ -158,8 +162,12 @@ pub(crate) struct FetchArguments {
     /// Dataset, as data/datasets.toml names it
     #[arg(value_name = "DATASET")]
     pub(crate) dataset: String,
-    /// Folder to put it into [default: the folder in `RE4_DATA`, else data]
-    #[arg(long, value_name = "DIR")]
+    /// Folder to put it into.
+    #[arg(
+        long,
+        value_name = "DIR",
+        help = "Folder to put it into [default: the folder in RE4_DATA, else data]"
+    )]
     pub(crate) destination: Option<PathBuf>,
     /// Address to download from in place of the official one
     #[arg(long, value_name = "URL")]

@@ -56,8 +56,8 @@ impl FromStr for Seeds {
         }
         let mut sorted = seeds.clone();
         sorted.sort_unstable();
-        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-            bail!("seeds {text:?}: seed {} occurs twice; name each seed once", pair[0]);
+        if let Some((seed, _)) = sorted.iter().zip(sorted.iter().skip(1)).find(|(one, next)| one == next) {
+            bail!("seeds {text:?}: seed {seed} occurs twice; name each seed once");
         }
         Ok(Self {
             text: text.to_owned(),

@@ -35,10 +35,16 @@ pub(crate) fn schemas(arguments: &SchemasArguments) -> Result<Outcome> {
         ))?;
         return Ok(Outcome::GateFailed);
     }
-    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| {
+        format!(
+            "cannot make the folder {}; name one that can be written",
+            folder.display()
+        )
+    })?;
     for (name, text) in &files {
         let path = folder.join(name);
-        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        fs::write(&path, text)
+            .with_context(|| format!("cannot write {}; name a folder that can be written", path.display()))?;
     }
     console.answer(&json!({ "written": files.keys().collect::<Vec<_>>() }))?;
     console.say(&format!("wrote {} files to {}", files.len(), folder.display()))?;

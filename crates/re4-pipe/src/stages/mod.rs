@@ -66,9 +66,17 @@ impl Runner {
         overrides.extend_from_slice(more_overrides);
         let pipeline = load(&arguments.pipeline, &overrides)?;
         set_up_threads(&arguments.common)?;
+        let artifacts = &arguments.common.artifacts;
+        if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
+            anyhow::bail!(
+                "cannot keep artifacts in {}: {} is a file; name a folder with --artifacts",
+                artifacts.display(),
+                file.display()
+            );
+        }
         Ok(Self {
             pipeline,
-            store: Store::open(&arguments.common.artifacts)?,
+            store: Store::open(artifacts)?,
             console: Console::new(&arguments.common),
             interrupt: Interrupt::listen(),
         })

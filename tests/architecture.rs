@@ -1,0 +1,107 @@
+//! ARCHITECTURE.md names the crates there are, and dependencies point down only.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .unwrap()
+}
+
+/// Crates of the workspace and the crates of the workspace that they need to be built, tests aside.
+fn crates() -> BTreeMap<String, BTreeSet<String>> {
+    let output = Command::new(env!("CARGO"))
+        .args([
+            "metadata",
+            "--format-version",
+            "1",
+            "--no-deps",
+            "--locked",
+            "--offline",
+        ])
+        .current_dir(repository())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let packages = metadata["packages"].as_array().unwrap();
+    let name = |package: &Value| package["name"].as_str().unwrap().to_owned();
+    let members: BTreeSet<String> = packages.iter().map(name).collect();
+    packages
+        .iter()
+        .map(|package| {
+            let needs = package["dependencies"].as_array().unwrap().iter();
+            let needs = needs.filter(|dependency| dependency["kind"] != "dev").map(name);
+            (name(package), needs.filter(|need| members.contains(need)).collect())
+        })
+        .collect()
+}
+
+/// Names in backticks in the first column of the Markdown tables of a text, where they are names of crates.
+fn listed(text: &str) -> Vec<String> {
+    let cells = text
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix('|')?.split('|').next());
+    let names = cells.filter_map(|cell| cell.trim().strip_prefix('`')?.strip_suffix('`'));
+    names
+        .filter(|name| name.starts_with("re4-"))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn the_table_of_crates_is_complete() {
+    let text = std::fs::read_to_string(repository().join("ARCHITECTURE.md")).unwrap();
+    let names = listed(&text);
+    let unique: BTreeSet<String> = names.iter().cloned().collect();
+    assert_eq!(unique.len(), names.len(), "a crate is listed twice: {names:?}");
+    assert_eq!(unique, crates().into_keys().collect());
+}
+
+#[test]
+fn dependencies_point_down() {
+    let crates = crates();
+    let needs = |name: &str| &crates[name];
+    for (name, needed) in &crates {
+        assert!(!needed.contains("re4-pipe"), "{name} needs the program");
+        if name != "re4-pipe" {
+            assert!(
+                !needed.contains("re4-artifact"),
+                "{name} needs re4-artifact, which only the program wires to stages"
+            );
+        }
+    }
+    let stages = ["re4-ingest", "re4-segment", "re4-index"];
+    for stage in stages {
+        for other in stages {
+            assert!(!needs(stage).contains(other), "{stage} needs {other}");
+        }
+        assert!(!needs(stage).contains("re4-policy"), "{stage} needs re4-policy");
+    }
+    assert!(needs("re4-geometry").is_empty(), "re4-geometry is at the bottom");
+    assert_eq!(needs("re4-episode").iter().collect::<Vec<_>>(), ["re4-geometry"]);
+    for name in ["re4-artifact", "re4-fetch", "re4-report"] {
+        assert!(
+            needs(name).is_empty(),
+            "{name} knows nothing of robots: {:?}",
+            needs(name)
+        );
+    }
+}
+
+#[test]
+fn tables_are_read_by_their_first_column() {
+    let text = "| crate | noun |\n|---|---|\n| `re4-a` | one |\n| `re4-b`| two `re4-c` |\n| other | |\ntext `re4-d`\n";
+    assert_eq!(listed(text), ["re4-a", "re4-b"]);
+}

@@ -1,0 +1,58 @@
+//! The demo pipeline on the bundled sample always gives the same bytes.
+//!
+//! The snapshot holds the BLAKE3 hash of every table. It changes when a preset, a stage or the sample changes, and then
+//! on purpose; on another machine it may differ in the last bits of sines and cosines, which the system's mathematical
+//! library computes. Accept a wanted change with `INSTA_UPDATE=always cargo test -p re4-pipe --test golden`.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::fmt::Write as _;
+use std::process::Command;
+
+use re4_artifact::Artifact;
+use support::{Answer, PROGRAM, folders_in, repository};
+use tempfile::TempDir;
+
+/// Runs the demo as a user does, in the top folder of the repository; its score table and the hashes of its tables.
+fn demo(jobs: &str) -> String {
+    let folder = TempDir::new().unwrap();
+    let output = Command::new(PROGRAM)
+        .current_dir(repository())
+        .env_remove("RE4_DATA")
+        .args(["run", "pipelines/demo.toml", "--quiet", "--jobs", jobs, "--artifacts"])
+        .arg(folder.path())
+        .output()
+        .unwrap();
+    let mut text = Answer::new(&output, folder.path()).done().stdout;
+    for kind in folders_in(folder.path()) {
+        for path in folders_in(&kind) {
+            let Ok(artifact) = Artifact::open(&path) else { continue };
+            let manifest = artifact.manifest();
+            writeln!(text, "{} {}", manifest.artifact, manifest.key).unwrap();
+            for (name, facts) in &manifest.tables {
+                writeln!(
+                    text,
+                    "  {name} {} rows, {} bytes, {}",
+                    facts.rows, facts.bytes, facts.blake3
+                )
+                .unwrap();
+            }
+        }
+    }
+    text
+}
+
+#[test]
+fn the_demo_gives_the_same_bytes_in_every_run() {
+    let one = demo("1");
+    for jobs in ["2", "4"] {
+        assert_eq!(demo(jobs), one, "--jobs {jobs}");
+    }
+    insta::assert_snapshot!(one);
+}

@@ -1,0 +1,101 @@
+//! Ctrl-C: the run ends soon, says so in one sentence, and leaves nothing half-written.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::os::unix::process::ExitStatusExt as _;
+use std::process::{Child, Command};
+use std::time::{Duration, Instant};
+
+use support::{Place, assert_same_bytes};
+
+/// Many rollouts, so that there is time to interrupt them.
+const LONG: &str = "run small.toml --set rollout.seeds=0..20000 --policy paper";
+
+fn interrupt(child: &Child) {
+    let status = Command::new("sh")
+        .args(["-c", &format!("kill -INT {}", child.id())])
+        .status()
+        .unwrap();
+    assert!(status.success());
+}
+
+#[test]
+fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
+    let place = Place::new();
+    let mut child = place.start(LONG);
+    let mut notes = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.trim_start().starts_with("index") {
+        line.clear();
+        assert!(notes.read_line(&mut line).unwrap() > 0, "it ended before the rollouts");
+    }
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(
+        child.try_wait().unwrap().is_none(),
+        "it ended before it was interrupted"
+    );
+    interrupt(&child);
+    let start = Instant::now();
+    let mut said = String::new();
+    notes.read_to_string(&mut said).unwrap();
+    let status = child.wait().unwrap();
+    let latency = start.elapsed();
+    assert_eq!(status.code(), Some(2), "{said}");
+    let mut out = String::new();
+    child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
+    assert_eq!(out, "");
+    insta::assert_snapshot!(said.trim_end());
+    assert!(latency < Duration::from_secs(2), "it took {latency:?} to stop");
+    assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
+    assert!(place.bytes().keys().all(|name| !name.starts_with("rollouts/")));
+    place.run("run small.toml").done();
+    let other = Place::new();
+    other.run("run small.toml").done();
+    assert_same_bytes(&place.bytes(), &other.bytes());
+}
+
+#[test]
+fn an_interrupt_at_any_moment_is_answered_cleanly() {
+    let expected = Place::new();
+    let start = Instant::now();
+    expected.run("run small.toml").done();
+    let wall = start.elapsed();
+    let place = Place::new();
+    for tenth in 0..=10 {
+        let child = place.start("run small.toml");
+        std::thread::sleep(wall * tenth / 10);
+        interrupt(&child);
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        match (output.status.code(), output.status.signal()) {
+            // Done before the signal came.
+            (Some(0), _) => {}
+            (Some(2), _) => {
+                let last = said.lines().last().unwrap_or_default();
+                assert!(last.starts_with("error: ") && last.contains("interrupted"), "{said}");
+            }
+            // Before the program listens there is nothing to clean up.
+            (None, Some(2)) => assert_eq!(said, ""),
+            other => panic!("{other:?}: {said}"),
+        }
+        assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
+        let whole = expected.bytes();
+        assert!(
+            place.bytes().iter().all(|(name, bytes)| whole.get(name) == Some(bytes)),
+            "a part stayed"
+        );
+        if tenth % 3 == 0 {
+            // Start over, so that the next signals meet every stage again.
+            let _ = std::fs::remove_dir_all(place.artifacts());
+        }
+    }
+    place.run("run small.toml").done();
+    assert_same_bytes(&place.bytes(), &expected.bytes());
+}

@@ -1,0 +1,128 @@
+//! Runs that are killed at any moment, and runs side by side: the next run ends in the bytes of an undisturbed one.
+//!
+//! `RE4_KILLS=200 cargo test -p re4-pipe --test kill` kills more often than the default of 12.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::time::{Duration, Instant};
+
+use support::{Place, assert_same_bytes};
+
+const COMMAND: &str = "run small.toml --set rollout.seeds=500..512";
+
+/// Bytes of an undisturbed run, and how long it took.
+fn undisturbed() -> (BTreeMap<String, Vec<u8>>, Duration) {
+    let place = Place::new();
+    let start = Instant::now();
+    place.run(COMMAND).done();
+    (place.bytes(), start.elapsed())
+}
+
+/// Numbers in `[0, 1)` from a seed (splitmix64).
+struct Moments(u64);
+
+impl Moments {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut bits = self.0;
+        bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (bits >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+#[test]
+fn a_killed_run_can_be_run_again() {
+    let kills: usize = std::env::var("RE4_KILLS").map_or(12, |text| text.parse().unwrap());
+    let (expected, wall) = undisturbed();
+    let place = Place::new();
+    let mut moments = Moments(20_260_726);
+    let mut killed = 0;
+    for kill in 0..kills {
+        let _ = fs::remove_dir_all(place.artifacts());
+        // Up to two more kills of the runs that go on from there.
+        for _ in 0..=kill % 3 {
+            let mut child = place.start(COMMAND);
+            std::thread::sleep(wall.mul_f64(moments.next()));
+            child.kill().unwrap();
+            killed += u32::from(child.wait().unwrap().code().is_none());
+        }
+        place.run(COMMAND).done();
+        assert!(place.temporaries().is_empty(), "kill {kill}: {:?}", place.temporaries());
+        assert_same_bytes(&place.bytes(), &expected);
+    }
+    assert!(
+        killed as usize >= kills / 2,
+        "only {killed} runs were killed before they ended"
+    );
+    place.run("verify").done();
+}
+
+#[test]
+fn a_killed_recording_leaves_no_dataset() {
+    let (_, wall) = undisturbed();
+    let place = Place::new();
+    let mut moments = Moments(7);
+    let out = place.path().join("out.zarr");
+    for _ in 0..4 {
+        let mut child = place.start(&format!("{COMMAND} --record out.zarr"));
+        std::thread::sleep(wall.mul_f64(1.1 * moments.next()));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        if out.exists() {
+            // Whole or not at all.
+            re4_ingest::pusht::PushtReader::open(&out).unwrap();
+            fs::remove_dir_all(&out).unwrap();
+        }
+    }
+    place.run(&format!("{COMMAND} --record out.zarr")).done();
+    re4_ingest::pusht::PushtReader::open(&out).unwrap();
+}
+
+#[test]
+fn runs_side_by_side_end_in_the_same_bytes() {
+    let (expected, _) = undisturbed();
+    for round in 0..3 {
+        let place = Place::new();
+        let children: Vec<_> = (0..2 + round).map(|_| place.start(COMMAND)).collect();
+        for child in children {
+            let output = child.wait_with_output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(0), "{said}");
+        }
+        assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
+        assert_same_bytes(&place.bytes(), &expected);
+    }
+}
+
+#[test]
+fn a_run_beside_a_killed_one_is_not_disturbed() {
+    let (expected, wall) = undisturbed();
+    let mut moments = Moments(99);
+    for _ in 0..3 {
+        let place = Place::new();
+        let mut victim = place.start(COMMAND);
+        let survivor = place.start(COMMAND);
+        std::thread::sleep(wall.mul_f64(moments.next()));
+        victim.kill().unwrap();
+        victim.wait().unwrap();
+        let output = survivor.wait_with_output().unwrap();
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        place.run(COMMAND).done();
+        assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
+        assert_same_bytes(&place.bytes(), &expected);
+    }
+}

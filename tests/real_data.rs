@@ -1,0 +1,254 @@
+//! The human Push-T demonstrations from end to end, where they are at hand (`RE4_DATA`); skipped where they are not.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use arrow::array::Array as _;
+use re4_artifact::{Artifact, Batches, Table, col_binary, col_f64, col_f64_or_null, col_u32, tables};
+use re4_ingest::Selection;
+use re4_ingest::pusht::PushtReader;
+use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
+use serde_json::Value;
+use sha2::{Digest as _, Sha256};
+use support::{PROGRAM, folders_in, real_data, repository};
+use tempfile::TempDir;
+
+const DATASET: &str = "pusht/pusht_cchi_v7_replay.zarr";
+
+/// What `tests/real_data_reference.py` printed: the words of each line, by the first of them.
+fn reference() -> BTreeMap<&'static str, Vec<&'static str>> {
+    let lines = include_str!("real_data_reference.txt").lines();
+    lines
+        .map(|line| {
+            let mut words = line.split(' ');
+            (words.next().unwrap(), words.collect())
+        })
+        .collect()
+}
+
+fn digest(bytes: impl AsRef<[u8]>) -> String {
+    hexadecimal(&Sha256::digest(bytes))
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes
+        .iter()
+        .fold(String::new(), |text, byte| text + &format!("{byte:02x}"))
+}
+
+fn command(data: &Path, artifacts: &Path, arguments: &str) -> Command {
+    let mut command = Command::new(PROGRAM);
+    command
+        .current_dir(repository())
+        .env("RE4_DATA", data)
+        .args(arguments.split_whitespace())
+        .args(["--quiet", "--json", "--artifacts"])
+        .arg(artifacts);
+    command
+}
+
+fn json(data: &Path, artifacts: &Path, arguments: &str) -> Value {
+    let output = command(data, artifacts, arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn open(artifacts: &Path, kind: &str) -> Artifact {
+    let folders = folders_in(&artifacts.join(kind));
+    assert_eq!(folders.len(), 1, "{folders:?}");
+    Artifact::open(&folders[0]).unwrap()
+}
+
+/// The reset to seed `i` is frame 0 of demonstration `i`, to the precision of the recording: the agent stands on whole
+/// pixels, the block is stored in float32.
+#[test]
+fn demonstrations_start_from_their_seeds() {
+    let Some(data) = real_data() else { return };
+    let reader = PushtReader::open(&data.join(DATASET)).unwrap();
+    let (episodes, _) = reader.read_episodes(&Selection::All).unwrap();
+    assert_eq!(episodes.episode_count(), 206);
+    let mut simulator = PushT::new().unwrap();
+    let (mut farthest, mut most_turned) = (0.0_f64, 0.0_f64);
+    for (episode, rows) in episodes.frames.iter().enumerate() {
+        let [agent_x, agent_y, block_x, block_y, theta] = episodes.state[rows.start];
+        let scene = scene_from_seed(SeedScheme::DiffusionPolicy, episode as u32);
+        let seen = simulator.reset(&scene, ResetOrder::Legacy).unwrap();
+        assert_eq!(
+            [seen.agent.x, seen.agent.y],
+            [agent_x, agent_y],
+            "agent of demonstration {episode}"
+        );
+        let turn = (seen.block.theta - theta)
+            .sin()
+            .abs()
+            .max(1.0 - (seen.block.theta - theta).cos());
+        farthest = farthest.max((seen.block.x - block_x).hypot(seen.block.y - block_y));
+        most_turned = most_turned.max(turn);
+        assert!(
+            farthest <= 1e-4 && most_turned <= 1e-6,
+            "demonstration {episode}: {farthest} px, {most_turned} rad"
+        );
+    }
+    println!("206 of 206 start from their seed; block within {farthest:e} px and {most_turned:e} rad");
+}
+
+#[test]
+fn ingest_holds_every_value_and_little_memory() {
+    let Some(data) = real_data() else { return };
+    let folder = TempDir::new().unwrap();
+    let mut child = command(&data, folder.path(), "ingest pipelines/pusht-state.toml")
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut peak_kib = 0_u64;
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        // A high-water mark: the last reading before the end is the peak so far.
+        let text = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let mark = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        if let Some(kib) = mark.and_then(|words| words.split_whitespace().next()?.parse().ok()) {
+            peak_kib = peak_kib.max(kib);
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    assert!(status.success());
+    println!("peak memory of ingest with pictures: {} MiB", peak_kib / 1024);
+    assert!(peak_kib > 1024, "the peak was not seen");
+    assert!(peak_kib < 1024 * 1024, "{peak_kib} KiB");
+
+    let reference = reference();
+    let artifact = open(folder.path(), "episodes");
+    assert_eq!(
+        artifact.manifest().summary["frames"].to_string(),
+        reference["frames"][0]
+    );
+    let episodes = artifact.table(&tables::EPISODES).unwrap().read_all().unwrap();
+    assert_eq!(episodes.num_rows().to_string(), reference["episodes"][0]);
+    let mut end = 0;
+    let ends = col_u32(&episodes, "frames").unwrap().iter().flat_map(|frames| {
+        end += frames;
+        u32::to_le_bytes(end)
+    });
+    assert_eq!(digest(ends.collect::<Vec<_>>()), reference["episodes"][1]);
+    let frames = artifact.table(&tables::FRAMES).unwrap().read_all().unwrap();
+    let mut compared = 0;
+    for column in tables::FRAMES
+        .columns
+        .iter()
+        .filter(|column| !["episode", "frame"].contains(&column.name))
+    {
+        let values = col_f64_or_null(&frames, column.name).unwrap();
+        let bytes: Vec<u8> = values
+            .iter()
+            .flat_map(|value| {
+                let single = value.unwrap() as f32;
+                assert_eq!(
+                    value.unwrap(),
+                    f64::from(single),
+                    "{} is not the recorded number",
+                    column.name
+                );
+                single.to_le_bytes()
+            })
+            .collect();
+        let expected = &reference[column.name];
+        let sum: f64 = values.iter().flatten().sum();
+        let stated: f64 = expected[1].parse().unwrap();
+        assert!(
+            (sum - stated).abs() < 1e-9 * stated.abs(),
+            "{}: sum {sum}, not {stated}",
+            column.name
+        );
+        assert_eq!(digest(bytes), expected[0], "{}", column.name);
+        compared += 1;
+    }
+    assert_eq!(compared + 3, reference.len(), "every line of the reference is compared");
+    let images = artifact.table(&tables::IMAGES).unwrap();
+    assert_eq!(pictures(&images), reference["pictures"][0]);
+}
+
+/// SHA-256 of every 50th picture.
+fn pictures(images: &Table) -> String {
+    let mut hasher = Sha256::new();
+    let mut row = 0;
+    let batches: Batches = images.batches().unwrap();
+    for batch in batches {
+        let batch = batch.unwrap();
+        let column = col_binary(&batch, "image").unwrap();
+        for i in 0..column.len() {
+            if row % 50 == 0 {
+                let picture = image::load_from_memory(column.value(i)).unwrap().into_rgb8();
+                assert_eq!(picture.dimensions(), (96, 96));
+                hasher.update(picture.as_raw());
+            }
+            row += 1;
+        }
+    }
+    hexadecimal(&hasher.finalize())
+}
+
+#[test]
+fn open_loop_replay_stays_near_the_recording() {
+    let Some(data) = real_data() else { return };
+    let folder = TempDir::new().unwrap();
+    let command = "replay pipelines/pusht-state.toml --set ingest.images=false";
+    let summary = &json(&data, folder.path(), command)["summary"];
+    println!("{summary}");
+    assert_eq!(summary["episodes"], 206);
+    assert_eq!(summary["frames"], 25650);
+    let number = |place: &str| summary.pointer(place).unwrap().as_f64().unwrap();
+    // The recording is float32: 512 px in steps of 3e-5. What is above that grew in contact.
+    assert!(number("/pusher_px/max") < 1e-3);
+    assert!(number("/block_px/p50") < 1e-3);
+    assert!(number("/block_px/p99") < 0.1);
+    assert!(number("/block_px/max") < 5.0);
+    assert!((number("/coverage_recorded_mean") - number("/coverage_replayed_mean")).abs() < 0.01);
+    let artifact = open(folder.path(), "replays");
+    let replays = artifact.table(&tables::REPLAYS).unwrap().read_all().unwrap();
+    let divergence = artifact.table(&tables::DIVERGENCE).unwrap().read_all().unwrap();
+    let (episode, block) = (
+        col_u32(&divergence, "episode").unwrap(),
+        col_f64(&divergence, "block").unwrap(),
+    );
+    for (number, greatest) in col_f64(&replays, "block_max").unwrap().iter().enumerate() {
+        let rows = block.iter().zip(episode).filter(|(_, e)| **e as usize == number);
+        assert_eq!(
+            rows.map(|(d, _)| *d).fold(0.0, f64::max),
+            *greatest,
+            "demonstration {number}"
+        );
+    }
+}
+
+#[test]
+fn policies_score_as_they_should() {
+    let Some(data) = real_data() else { return };
+    let folder = TempDir::new().unwrap();
+    let score = |policy: &str| {
+        let arguments = format!("run pipelines/pusht-state.toml --no-images --seeds 200000..200020 --policy {policy}");
+        let object = json(&data, folder.path(), &arguments);
+        assert_eq!(object["episodes"], 20);
+        let score = object["metrics"]["score_scaled_mean"]["value"].as_f64().unwrap();
+        println!("{policy}: {score:.4} on 20 seeds from 200000");
+        score
+    };
+    let (re4, paper, re2) = (score("re4"), score("paper"), score("re2"));
+    assert!(re4 > 0.95, "re4 scores {re4}");
+    assert!(paper > 0.8, "paper scores {paper}");
+    assert!(
+        re2 < paper,
+        "re2 scores {re2}, without Reframe and Replan, and paper {paper}"
+    );
+}
