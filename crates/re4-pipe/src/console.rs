@@ -1,7 +1,9 @@
 //! Everything that is printed. Results go to standard output, notes and progress to standard error.
 
 use std::io::{IsTerminal as _, Write as _};
+use std::path::Path;
 
+use anyhow::{Context as _, Result};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::Value;
 
@@ -47,6 +49,18 @@ impl Console {
         } else {
             Ok(())
         }
+    }
+
+    /// Writes a picture, and says where it is.
+    pub(crate) fn picture(self, path: &Path, svg: &str) -> Result<()> {
+        std::fs::write(path, svg).with_context(|| {
+            format!(
+                "cannot write the picture {}; give a path in a folder that exists",
+                path.display()
+            )
+        })?;
+        self.note(&format!("picture in {}", path.display()));
+        Ok(())
     }
 
     /// A progress bar; invisible when asked to be quiet or when standard error is no terminal.
@@ -96,7 +110,9 @@ fn sentence(error: &anyhow::Error) -> String {
         if text.contains(&words) || mend.contains(&words) {
             continue;
         }
-        let (what, how) = words.split_once("; ").map_or((words.as_str(), None), |(what, how)| (what, Some(how)));
+        let (what, how) = words
+            .split_once("; ")
+            .map_or((words.as_str(), None), |(what, how)| (what, Some(how)));
         if !text.contains(what) {
             text.push_str(if text.is_empty() { "" } else { ": " });
             text.push_str(what);

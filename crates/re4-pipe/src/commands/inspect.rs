@@ -63,13 +63,7 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     if let (Some(seed), Some(path)) = (arguments.seed, &arguments.picture) {
         let svg = rollout_picture(&read_picture(&artifact, seed)?)
             .with_context(|| format!("cannot draw {}", path.display()))?;
-        std::fs::write(path, svg).with_context(|| {
-            format!(
-                "cannot write the picture {}; give a path in a folder that exists",
-                path.display()
-            )
-        })?;
-        console.note(&format!("picture in {}", path.display()));
+        console.picture(path, &svg)?;
     }
     console.answer(&json!({ "path": artifact.path(), "manifest": manifest, "tables": Value::Object(descriptions) }))?;
     console.say(text.trim_end())?;

@@ -1,5 +1,6 @@
 //! The commands that run stages, each after those that it needs.
 
+use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
@@ -77,7 +78,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let index = runner.index(&episodes, &modes)?;
-    let built = runner.rollout(&index)?;
+    let built = runner.rollout(&episodes, &index)?;
     if let Some(path) = &arguments.record {
         record(&runner, &built, path)?;
     }
@@ -96,7 +97,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     }))?;
     runner
         .console
-        .say(&score_table(&section.policy, rollouts, section.max_steps, &metrics))?;
+        .say(&score_table(&section.policy, rollouts, section.max_steps, &metrics)?)?;
     Ok(Outcome::Done)
 }
 
@@ -112,13 +113,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
         let frames = re4_artifact::col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
             .with_context(|| format!("cannot draw {}", path.display()))?;
-        std::fs::write(path, svg).with_context(|| {
-            format!(
-                "cannot write the picture {}; give a path in a folder that exists",
-                path.display()
-            )
-        })?;
-        runner.console.note(&format!("picture in {}", path.display()));
+        runner.console.picture(path, &svg)?;
     }
     report(&runner, &built)
 }
@@ -151,14 +146,11 @@ fn report(runner: &Runner, built: &Built) -> Result<Outcome> {
     let manifest = built.artifact.manifest();
     let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
     for (name, table) in &manifest.tables {
-        text.push_str(&format!(
-            "\n  {name:<12} {:>9} rows  {:>11} bytes",
-            table.rows, table.bytes
-        ));
+        write!(text, "\n  {name:<12} {:>9} rows  {:>11} bytes", table.rows, table.bytes)?;
     }
     for warning in &manifest.warnings {
         let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
-        text.push_str(&format!("\n  warning {}: {}", word("code"), word("message")));
+        write!(text, "\n  warning {}: {}", word("code"), word("message"))?;
     }
     runner.console.say(&text)?;
     Ok(Outcome::Done)
@@ -182,8 +174,8 @@ const METRICS: [(&str, &str); 4] = [
     ("success rate", "success_rate"),
 ];
 
-fn score_table(policy: &str, rollouts: usize, max_steps: u32, metrics: &Value) -> String {
-    let mut text = format!("policy {policy}, {rollouts} rollouts of at most {max_steps} steps; mean, 95 % interval\n");
+fn score_table(policy: &str, rollouts: usize, max_steps: u32, metrics: &Value) -> Result<String> {
+    let mut text = format!("policy {policy}, {rollouts} rollouts of at most {max_steps} steps; mean, 95 % interval");
     for (label, name) in METRICS {
         let number = |key| {
             metrics
@@ -192,13 +184,8 @@ fn score_table(policy: &str, rollouts: usize, max_steps: u32, metrics: &Value) -
                 .and_then(Value::as_f64)
                 .unwrap_or(f64::NAN)
         };
-        text.push_str(&format!(
-            "  {label:<13} {:.3}   [{:.3}, {:.3}]\n",
-            number("value"),
-            number("low"),
-            number("high")
-        ));
+        let [value, low, high] = ["value", "low", "high"].map(number);
+        write!(text, "\n  {label:<13} {value:.3}   [{low:.3}, {high:.3}]")?;
     }
-    text.truncate(text.trim_end().len());
-    text
+    Ok(text)
 }

@@ -136,7 +136,35 @@ fn write_chunks(chunks: &[Chunk], writer: &Writer) -> Result<()> {
 
 /// What a policy needs of an `index` artifact.
 pub(super) fn open_index(artifact: &Artifact, policy: &PolicyConfig) -> Result<Knowledge> {
-    let table = artifact.table(&tables::INDEX)?.read_all()?;
+    let open_chunks = || -> Result<Option<ChunkLibrary>> {
+        Ok(match policy.retrieve.selector {
+            Selector::Outcome => Some(ChunkLibrary::build(read_chunks(artifact)?)?),
+            Selector::TwoStage => None,
+        })
+    };
+    let (states, chunks) = rayon::join(|| open_states(artifact, policy), open_chunks);
+    let (demos, index) = states?;
+    Ok(Knowledge {
+        demos,
+        index,
+        chunks: chunks?,
+    })
+}
+
+fn open_states(artifact: &Artifact, policy: &PolicyConfig) -> Result<(DemoSet, RetrievalIndex)> {
+    // The normalised coordinates are in the table for other readers; they follow from the states and the scales.
+    let table = artifact.table(&tables::INDEX)?.read_columns(&[
+        "episode",
+        "frame",
+        "mode",
+        "eef_x",
+        "eef_y",
+        "object_x",
+        "object_y",
+        "object_theta",
+        "action_x",
+        "action_y",
+    ])?;
     let column = |name| col_f64(&table, name);
     let (eef_x, eef_y) = (column("eef_x")?, column("eef_y")?);
     let (x, y, theta) = (column("object_x")?, column("object_y")?, column("object_theta")?);
@@ -175,15 +203,8 @@ pub(super) fn open_index(artifact: &Artifact, policy: &PolicyConfig) -> Result<K
         ranges: read_scales(artifact)?,
         angle: policy.retrieve.angle,
     };
-    let chunks = match policy.retrieve.selector {
-        Selector::Outcome => Some(ChunkLibrary::build(read_chunks(artifact)?)?),
-        Selector::TwoStage => None,
-    };
-    Ok(Knowledge {
-        demos: DemoSet::new(demos),
-        index: RetrievalIndex::with_normalization(indexed, normalization)?,
-        chunks,
-    })
+    let index = RetrievalIndex::with_normalization(indexed, normalization)?;
+    Ok((DemoSet::new(demos), index))
 }
 
 fn read_scales(artifact: &Artifact) -> Result<[Range; 5]> {

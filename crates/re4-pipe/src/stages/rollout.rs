@@ -1,6 +1,7 @@
 //! Rollout: `index` to `rollouts`.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::Result;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col_u32, tables};
@@ -24,7 +25,7 @@ const BOOTSTRAP_SEED: u64 = 0;
 
 impl Runner {
     /// The `rollouts` artifact.
-    pub(crate) fn rollout(&self, index: &Built) -> Result<Built> {
+    pub(crate) fn rollout(&self, episodes: &Built, index: &Built) -> Result<Built> {
         let section = &self.pipeline.rollout;
         let policy = section.policy_config();
         let recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
@@ -40,7 +41,13 @@ impl Runner {
             }))?
             .input("index", index.artifact.key());
         self.build(&recipe, |writer| {
+            let opening = Instant::now();
             let knowledge = Arc::new(open_index(&index.artifact, &policy)?);
+            self.console.note(&format!(
+                "{:>10}  index opened in {:.1} ms",
+                "rollout",
+                1e3 * opening.elapsed().as_secs_f64()
+            ));
             let protocol = Protocol {
                 scheme: section.seed_scheme,
                 order: section.reset,
@@ -63,13 +70,13 @@ impl Runner {
             bar.finish_and_clear();
             tables.finish()?;
             Ok(Facts {
-                summary: self.summary(&outcomes),
+                summary: self.summary(&outcomes, &episodes.artifact),
                 warnings: Vec::new(),
             })
         })
     }
 
-    fn summary(&self, outcomes: &Outcomes) -> Value {
+    fn summary(&self, outcomes: &Outcomes, episodes: &Artifact) -> Value {
         let section = &self.pipeline.rollout;
         json!({
             "rollouts": outcomes.score.len(),
@@ -81,6 +88,9 @@ impl Runner {
                 "steps": median(&outcomes.steps),
             },
             "protocol": {
+                "dataset": episodes.manifest().source,
+                "dataset_blake3": episodes.manifest().source_blake3,
+                "demonstrations": episodes.manifest().config,
                 "seeds": section.seeds,
                 "seed_scheme": section.seed_scheme,
                 "reset": section.reset,
