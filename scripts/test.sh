@@ -9,6 +9,8 @@ if [ -z "${RE4_DATA:-}" ] && [ -d ../shared/data/pusht ]; then
     RE4_DATA="$(cd ../shared/data && pwd)"
     export RE4_DATA
 fi
+# Every package of the lock file, also those for other systems: the test of licences reads them all, without the network.
+cargo fetch --locked
 cargo fmt --all --check
 cargo clippy --workspace --all-targets --locked -- -D warnings
 cargo test --workspace --locked
