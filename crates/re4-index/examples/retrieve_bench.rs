@@ -10,7 +10,7 @@
 //! (`off_data`). `--dump` writes queries and answers as rows of little-endian f64 for programs to compare with.
 //!
 //! The second form makes random-walk demonstrations of 125 frames that end near one goal, 10^4 frames up to LARGEST
-//! (10^6 unless given; 10^7 makes it half a minute and 3 GiB of memory).
+//! (10^6 unless given; 10^7 makes it half a minute and 2 GiB of memory).
 //!
 //! `retrieve_linear` normalises every frame anew for every query, as the definition reads; part of its time is that.
 #![expect(clippy::print_stdout, reason = "printing is what this example is for")]

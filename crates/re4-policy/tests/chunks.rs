@@ -1,0 +1,216 @@
+//! Chunks of demonstrations: what counts as one, finding them by outcome, and carrying them elsewhere.
+
+mod common;
+
+use std::num::NonZeroUsize;
+
+use common::{LONGEST, OUTLINE, Random, distance_to_tee, scripted};
+use re4_episode::{Mode, PlanarFrame};
+use re4_geometry::{Point2, Pose2};
+use re4_policy::{Body, Chunk, ChunkLibrary, DemoSet, PolicyError, collect_chunks, reframe};
+use re4_sim::{PushT, ResetOrder, Scene, Simulator as _};
+
+fn chunks() -> (DemoSet, Vec<Chunk>) {
+    let demos = DemoSet::new(scripted(8));
+    let chunks = collect_chunks(&demos, LONGEST);
+    assert!(chunks.len() > 500, "{}", chunks.len());
+    (demos, chunks)
+}
+
+#[expect(clippy::unwrap_used, reason = "a test's helper may end")]
+fn frames_of<'a>(demos: &'a DemoSet, chunk: &Chunk) -> &'a [PlanarFrame] {
+    &demos.demo(chunk.demo).unwrap()[chunk.start as usize..=chunk.end as usize]
+}
+
+#[test]
+fn a_chunk_starts_free_of_the_block_and_moves_it() {
+    let (demos, chunks) = chunks();
+    for chunk in &chunks {
+        let frames = frames_of(&demos, chunk);
+        let (first, last) = (frames[0], frames[frames.len() - 1]);
+        assert!(frames.len() >= 2 && frames.len() <= LONGEST + 1);
+        assert!(distance_to_tee(first.object, first.eef) >= 16.0 - 1e-9, "{chunk:?}");
+        assert_ne!(first.object, last.object, "{chunk:?}");
+        let carried = first.object.compose(chunk.motion);
+        assert!(
+            (carried.translation() - last.object.translation()).norm() < 1e-9,
+            "{chunk:?}"
+        );
+        assert!((carried.theta - last.object.theta).sin().abs() < 1e-9, "{chunk:?}");
+        let travel: f64 = frames.windows(2).map(|w| (w[1].eef - w[0].eef).norm()).sum();
+        assert!((chunk.travel - travel).abs() < 1e-9, "{chunk:?}");
+        let displaced = Body::tee().distance(first.object, last.object);
+        assert!(chunk.pushed >= displaced - 1e-9, "{chunk:?} moved {displaced}");
+    }
+    let key = |c: &Chunk| (c.demo, c.start, c.end);
+    assert!(chunks.windows(2).all(|w| key(&w[0]) < key(&w[1])));
+}
+
+#[test]
+fn shorter_limits_give_the_shorter_chunks() {
+    let (demos, all) = chunks();
+    let short = collect_chunks(&demos, 12);
+    let expected: Vec<Chunk> = all.into_iter().filter(|c| c.end - c.start <= 12).collect();
+    assert_eq!(short, expected);
+}
+
+#[test]
+fn the_distance_of_poses_is_the_mean_displacement_of_the_block_s_points() {
+    // Every point of a fine lattice inside the outline stands for its cell.
+    let points: Vec<Point2> = (-240..240)
+        .flat_map(|i| (0..480).map(move |j| Point2::new((f64::from(i) + 0.5) * 0.25, (f64::from(j) + 0.5) * 0.25)))
+        .filter(|&p| distance_to_tee(Pose2::IDENTITY, p) == 0.0)
+        .collect();
+    let area = OUTLINE
+        .iter()
+        .zip(OUTLINE.iter().cycle().skip(1))
+        .map(|(a, b)| 0.5 * (a[0] * b[1] - a[1] * b[0]))
+        .sum::<f64>();
+    assert!((points.len() as f64 / 16.0 - area).abs() < 1e-6 * area);
+    let mut random = Random::new(1);
+    for _ in 0..20 {
+        let (a, b) = (random.block(), random.block());
+        let mean = points
+            .iter()
+            .map(|&p| (a.transform_point(p) - b.transform_point(p)).norm_squared())
+            .sum::<f64>()
+            / points.len() as f64;
+        let distance = Body::tee().distance(a, b);
+        assert!(
+            (distance - mean.sqrt()).abs() < 0.01,
+            "{a:?}, {b:?}: {distance}, {}",
+            mean.sqrt()
+        );
+    }
+}
+
+#[test]
+fn nearest_is_what_looking_at_every_chunk_finds() {
+    let (_, chunks) = chunks();
+    let library = ChunkLibrary::build(chunks.clone()).unwrap();
+    let body = library.body();
+    let mut random = Random::new(2);
+    for round in 0..400 {
+        let wanted = match round % 3 {
+            0 => chunks[(random.range(0.0, 1.0) * chunks.len() as f64) as usize].motion,
+            1 => Pose2::new(
+                random.range(-80.0, 80.0),
+                random.range(-80.0, 80.0),
+                random.range(-2.0, 2.0),
+            ),
+            _ => Pose2::new(
+                random.range(-400.0, 400.0),
+                random.range(-400.0, 400.0),
+                random.range(-9.0, 9.0),
+            ),
+        };
+        let count = [1, 2, 17, 256, chunks.len(), chunks.len() + 10][round % 6];
+        let found = library.nearest(wanted, NonZeroUsize::new(count).unwrap());
+        let mut all: Vec<f64> = chunks.iter().map(|c| body.distance(c.motion, wanted)).collect();
+        all.sort_by(f64::total_cmp);
+        assert_eq!(found.len(), count.min(chunks.len()));
+        for (i, (distance, chunk)) in found.iter().enumerate() {
+            // The i-th distance is the i-th of all, and belongs to the chunk it is given with.
+            assert!((distance - all[i]).abs() < 1e-6, "{i}: {distance}, {}", all[i]);
+            assert!(
+                (distance - body.distance(chunk.motion, wanted)).abs() < 1e-6,
+                "{chunk:?}"
+            );
+        }
+        let mut keys: Vec<_> = found.iter().map(|(_, c)| (c.demo, c.start, c.end)).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        assert_eq!(keys.len(), found.len(), "a chunk is given once");
+    }
+}
+
+#[test]
+fn a_carried_chunk_looks_the_same_from_the_block() {
+    let (demos, chunks) = chunks();
+    let mut random = Random::new(3);
+    for chunk in chunks.iter().step_by(7) {
+        let frames = frames_of(&demos, chunk);
+        let (object, eef) = (random.block(), random.point(0.0, 512.0));
+        let carried = reframe(Mode::Transit, frames[0].object, frames[0].eef, object, eef);
+        assert!((carried.near - carried.carry.transform_point(frames[0].eef)).norm() < 1e-9);
+        let first = carried.carry.compose(frames[0].object);
+        assert!(Body::tee().distance(first, object) < 1e-8, "the block is where ours is");
+        for frame in frames {
+            let now = carried.carry.compose(frame.object);
+            for (before, after) in [
+                (frame.eef, carried.carry.transform_point(frame.eef)),
+                (frame.action, carried.carry.transform_point(frame.action)),
+            ] {
+                let seen = frame.object.inverse_transform_point(before);
+                assert!((now.inverse_transform_point(after) - seen).norm() < 1e-8);
+            }
+        }
+        // The motion in the block's own frame is the recorded one, wherever it happens.
+        let last = carried.carry.compose(frames[frames.len() - 1].object);
+        assert!(Body::tee().distance(object.compose(chunk.motion), last) < 1e-8);
+    }
+}
+
+#[test]
+fn a_carried_chunk_pushes_the_block_as_recorded() {
+    // The claim that Reframe and the outcome selector rest on: pushing does not depend on where in the plane it happens.
+    let (demos, chunks) = chunks();
+    let mut simulator = PushT::new().unwrap();
+    let mut random = Random::new(4);
+    let mut errors: Vec<f64> = Vec::new();
+    for chunk in chunks.iter().filter(|c| c.end - c.start <= 25 && c.pushed > 10.0) {
+        let frames = frames_of(&demos, chunk);
+        let object = Pose2::new(
+            random.range(220.0, 290.0),
+            random.range(220.0, 290.0),
+            random.range(0.0, 6.0),
+        );
+        let carried = reframe(Mode::Transit, frames[0].object, frames[0].eef, object, frames[0].eef).carry;
+        let inside = |p: Point2| (20.0..492.0).contains(&p.x) && (20.0..492.0).contains(&p.y);
+        let clear = frames.iter().all(|f| {
+            [f.object, carried.compose(f.object)].iter().all(|pose| {
+                OUTLINE
+                    .iter()
+                    .all(|v| inside(pose.transform_point(Point2::new(v[0], v[1]))))
+            }) && inside(carried.transform_point(f.eef))
+        });
+        if !clear {
+            continue;
+        }
+        let start = Scene::from_observed(carried.transform_point(frames[0].eef), object);
+        simulator.reset(&start, ResetOrder::Legacy).unwrap();
+        for frame in &frames[..frames.len() - 1] {
+            simulator.step(&carried.transform_point(frame.action)).unwrap();
+        }
+        let expected = object.compose(chunk.motion);
+        errors.push(Body::tee().distance(simulator.observation().block, expected) / chunk.pushed);
+    }
+    assert!(errors.len() > 100, "{}", errors.len());
+    errors.sort_by(f64::total_cmp);
+    // The recording starts with the pusher in motion, ours at rest, so that some chunks differ.
+    let median = errors[errors.len() / 2];
+    let most = errors[errors.len() * 9 / 10];
+    assert!(
+        median < 0.02 && most < 0.2,
+        "{median}, {most} of the recorded motion: {errors:?}"
+    );
+}
+
+#[test]
+fn demonstrations_without_a_push_hold_no_chunks() {
+    let resting: Vec<_> = (0..30)
+        .map(|i| {
+            let frame = PlanarFrame {
+                eef: Point2::new(30.0 + f64::from(i), 40.0),
+                object: Pose2::new(300.0, 300.0, 1.0),
+                action: Point2::new(31.0 + f64::from(i), 40.0),
+                contacts: 0.0,
+            };
+            (frame, Mode::Transit)
+        })
+        .collect();
+    let chunks = collect_chunks(&DemoSet::new([(0, resting)]), LONGEST);
+    assert!(chunks.is_empty());
+    assert!(matches!(ChunkLibrary::build(chunks), Err(PolicyError::NoChunks)));
+    assert!(collect_chunks(&DemoSet::default(), LONGEST).is_empty());
+}

@@ -1,0 +1,245 @@
+//! Every step of the loop can be switched off or exchanged alone, rollouts do not depend on the threads, and what cannot
+//! be followed is refused.
+#![expect(clippy::panic, clippy::unwrap_used, reason = "helpers of tests may end")]
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{knowledge, protocol, scripted};
+use re4_episode::{Mode, PlanarFrame};
+use re4_geometry::{Point2, Pose2};
+use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
+use re4_policy::{
+    DemoSet, EpisodeRollout, Knowledge, PRESETS, Phase, PlanKind, Planner, Policy as _, PolicyConfig, PolicyError, Re4,
+    RolloutError, Selector, Tracking, rollouts,
+};
+use re4_sim::PushTObservation;
+
+const SEEDS: [u32; 4] = [810_000, 810_001, 810_002, 810_003];
+
+fn rolled(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> Vec<EpisodeRollout> {
+    rollouts(config, knowledge, &SEEDS, protocol(60), &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
+}
+
+fn actions(episodes: &[EpisodeRollout]) -> Vec<Point2> {
+    episodes.iter().flat_map(|e| e.steps.iter().map(|s| s.action)).collect()
+}
+
+fn base(name: &str) -> PolicyConfig {
+    PolicyConfig::preset(name).unwrap_or_else(|| panic!("no preset {name}"))
+}
+
+type Switch = (&'static str, fn(&mut PolicyConfig));
+
+const SWITCHES: [Switch; 6] = [
+    ("reframe", |c| c.reframe.enabled = !c.reframe.enabled),
+    ("replan", |c| c.replan.enabled = !c.replan.enabled),
+    ("planner", |c| {
+        c.replan.planner = match c.replan.planner {
+            Planner::Rrt => Planner::Visibility,
+            Planner::Visibility => Planner::Rrt,
+        }
+    }),
+    ("selector", |c| {
+        c.retrieve.selector = match c.retrieve.selector {
+            Selector::TwoStage => Selector::Outcome,
+            Selector::Outcome => Selector::TwoStage,
+        }
+    }),
+    ("tracking", |c| {
+        c.replay.tracking = match c.replay.tracking {
+            Tracking::Actions => Tracking::Path,
+            Tracking::Path => Tracking::Actions,
+        }
+    }),
+    ("horizon", |c| c.replay.horizon = 7),
+];
+
+#[test]
+fn every_switch_alone_changes_what_is_done() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    for name in ["paper", "re4"] {
+        let base = base(name);
+        let before = rolled(&base, &knowledge);
+        for (switch, turn) in SWITCHES {
+            let mut config = base.clone();
+            turn(&mut config);
+            let after = rolled(&config, &knowledge);
+            assert_ne!(actions(&before), actions(&after), "{name}: {switch} has no effect");
+        }
+    }
+}
+
+#[test]
+fn every_combination_of_switches_runs_and_is_its_own() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    let mut seen: Vec<(Vec<&str>, Vec<Point2>)> = Vec::new();
+    for chosen in 0..1 << 5 {
+        let mut config = base("paper");
+        let mut names = Vec::new();
+        for (i, (name, turn)) in SWITCHES[..5].iter().enumerate() {
+            if chosen >> i & 1 == 1 {
+                turn(&mut config);
+                names.push(*name);
+            }
+        }
+        let episodes = rolled(&config, &knowledge);
+        for episode in &episodes {
+            assert!(episode.steps.len() == 60 || episode.success());
+            assert!(!episode.decisions.is_empty());
+        }
+        let done = actions(&episodes);
+        // Which planner there is plays no part when Replan is off.
+        if !(names.contains(&"replan") && names.contains(&"planner")) {
+            for (others, other) in &seen {
+                assert_ne!(&done, other, "{names:?} does what {others:?} does");
+            }
+            seen.push((names, done));
+        }
+    }
+    assert_eq!(seen.len(), 24);
+}
+
+#[test]
+fn switched_off_steps_leave_no_trace() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    for name in PRESETS {
+        let mut config = base(name);
+        config.reframe.enabled = false;
+        config.replan.enabled = false;
+        for episode in rolled(&config, &knowledge) {
+            for decision in &episode.decisions {
+                assert_eq!((decision.plan_kind, decision.plan_steps), (PlanKind::Off, 0));
+                assert_eq!(decision.delta, Pose2::IDENTITY);
+                let frame = knowledge.demos.demo(decision.demo).unwrap()[decision.demo_frame as usize];
+                assert_eq!(
+                    decision.set_point, frame.eef,
+                    "the demonstration is replayed where it was recorded"
+                );
+            }
+            assert!(episode.steps.iter().all(|s| s.phase == Phase::Replay));
+        }
+    }
+}
+
+#[test]
+fn without_reframe_and_replan_the_recorded_actions_are_sent() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    for episode in rolled(&base("re2"), &knowledge) {
+        let mut sent = episode.steps.iter().map(|s| s.action);
+        for decision in &episode.decisions {
+            let frames = &knowledge.demos.demo(decision.demo).unwrap()[decision.demo_frame as usize..];
+            for (frame, action) in frames.iter().zip(sent.by_ref().take(decision.replay_steps as usize)) {
+                assert_eq!(frame.action, action);
+            }
+        }
+        assert!(sent.next().is_none());
+    }
+}
+
+#[test]
+fn decisions_and_steps_fit_together() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    for name in PRESETS {
+        let config = base(name);
+        for episode in rolled(&config, &knowledge) {
+            for (i, step) in episode.steps.iter().enumerate() {
+                let decision = &episode.decisions[step.decision as usize];
+                assert!(decision.step as usize <= i);
+                let since = i - decision.step as usize;
+                let planned = since < decision.plan_steps as usize;
+                assert_eq!(
+                    step.phase,
+                    if planned { Phase::Plan } else { Phase::Replay },
+                    "{name}, step {i}"
+                );
+                if since == 0 {
+                    assert_eq!((decision.eef, decision.object), (step.before.agent, step.before.block));
+                }
+                if i > 0 {
+                    assert_eq!(step.before, episode.steps[i - 1].after.observation);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn one_thread_and_two_give_the_same_rollouts() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    let seeds: Vec<u32> = (820_000..820_012).collect();
+    for name in PRESETS {
+        let config = base(name);
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| rollouts(&config, &knowledge, &seeds, protocol(50), &|| true))
+                .unwrap()
+        };
+        let one = run(1);
+        assert_eq!(one.iter().map(|e| e.seed).collect::<Vec<_>>(), seeds);
+        assert_eq!(one, run(2), "{name}");
+        // Nor do they depend on the company of other seeds.
+        let alone = rollouts(&config, &knowledge, &seeds[5..6], protocol(50), &|| true).unwrap();
+        assert_eq!(one[5..6], alone[..]);
+    }
+}
+
+#[test]
+fn a_caller_can_stop_the_rollouts() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Raw);
+    let stopped = rollouts(&base("paper"), &knowledge, &SEEDS, protocol(5), &|| false);
+    assert!(matches!(stopped, Err(RolloutError::Interrupted)));
+}
+
+/// Demonstrations in which the pusher passes by and the block rests.
+fn without_a_push(mode: Mode) -> (DemoSet, RetrievalIndex) {
+    let frames: Vec<PlanarFrame> = (0..30)
+        .map(|i| PlanarFrame {
+            eef: Point2::new(30.0 + 5.0 * f64::from(i), 40.0),
+            object: Pose2::new(300.0, 300.0, 1.0),
+            action: Point2::new(35.0 + 5.0 * f64::from(i), 40.0),
+            contacts: 0.0,
+        })
+        .collect();
+    let indexed = (0..).zip(&frames).map(|(number, frame)| IndexedFrame {
+        episode: 4,
+        frame: number,
+        mode,
+        eef: frame.eef,
+        object: frame.object,
+    });
+    let index = RetrievalIndex::build(indexed.collect(), AngleMetric::Raw).unwrap();
+    let demos = DemoSet::new([(4, frames.into_iter().map(|frame| (frame, mode)).collect())]);
+    (demos, index)
+}
+
+#[test]
+fn what_cannot_be_followed_is_refused_in_one_sentence() {
+    let seen = PushTObservation {
+        agent: Point2::new(100.0, 100.0),
+        agent_velocity: Point2::zeros(),
+        block: Pose2::new(250.0, 250.0, 0.5),
+    };
+    let refusal = |name: &str, mode: Mode, demos: Option<DemoSet>| {
+        let (own, index) = without_a_push(mode);
+        let knowledge = Arc::new(Knowledge {
+            demos: demos.unwrap_or(own),
+            index,
+            chunks: None,
+        });
+        Re4::new(base(name), knowledge, 1).act(&seen)
+    };
+    let error = refusal("re4", Mode::Transit, None).unwrap_err();
+    assert!(matches!(error, PolicyError::NoChunks), "{error}");
+    assert!(error.to_string().contains("no demonstration holds a push"), "{error}");
+    let error = refusal("paper", Mode::Transfer, None).unwrap_err();
+    assert!(
+        matches!(error, PolicyError::NoFrameOfMode { mode: Mode::Transit }),
+        "{error}"
+    );
+    let error = refusal("paper", Mode::Transit, Some(DemoSet::default())).unwrap_err();
+    assert!(matches!(error, PolicyError::UnknownDemo { demo: 4, .. }), "{error}");
+    // The two-stage selector needs no push.
+    assert!(refusal("paper", Mode::Transit, None).is_ok());
+}
