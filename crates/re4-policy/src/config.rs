@@ -59,7 +59,7 @@ pub struct ReframeConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Planner {
-    /// Rapidly-exploring random tree (`LaValle`), as in the paper.
+    /// Rapidly-exploring random tree, as in the paper.
     Rrt,
     /// Shortest path over the visibility graph of the inflated block.
     Visibility,
