@@ -214,7 +214,13 @@ fn a_flipped_byte_in_any_file_is_found() {
     }
     place.run("verify").done();
     assert_same_bytes(&place.bytes(), &sound);
-    with_settings!({filters => filters()}, { assert_snapshot!(sentences.join("\n")) });
+    // What exactly is wrong with a manifest depends on where the byte lies.
+    let mut masks = filters();
+    masks.push((
+        "manifest.json (is not readable as JSON|does not match its own hash)",
+        "manifest.json [reason]",
+    ));
+    with_settings!({filters => masks}, { assert_snapshot!(sentences.join("\n")) });
 }
 
 #[test]

@@ -21,6 +21,8 @@ fn stages(answer: &Answer) -> Vec<(&str, bool)> {
     answer
         .stderr
         .lines()
+        // Lines without the path of an artifact are notes on a stage.
+        .filter(|line| line.contains("artifacts/"))
         .map(|line| {
             (
                 line.split_whitespace().next().unwrap(),

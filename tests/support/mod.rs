@@ -233,12 +233,13 @@ pub(crate) fn assert_same_bytes(left: &BTreeMap<String, Vec<u8>>, right: &BTreeM
 /// Words of a path or text that differ from machine to machine: keys, other hashes and times.
 pub(crate) fn filters() -> Vec<(&'static str, &'static str)> {
     vec![
+        (r"\.tmp-[0-9a-z]+-\w+", "[temporary]"),
+        (r"\.re4-record-\w+", "[temporary]"),
         (r"\b[0-9a-f]{64}\b", "[hash]"),
         (r"\b[0-9a-f]{16}\b", "[key]"),
         (r"\b\d+\.\d\d s\b", "[time] s"),
+        (r"\b\d+\.\d ms\b", "[time] ms"),
         (r#""wall_s":[0-9.e-]+"#, r#""wall_s":"[time]""#),
-        (r"\.tmp-[0-9a-z]+-\w+", "[temporary]"),
-        (r"\.re4-record-\w+", "[temporary]"),
     ]
 }
 
