@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Random, distance_to_tee};
+use common::{OUTLINE, Random, distance_to_tee};
 use rand_pcg::Pcg64;
 use re4_geometry::{Point2, Pose2};
 use re4_policy::{Obstacle, Plan, PlanKind, Planner, PolicyConfig, ReplanConfig, plan};
@@ -160,6 +160,60 @@ fn the_visibility_path_is_no_longer_than_the_tree_s() {
         round += u32::from(tree.kind == PlanKind::Planned);
     }
     assert!(compared > 550 && round > 100, "{compared}, {round}");
+}
+
+/// Length of the shortest way round the block, to about a thousandth: over many points of the arcs of radius `keepout` round
+/// the corners, of which the shortest way consists where it is not straight.
+fn shortest(block: Pose2, keepout: f64, start: Point2, goal: Point2) -> f64 {
+    const POINTS: usize = 40;
+    let obstacle = Obstacle::at(block);
+    let radius = keepout / (std::f64::consts::PI / POINTS as f64).cos() + 1e-6;
+    let mut nodes = vec![start, goal];
+    for corner in OUTLINE {
+        let corner = block.transform_point(Point2::new(corner[0], corner[1]));
+        nodes.extend((0..POINTS).map(|k| {
+            let angle = std::f64::consts::TAU * k as f64 / POINTS as f64;
+            corner + Point2::new(angle.cos(), angle.sin()) * radius
+        }));
+    }
+    let inside = |p: &Point2| (0.0..=512.0).contains(&p.x) && (0.0..=512.0).contains(&p.y);
+    nodes.retain(|p| inside(p) && obstacle.distance(*p) >= keepout);
+    let mut lengths = vec![f64::INFINITY; nodes.len()];
+    lengths[0] = 0.0;
+    let mut open: Vec<usize> = (0..nodes.len()).collect();
+    while let Some(place) = (0..open.len()).min_by(|&a, &b| lengths[open[a]].total_cmp(&lengths[open[b]])) {
+        let here = open.swap_remove(place);
+        if here == 1 {
+            break;
+        }
+        for &to in &open {
+            let through = lengths[here] + (nodes[to] - nodes[here]).norm();
+            if through < lengths[to] && obstacle.segment_distance(nodes[here], nodes[to]) >= keepout {
+                lengths[to] = through;
+            }
+        }
+    }
+    lengths[1]
+}
+
+#[test]
+fn the_visibility_path_is_close_to_the_shortest() {
+    let mut random = Random::new(7);
+    let keepout = 18.0;
+    let mut ratios: Vec<f64> = Vec::new();
+    for seed in 0..400 {
+        let (block, start, goal) = scene(&mut random, keepout);
+        let graph = planned(Planner::Visibility, keepout, seed, block, start, goal);
+        if graph.kind == PlanKind::Planned {
+            let ratio = graph.length() / shortest(block, keepout, start, goal);
+            assert!(ratio < 1.04, "{ratio}: {block:?}, {start:?} to {goal:?}: {graph:?}");
+            assert!(ratio > 0.998, "{ratio}: {block:?}, {start:?} to {goal:?}: {graph:?}");
+            ratios.push(ratio);
+        }
+    }
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    println!("{} paths, {mean} times the shortest", ratios.len());
+    assert!(ratios.len() > 60 && mean < 1.01, "{mean} over {}", ratios.len());
 }
 
 #[test]

@@ -1,0 +1,78 @@
+//! What the loop does when the block does not do what the demonstration says.
+
+mod common;
+
+use std::collections::BTreeSet;
+
+use common::{Random, knowledge, scripted};
+use re4_geometry::{Point2, Pose2};
+use re4_index::AngleMetric;
+use re4_policy::{Phase, Policy as _, PolicyConfig, Re4};
+use re4_sim::PushTObservation;
+
+fn seen(agent: Point2, block: Pose2) -> PushTObservation {
+    PushTObservation {
+        agent,
+        agent_velocity: Point2::zeros(),
+        block,
+    }
+}
+
+#[test]
+fn a_push_that_moved_nothing_is_not_tried_again() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Periodic);
+    let block = Pose2::new(200.0, 280.0, 2.0);
+    let mut policy = Re4::new(PolicyConfig::re4(), knowledge, 1);
+    let mut agent = Point2::new(60.0, 60.0);
+    let mut tried = BTreeSet::new();
+    for _ in 0..400 {
+        // The pusher goes where it is sent; the block stands as if glued to the table.
+        let act = policy.act(&seen(agent, block)).unwrap();
+        agent = act.target;
+        if let Some(decision) = act.decision {
+            let chunk = (decision.demo, decision.demo_frame);
+            assert!(tried.insert(chunk), "{chunk:?} was tried before: {decision:?}");
+        }
+        if tried.len() == 6 {
+            return;
+        }
+    }
+    panic!("only {} chunks tried", tried.len());
+}
+
+#[test]
+fn a_chunk_is_given_up_when_the_block_leaves_its_path_and_only_then() {
+    let knowledge = knowledge(scripted(10), AngleMetric::Periodic);
+    let mut random = Random::new(3);
+    let mut given_up = 0;
+    for _ in 0..30 {
+        let block = random.block();
+        let jump = Pose2::new(block.x + 120.0, block.y - 90.0, block.theta + 1.0);
+        for (divergence, moved) in [(Some(8.0), true), (Some(8.0), false), (None, true)] {
+            let mut config = PolicyConfig::re4();
+            config.replay.divergence = divergence;
+            let mut policy = Re4::new(config, knowledge.clone(), 1);
+            let mut agent = Point2::new(60.0, 60.0);
+            let mut replayed = 0;
+            let mut length = 0;
+            while replayed < 2 {
+                let act = policy.act(&seen(agent, block)).unwrap();
+                agent = act.target;
+                length = act.decision.map_or(length, |decision| decision.replay_steps);
+                replayed = if act.phase == Phase::Replay { replayed + 1 } else { 0 };
+            }
+            if length < 4 {
+                continue;
+            }
+            let next = policy.act(&seen(agent, if moved { jump } else { block })).unwrap();
+            let expected = divergence.is_some() && moved;
+            assert_eq!(
+                next.decision.is_some(),
+                expected,
+                "{divergence:?}, {moved}, chunk of {length}"
+            );
+            given_up += u32::from(expected);
+        }
+    }
+    assert!(given_up > 5, "{given_up}");
+}
