@@ -103,12 +103,21 @@ impl Place {
         artifact_bytes(&self.artifacts())
     }
 
-    /// Temporaries in the artifacts folder.
-    pub(crate) fn temporaries(&self) -> Vec<String> {
-        let mut all = Vec::new();
-        list(&self.artifacts(), "", &mut all);
-        all.retain(|name| name.contains(".tmp-") || name.contains(".re4-record-"));
-        all
+    /// Temporary files and folders in the artifacts folder and beside it.
+    pub(crate) fn temporaries(&self) -> Vec<PathBuf> {
+        let mut found = Vec::new();
+        let mut folders = vec![self.path().to_path_buf()];
+        while let Some(folder) = folders.pop() {
+            for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+                let name = path.file_name().unwrap().to_str().unwrap();
+                if name.starts_with(".tmp-") || name.starts_with(".re4-record-") {
+                    found.push(path);
+                } else if path.is_dir() {
+                    folders.push(path);
+                }
+            }
+        }
+        found
     }
 }
 
