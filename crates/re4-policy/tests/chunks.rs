@@ -17,7 +17,7 @@ fn chunks() -> (DemoSet, Vec<Chunk>) {
     (demos, chunks)
 }
 
-#[expect(clippy::unwrap_used, reason = "a test's helper may end")]
+#[expect(clippy::unwrap_used, reason = "only tests call it, and they may end")]
 fn frames_of<'a>(demos: &'a DemoSet, chunk: &Chunk) -> &'a [PlanarFrame] {
     &demos.demo(chunk.demo).unwrap()[chunk.start as usize..=chunk.end as usize]
 }

@@ -1,6 +1,6 @@
 //! The presets with the real demonstrations, on twenty scenes that nothing was tuned on. The gates are loose: they are
 //! there to catch a step of the loop that no longer works, and the second test shows that they do.
-#![expect(clippy::panic, reason = "helpers of tests may end")]
+#![expect(clippy::panic, reason = "only tests call these functions, and they may end")]
 
 mod common;
 

@@ -1,6 +1,10 @@
 //! Every step of the loop can be switched off or exchanged alone, rollouts do not depend on the threads, and what cannot
 //! be followed is refused.
-#![expect(clippy::panic, clippy::unwrap_used, reason = "helpers of tests may end")]
+#![expect(
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "only tests call these functions, and they may end"
+)]
 
 mod common;
 
