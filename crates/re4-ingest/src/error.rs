@@ -326,7 +326,7 @@ pub(crate) fn io_mend(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::PermissionDenied => "change its permissions or run as a user who may",
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "free some space, or set TMPDIR to a folder on a larger disk"
+            "free some space there, or use a folder on a larger disk (TMPDIR for unpacked zip files)"
         }
         io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
         io::ErrorKind::NotFound => "restore or create it",

@@ -22,7 +22,7 @@ pub(crate) struct Arguments {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Read the raw dataset into the `episodes` artifact
-    Ingest(IngestArguments),
+    Ingest(StageArguments),
     /// Label manipulation modes: the `modes` artifact
     Segment(StageArguments),
     /// Train the pose estimator: the `poses` artifact
@@ -71,20 +71,12 @@ pub(crate) struct StageArguments {
     /// Override a setting of the pipeline file, as often as needed
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(crate) set: Vec<String>,
-    /// What all commands share.
-    #[command(flatten)]
-    pub(crate) common: Common,
-}
-
-/// Arguments of `ingest`.
-#[derive(Debug, Clone, Args)]
-pub(crate) struct IngestArguments {
-    /// What all stages share.
-    #[command(flatten)]
-    pub(crate) stage: StageArguments,
     /// Leave the pictures out, for work on states; as --set ingest.images=false
     #[arg(long)]
     pub(crate) no_images: bool,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
 }
 
 /// Arguments of `rollout` and `run`.
@@ -93,9 +85,6 @@ pub(crate) struct RolloutArguments {
     /// What all stages share.
     #[command(flatten)]
     pub(crate) stage: StageArguments,
-    /// Leave the pictures out of ingest; as --set ingest.images=false
-    #[arg(long)]
-    pub(crate) no_images: bool,
     /// Seeds of the scenes, half-open: 500..600; as --set rollout.seeds=...
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,

@@ -1,6 +1,7 @@
 //! Rollouts: a policy against the simulator, seed after seed.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 use re4_geometry::Point2;
@@ -152,15 +153,20 @@ pub fn rollouts(
     protocol: Protocol,
     progress: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<EpisodeRollout>, RolloutError> {
+    let stopped = AtomicBool::new(false);
     seeds
         .par_iter()
         .map(|&seed| {
+            if stopped.load(Ordering::Relaxed) {
+                return Err(RolloutError::Interrupted);
+            }
             let mut simulator = PushT::new().map_err(|source| RolloutError::Simulator { seed, step: 0, source })?;
             let mut policy = Re4::new(config.clone(), Arc::clone(knowledge), u64::from(seed));
             let episode = rollout(&mut simulator, &mut policy, seed, protocol)?;
             if progress() {
                 Ok(episode)
             } else {
+                stopped.store(true, Ordering::Relaxed);
                 Err(RolloutError::Interrupted)
             }
         })

@@ -11,13 +11,13 @@ use re4_report::divergence_plot;
 use serde_json::{Value, json};
 
 use super::Outcome;
-use crate::arguments::{IngestArguments, ReplayArguments, RolloutArguments, StageArguments};
+use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::pipeline::PoseSource;
 use crate::stages::{Built, Runner, metrics, read_rollouts};
 
 /// `re4-pipe ingest`.
-pub(crate) fn ingest(arguments: &IngestArguments) -> Result<Outcome> {
-    let runner = Runner::new(&arguments.stage, &without_images(arguments.no_images))?;
+pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
+    let runner = Runner::new(arguments, &[])?;
     let built = runner.ingest()?;
     report(&runner, &built)
 }
@@ -52,7 +52,7 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe rollout` and `re4-pipe run`.
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let start = Instant::now();
-    let mut overrides = without_images(arguments.no_images);
+    let mut overrides = Vec::new();
     let text = |value: &String| format!("\"{}\"", value.replace(['"', '\\'], ""));
     overrides.extend(
         arguments
@@ -116,14 +116,6 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
         runner.console.picture(path, &svg)?;
     }
     report(&runner, &built)
-}
-
-fn without_images(no_images: bool) -> Vec<String> {
-    if no_images {
-        vec!["ingest.images=false".to_owned()]
-    } else {
-        Vec::new()
-    }
 }
 
 fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {

@@ -25,12 +25,7 @@ impl Runner {
         let path = find_source(&section.source)?;
         let reader = PushtReader::open(&path)?;
         let hash = reader.source_hash()?;
-        let name = section
-            .source
-            .file_name()
-            .map(|name| name.to_string_lossy().into_owned());
         let facts = json!({
-            "name": name,
             "format": "zarr v2, Push-T replay buffer",
             "episodes": reader.episode_ranges().len(),
             "frames": reader.frame_count(),

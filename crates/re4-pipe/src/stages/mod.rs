@@ -63,6 +63,9 @@ impl Runner {
     /// Reads the pipeline file, sets up threads and opens the store.
     pub(crate) fn new(arguments: &StageArguments, more_overrides: &[String]) -> Result<Self> {
         let mut overrides = arguments.set.clone();
+        if arguments.no_images {
+            overrides.push("ingest.images=false".to_owned());
+        }
         overrides.extend_from_slice(more_overrides);
         let pipeline = load(&arguments.pipeline, &overrides)?;
         set_up_threads(&arguments.common)?;

@@ -110,8 +110,8 @@ impl Runner {
     }
 }
 
-/// Seeds rolled out before their rows are written, and at most before an interrupt is answered.
-const BATCH: usize = 128;
+/// Seeds rolled out before their rows are written.
+const BATCH: usize = 1024;
 
 #[derive(Default)]
 struct Outcomes {
