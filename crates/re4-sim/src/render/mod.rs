@@ -2,7 +2,7 @@
 //!
 //! gym-pusht draws with pygame on a white surface, in this order: the goal, then what Chipmunk's debug drawing reports (the
 //! block's rectangles, the agent, the walls, and a red mark across each contact point), and shrinks the surface with
-//! OpenCV. The order, the colours and the rounding rules here are those observed of pygame 2.6.1 and OpenCV 4.14.
+//! `OpenCV`. The order, the colours and the rounding rules here are those observed of pygame 2.6.1 and `OpenCV` 4.14.
 
 mod paint;
 mod shrink;
@@ -79,7 +79,7 @@ impl Canvas {
 
     /// The picture shrunk to 96 x 96, as policies see it: `96 * 96 * 3` bytes in the order of [`Canvas::bytes`].
     ///
-    /// Bilinear without smoothing, in OpenCV's fixed-point arithmetic.
+    /// Bilinear without smoothing, in `OpenCV`'s fixed-point arithmetic.
     pub fn observation(&self) -> Vec<u8> {
         let mut observation = Vec::new();
         self.observation_into(&mut observation);

@@ -1,4 +1,4 @@
-//! Shrinking the canvas to the observation as OpenCV does: bilinear, in fixed-point arithmetic.
+//! Shrinking the canvas to the observation as `OpenCV` does: bilinear, in fixed-point arithmetic.
 
 use super::SIDE;
 
@@ -27,13 +27,13 @@ pub(super) fn shrink(pixels: &[[u8; 3]], observation: &mut Vec<u8>) {
         let rows = &pixels[y * SIDE..(y + 2) * SIDE];
         for column in 0..OBSERVATION_SIDE {
             let (x, [left, right]) = sample(column);
-            for channel in 0..3 {
+            observation.extend((0..3).map(|channel| {
                 let across = |at: usize| left * i32::from(rows[at][channel]) + right * i32::from(rows[at + 1][channel]);
                 // Eleven bits from the columns and eleven from the rows: cut by 4 and by 16, and the last two rounded.
                 let part = |weight: i32, sum: i32| (weight * (sum >> 4)) >> 16;
                 let sum = part(upper, across(x)) + part(lower, across(x + SIDE));
-                observation.push(((sum + 2) >> 2) as u8);
-            }
+                ((sum + 2) >> 2) as u8
+            }));
         }
     }
 }
