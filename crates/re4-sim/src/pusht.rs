@@ -4,7 +4,7 @@
 
 use re4_geometry::{Point2, Pose2, wrap_to_two_pi};
 
-use crate::chipmunk::{World, chipmunk_version};
+use crate::chipmunk::{Drawing, World, chipmunk_version};
 use crate::tee::{coverage_of_area, iou_of_area, overlap_area};
 use crate::{
     AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, ResetOrder, SUCCESS_COVERAGE, SimError, Simulator, Step, tee_rectangles,
@@ -151,6 +151,11 @@ impl PushT {
     /// Corners of the block's bar and stem in the window, in pixels, in the order of [`tee_rectangles`].
     pub fn block_vertices(&self) -> [[Point2; 4]; 2] {
         tee_vertices(self.world.block_pose())
+    }
+
+    /// What Chipmunk would draw of the state: where the shapes and the marks of the last physics step's contacts are.
+    pub(crate) fn drawing(&self) -> Drawing {
+        self.world.drawing()
     }
 
     /// Checks the state after physics, so that nothing unsound is handed on or goes into the next physics step.

@@ -45,6 +45,37 @@ pub(super) struct CpCollisionHandler {
     pub(super) user_data: *mut c_void,
 }
 
+/// `cpSpaceDebugColor`.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub(super) struct CpColor {
+    pub(super) r: f32,
+    pub(super) g: f32,
+    pub(super) b: f32,
+    pub(super) a: f32,
+}
+
+/// `CP_SPACE_DEBUG_DRAW_SHAPES`.
+pub(super) const DRAW_SHAPES: c_int = 1;
+/// `CP_SPACE_DEBUG_DRAW_COLLISION_POINTS`.
+pub(super) const DRAW_COLLISION_POINTS: c_int = 1 << 2;
+
+/// `cpSpaceDebugDrawOptions`. Its `flags` are an enumeration, which is as large as an `int`.
+#[repr(C)]
+pub(super) struct CpDrawOptions {
+    pub(super) draw_circle: unsafe extern "C" fn(CpVect, f64, f64, CpColor, CpColor, *mut c_void),
+    pub(super) draw_segment: unsafe extern "C" fn(CpVect, CpVect, CpColor, *mut c_void),
+    pub(super) draw_fat_segment: unsafe extern "C" fn(CpVect, CpVect, f64, CpColor, CpColor, *mut c_void),
+    pub(super) draw_polygon: unsafe extern "C" fn(c_int, *const CpVect, f64, CpColor, CpColor, *mut c_void),
+    pub(super) draw_dot: unsafe extern "C" fn(f64, CpVect, CpColor, *mut c_void),
+    pub(super) flags: c_int,
+    pub(super) outline: CpColor,
+    pub(super) colour_for_shape: unsafe extern "C" fn(*mut CpShape, *mut c_void) -> CpColor,
+    pub(super) constraint: CpColor,
+    pub(super) collision_point: CpColor,
+    pub(super) data: *mut c_void,
+}
+
 unsafe extern "C" {
     pub(super) safe static cpVersionString: *const c_char;
 
@@ -56,6 +87,8 @@ unsafe extern "C" {
     pub(super) fn cpSpaceAddShape(space: *mut CpSpace, shape: *mut CpShape) -> *mut CpShape;
     pub(super) fn cpSpaceAddBody(space: *mut CpSpace, body: *mut CpBody) -> *mut CpBody;
     pub(super) fn cpSpaceStep(space: *mut CpSpace, seconds: f64);
+
+    pub(super) fn cpSpaceDebugDraw(space: *mut CpSpace, options: *mut CpDrawOptions);
 
     pub(super) fn cpBodyNew(mass: f64, moment: f64) -> *mut CpBody;
     pub(super) fn cpBodyNewKinematic() -> *mut CpBody;

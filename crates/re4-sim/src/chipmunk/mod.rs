@@ -4,6 +4,7 @@
     reason = "Chipmunk is a C library; this module is the one place that calls it, behind the safe type `World`"
 )]
 
+mod drawing;
 mod ffi;
 mod quiet;
 
@@ -13,16 +14,17 @@ use std::ptr::NonNull;
 
 use re4_geometry::{Point2, Pose2};
 
+pub(crate) use drawing::Drawing;
 use ffi::{CpArbiter, CpBody, CpShape, CpSpace, CpTransform, CpVect};
 
 /// Friction, elasticity, collision types and filters all keep Chipmunk's defaults, as they do in gym-pusht: its
 /// `body.friction = 1` sets an attribute that a body does not have.
-const WALL_RADIUS: f64 = 2.0;
-const WALLS: [[CpVect; 2]; 4] = [
-    [vect(5.0, 506.0), vect(5.0, 5.0)],
-    [vect(5.0, 5.0), vect(506.0, 5.0)],
-    [vect(506.0, 5.0), vect(506.0, 506.0)],
-    [vect(5.0, 506.0), vect(506.0, 506.0)],
+pub(crate) const WALL_RADIUS: f64 = 2.0;
+pub(crate) const WALLS: [[Point2; 2]; 4] = [
+    [Point2::new(5.0, 506.0), Point2::new(5.0, 5.0)],
+    [Point2::new(5.0, 5.0), Point2::new(506.0, 5.0)],
+    [Point2::new(506.0, 5.0), Point2::new(506.0, 506.0)],
+    [Point2::new(5.0, 506.0), Point2::new(506.0, 506.0)],
 ];
 const BLOCK_MASS: f64 = 1.0;
 
@@ -87,7 +89,12 @@ impl World {
 
             let ground = ffi::cpSpaceGetStaticBody(space.as_ptr());
             for [a, b] in WALLS {
-                let wall = made(ffi::cpSegmentShapeNew(ground, a, b, WALL_RADIUS));
+                let wall = made(ffi::cpSegmentShapeNew(
+                    ground,
+                    from_point(a),
+                    from_point(b),
+                    WALL_RADIUS,
+                ));
                 ffi::cpSpaceAddShape(space.as_ptr(), wall.as_ptr());
                 shapes.push(wall);
             }

@@ -1,0 +1,172 @@
+//! Pictures of Push-T: the 512 x 512 canvas and the 96 x 96 observation, with the bytes of gym-pusht 0.1.8's.
+//!
+//! gym-pusht draws with pygame on a white surface, in this order: the goal, then what Chipmunk's debug drawing reports (the
+//! block's rectangles, the agent, the walls, and a red mark across each contact point), and shrinks the surface with
+//! `OpenCV`. The order, the colours and the rounding rules here are those observed of pygame 2.6.1 and `OpenCV` 4.14.
+
+mod paint;
+mod shrink;
+
+use re4_geometry::{Point2, Pose2};
+
+use crate::chipmunk::{Drawing, WALL_RADIUS, WALLS};
+use crate::{AGENT_RADIUS, GOAL, PushT, tee_vertices};
+use paint::{Pixel, pixel, pixels};
+
+pub use shrink::OBSERVATION_SIDE;
+
+const SIDE: usize = 512;
+
+const WHITE: [u8; 3] = [255, 255, 255];
+const GOAL_COLOUR: [u8; 3] = [144, 238, 144];
+const AGENT_COLOUR: [u8; 3] = [65, 105, 225];
+/// 1.2 times the agent's colour, at most 255.
+const AGENT_CORE: [u8; 3] = [78, 126, 255];
+/// 1.2 times the outline's colour.
+const BLOCK_COLOUR: [u8; 3] = [143, 163, 184];
+const BLOCK_OUTLINE: [u8; 3] = [119, 136, 153];
+const WALL_COLOUR: [u8; 3] = [211, 211, 211];
+const MARK_COLOUR: [u8; 3] = [231, 76, 60];
+
+/// The lighter disc inside the agent's is smaller by this many pixels.
+const AGENT_RIM: f64 = 4.0;
+const OUTLINE_RADIUS: f64 = 2.0;
+
+/// A picture of 512 x 512 pixels: RGB, 8 bits each, row by row from the top.
+///
+/// One that is drawn on again and again, with [`PushT::render_into`] or [`Canvas::draw_state`], spares an allocation of
+/// 768 KiB per frame.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Canvas {
+    pixels: Vec<[u8; 3]>,
+    /// White paper with the goal on it, from which each picture starts.
+    background: Vec<[u8; 3]>,
+}
+
+impl std::fmt::Debug for Canvas {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Canvas").finish_non_exhaustive()
+    }
+}
+
+impl Default for Canvas {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Canvas {
+    /// Width and height, in pixels.
+    pub const SIDE: usize = SIDE;
+
+    /// A canvas with the goal alone on it.
+    pub fn new() -> Self {
+        let mut canvas = Self {
+            pixels: vec![WHITE; SIDE * SIDE],
+            background: Vec::new(),
+        };
+        for corners in tee_vertices(GOAL) {
+            canvas.fill(&pixels(&corners), GOAL_COLOUR);
+        }
+        canvas.background.clone_from(&canvas.pixels);
+        canvas
+    }
+
+    /// The `512 * 512 * 3` bytes: red, green and blue of each pixel, row by row from the top.
+    pub fn bytes(&self) -> &[u8] {
+        self.pixels.as_flattened()
+    }
+
+    /// The picture shrunk to 96 x 96, as policies see it: `96 * 96 * 3` bytes in the order of [`Canvas::bytes`].
+    ///
+    /// Bilinear without smoothing, in `OpenCV`'s fixed-point arithmetic.
+    pub fn observation(&self) -> Vec<u8> {
+        let mut observation = Vec::new();
+        self.observation_into(&mut observation);
+        observation
+    }
+
+    /// [`Canvas::observation`] into a buffer whose former content is replaced.
+    pub fn observation_into(&self, observation: &mut Vec<u8>) {
+        shrink::shrink(&self.pixels, observation);
+    }
+
+    /// Draws a state over whatever was on the canvas: [`render_state`] without a new canvas.
+    pub fn draw_state(&mut self, agent: Point2, block: Pose2) {
+        self.draw_scene(&[agent], &tee_vertices(block), &[]);
+    }
+
+    fn draw_scene(&mut self, agents: &[Point2], block: &[[Point2; 4]], marks: &[[Point2; 2]]) {
+        self.pixels.copy_from_slice(&self.background);
+        for corners in block {
+            self.fill(&pixels(corners), BLOCK_COLOUR);
+            for (i, &corner) in corners.iter().enumerate() {
+                let next = corners[(i + 1) % corners.len()];
+                self.fat_line(pixel(corner), pixel(next), OUTLINE_RADIUS, BLOCK_OUTLINE);
+            }
+        }
+        for &centre in agents {
+            self.disc(pixel(centre), AGENT_RADIUS as i64, AGENT_COLOUR);
+            self.disc(pixel(centre), (AGENT_RADIUS - AGENT_RIM) as i64, AGENT_CORE);
+        }
+        for [a, b] in WALLS {
+            self.fat_line(pixel(a), pixel(b), WALL_RADIUS, WALL_COLOUR);
+        }
+        for &[a, b] in marks {
+            self.smooth_line(pixel(a), pixel(b), MARK_COLOUR);
+        }
+    }
+
+    /// A line with round ends: a thick line, a rectangle over it and a disc at each end.
+    fn fat_line(&mut self, from: Pixel, to: Pixel, radius: f64, colour: [u8; 3]) {
+        let (dx, dy) = ((to.x - from.x).abs(), (to.y - from.y).abs());
+        self.thick_line(from, to, (2.0 * radius) as i64, colour);
+        if (dx, dy) == (0, 0) {
+            return;
+        }
+        let scale = radius / ((dx * dx + dy * dy) as f64).sqrt();
+        // Across the line only where x and y grow together: the absolute values lose the direction, as in gym-pusht.
+        let x = (dy as f64 * scale).round_ties_even() as i64;
+        let y = (dx as f64 * scale).round_ties_even() as i64;
+        let corners = [(from, -1), (from, 1), (to, 1), (to, -1)];
+        self.fill(
+            &corners.map(|(end, sign)| Pixel::new(end.x + sign * x, end.y + sign * y)),
+            colour,
+        );
+        self.disc(from, radius as i64, colour);
+        self.disc(to, radius as i64, colour);
+    }
+}
+
+impl PushT {
+    /// A picture of the current state, with the contacts of the last physics step marked: gym-pusht's canvas after the
+    /// same reset and steps.
+    ///
+    /// [`Canvas::observation`] shrinks it to what policies see.
+    pub fn render(&self) -> Canvas {
+        let mut canvas = Canvas::new();
+        self.render_into(&mut canvas);
+        canvas
+    }
+
+    /// [`PushT::render`] over whatever was on `canvas`.
+    pub fn render_into(&self, canvas: &mut Canvas) {
+        let Drawing {
+            circles,
+            rectangles,
+            marks,
+        } = self.drawing();
+        canvas.draw_scene(&circles, &rectangles, &marks);
+    }
+}
+
+/// A picture of a state, in pixels and radians, without physics and therefore without contact marks.
+///
+/// `block` is the pose as it is recorded and observed (the pose of the block's own frame), not one to request of a reset.
+/// For the same state it differs from [`PushT::render`] in the contact marks, and by a rounding step where a corner lies
+/// within the last bits of half a pixel. What is not in the window, or not finite, is not drawn.
+pub fn render_state(agent: Point2, block: Pose2) -> Canvas {
+    let mut canvas = Canvas::new();
+    canvas.draw_state(agent, block);
+    canvas
+}
