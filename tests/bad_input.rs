@@ -178,6 +178,24 @@ fn demonstrations_without_a_push() {
 }
 
 #[test]
+fn every_damaged_artifact_is_named() {
+    let place = Place::new();
+    place.run("run small.toml").done();
+    for (name, bytes) in place.bytes() {
+        if name.ends_with("modes.parquet") || name.ends_with("results.parquet") {
+            fs::write(place.artifacts().join(name), &bytes[..bytes.len() - 1]).unwrap();
+        }
+    }
+    let answer = place.run("verify");
+    assert_eq!(answer.code, Some(2));
+    assert_eq!(answer.stdout.lines().count(), 2, "the intact ones: {}", answer.stdout);
+    assert_eq!(answer.stderr.lines().count(), 2, "{}", answer.stderr);
+    for file in ["modes.parquet", "results.parquet"] {
+        assert_eq!(answer.stderr.matches(file).count(), 1, "{}", answer.stderr);
+    }
+}
+
+#[test]
 fn a_flipped_byte_in_any_file_is_found() {
     let place = Place::new();
     place.run("run small.toml").done();
@@ -204,6 +222,8 @@ fn a_flipped_byte_in_any_file_is_found() {
                 "byte {position} of {name}: {said}"
             );
             if position != 0 && position != bytes.len() - 1 {
+                let inspected = place.run(&format!("inspect {folder}")).refused_at_once();
+                assert_eq!(inspected, said, "what is damaged is not described");
                 let command = if name.starts_with("replays") { "replay" } else { "run" };
                 let run = place.run(&format!("{command} small.toml --quiet")).refused_at_once();
                 assert_eq!(run, said, "the stages look at what verify looks at");

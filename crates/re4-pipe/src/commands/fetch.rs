@@ -21,12 +21,14 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     if let Some(url) = &arguments.url {
         dataset = dataset.with_url(url);
     }
-    console.note(&format!(
-        "fetching {} ({}) to {}",
-        dataset.url,
-        dataset.licence,
-        destination.display()
-    ));
+    if !destination.join(&dataset.provides).exists() {
+        console.note(&format!(
+            "fetching {} ({}) to {}",
+            dataset.url,
+            dataset.licence,
+            destination.display()
+        ));
+    }
     let bar = console.progress(0, "bytes");
     let report = re4_fetch::fetch(&dataset, &destination, &mut |done, length| {
         bar.set_length(length.unwrap_or(done));

@@ -16,6 +16,7 @@ use crate::console::Console;
 pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let artifact = Artifact::open(&arguments.path)?;
+    artifact.verify_bytes()?;
     let manifest = artifact.manifest();
     let mut descriptions = serde_json::Map::new();
     let mut text = format!(

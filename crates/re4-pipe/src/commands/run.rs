@@ -74,6 +74,12 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
             "cannot record to {}: there is something at that path; give one that does not exist yet",
             path.display()
         );
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        anyhow::ensure!(
+            parent.is_none_or(Path::is_dir),
+            "cannot record to {}: there is no folder to put it into; create it, or give another path",
+            path.display()
+        );
     }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::Outcome;
 use crate::arguments::VerifyArguments;
-use crate::console::Console;
+use crate::console::{Console, print_error};
 
 /// Verifies the artifacts named, or all below the artifacts folder; the first damaged one is the error.
 pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
@@ -38,10 +38,15 @@ pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
         "intact": verified,
         "damaged": damaged.iter().map(ToString::to_string).collect::<Vec<_>>(),
     }))?;
-    match damaged.into_iter().next() {
-        Some(error) => Err(error.into()),
-        None => Ok(Outcome::Done),
+    // Every damaged artifact is named; the first is the error that the command ends with.
+    let mut errors = damaged.into_iter().map(anyhow::Error::from);
+    let Some(first) = errors.next() else {
+        return Ok(Outcome::Done);
+    };
+    for error in errors {
+        print_error(&error);
     }
+    Err(first)
 }
 
 fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {

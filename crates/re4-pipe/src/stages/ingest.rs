@@ -98,12 +98,13 @@ impl Runner {
     }
 }
 
-/// A relative source is looked for below `RE4_DATA`, then below `data`.
+/// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.
 fn find_source(source: &Path) -> Result<PathBuf> {
     if source.is_absolute() {
         return Ok(source.to_owned());
     }
-    let folders = data_folders();
+    let mut folders = data_folders();
+    folders.push(PathBuf::new());
     if let Some(found) = folders
         .iter()
         .map(|folder| folder.join(source))
@@ -111,14 +112,19 @@ fn find_source(source: &Path) -> Result<PathBuf> {
     {
         return Ok(found);
     }
+    let looked_below: Vec<String> = data_folders()
+        .iter()
+        .map(|folder| folder.display().to_string())
+        .collect();
+    let fetch = if source.starts_with("pusht") {
+        ", or get it with re4-pipe fetch pusht"
+    } else {
+        ""
+    };
     anyhow::bail!(
-        "cannot ingest {}: it is not below {}; set RE4_DATA to the folder that holds it, or get the data with re4-pipe fetch pusht",
+        "cannot ingest {}: it is not below {} (seen from the current folder), nor in the current folder itself; set RE4_DATA to the folder that it is below, or give its absolute path{fetch}",
         source.display(),
-        folders
-            .iter()
-            .map(|folder| folder.display().to_string())
-            .collect::<Vec<_>>()
-            .join(" or ")
+        looked_below.join(" or ")
     )
 }
 
