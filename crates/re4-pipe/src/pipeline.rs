@@ -54,7 +54,8 @@ pub(crate) enum Variant {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct IngestSection {
-    /// Folder or zip file of the Push-T zarr store: absolute, or below the data folder.
+    /// Folder or zip file of the Push-T zarr store: absolute, or looked for below `RE4_DATA`, below `data` and in the current
+    /// folder.
     pub(crate) source: PathBuf,
     /// Whether the pictures are ingested too.
     #[serde(default = "yes")]
