@@ -29,15 +29,16 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     report(&runner, &built)
 }
 
-/// `re4-pipe train-pose`: there is nothing to train where the recorded pose is the pose.
+/// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
-    match runner.pipeline.pose.source {
-        PoseSource::Recorded => anyhow::bail!(
-            "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; estimators from pictures are not part of this version",
-            arguments.pipeline.display()
-        ),
-    }
+    anyhow::ensure!(
+        runner.pipeline.pose.source != PoseSource::Recorded,
+        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"log_polar\"",
+        arguments.pipeline.display()
+    );
+    let built = runner.train_pose(&runner.ingest()?)?.context("no pose estimator")?;
+    report(&runner, &built)
 }
 
 /// `re4-pipe index`.
@@ -45,7 +46,8 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
-    let built = runner.index(&episodes, &modes)?;
+    let poses = runner.train_pose(&episodes)?;
+    let built = runner.index(&episodes, &modes, poses.as_ref())?;
     report(&runner, &built)
 }
 
@@ -95,9 +97,10 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
-    let index = runner.index(&episodes, &modes)?;
+    let poses = runner.train_pose(&episodes)?;
+    let index = runner.index(&episodes, &modes, poses.as_ref())?;
     let scenes = runner.scenes(&episodes)?;
-    let built = runner.rollout(&episodes, &index, scenes.as_ref())?;
+    let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
     if let Some(path) = &arguments.record {
         record(&runner, &built, path)?;
     }
