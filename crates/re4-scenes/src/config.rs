@@ -52,7 +52,7 @@ pub struct ScenesConfig {
     pub clearance: f64,
     /// Seed of the pusher's positions.
     #[serde(default)]
-    pub seed: u64,
+    pub seed: u32,
 }
 
 impl ScenesConfig {
