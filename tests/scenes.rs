@@ -16,8 +16,6 @@ use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
 use re4_report::{mean_interval, wilson_interval};
 use support::{Place, assert_same_bytes, filters, folders_in, repository};
 
-const SCENES: &str = "\n[scenes]\nkind = \"sparse_observations\"\nposes = 6\npushers = 2\ngrid = 20\n";
-
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
 fn place() -> Place {
     let place = Place::empty();
@@ -27,7 +25,7 @@ fn place() -> Place {
         .replace("small.zarr", sample.to_str().unwrap())
         .replace("max_steps = 60", "max_steps = 120");
     place.write("small.toml", &small);
-    place.write("sparse.toml", small.replace("seeds = \"500..506\"\n", "") + SCENES);
+    place.write_sparse();
     place
 }
 
@@ -273,10 +271,8 @@ fn refusals() {
             place.run(arguments).refused_at_once()
         ));
     }
-    let seeds_missing = fs::read_to_string(place.path().join("sparse.toml"))
-        .unwrap()
-        .replace(SCENES, "");
-    place.write("nothing.toml", seeds_missing);
+    let small = fs::read_to_string(place.path().join("small.toml")).unwrap();
+    place.write("nothing.toml", small.replace("seeds = \"500..506\"\n", ""));
     let sentence = place.run("run nothing.toml").refused_at_once();
     sentences.push(format!("neither seeds nor scenes\n  {sentence}"));
     assert_snapshot!(sentences.join("\n"));

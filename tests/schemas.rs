@@ -58,10 +58,8 @@ fn the_schemas_describe_the_columns_that_are_written() {
     let place = Place::new();
     place.run("run small.toml").done();
     place.run("replay small.toml").done();
-    let scenes = fs::read_to_string(place.path().join("small.toml")).unwrap();
-    let scenes = scenes.replace("seeds = \"500..506\"\n", "") + "[scenes]\nkind = \"sparse_observations\"\n";
-    place.write("scenes.toml", scenes);
-    place.run("scenes scenes.toml --set scenes.poses=3").done();
+    place.write_sparse();
+    place.run("scenes sparse.toml").done();
     let mut compared = 0;
     for kind in folders_in(&place.artifacts()) {
         for artifact in folders_in(&kind)
