@@ -96,9 +96,11 @@ fn the_nearest_frame_is_the_nearest() {
         high - low
     });
     let (episode, frame) = (col_u32(&frames, "episode").unwrap(), col_u32(&frames, "frame").unwrap());
+    let [x, y, theta] = chosen;
     for scene in 0..scenes.num_rows() {
+        let pose = [x[scene], y[scene], theta[scene]];
         let distance = |row: usize| {
-            let part = |i: usize| (chosen[i][scene] - demonstrated[i][row]).abs();
+            let part = |i: usize| (pose[i] - demonstrated[i][row]).abs();
             let angle = part(2).rem_euclid(turn);
             let angle = angle.min(turn - angle);
             (part(0) / spans[0]).hypot(part(1) / spans[1]).hypot(angle / spans[2])
