@@ -84,8 +84,8 @@ const LONGEST: u32 = 100_000;
 /// Finest grid: beyond it the table of candidates would fill the memory for nothing.
 const FINEST: u32 = 200;
 
-/// Most scenes of a kind, far more than any experiment has rolled out.
-const MOST: u32 = 10_000;
+/// Most poses, and most pushers at each.
+const MOST: u32 = 1000;
 
 fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
     between("scenes.grid", scenes.grid, 2, FINEST)?;
