@@ -244,21 +244,19 @@ impl<'a> Tile<'a> {
         }
     }
 
+    /// The plan and the chunk of a decision; worked out once, as it lasts for many states.
     fn overlay(&mut self, decision: usize) -> &[(usize, [u8; 3])] {
-        let known = self.overlay.take().filter(|(of, _)| *of == decision);
-        let (_, pixels) = self.overlay.insert(known.unwrap_or_else(|| {
-            let lines = self.rollout.decisions.get(decision);
-            let lines = lines.map_or([(&[][..], PLAN), (&[], REPLAY)], |d| {
-                [(&d.plan, PLAN), (&d.chunk, REPLAY)]
-            });
-            let pixels = lines.iter().flat_map(|(path, colour)| {
-                line_pixels(path, LINE_RADIUS, Canvas::SIDE)
-                    .into_iter()
-                    .map(|pixel| (pixel, *colour))
-            });
-            (decision, pixels.collect())
-        }));
-        pixels
+        if self.overlay.as_ref().is_none_or(|(of, _)| *of != decision) {
+            let mut lines = Lines::new();
+            if let Some(d) = self.rollout.decisions.get(decision) {
+                for (path, colour) in [(&d.plan, PLAN), (&d.chunk, REPLAY)] {
+                    let pixels = line_pixels(path, LINE_RADIUS, Canvas::SIDE);
+                    lines.extend(pixels.into_iter().map(|pixel| (pixel, colour)));
+                }
+            }
+            self.overlay = Some((decision, lines));
+        }
+        self.overlay.as_ref().map_or(&[], |(_, lines)| lines)
     }
 
     /// What the strip says of a state: two lines, and the colour of the second.
@@ -274,7 +272,9 @@ impl<'a> Tile<'a> {
             format!("{phase}  DEMO {} FRAMES {}-{}", d.demo, d.frames.0, d.frames.1)
         });
         let colour = if state.replaying { REPLAY } else { PLAN };
-        ([first, format!("COVERAGE {:.3}", state.coverage.abs()), second], colour)
+        // The sum of no areas is -0.
+        let coverage = format!("COVERAGE {:.3}", state.coverage.abs());
+        ([first, coverage, second], colour)
     }
 }
 
