@@ -19,9 +19,9 @@ const COMMANDS: [&str; 12] = [
     "rollout",
     "run",
     "replay",
+    "film",
     "verify",
     "inspect",
-    "film",
     "fetch",
     "schemas",
 ];
@@ -78,13 +78,13 @@ fn errors_of_the_command_line() {
         "run small.toml --jobs -1",
         "run small.toml --set",
         "run small.toml --max-steps 1.5",
-        "inspect",
-        "inspect x --seed 500",
-        "inspect x --rows -1",
         "film x out.gif",
         "film x --seed 500",
         "film x out.gif --seeds 5..5",
         "film x out.gif --seed 500 --size small",
+        "inspect",
+        "inspect x --seed 500",
+        "inspect x --rows -1",
         "train-pose small.toml",
     ]
     .into_iter()

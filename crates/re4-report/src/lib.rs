@@ -1,8 +1,9 @@
-//! Statistics, tables, pictures and films.
+//! Statistics, tables and pictures.
 
-mod film;
 mod picture;
 mod statistics;
+
+mod film;
 
 pub use film::{
     FILM_SIZES, FILM_SPEEDS, FILM_TILES, FilmDecision, FilmError, FilmFacts, FilmRollout, FilmSettings, FilmState,
