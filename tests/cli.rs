@@ -16,6 +16,7 @@ const COMMANDS: [&str; 12] = [
     "segment",
     "train-pose",
     "index",
+    "scenes",
     "rollout",
     "run",
     "replay",
