@@ -272,8 +272,7 @@ impl<'a> Tile<'a> {
             format!("{phase}  DEMO {} FRAMES {}-{}", d.demo, d.frames.0, d.frames.1)
         });
         let colour = if state.replaying { REPLAY } else { PLAN };
-        // The sum of no areas is -0.
-        let coverage = format!("COVERAGE {:.3}", state.coverage.abs());
+        let coverage = format!("COVERAGE {:.3}", state.coverage);
         ([first, coverage, second], colour)
     }
 }
