@@ -8,6 +8,7 @@ use image::{ExtendedColorType, ImageEncoder as _};
 use rayon::prelude::*;
 use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
 use re4_geometry::{Point2, Pose2};
+use re4_ingest::WarningCode;
 use re4_ingest::pusht::{PushtEpisodes, PushtReader};
 use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::json;
@@ -57,7 +58,11 @@ impl Runner {
         } else if !section.render.is_empty() {
             pictures = self.render_images(&episodes, writer)?;
         }
-        let warnings = warnings.iter().map(serde_json::to_value).collect::<Result<_, _>>()?;
+        let warnings = warnings
+            .iter()
+            .filter(|warning| section.render.is_empty() || warning.code != WarningCode::NoImages)
+            .map(serde_json::to_value)
+            .collect::<Result<_, _>>()?;
         Ok(Facts {
             summary: json!({
                 "episodes": episodes.episode_count(),
