@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         Command::Replay(arguments) => commands::run::replay(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),
         Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
+        Command::Report(arguments) => commands::report::report(&arguments),
         Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
         Command::Schemas(arguments) => commands::schemas::schemas(&arguments),
     };
