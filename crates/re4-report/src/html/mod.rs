@@ -240,7 +240,7 @@ fn document(report: &Report, facts: &facts::Facts, script: &str, data: &str) -> 
                 (sections::header(report, facts))
                 main {
                     (sections::scores(report, facts))
-                    (sections::plots())
+                    (sections::plots(facts))
                     (sections::viewer(report, facts))
                     (sections::seeds(facts))
                     (sections::protocol(report, facts))

@@ -26,7 +26,7 @@ fn exact(value: f64) -> String {
 
 fn mark(artifact: usize) -> Markup {
     html! {
-        svg.mark class={ "series-" (artifact % MARKS) } viewBox="-6 -6 12 12" width="12" height="12" aria-hidden="true" {
+        svg class={ "mark series-" (artifact % MARKS) } viewBox="-6 -6 12 12" width="12" height="12" aria-hidden="true" {
             path data-mark=(artifact % MARKS) {}
         }
     }
@@ -65,7 +65,7 @@ pub(super) fn scores(report: &Report, facts: &Facts) -> Markup {
             p.note {
                 "Mean over rollouts of the greatest value within a rollout, with 95 % intervals. "
                 "Scaled score is min(coverage / 0.95, 1). The paper’s measure is its “maximum coverage per episode”, without intervals; "
-                "it is set beside the scaled score, which is what the field reports."
+                "it is set beside the scaled score, which is what the field reports, and marked there in blue."
             }
             @if !differences.is_empty() {
                 p.notice #protocol-differs data-differences=(differences.join(" ")) {
@@ -103,7 +103,7 @@ fn score_row(number: usize, artifact: &Rollouts, label: &str) -> Markup {
         tr data-artifact=(artifact.key) {
             th scope="row" {
                 span.name { (mark(number)) (label) }
-                span.detail { (detail(artifact)) }
+                @for line in details(artifact) { span.detail { (line) } }
             }
             (figure("score_scaled_mean", metrics.score_scaled_mean, printed.map(|(_, value)| value)))
             (figure("coverage_raw_mean", metrics.coverage_raw_mean, None))
@@ -122,19 +122,18 @@ fn score_row(number: usize, artifact: &Rollouts, label: &str) -> Markup {
     }
 }
 
-fn detail(artifact: &Rollouts) -> String {
+fn details(artifact: &Rollouts) -> [String; 2] {
     let demos = match (artifact.demonstrations_taken, artifact.demonstrations) {
         (Taken::All, Some(count)) => format!("all {count} demonstrations"),
         (Taken::First(count), _) => format!("first {count} demonstrations"),
         (Taken::Other, Some(count)) => format!("{count} chosen demonstrations"),
         (_, None) => "demonstrations not counted".to_owned(),
     };
-    format!(
-        "{} · {demos} · {} · {}",
-        artifact.variant,
-        artifact.scenes,
-        plural(artifact.max_steps as usize, "step", "steps")
-    )
+    let steps = plural(artifact.max_steps as usize, "step", "steps");
+    [
+        format!("{} · {demos}", artifact.variant),
+        format!("{} · {steps}", artifact.scenes),
+    ]
 }
 
 fn paper_counterpart(artifact: &Rollouts) -> Option<(&'static str, f64)> {
@@ -200,10 +199,13 @@ fn paper_table() -> Markup {
 }
 
 /// Places for the plots, which the script draws, and the figures behind the budget curve.
-pub(super) fn plots() -> Markup {
+pub(super) fn plots(facts: &Facts) -> Markup {
     html! {
         section #plots aria-labelledby="plots-title" {
-            h2 #plots-title { "Every rollout" }
+            div.heading {
+                h2 #plots-title { "Every rollout" }
+                ul.legend { @for (i, label) in facts.labels.iter().enumerate() { li { (mark(i)) (label) } } }
+            }
             div.columns {
                 figure.card {
                     figcaption {
@@ -269,49 +271,56 @@ pub(super) fn viewer(report: &Report, facts: &Facts) -> Markup {
                     div #scene {}
                     ul.legend #legend {}
                 }
-                div.why {
-                    div.card {
-                        div.row {
-                            h3 #decision-title {}
-                            span.badge #phase {}
-                        }
-                        p.reason #reason aria-live="polite" {}
-                        dl.facts #facts {}
+                (transport())
+                div.card.why {
+                    div.row {
+                        h3 #decision-title {}
+                        span.badge #phase {}
                     }
-                    figure.card.demo {
-                        figcaption {
-                            h3 #demo-title { "Retrieved demonstration" }
+                    p.reason #reason aria-live="polite" {}
+                    div.evidence {
+                        figure.demo {
+                            div #demo {}
+                            figcaption #demo-note {}
                         }
-                        div #demo {}
-                        p.hint #demo-note {}
+                        dl.facts #facts {}
                     }
                 }
             }
-            div.card.transport {
-                div.row {
-                    div.buttons {
-                        button #previous-decision type="button" aria-label="Previous decision" title="Previous decision (up or [)" { "⇤" }
-                        button #previous-step type="button" aria-label="Previous step" title="Previous step (left)" { "←" }
-                        button.primary #play type="button" title="Play or pause (k)" { "Play" }
-                        button #next-step type="button" aria-label="Next step" title="Next step (right)" { "→" }
-                        button #next-decision type="button" aria-label="Next decision" title="Next decision (down or ])" { "⇥" }
-                    }
-                    label.speed { span { "Speed" } select #speed {
-                        option value="0.5" { "½×" }
-                        option value="1" selected { "1×" }
-                        option value="2" { "2×" }
-                        option value="5" { "5×" }
-                    } }
-                    output #step-text {}
+        }
+    }
+}
+
+fn transport() -> Markup {
+    let button = |id: &str, name: &str, keys: &str, sign: &str| {
+        html! { button id=(id) type="button" aria-label=(name) title={ (name) " (" (keys) ")" } { (sign) } }
+    };
+    html! {
+        div.card.transport {
+            div.row {
+                div.buttons {
+                    (button("previous-decision", "Previous decision", "↑ or [", "⇤"))
+                    (button("previous-step", "Previous step", "←", "←"))
+                    button.primary #play type="button" title="Play or pause (k)" { "Play" }
+                    (button("next-step", "Next step", "→", "→"))
+                    (button("next-decision", "Next decision", "↓ or ]", "⇥"))
                 }
-                label.hidden for="scrubber" { "Control step" }
-                input #scrubber type="range" min="0" max="0" value="0" step="1";
-                div.plot #timeline {}
-                p.hint {
-                    kbd { "←" } " " kbd { "→" } " step   "
-                    kbd { "↑" } " " kbd { "↓" } " or " kbd { "[" } " " kbd { "]" } " decision   "
-                    kbd { "k" } " play   " kbd { "Home" } " " kbd { "End" } " first, last"
-                }
+                label.speed { span { "Speed" } select #speed {
+                    option value="0.5" { "½×" }
+                    option value="1" selected { "1×" }
+                    option value="2" { "2×" }
+                    option value="5" { "5×" }
+                } }
+            }
+            output #step-text {}
+            label.hidden for="scrubber" { "Control step" }
+            input #scrubber type="range" min="0" max="0" value="0" step="1";
+            div.plot #timeline {}
+            p.hint.keys {
+                span { kbd { "←" } kbd { "→" } " step" }
+                span { kbd { "↑" } kbd { "↓" } " decision" }
+                span { kbd { "k" } " play" }
+                span { kbd { "Home" } kbd { "End" } }
             }
         }
     }
@@ -406,13 +415,21 @@ fn fact_table(name: &str, rows: &[Row], facts: &Facts) -> Markup {
                     @for row in rows {
                         tr.differs[row.differs()] data-fact=(row.name) {
                             th scope="row" { (row.name.replace('_', " ")) @if row.differs() { span.badge { "differs" } } }
-                            @for value in &row.values { td { @if value.is_empty() { "–" } @else { (value) } } }
+                            @if row.differs() {
+                                @for value in &row.values { td { (stated(value)) } }
+                            } @else if let Some(value) = row.values.first() {
+                                td colspan=(row.values.len()) { (stated(value)) }
+                            }
                         }
                     }
                 }
             }
         }
     }
+}
+
+fn stated(value: &str) -> &str {
+    if value.is_empty() { "–" } else { value }
 }
 
 /// Where the page is from.

@@ -77,8 +77,22 @@ fn scenes(config: &Value, protocol: &Value) -> String {
     match (&config["seeds"], &config["scenes"], &protocol["scenes"]) {
         (Value::Null, Value::Null, Value::Null) => "scenes not stated".to_owned(),
         (Value::Null, Value::Null, scenes) | (Value::Null, scenes, _) => format!("scenes {}", text(scenes)),
-        (seeds, ..) => format!("seeds {}", text(seeds).replace("..", "–")),
+        (seeds, ..) => format!("seeds {}", inclusive(&text(seeds))),
     }
+}
+
+/// Half-open ranges as readers of a page expect them: `500..600` is 500–599.
+fn inclusive(seeds: &str) -> String {
+    let part = |part: &str| {
+        let (start, end) = part.split_once("..")?;
+        let last = end.trim().parse::<u64>().ok()?.checked_sub(1)?;
+        Some(format!("{}–{last}", start.trim()))
+    };
+    let parts = seeds.split(',').map(str::trim);
+    parts
+        .map(|text| part(text).unwrap_or_else(|| text.to_owned()))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 fn rollouts(artifact: &Artifact) -> Result<Vec<Rollout>> {

@@ -23,8 +23,8 @@ const chartFrame = (width, { height, left, right, top, bottom, y, yTicks, x, xTi
 const UNIT_TICKS = [0, 0.2, 0.4, 0.6, 0.8, 1];
 const MEASURES = { score: "scaled score", coverage: "raw coverage", iou: "IoU" };
 
-const markPath = (artifact, x, y, extra) =>
-  svg("path", { d: MARKS[markOf(artifact)], transform: `translate(${near(x)} ${near(y)})`, ...extra });
+const markPath = (artifact, x, y, extra, scale = 1) =>
+  svg("path", { d: MARKS[markOf(artifact)], transform: `translate(${near(x)} ${near(y)}) scale(${scale})`, ...extra });
 
 const drawBudgets = (host, width) => {
   const measure = checked("budget-measure");
@@ -96,13 +96,15 @@ const drawSeeds = (host, width) => {
   });
   root.setAttribute("tabindex", "0");
   root.setAttribute("role", "application");
+  const most = Math.max(...REPORT.artifacts.map(({ rollouts }) => rollouts.seed.length));
+  const scale = near(clamp((width - 50) / most / 5, 0.55, 1));
   for (const [artifact, rollout, x] of marks) {
     const { rollouts, label } = REPORT.artifacts[artifact];
     const kinds = ["point", rollouts.success[rollout] ? "success" : "failure", isShown(artifact, rollout) ? "" : "absent"];
     const mark = markPath(artifact, place.x(x), place.y(rollouts[measure][rollout]), {
       class: `${kinds.join(" ")} series-${markOf(artifact)}`,
       "data-artifact": artifact, "data-rollout": rollout,
-    });
+    }, scale);
     const ending = isShown(artifact, rollout) ? "" : " (not embedded in this page)";
     mark.append(svg("title", {}, `${label}, seed ${rollouts.seed[rollout]}: ${MEASURES[measure]} ${digits(rollouts[measure][rollout])}${ending}`));
     mark.addEventListener("click", () => selectRollout(artifact, rollout));

@@ -5,7 +5,8 @@ const sorting = { column: "seed", way: 1, artifact: -1 };
 
 const cellText = (column, value) => {
   if (column === "success") return value ? "yes" : "no";
-  return WHOLE.has(column) ? String(value) : digits(value);
+  // Four digits: a coverage of 0.9496 is no success, and should not look like one.
+  return WHOLE.has(column) ? String(value) : digits(value, 4);
 };
 
 const seedCell = (column, value, artifact, rollout) => {

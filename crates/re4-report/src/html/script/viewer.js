@@ -3,7 +3,7 @@ const fact = (name, value, attributes = {}) => [html("dt", {}, name), html("dd",
 
 const point = ([x, y]) => `${digits(x, 1)}, ${digits(y, 1)} px`;
 
-const PLAN_WORDS = { direct: "straight, it is free", planned: "round the block", failed: "no free way found, straight", off: "none" };
+const PLAN_WORDS = { direct: "straight", planned: "round the block", failed: "no free way, straight", off: "off" };
 
 const distanceFacts = ({ dq, do: d_o, predictedCoverage, selector, compared }) => {
   const facts = dq === null
@@ -27,10 +27,9 @@ const decisionFacts = (decision) => [
     title: "Motion that carries the demonstration's block onto ours: translation, rotation about the world's origin",
   }),
   fact("Set-point", point(decision.setPoint), { "data-fact": "set_point", "data-value": decision.setPoint.join(" ") }),
-  fact("Plan", decision.plan === "off" ? "off" : `${PLAN_WORDS[decision.plan] ?? decision.plan}; ${decision.planSteps} steps, ${decision.planNodes} nodes searched`, {
-    "data-fact": "plan", "data-value": `${decision.plan} ${decision.planSteps} ${decision.planNodes}`,
-  }),
-  fact("Replay", `${decision.replaySteps} steps`, { "data-fact": "replay_steps", "data-value": decision.replaySteps }),
+  fact("Plan", PLAN_WORDS[decision.plan] ?? decision.plan, { "data-fact": "plan", "data-value": decision.plan }),
+  fact("Plan steps, nodes", `${decision.planSteps}, ${decision.planNodes}`, { "data-fact": "plan_steps", "data-value": `${decision.planSteps} ${decision.planNodes}` }),
+  fact("Replay", decision.replaySteps === 1 ? "1 step" : `${decision.replaySteps} steps`, { "data-fact": "replay_steps", "data-value": decision.replaySteps }),
 ];
 
 const estimateFacts = (data, step) => {
@@ -60,10 +59,9 @@ const showDecision = (data, step, number) => {
 
 const showDemoWords = (index, decision, chunk) => {
   if (decision === undefined) return;
-  byId("demo-title").textContent = `Demonstration ${decision.demo}, frame ${decision.first}`;
   byId("demo-note").textContent = chunk
-    ? `As it was recorded: the block and the pusher at frame ${decision.first}, the pusher’s way and the block (dashed) up to frame ${decision.last}.`
-    : `The recorded frame cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`;
+    ? `Demonstration ${decision.demo} as it was recorded: frame ${decision.first}, the pusher’s way and the block (dashed) up to frame ${decision.last}.`
+    : `Demonstration ${decision.demo}, frame ${decision.first}, cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`;
 };
 
 const showStep = () => {
@@ -91,7 +89,7 @@ const showStep = () => {
   movePlayhead();
 };
 
-const TIMELINE = { height: 124, pad: 8, strip: 14, top: 10 };
+const TIMELINE = { height: 132, pad: 8, strip: 14, top: 16 };
 let playhead;
 
 const timelineX = (width) => {
@@ -129,7 +127,7 @@ const drawTimeline = () => {
   root.append(
     svg("line", { class: "grid", x1: pad, x2: width - pad, y1: y(0), y2: y(0) }),
     svg("line", { class: "grid threshold", x1: pad, x2: width - pad, y1: y(SUCCESS), y2: y(SUCCESS) }),
-    svg("text", { class: "tick", x: pad + 2, y: y(SUCCESS) + 13 }, `success above ${SUCCESS}`),
+    svg("text", { class: "tick", x: width - pad, y: y(SUCCESS) - 5, "text-anchor": "end" }, `success above ${SUCCESS}`),
   );
   for (const { start, end, replay, decision } of phaseRuns(data)) {
     root.append(svg("rect", { class: `phase ${replay ? "replay" : "plan"}`, x: x(start), y: floor + 4, width: Math.max(0.75, x(end) - x(start) - 1), height: strip },
@@ -144,7 +142,7 @@ const drawTimeline = () => {
   for (const step of [0, data.length]) {
     root.append(svg("text", { class: "tick", x: x(step), y: height - 3, "text-anchor": step === 0 ? "start" : "end" }, step === 0 ? "0" : `${step} steps`));
   }
-  playhead = svg("g", { class: "playhead" }, svg("line", { x1: 0, x2: 0, y1: top - 6, y2: floor + strip + 6 }));
+  playhead = svg("g", { class: "playhead" }, svg("line", { x1: 0, x2: 0, y1: top - 10, y2: floor + strip + 6 }));
   root.append(playhead);
   host.replaceChildren(root);
   movePlayhead();
