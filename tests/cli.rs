@@ -11,7 +11,7 @@ mod support;
 use insta::assert_snapshot;
 use support::Place;
 
-const COMMANDS: [&str; 11] = [
+const COMMANDS: [&str; 12] = [
     "ingest",
     "segment",
     "train-pose",
@@ -21,6 +21,7 @@ const COMMANDS: [&str; 11] = [
     "replay",
     "verify",
     "inspect",
+    "report",
     "fetch",
     "schemas",
 ];
@@ -80,6 +81,7 @@ fn errors_of_the_command_line() {
         "inspect",
         "inspect x --seed 500",
         "inspect x --rows -1",
+        "report",
         "train-pose small.toml",
     ]
     .into_iter()

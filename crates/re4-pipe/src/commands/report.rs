@@ -225,6 +225,12 @@ fn write_whole(path: &Path, text: &str) -> Result<()> {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
+    ensure!(
+        folder.is_dir(),
+        "cannot write the report {}: there is no folder {}; make it, or give another path",
+        path.display(),
+        folder.display()
+    );
     let mut file = tempfile::Builder::new()
         .prefix(".tmp-report-")
         // As any file that a user makes: readable as the umask says, not for the user alone.

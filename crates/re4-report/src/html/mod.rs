@@ -96,7 +96,7 @@ pub struct Metrics {
     pub score_scaled_mean: Interval,
     /// Mean raw coverage.
     pub coverage_raw_mean: Interval,
-    /// Mean IoU.
+    /// Mean intersection over union.
     pub iou_mean: Interval,
     /// Share of rollouts that succeed.
     pub success_rate: Interval,
@@ -111,7 +111,7 @@ pub struct Rollout {
     pub score: f64,
     /// Greatest coverage.
     pub coverage: f64,
-    /// Greatest IoU.
+    /// Greatest intersection over union.
     pub iou: f64,
     /// Coverage in the last state.
     pub coverage_final: f64,

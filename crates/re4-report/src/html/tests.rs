@@ -3,6 +3,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::mean;
 
 fn step(coverage: f64, decision: u32, replay: bool) -> StepTrace {
     StepTrace {
@@ -230,12 +231,12 @@ fn budgets_follow_from_the_steps() {
     let facts = facts::Facts::of(&report(vec![set('a', "re4")]));
     let curve = &facts.curves[0];
     assert_eq!(curve.budgets, [50, 100, 120]);
-    assert_eq!(curve.coverage[0].value, (0.4 + 0.96) / 2.0);
-    assert_eq!(curve.score[2].value, (0.4 / 0.95 + 1.0) / 2.0);
+    assert_eq!(curve.coverage[0].value, mean(&[0.4, 0.96]));
+    assert_eq!(curve.score[2].value, mean(&[0.4 / 0.95, 1.0]));
     assert_eq!(curve.steps.len(), 120);
     assert_eq!(
         curve.coverage_line[..3],
-        [(0.1 + 0.2) / 2.0, (0.4 + 0.96) / 2.0, (0.4 + 0.96) / 2.0]
+        [mean(&[0.1, 0.2]), mean(&[0.4, 0.96]), mean(&[0.4, 0.96])]
     );
 }
 
@@ -244,7 +245,7 @@ fn rollouts_that_are_not_shown_count_but_leave_no_trace() {
     let mut set = set('a', "re4");
     set.rollouts[0].shown = false;
     let facts = facts::Facts::of(&report(vec![set.clone()]));
-    assert_eq!(facts.curves[0].coverage[0].value, (0.4 + 0.96) / 2.0);
+    assert_eq!(facts.curves[0].coverage[0].value, mean(&[0.4, 0.96]));
     let artifact = &data(&page(&report(vec![set])))["artifacts"][0];
     assert_eq!(artifact["rollouts"]["seed"], json!([500, 501]));
     assert_eq!(artifact["shown"], json!([1]));
