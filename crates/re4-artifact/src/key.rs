@@ -21,7 +21,9 @@ pub enum Stage {
     TrainPose,
     /// `episodes`, `modes` and perhaps `poses` to `index`.
     Index,
-    /// `index` to `rollouts`.
+    /// `episodes` to `scenes`.
+    Scenes,
+    /// `index` and perhaps `scenes` to `rollouts`.
     Rollout,
     /// `episodes`, replayed open-loop in the simulator, to `replays`.
     Replay,
@@ -29,11 +31,12 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Ingest,
         Self::Segment,
         Self::TrainPose,
         Self::Index,
+        Self::Scenes,
         Self::Rollout,
         Self::Replay,
     ];
@@ -45,6 +48,7 @@ impl Stage {
             Self::Segment => "segment",
             Self::TrainPose => "train-pose",
             Self::Index => "index",
+            Self::Scenes => "scenes",
             Self::Rollout => "rollout",
             Self::Replay => "replay",
         }
@@ -57,6 +61,7 @@ impl Stage {
             Self::Segment => "modes",
             Self::TrainPose => "poses",
             Self::Index => "index",
+            Self::Scenes => "scenes",
             Self::Rollout => "rollouts",
             Self::Replay => "replays",
         }

@@ -325,7 +325,10 @@ pub const DIVERGENCE: TableSpec = TableSpec {
     ],
 };
 
-const SEED: ColumnSpec = id("seed", "Seed of the scene.");
+const SEED: ColumnSpec = id(
+    "seed",
+    "Seed of the scene; its number in table scenes, where the rollouts start from a scenes artifact.",
+);
 
 /// Outcomes of rollouts.
 pub const RESULTS: TableSpec = TableSpec {
@@ -463,13 +466,78 @@ pub const DECISIONS: TableSpec = TableSpec {
     ],
 };
 
+/// Outcomes of rollouts under smaller budgets of steps.
+pub const BUDGETS: TableSpec = TableSpec {
+    name: "budgets",
+    version: 1,
+    description: "One row a budget of control steps, every 50 up to the greatest and the greatest itself: what the rollouts of this artifact had reached by then. A rollout that ended by success keeps its maxima. Intervals are those of 95 %: percentile bootstrap of the mean, Wilson for the success rate. Sorted by budget.",
+    columns: &[
+        id("budget", "Control steps that count."),
+        id("rollouts", "Rollouts behind every figure of the row."),
+        number(
+            "score_mean",
+            "Mean over the rollouts of the greatest score within the budget.",
+        ),
+        number("score_low", "Lower end of its interval."),
+        number("score_high", "Upper end of its interval."),
+        number(
+            "coverage_mean",
+            "Mean over the rollouts of the greatest coverage within the budget.",
+        ),
+        number("coverage_low", "Lower end of its interval."),
+        number("coverage_high", "Upper end of its interval."),
+        number(
+            "iou_mean",
+            "Mean over the rollouts of the greatest IoU within the budget.",
+        ),
+        number("iou_low", "Lower end of its interval."),
+        number("iou_high", "Upper end of its interval."),
+        number(
+            "success_rate",
+            "Share of the rollouts whose coverage passed 0.95 within the budget.",
+        ),
+        number("success_low", "Lower end of its interval."),
+        number("success_high", "Upper end of its interval."),
+    ],
+};
+
+/// Scenes to evaluate a policy on, chosen by where the demonstrations are not.
+pub const SCENES: TableSpec = TableSpec {
+    name: "scenes",
+    version: 1,
+    description: "One row a scene that rollouts start from: a pose of the block far from those of all demonstrations, and a place for the pusher. Sorted by pose and pusher; poses come in falling order of rho.",
+    columns: &[
+        id("scene", "Number of the scene in this artifact, from 0."),
+        id(
+            "pose",
+            "Number of the block's pose, from 0 for the one farthest from the demonstrations.",
+        ),
+        id("pusher", "Number of the pusher's position at this pose, from 0."),
+        world("agent_x", "Position of the pusher's centre, x."),
+        world("agent_y", "Position of the pusher's centre, y."),
+        world("block_x", "Origin of the block's frame, x."),
+        world("block_y", "Origin of the block's frame, y."),
+        heading("block_theta", "Angle of the block."),
+        number(
+            "rho",
+            "Distance of the block's pose to that of the nearest frame of a demonstration, in normalised coordinates.",
+        ),
+        id(
+            "nearest_demo",
+            "Demonstration of that frame: its episode in the episodes artifact.",
+        ),
+        id("nearest_frame", "That frame, in its demonstration."),
+    ],
+};
+
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
     match stage {
         Stage::Ingest => &[&EPISODES, &FRAMES, &IMAGES],
         Stage::Segment => &[&MODES, &SEGMENTS],
         Stage::Index => &[&INDEX, &SCALES, &CHUNKS],
-        Stage::Rollout => &[&RESULTS, &STEPS, &DECISIONS],
+        Stage::Scenes => &[&SCENES],
+        Stage::Rollout => &[&RESULTS, &STEPS, &DECISIONS, &BUDGETS],
         Stage::Replay => &[&REPLAYS, &DIVERGENCE],
         Stage::TrainPose => &[],
     }
@@ -516,6 +584,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 13);
+        assert_eq!(names.len(), 15);
     }
 }

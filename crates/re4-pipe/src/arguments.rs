@@ -29,6 +29,8 @@ pub(crate) enum Command {
     TrainPose(StageArguments),
     /// Build what Retrieve searches: the `index` artifact
     Index(StageArguments),
+    /// Choose scenes far from the demonstrations for the rollouts to start from: the `scenes` artifact
+    Scenes(StageArguments),
     /// Roll the policy out in the simulator: the `rollouts` artifact
     Rollout(RolloutArguments),
     /// Run every stage of a pipeline

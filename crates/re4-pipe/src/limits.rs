@@ -1,6 +1,7 @@
 //! Values that fit their type and still make no sense.
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
+use re4_scenes::ScenesConfig;
 
 use crate::pipeline::Pipeline;
 
@@ -12,7 +13,7 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     let rollout = &pipeline.rollout;
     let (retrieve, replan, replay) = (&rollout.retrieve, &rollout.replan, &rollout.replay);
     at_least_one("index.longest_chunk", u64::from(pipeline.index.longest_chunk))?;
-    at_least_one("rollout.max_steps", u64::from(rollout.max_steps))?;
+    between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
     at_least_one("rollout.retrieve.candidates", retrieve.candidates as u64)?;
     at_least_one("rollout.replan.iterations", u64::from(replan.iterations))?;
     at_least_one("rollout.replay.horizon", replay.horizon as u64)?;
@@ -31,6 +32,56 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     ensure!(
         (0.0..=1.0).contains(&bias),
         "rollout.replan.goal_bias is {bias}; it is a share, from 0 to 1"
+    );
+    match (&pipeline.scenes, &rollout.seeds) {
+        (Some(scenes), None) => check_scenes(scenes),
+        (None, Some(_)) => Ok(()),
+        (Some(_), Some(_)) => {
+            bail!("both rollout.seeds and a table [scenes] say where rollouts start; leave one of the two out")
+        }
+        (None, None) => {
+            bail!("nothing says where rollouts start; give rollout.seeds, such as \"500..600\", or a table [scenes]")
+        }
+    }
+}
+
+/// Longest episode, nearly three hours of control: a rollout keeps its steps in memory.
+const LONGEST: u32 = 100_000;
+
+/// Finest grid: beyond it the table of candidates would fill the memory for nothing.
+const FINEST: u32 = 200;
+
+/// Most scenes of a kind, far more than any experiment has rolled out.
+const MOST: u32 = 10_000;
+
+fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
+    between("scenes.grid", scenes.grid, 2, FINEST)?;
+    between("scenes.poses", scenes.poses, 1, MOST)?;
+    between("scenes.pushers", scenes.pushers, 1, MOST)?;
+    padding("scenes.padding_position", scenes.padding_position, "px", 512.0)?;
+    padding(
+        "scenes.padding_angle",
+        scenes.padding_angle,
+        "rad",
+        std::f64::consts::TAU,
+    )?;
+    not_negative("scenes.separation", scenes.separation)?;
+    not_negative("scenes.clearance", scenes.clearance)
+}
+
+fn between(name: &str, value: u32, least: u32, most: u32) -> Result<()> {
+    ensure!(
+        (least..=most).contains(&value),
+        "{name} is {value}; give {least} to {most}"
+    );
+    Ok(())
+}
+
+/// Less would cut demonstrated poses off, more would leave the plane of the simulator or go round more than once.
+fn padding(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
+    ensure!(
+        (0.0..=most).contains(&value),
+        "{name} is {value} {unit}; give 0 to {most:.2}"
     );
     Ok(())
 }

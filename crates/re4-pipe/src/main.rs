@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         Command::Segment(arguments) => commands::run::segment(&arguments),
         Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
         Command::Index(arguments) => commands::run::index(&arguments),
+        Command::Scenes(arguments) => commands::run::scenes(&arguments),
         Command::Rollout(arguments) | Command::Run(arguments) => commands::run::rollout(&arguments),
         Command::Replay(arguments) => commands::run::replay(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),

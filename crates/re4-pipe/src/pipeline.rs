@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use re4_ingest::Selection;
 use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
+use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
 use re4_sim::{ResetOrder, SeedScheme};
 use schemars::JsonSchema;
@@ -30,6 +31,9 @@ pub(crate) struct Pipeline {
     pub(crate) pose: PoseSection,
     /// `episodes` and `modes` to `index`.
     pub(crate) index: IndexSection,
+    /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) scenes: Option<ScenesConfig>,
     /// `index` to `rollouts`.
     pub(crate) rollout: RolloutSection,
 }
@@ -97,12 +101,15 @@ pub(crate) struct RolloutSection {
     /// Preset that the policy starts from: `paper`, `re4` or `re2`. The tables below change single settings of it.
     #[schemars(extend("enum" = PRESETS))]
     pub(crate) policy: String,
-    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers.
-    pub(crate) seeds: Seeds,
+    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers. Left out
+    /// where the pipeline has a table `[scenes]`, and nowhere else.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) seeds: Option<Seeds>,
     /// Whose seeds: which generator makes the scene of a seed.
     #[serde(default = "diffusion_policy")]
     pub(crate) seed_scheme: SeedScheme,
-    /// In which order a reset sets the block's position and angle.
+    /// In which order a reset to the scene of a seed sets the block's position and angle. The block of a scene from
+    /// `[scenes]` always arrives at the pose that the scene says.
     #[serde(default)]
     pub(crate) reset: ResetOrder,
     /// Control steps an episode lasts at most.
@@ -320,6 +327,9 @@ fn refuse_unknown(root: &Value, schema: &Value, document: &Value, place: &str) -
 }
 
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
+    // An optional table is one of the table and null.
+    let table = schema.get("anyOf").and_then(|schemas| schemas.get(0));
+    let schema = table.filter(|schema| schema.get("$ref").is_some()).unwrap_or(schema);
     let target = schema
         .get("$ref")
         .and_then(Value::as_str)

@@ -23,7 +23,7 @@ pub use pusher::{PusherModel, PusherState};
 pub use reframe::{Reframed, reframe, without_reframe};
 pub use replan::{Obstacle, Plan, PlanKind, plan};
 
-pub use rollout::{EpisodeRollout, Protocol, RolloutError, StepRecord, rollout, rollouts};
+pub use rollout::{EpisodeRollout, RolloutError, Start, StepRecord, rollout, rollouts};
 
 use re4_episode::Mode;
 use re4_geometry::Point2;

@@ -1,4 +1,4 @@
-//! Rollouts: a policy against the simulator, seed after seed.
+//! Rollouts: a policy against the simulator, scene after scene.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,15 +14,26 @@ use crate::config::PolicyConfig;
 use crate::policy::{Decision, Knowledge, Phase, Re4};
 use crate::{Policy, PolicyError};
 
-/// How episodes start and end. Scores of different protocols must not be compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Protocol {
-    /// Whose seeds: which generator turns a seed into a scene.
-    pub scheme: SeedScheme,
-    /// In which order a reset sets position and angle.
+/// Where a rollout starts. Scores over different sets of starts must not be compared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Start {
+    /// Names the scene: its seed, or its number in a list of scenes. It seeds the policy's random numbers too.
+    pub number: u32,
+    /// State to ask for.
+    pub scene: Scene,
+    /// In which order the reset sets position and angle.
     pub order: ResetOrder,
-    /// Control steps an episode lasts at most.
-    pub max_steps: u32,
+}
+
+impl Start {
+    /// The start that a seed stands for.
+    pub fn from_seed(scheme: SeedScheme, order: ResetOrder, seed: u32) -> Self {
+        Self {
+            number: seed,
+            scene: scene_from_seed(scheme, seed),
+            order,
+        }
+    }
 }
 
 /// One control step of a rollout.
@@ -40,15 +51,13 @@ pub struct StepRecord {
     pub after: Step<PushTObservation>,
 }
 
-/// A rollout from one seed.
+/// A rollout from one scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeRollout {
-    /// Seed.
-    pub seed: u32,
-    /// Scene that the seed asks for.
-    pub scene: Scene,
+    /// What was asked for.
+    pub start: Start,
     /// State and coverage after the reset.
-    pub start: Step<PushTObservation>,
+    pub first: Step<PushTObservation>,
     /// Control steps.
     pub steps: Vec<StepRecord>,
     /// Decisions.
@@ -71,20 +80,20 @@ impl EpisodeRollout {
 #[derive(Debug, Error)]
 pub enum RolloutError {
     /// The simulator refused.
-    #[error("rollout of seed {seed} failed at step {step}: {source}")]
+    #[error("rollout of scene {scene} failed at step {step}: {source}")]
     Simulator {
-        /// Seed.
-        seed: u32,
+        /// Number of the scene.
+        scene: u32,
         /// Steps taken.
         step: usize,
         /// What it refused.
         source: SimError,
     },
     /// The policy had no action.
-    #[error("rollout of seed {seed} failed at step {step}: {source}")]
+    #[error("rollout of scene {scene} failed at step {step}: {source}")]
     Policy {
-        /// Seed.
-        seed: u32,
+        /// Number of the scene.
+        scene: u32,
         /// Steps taken.
         step: usize,
         /// Why.
@@ -95,27 +104,27 @@ pub enum RolloutError {
     Interrupted,
 }
 
-/// Rolls a policy out from one seed, until success or the step budget.
+/// Rolls a policy out from one scene, until success or the step budget.
 ///
 /// # Errors
 /// When the simulator refuses the scene or an action, or the policy has no action.
 pub fn rollout(
     simulator: &mut PushT,
     policy: &mut dyn Policy,
-    seed: u32,
-    protocol: Protocol,
+    start: Start,
+    max_steps: u32,
 ) -> Result<EpisodeRollout, RolloutError> {
-    let scene = scene_from_seed(protocol.scheme, seed);
-    let refused = |step| move |source| RolloutError::Simulator { seed, step, source };
-    simulator.reset(&scene, protocol.order).map_err(refused(0))?;
-    let start = simulator.outcome();
-    let mut observation = start.observation;
+    let scene = start.number;
+    let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
+    simulator.reset(&start.scene, start.order).map_err(refused(0))?;
+    let first = simulator.outcome();
+    let mut observation = first.observation;
     let mut steps: Vec<StepRecord> = Vec::new();
     let mut decisions = Vec::new();
-    for step in 0..protocol.max_steps as usize {
+    for step in 0..max_steps as usize {
         let act = policy
             .act(&observation)
-            .map_err(|source| RolloutError::Policy { seed, step, source })?;
+            .map_err(|source| RolloutError::Policy { scene, step, source })?;
         decisions.extend(act.decision);
         let after = simulator.step(&act.target).map_err(refused(step))?;
         steps.push(StepRecord {
@@ -131,38 +140,41 @@ pub fn rollout(
         }
     }
     Ok(EpisodeRollout {
-        seed,
-        scene,
         start,
+        first,
         steps,
         decisions,
     })
 }
 
-/// Rolls a policy out from many seeds, in parallel on the current thread pool; results come in the order of `seeds` and
+/// Rolls a policy out from many scenes, in parallel on the current thread pool; results come in the order of `starts` and
 /// do not depend on the number of threads.
 ///
 /// `progress` is called after every episode and says whether to go on.
 ///
 /// # Errors
-/// The first error in the order of `seeds`.
+/// The first error in the order of `starts`.
 pub fn rollouts(
     config: &PolicyConfig,
     knowledge: &Arc<Knowledge>,
-    seeds: &[u32],
-    protocol: Protocol,
+    starts: &[Start],
+    max_steps: u32,
     progress: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<EpisodeRollout>, RolloutError> {
     let stopped = AtomicBool::new(false);
-    seeds
+    starts
         .par_iter()
-        .map(|&seed| {
+        .map(|&start| {
             if stopped.load(Ordering::Relaxed) {
                 return Err(RolloutError::Interrupted);
             }
-            let mut simulator = PushT::new().map_err(|source| RolloutError::Simulator { seed, step: 0, source })?;
-            let mut policy = Re4::new(config.clone(), Arc::clone(knowledge), u64::from(seed));
-            let episode = rollout(&mut simulator, &mut policy, seed, protocol)?;
+            let mut simulator = PushT::new().map_err(|source| RolloutError::Simulator {
+                scene: start.number,
+                step: 0,
+                source,
+            })?;
+            let mut policy = Re4::new(config.clone(), Arc::clone(knowledge), u64::from(start.number));
+            let episode = rollout(&mut simulator, &mut policy, start, max_steps)?;
             if progress() {
                 Ok(episode)
             } else {

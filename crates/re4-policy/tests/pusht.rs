@@ -6,7 +6,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Demos, knowledge, protocol, pusht};
+use common::{Demos, knowledge, pusht, starts};
 use re4_index::AngleMetric;
 use re4_policy::{Knowledge, PolicyConfig, Selector, Tracking, rollouts};
 
@@ -17,7 +17,7 @@ const RE4_GATE: f64 = 0.95;
 fn score(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> f64 {
     let seeds: Vec<u32> = (200_000..200_020).collect();
     let episodes =
-        rollouts(config, knowledge, &seeds, protocol(200), &|| true).unwrap_or_else(|error| panic!("{error}"));
+        rollouts(config, knowledge, &starts(&seeds), 200, &|| true).unwrap_or_else(|error| panic!("{error}"));
     episodes.iter().map(|e| e.maximum(|step| step.score)).sum::<f64>() / seeds.len() as f64
 }
 

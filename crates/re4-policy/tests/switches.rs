@@ -10,7 +10,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{knowledge, protocol, scripted};
+use common::{knowledge, scripted, starts};
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
@@ -23,7 +23,7 @@ use re4_sim::PushTObservation;
 const SEEDS: [u32; 4] = [810_000, 810_001, 810_002, 810_003];
 
 fn rolled(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> Vec<EpisodeRollout> {
-    rollouts(config, knowledge, &SEEDS, protocol(60), &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
+    rollouts(config, knowledge, &starts(&SEEDS), 60, &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
 fn actions(episodes: &[EpisodeRollout]) -> Vec<Point2> {
@@ -177,14 +177,14 @@ fn one_thread_and_two_give_the_same_rollouts() {
         let config = base(name);
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| rollouts(&config, &knowledge, &seeds, protocol(50), &|| true))
+            pool.install(|| rollouts(&config, &knowledge, &starts(&seeds), 50, &|| true))
                 .unwrap()
         };
         let one = run(1);
-        assert_eq!(one.iter().map(|e| e.seed).collect::<Vec<_>>(), seeds);
+        assert_eq!(one.iter().map(|e| e.start.number).collect::<Vec<_>>(), seeds);
         assert_eq!(one, run(2), "{name}");
         // Nor do they depend on the company of other seeds.
-        let alone = rollouts(&config, &knowledge, &seeds[5..6], protocol(50), &|| true).unwrap();
+        let alone = rollouts(&config, &knowledge, &starts(&seeds[5..6]), 50, &|| true).unwrap();
         assert_eq!(one[5..6], alone[..]);
     }
 }
@@ -192,7 +192,7 @@ fn one_thread_and_two_give_the_same_rollouts() {
 #[test]
 fn a_caller_can_stop_the_rollouts() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
-    let stopped = rollouts(&base("paper"), &knowledge, &SEEDS, protocol(5), &|| false);
+    let stopped = rollouts(&base("paper"), &knowledge, &starts(&SEEDS), 5, &|| false);
     assert!(matches!(stopped, Err(RolloutError::Interrupted)));
 }
 

@@ -12,7 +12,7 @@ mod seed;
 mod simulator;
 mod tee;
 
-pub use chipmunk::chipmunk_version;
+pub use chipmunk::{WALL_FACES, chipmunk_version};
 pub use error::SimError;
 pub use pusht::{
     COORDINATE_LIMIT, DAMPING_GAIN, PROPORTIONAL_GAIN, PushT, PushTObservation, SUBSTEPS, Scene, TIME_STEP, WINDOW,

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use super::Outcome;
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::pipeline::PoseSource;
-use crate::stages::{Built, Runner, metrics, read_rollouts};
+use crate::stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
 
 /// `re4-pipe ingest`.
 pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
@@ -46,6 +46,18 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let built = runner.index(&episodes, &modes)?;
+    report(&runner, &built)
+}
+
+/// `re4-pipe scenes`.
+pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
+    let runner = Runner::new(arguments, &[])?;
+    anyhow::ensure!(
+        runner.pipeline.scenes.is_some(),
+        "no scenes to choose: {} has no table [scenes], its rollouts start from the scenes of seeds; add one with kind = \"sparse_observations\", and leave rollout.seeds out",
+        arguments.pipeline.display()
+    );
+    let built = runner.scenes(&runner.ingest()?)?.context("no table [scenes]")?;
     report(&runner, &built)
 }
 
@@ -84,13 +96,14 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let index = runner.index(&episodes, &modes)?;
-    let built = runner.rollout(&episodes, &index)?;
+    let scenes = runner.scenes(&episodes)?;
+    let built = runner.rollout(&episodes, &index, scenes.as_ref())?;
     if let Some(path) = &arguments.record {
         record(&runner, &built, path)?;
     }
     let metrics = metrics(&built.artifact);
     let section = &runner.pipeline.rollout;
-    let rollouts = section.seeds.as_slice().len();
+    let rollouts = built.artifact.table(&tables::RESULTS)?.rows();
     runner.console.answer(&json!({
         "task": runner.pipeline.task,
         "variant": runner.pipeline.variant,
@@ -101,9 +114,11 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
         "artifact": built.artifact.path(),
         "wall_s": start.elapsed().as_secs_f64(),
     }))?;
-    runner
-        .console
-        .say(&score_table(&section.policy, rollouts, section.max_steps, &metrics)?)?;
+    let mut text = score_table(&section.policy, rollouts, section.max_steps, &metrics)?;
+    if scenes.is_some() {
+        text += &budget_table(&built)?;
+    }
+    runner.console.say(&text)?;
     Ok(Outcome::Done)
 }
 
@@ -172,7 +187,30 @@ const METRICS: [(&str, &str); 4] = [
     ("success rate", "success_rate"),
 ];
 
-fn score_table(policy: &str, rollouts: usize, max_steps: u32, metrics: &Value) -> Result<String> {
+/// What was reached under smaller budgets of steps: the curve that scenes are rolled out for.
+fn budget_table(built: &Built) -> Result<String> {
+    let table = built.artifact.table(&tables::BUDGETS)?.read_all()?;
+    let columns = BUDGET_MEASURES
+        .iter()
+        .flatten()
+        .map(|name| col_f64(&table, name))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut text = format!("\n  {:>6}", "budget");
+    for (label, _) in METRICS {
+        write!(text, "   {label:<20}")?;
+    }
+    text.truncate(text.trim_end().len());
+    for (row, budget) in re4_artifact::col_u32(&table, "budget")?.iter().enumerate() {
+        write!(text, "\n  {budget:>6}")?;
+        for measure in columns.chunks_exact(3) {
+            let [value, low, high] = [0, 1, 2].map(|part: usize| measure[part][row]);
+            write!(text, "   {value:.3} [{low:.3}, {high:.3}]")?;
+        }
+    }
+    Ok(text)
+}
+
+fn score_table(policy: &str, rollouts: u64, max_steps: u32, metrics: &Value) -> Result<String> {
     let mut text = format!("policy {policy}, {rollouts} rollouts of at most {max_steps} steps; mean, 95 % interval");
     for (label, name) in METRICS {
         let number = |key| {

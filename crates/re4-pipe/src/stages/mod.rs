@@ -1,9 +1,11 @@
 //! The stages: which artifacts go in, which come out.
 
+mod budgets;
 mod index;
 mod ingest;
 mod replay;
 mod rollout;
+mod scenes;
 mod segment;
 
 use std::path::PathBuf;
@@ -18,6 +20,7 @@ use crate::console::Console;
 use crate::interrupt::Interrupt;
 use crate::pipeline::{Pipeline, load};
 
+pub(crate) use budgets::BUDGET_MEASURES;
 pub(crate) use rollout::{metrics, read_rollouts};
 
 /// A pipeline with all that its stages need.

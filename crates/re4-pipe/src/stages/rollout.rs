@@ -1,45 +1,50 @@
-//! Rollout: `index` to `rollouts`.
+//! Rollout: `index` and perhaps `scenes` to `rollouts`.
 
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col_u32, tables};
 use re4_episode::PlanarFrame;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::{Decision, EpisodeRollout, Protocol, StepRecord, rollouts};
+use re4_policy::{Decision, EpisodeRollout, Start, StepRecord, rollouts};
 use re4_report::{Interval, mean_interval, median, wilson_interval};
 use re4_sim::{
-    AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP, chipmunk_version,
+    AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
+    chipmunk_version,
 };
 use serde_json::{Value, json};
 
+use super::budgets::Budgets;
 use super::index::open_index;
+use super::scenes::read_starts;
 use super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// Seed of the bootstrap, so that intervals are the same in every run.
-const BOOTSTRAP_SEED: u64 = 0;
+pub(super) const BOOTSTRAP_SEED: u64 = 0;
 
 impl Runner {
-    /// The `rollouts` artifact.
-    pub(crate) fn rollout(&self, episodes: &Built, index: &Built) -> Result<Built> {
+    /// The `rollouts` artifact: from the scenes where there are any, from those of the seeds otherwise.
+    pub(crate) fn rollout(&self, episodes: &Built, index: &Built, scenes: Option<&Built>) -> Result<Built> {
         let section = &self.pipeline.rollout;
         let policy = section.policy_config();
-        let recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
-            .config(&json!({
-                "task": self.pipeline.task,
-                "variant": self.pipeline.variant,
-                "preset": section.policy,
-                "policy": policy,
-                "seeds": section.seeds,
-                "seed_scheme": section.seed_scheme,
-                "reset": section.reset,
-                "max_steps": section.max_steps,
-            }))?
+        let mut config = json!({
+            "task": self.pipeline.task,
+            "variant": self.pipeline.variant,
+            "preset": section.policy,
+            "policy": policy,
+            "max_steps": section.max_steps,
+        });
+        extend(&mut config, self.starts_config());
+        let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
+            .config(&config)?
             .input("index", index.artifact.key());
+        if let Some(scenes) = scenes {
+            recipe = recipe.input("scenes", scenes.artifact.key());
+        }
         self.build(&recipe, |writer| {
             let opening = Instant::now();
             let knowledge = Arc::new(open_index(&index.artifact, &policy)?);
@@ -48,27 +53,27 @@ impl Runner {
                 "rollout",
                 1e3 * opening.elapsed().as_secs_f64()
             ));
-            let protocol = Protocol {
-                scheme: section.seed_scheme,
-                order: section.reset,
-                max_steps: section.max_steps,
-            };
-            let seeds = section.seeds.as_slice();
-            let bar = self.console.progress(seeds.len() as u64, "rollouts");
+            let starts = self.starts(scenes)?;
+            let bar = self.console.progress(starts.len() as u64, "rollouts");
             let going = || {
                 bar.inc(1);
                 !self.interrupt.requested()
             };
             let mut tables = Tables::begin(writer)?;
             let mut outcomes = Outcomes::default();
-            // In batches, so that memory does not grow with the number of seeds.
-            for batch in seeds.chunks(BATCH) {
-                let episodes = rollouts(&policy, &knowledge, batch, protocol, &going)?;
+            let mut budgets = Budgets::up_to(section.max_steps);
+            // In batches, so that memory does not grow with the number of steps.
+            for batch in starts.chunks(BATCH) {
+                let episodes = rollouts(&policy, &knowledge, batch, section.max_steps, &going)?;
                 outcomes.add(&episodes);
+                budgets.add(&episodes);
                 tables.write(&episodes)?;
             }
             bar.finish_and_clear();
             tables.finish()?;
+            let mut table = writer.table(&tables::BUDGETS)?;
+            table.write_columns(budgets.columns())?;
+            table.finish()?;
             Ok(Facts {
                 summary: self.summary(&outcomes, &episodes.artifact),
                 warnings: Vec::new(),
@@ -76,8 +81,44 @@ impl Runner {
         })
     }
 
+    fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start>> {
+        if let Some(scenes) = scenes {
+            return read_starts(&scenes.artifact);
+        }
+        let section = &self.pipeline.rollout;
+        let seeds = section.seeds.as_ref().context("no seeds and no scenes to start from")?;
+        let start = |&seed: &u32| Start::from_seed(section.seed_scheme, section.reset, seed);
+        Ok(seeds.as_slice().iter().map(start).collect())
+    }
+
+    /// What the starts follow from, beside the `scenes` artifact.
+    fn starts_config(&self) -> Value {
+        let section = &self.pipeline.rollout;
+        match &self.pipeline.scenes {
+            Some(scenes) => json!({ "scenes": scenes, "reset": ResetOrder::PoseIsPose }),
+            None => json!({ "seeds": section.seeds, "seed_scheme": section.seed_scheme, "reset": section.reset }),
+        }
+    }
+
     fn summary(&self, outcomes: &Outcomes, episodes: &Artifact) -> Value {
         let section = &self.pipeline.rollout;
+        let mut protocol = json!({
+            "dataset": episodes.manifest().source,
+            "dataset_blake3": episodes.manifest().source_blake3,
+            "demonstrations": episodes.manifest().config,
+            "max_steps": section.max_steps,
+            "measure": "greatest value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
+            "intervals": "95 %; percentile bootstrap of the mean (10,000 resamples), Wilson for the success rate",
+            "success_coverage": SUCCESS_COVERAGE,
+            "goal": [GOAL.x, GOAL.y, GOAL.theta],
+            "agent_radius": AGENT_RADIUS,
+            "proportional_gain": PROPORTIONAL_GAIN,
+            "damping_gain": DAMPING_GAIN,
+            "physics_steps_per_control_step": SUBSTEPS,
+            "physics_time_step_s": TIME_STEP,
+            "physics": format!("Chipmunk {}", chipmunk_version()),
+        });
+        extend(&mut protocol, self.starts_config());
         json!({
             "rollouts": outcomes.score.len(),
             "metrics": outcomes.metrics(),
@@ -87,30 +128,19 @@ impl Runner {
                 "iou": median(&outcomes.iou),
                 "steps": median(&outcomes.steps),
             },
-            "protocol": {
-                "dataset": episodes.manifest().source,
-                "dataset_blake3": episodes.manifest().source_blake3,
-                "demonstrations": episodes.manifest().config,
-                "seeds": section.seeds,
-                "seed_scheme": section.seed_scheme,
-                "reset": section.reset,
-                "max_steps": section.max_steps,
-                "measure": "greatest value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
-                "intervals": "95 %; percentile bootstrap of the mean (10,000 resamples), Wilson for the success rate",
-                "success_coverage": SUCCESS_COVERAGE,
-                "goal": [GOAL.x, GOAL.y, GOAL.theta],
-                "agent_radius": AGENT_RADIUS,
-                "proportional_gain": PROPORTIONAL_GAIN,
-                "damping_gain": DAMPING_GAIN,
-                "physics_steps_per_control_step": SUBSTEPS,
-                "physics_time_step_s": TIME_STEP,
-                "physics": format!("Chipmunk {}", chipmunk_version()),
-            },
+            "protocol": protocol,
         })
     }
 }
 
-/// Seeds rolled out before their rows are written.
+/// Adds the fields of one object to another.
+fn extend(object: &mut Value, more: Value) {
+    if let (Value::Object(object), Value::Object(more)) = (object, more) {
+        object.extend(more);
+    }
+}
+
+/// Scenes rolled out before their rows are written.
 const BATCH: usize = 1024;
 
 #[derive(Default)]
@@ -195,19 +225,19 @@ fn result_columns(episodes: &[EpisodeRollout], first: u32) -> Columns {
     let of = |value: fn(&EpisodeRollout) -> f64| episodes.iter().map(value).collect::<Vec<f64>>();
     Columns::new(&tables::RESULTS)
         .u32("episode", (first..first + episodes.len() as u32).collect())
-        .u32("seed", episodes.iter().map(|e| e.seed).collect())
-        .f64("agent_x", of(|e| e.start.observation.agent.x))
-        .f64("agent_y", of(|e| e.start.observation.agent.y))
-        .f64("block_x", of(|e| e.start.observation.block.x))
-        .f64("block_y", of(|e| e.start.observation.block.y))
-        .f64("block_theta", of(|e| e.start.observation.block.theta))
-        .f64("contacts", of(|e| f64::from(e.start.contacts)))
+        .u32("seed", episodes.iter().map(|e| e.start.number).collect())
+        .f64("agent_x", of(|e| e.first.observation.agent.x))
+        .f64("agent_y", of(|e| e.first.observation.agent.y))
+        .f64("block_x", of(|e| e.first.observation.block.x))
+        .f64("block_y", of(|e| e.first.observation.block.y))
+        .f64("block_theta", of(|e| e.first.observation.block.theta))
+        .f64("contacts", of(|e| f64::from(e.first.contacts)))
         .f64("coverage_max", of(|e| e.maximum(|s| s.coverage)))
         .f64("iou_max", of(|e| e.maximum(|s| s.iou)))
         .f64("score_max", of(|e| e.maximum(|s| s.score)))
         .f64(
             "coverage_final",
-            of(|e| e.steps.last().map_or(e.start.coverage, |s| s.after.coverage)),
+            of(|e| e.steps.last().map_or(e.first.coverage, |s| s.after.coverage)),
         )
         .u32("steps", episodes.iter().map(|e| e.steps.len() as u32).collect())
         .bool("success", episodes.iter().map(EpisodeRollout::success).collect())
@@ -218,7 +248,7 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
     let rows = || {
         episodes
             .iter()
-            .flat_map(|e| e.steps.iter().enumerate().map(|(i, s)| (e.seed, i as u32, s)))
+            .flat_map(|e| e.steps.iter().enumerate().map(|(i, s)| (e.start.number, i as u32, s)))
     };
     let of = |value: fn(&StepRecord) -> f64| rows().map(|(_, _, s)| value(s)).collect::<Vec<f64>>();
     Columns::new(&tables::STEPS)
@@ -241,9 +271,12 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
 
 fn decision_columns(episodes: &[EpisodeRollout]) -> Columns {
     let rows = || {
-        episodes
-            .iter()
-            .flat_map(|e| e.decisions.iter().enumerate().map(|(i, d)| (e.seed, i as u32, d)))
+        episodes.iter().flat_map(|e| {
+            e.decisions
+                .iter()
+                .enumerate()
+                .map(|(i, d)| (e.start.number, i as u32, d))
+        })
     };
     let number = |value: fn(&Decision) -> u32| rows().map(|(_, _, d)| value(d)).collect::<Vec<u32>>();
     let of = |value: fn(&Decision) -> f64| rows().map(|(_, _, d)| value(d)).collect::<Vec<f64>>();

@@ -16,7 +16,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
-use re4_policy::{ChunkLibrary, DemoSet, Knowledge, Protocol, collect_chunks};
+use re4_policy::{ChunkLibrary, DemoSet, Knowledge, Start, collect_chunks};
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 
 /// Chunks are at most this many frames long, as in the pipelines.
@@ -140,12 +140,10 @@ pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
     })
 }
 
-pub(crate) fn protocol(max_steps: u32) -> Protocol {
-    Protocol {
-        scheme: SeedScheme::DiffusionPolicy,
-        order: ResetOrder::Legacy,
-        max_steps,
-    }
+/// The benchmark's starts of these seeds.
+pub(crate) fn starts(seeds: &[u32]) -> Vec<Start> {
+    let start = |&seed| Start::from_seed(SeedScheme::DiffusionPolicy, ResetOrder::Legacy, seed);
+    seeds.iter().map(start).collect()
 }
 
 /// The Push-T replay dataset, or `None` with a printed line where it is not there.

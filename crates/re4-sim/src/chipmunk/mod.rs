@@ -26,6 +26,8 @@ pub(crate) const WALLS: [[Point2; 2]; 4] = [
     [Point2::new(506.0, 5.0), Point2::new(506.0, 506.0)],
     [Point2::new(5.0, 506.0), Point2::new(506.0, 506.0)],
 ];
+/// Between which coordinates, in x and in y alike, agent and block move freely: the inner faces of the walls, in pixels.
+pub const WALL_FACES: [f64; 2] = [5.0 + WALL_RADIUS, 506.0 - WALL_RADIUS];
 const BLOCK_MASS: f64 = 1.0;
 
 const fn vect(x: f64, y: f64) -> CpVect {

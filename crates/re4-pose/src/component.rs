@@ -1,0 +1,73 @@
+//! Connected regions of a mask.
+
+use re4_geometry::Point2;
+
+use crate::picture::{SIDE, world};
+
+/// Shares of at least this are part of a region; lesser ones only at its rim.
+const INSIDE: f32 = 0.5;
+
+/// A region of a mask.
+pub(crate) struct Region {
+    /// Area in picture pixels: the sum of the shares, those at the rim included.
+    pub(crate) area: f64,
+    /// Centroid, in world pixels, weighted by the shares.
+    pub(crate) centroid: Point2,
+    /// The mask with this region alone.
+    pub(crate) mask: Vec<f32>,
+}
+
+/// The largest region of pixels that hang together by sides or corners, with the soft pixels at its rim; the first from
+/// the top if several are as large. None when no pixel is inside of a region.
+pub(crate) fn largest(share: &[f32]) -> Option<Region> {
+    let mut label = vec![0_u16; SIDE * SIDE];
+    let mut waiting = Vec::new();
+    let mut best: Option<(usize, u16)> = None;
+    let mut regions = 0;
+    for start in 0..share.len() {
+        if share[start] < INSIDE || label[start] != 0 {
+            continue;
+        }
+        regions += 1;
+        let mut pixels = 0;
+        label[start] = regions;
+        waiting.push(start);
+        while let Some(at) = waiting.pop() {
+            pixels += 1;
+            for next in neighbours(at) {
+                if share[next] >= INSIDE && label[next] == 0 {
+                    label[next] = regions;
+                    waiting.push(next);
+                }
+            }
+        }
+        if best.is_none_or(|(most, _)| pixels > most) {
+            best = Some((pixels, regions));
+        }
+    }
+    let (_, chosen) = best?;
+    let mut mask = vec![0.0; SIDE * SIDE];
+    let (mut area, mut moment) = (0.0, Point2::zeros());
+    for at in 0..share.len() {
+        let belongs =
+            label[at] == chosen || (share[at] > 0.0 && label[at] == 0 && neighbours(at).any(|next| label[next] == chosen));
+        if belongs {
+            let weight = f64::from(share[at]);
+            mask[at] = share[at];
+            area += weight;
+            moment += weight * Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64));
+        }
+    }
+    Some(Region {
+        area,
+        centroid: moment / area,
+        mask,
+    })
+}
+
+/// The pixel itself and those that touch it.
+fn neighbours(at: usize) -> impl Iterator<Item = usize> {
+    let (row, column) = (at / SIDE, at % SIDE);
+    (row.saturating_sub(1)..=(row + 1).min(SIDE - 1))
+        .flat_map(move |y| (column.saturating_sub(1)..=(column + 1).min(SIDE - 1)).map(move |x| y * SIDE + x))
+}

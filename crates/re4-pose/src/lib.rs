@@ -1,0 +1,18 @@
+//! `GetPose`: object poses from pictures.
+//!
+//! Push-T's estimator has a closed form and learns nothing (paper, appendix "Push-T", Pose Estimation): the block is found
+//! by its colour, its largest connected region gives the position by its centroid and a fixed pixel-to-world affine, and
+//! the log-polar transform of the region gives the angle by a cross-correlation with one anchor.
+
+mod anchor;
+mod component;
+mod estimator;
+mod log_polar;
+mod outline;
+mod picture;
+mod refine;
+
+pub use anchor::{Anchor, AnchorBuilder, AnchorError};
+pub use estimator::{Estimate, Flag, LogPolarEstimator};
+pub use outline::Outline;
+pub use picture::{Picture, PictureError, SIDE};

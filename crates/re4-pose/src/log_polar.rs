@@ -1,0 +1,126 @@
+//! The log-polar transform: a rotation of the mask about its centroid becomes a shift along the angle (paper, appendix
+//! "Push-T", Pose Estimation).
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use re4_geometry::Point2;
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
+use crate::picture::{SCALE, SIDE, picture};
+
+/// Bins along the angle, over the whole circle.
+const ANGLES: usize = 180;
+
+/// Bins along the logarithm of the radius; an even number, since two share a transform.
+const RADII: usize = 16;
+
+/// Least and greatest radius, in world pixels: the farthest point of the block is 84 px from its centroid.
+const RADIUS: [f64; 2] = [8.0, 92.0];
+
+/// Peaks closer together than this many bins are one peak.
+const PEAK_WIDTH: usize = ANGLES / 12;
+
+/// A mask in log-polar coordinates about its centroid, Fourier-transformed along the angle, two radii in one transform as
+/// real and imaginary part.
+#[derive(Clone)]
+pub(crate) struct Signature(Vec<Complex<f64>>);
+
+/// The rotation between two masks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Rotation {
+    /// Angle that turns the first mask onto the second, in radians.
+    pub(crate) angle: f64,
+    /// Correlation at the second-highest peak over that at the highest: near 1 where the rotation is ambiguous.
+    pub(crate) ambiguity: f64,
+}
+
+/// Transforms masks and finds rotations between them.
+#[derive(Clone)]
+pub(crate) struct LogPolar {
+    forward: Arc<dyn Fft<f64>>,
+    backward: Arc<dyn Fft<f64>>,
+    /// Sampling places about the centroid, in picture pixels: radius by radius, angle by angle.
+    places: Arc<Vec<Point2>>,
+}
+
+impl LogPolar {
+    pub(crate) fn new() -> Self {
+        let mut planner = FftPlanner::new();
+        let [least, greatest] = RADIUS;
+        let places = (0..RADII)
+            .flat_map(|i| {
+                let radius = least * (greatest / least).powf(i as f64 / (RADII - 1) as f64) / SCALE;
+                (0..ANGLES).map(move |j| {
+                    let (sine, cosine) = (TAU * j as f64 / ANGLES as f64).sin_cos();
+                    Point2::new(radius * cosine, radius * sine)
+                })
+            })
+            .collect();
+        Self {
+            forward: planner.plan_fft_forward(ANGLES),
+            backward: planner.plan_fft_inverse(ANGLES),
+            places: Arc::new(places),
+        }
+    }
+
+    /// The signature of a mask about `centroid` (world pixels).
+    pub(crate) fn signature(&self, mask: &[f32], centroid: Point2) -> Signature {
+        let centre = Point2::new(picture(centroid.x), picture(centroid.y));
+        let sample = |place: &Point2| bilinear(mask, centre + place);
+        let mut spectra = Vec::with_capacity(RADII / 2 * ANGLES);
+        for pair in self.places.chunks_exact(2 * ANGLES) {
+            let (one, other) = pair.split_at(ANGLES);
+            spectra.extend(one.iter().zip(other).map(|(a, b)| Complex::new(sample(a), sample(b))));
+        }
+        self.forward.process(&mut spectra);
+        Signature(spectra)
+    }
+
+    /// The rotation that carries `anchor` onto `mask`: the peak of their circular cross-correlation along the angle,
+    /// summed over the radii, with a parabola through the highest bin and its neighbours.
+    pub(crate) fn rotation(&self, anchor: &Signature, mask: &Signature) -> Rotation {
+        // With two real rows a + ib in one transform, the real part of the correlation is the sum of the rows' own.
+        let mut product = vec![Complex::new(0.0, 0.0); ANGLES];
+        for (a, m) in anchor.0.chunks_exact(ANGLES).zip(mask.0.chunks_exact(ANGLES)) {
+            for ((sum, a), m) in product.iter_mut().zip(a).zip(m) {
+                *sum += m * a.conj();
+            }
+        }
+        self.backward.process(&mut product);
+        let correlation: Vec<f64> = product.iter().map(|c| c.re).collect();
+        let at = |bin: usize| correlation[bin % ANGLES];
+        let peak = (0..ANGLES).fold(0, |best, bin| if at(bin) > at(best) { bin } else { best });
+        let (before, top, after) = (at(peak + ANGLES - 1), at(peak), at(peak + 1));
+        let curvature = before - 2.0 * top + after;
+        let offset = if curvature < 0.0 {
+            (0.5 * (before - after) / curvature).clamp(-0.5, 0.5)
+        } else {
+            0.0
+        };
+        let second = (PEAK_WIDTH..=ANGLES - PEAK_WIDTH)
+            .map(|distance| at(peak + distance))
+            .fold(0.0, f64::max);
+        Rotation {
+            angle: TAU * (peak as f64 + offset) / ANGLES as f64,
+            ambiguity: if top > 0.0 { second / top } else { 1.0 },
+        }
+    }
+}
+
+/// The mask at a place of the picture, between its pixels; nothing outside of the picture.
+fn bilinear(mask: &[f32], place: Point2) -> f64 {
+    // Beyond the last pixel there is nothing to blend with; the block never reaches that far, since walls stand there.
+    let inside = |v: f64| (0.0..(SIDE - 1) as f64).contains(&v);
+    if !inside(place.x) || !inside(place.y) {
+        return 0.0;
+    }
+    let (column, row) = (place.x as usize, place.y as usize);
+    let (right, lower) = (place.x - column as f64, place.y - row as f64);
+    let at = row * SIDE + column;
+    let value = |at: usize| f64::from(mask[at]);
+    let upper_row = value(at) + right * (value(at + 1) - value(at));
+    let lower_row = value(at + SIDE) + right * (value(at + SIDE + 1) - value(at + SIDE));
+    upper_row + lower * (lower_row - upper_row)
+}

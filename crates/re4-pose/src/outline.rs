@@ -1,0 +1,139 @@
+//! The block's outline: which places of a picture it covers at a pose.
+
+use re4_geometry::{Point2, Pose2};
+
+use crate::picture::SCALE;
+
+/// The shape of the block in its own frame, in world pixels: rectangles, drawn with an outline round each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outline {
+    rectangles: Vec<Rectangle>,
+    stroke: f64,
+    /// Area with the stroke, in picture pixels.
+    pixels: f64,
+    /// Centroid with the stroke, in the block's frame.
+    centroid: Point2,
+}
+
+/// An axis-parallel rectangle of the block's frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Rectangle {
+    centre: Point2,
+    half: Point2,
+}
+
+/// Signed distance to the outline, and how it changes with the place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Distance {
+    /// Distance in world pixels, negative inside.
+    pub(crate) value: f64,
+    /// Its gradient, in the block's frame.
+    pub(crate) gradient: Point2,
+}
+
+impl Outline {
+    /// The union of axis-parallel rectangles, given by their corners in the block's frame, with `stroke` px drawn beyond
+    /// their edges.
+    pub fn new(rectangles: &[[Point2; 4]], stroke: f64) -> Self {
+        let rectangles = rectangles
+            .iter()
+            .map(|corners| {
+                let low = corners.iter().fold(corners[0], |low, corner| low.inf(corner));
+                let high = corners.iter().fold(corners[0], |high, corner| high.sup(corner));
+                Rectangle {
+                    centre: 0.5 * (low + high),
+                    half: 0.5 * (high - low),
+                }
+            })
+            .collect();
+        Self::measured(rectangles, stroke)
+    }
+
+    /// The area is counted on a grid of places a pixel apart.
+    fn measured(rectangles: Vec<Rectangle>, stroke: f64) -> Self {
+        let mut outline = Self {
+            rectangles,
+            stroke,
+            pixels: 0.0,
+            centroid: Point2::zeros(),
+        };
+        let reach = outline.reach().ceil() as i32;
+        let places = (-reach..reach)
+            .flat_map(|x| (-reach..reach).map(move |y| Point2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)));
+        let covered: Vec<Point2> = places.filter(|&place| outline.distance(place).value < 0.0).collect();
+        outline.pixels = covered.len() as f64 / (SCALE * SCALE);
+        outline.centroid = covered.iter().sum::<Point2>() / covered.len().max(1) as f64;
+        outline
+    }
+
+    /// The same shape drawn without an outline, as the goal is.
+    #[must_use]
+    pub fn without_stroke(&self) -> Self {
+        Self::measured(self.rectangles.clone(), 0.0)
+    }
+
+    /// Corners of the rectangles, in the world, for the block at `pose`.
+    pub(crate) fn corners(&self, pose: Pose2) -> impl Iterator<Item = Point2> {
+        self.rectangles.iter().flat_map(move |r| {
+            [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]
+                .map(|(x, y)| pose.transform_point(r.centre + Point2::new(x * r.half.x, y * r.half.y)))
+        })
+    }
+
+    /// Centroid with the stroke, in the block's frame, world pixels.
+    pub(crate) fn centroid(&self) -> Point2 {
+        self.centroid
+    }
+
+    /// Greatest distance of the shape from the origin of its frame, with its stroke.
+    pub(crate) fn reach(&self) -> f64 {
+        self.corners(Pose2::IDENTITY).map(|p| p.norm()).fold(0.0, f64::max) + self.stroke
+    }
+
+    /// Area with the stroke, in picture pixels.
+    pub(crate) fn pixels(&self) -> f64 {
+        self.pixels
+    }
+
+    /// Distance of a place in the block's frame.
+    pub(crate) fn distance(&self, place: Point2) -> Distance {
+        let mut nearest = Distance {
+            value: f64::INFINITY,
+            gradient: Point2::zeros(),
+        };
+        for rectangle in &self.rectangles {
+            let distance = rectangle.distance(place);
+            if distance.value < nearest.value {
+                nearest = distance;
+            }
+        }
+        nearest.value -= self.stroke;
+        nearest
+    }
+}
+
+impl Rectangle {
+    fn distance(&self, place: Point2) -> Distance {
+        let from_centre = place - self.centre;
+        let sign = Point2::new(1.0_f64.copysign(from_centre.x), 1.0_f64.copysign(from_centre.y));
+        let beyond = from_centre.abs() - self.half;
+        if beyond.x > 0.0 && beyond.y > 0.0 {
+            let value = beyond.norm();
+            return Distance {
+                value,
+                gradient: beyond.component_mul(&sign) / value,
+            };
+        }
+        if beyond.x > beyond.y {
+            Distance {
+                value: beyond.x,
+                gradient: Point2::new(sign.x, 0.0),
+            }
+        } else {
+            Distance {
+                value: beyond.y,
+                gradient: Point2::new(0.0, sign.y),
+            }
+        }
+    }
+}
