@@ -92,6 +92,7 @@ fn figures_are_those_of_the_artifacts() {
         let artifact = Artifact::open(&place.path().join(folder)).unwrap();
         let shown = &data["artifacts"][number];
         stated_metrics(&page, &artifact, number);
+        budgets_are_equal(&artifact, &shown["curve"]);
         results_are_equal(&artifact, &shown["rollouts"]);
         traces_are_equal(&artifact, shown);
     }
@@ -123,6 +124,32 @@ fn stated_metrics(page: &str, artifact: &Artifact, number: usize) {
                 attribute(page, &cell, &format!("data-{part}")),
                 metrics[metric][part].as_f64().unwrap(),
                 "{name}"
+            );
+        }
+    }
+}
+
+/// The table of budgets, computed by the stage, and the page's curve, computed from the steps, are one.
+fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
+    let budgets = artifact.table(&tables::BUDGETS).unwrap().read_all().unwrap();
+    let steps: Vec<f64> = col_u32(&budgets, "budget")
+        .unwrap()
+        .iter()
+        .map(|b| f64::from(*b))
+        .collect();
+    assert_eq!(numbers(&curve["budgets"]), steps);
+    for measure in ["score", "coverage"] {
+        for (part, column) in [("value", "mean"), ("low", "low"), ("high", "high")] {
+            let shown: Vec<f64> = curve[measure]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|interval| interval[part].as_f64().unwrap())
+                .collect();
+            assert_eq!(
+                shown,
+                col_f64(&budgets, &format!("{measure}_{column}")).unwrap(),
+                "{measure} {part}"
             );
         }
     }

@@ -6,9 +6,11 @@ Needs selenium, polars, and Debian's chromium and chromium-driver. Ends with exi
 that is not as it should be.
 """
 
+import base64
 import json
 import math
 import os
+import struct
 import sys
 import tempfile
 from pathlib import Path
@@ -64,6 +66,9 @@ class Page:
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(CHROMEDRIVER))
         self.resize(width)
+        self.open(path)
+
+    def open(self, path):
         self.driver.get(path.resolve().as_uri())
         WebDriverWait(self.driver, 20).until(lambda d: d.find_elements(By.CSS_SELECTOR, "html[data-ready]"))
 
@@ -102,6 +107,27 @@ class Page:
 
     def log(self):
         return [entry for entry in self.driver.get_log("browser")]
+
+
+def with_estimates(path, target):
+    """Writes the page as it is where the policy was given estimated poses: 3 px and 0.1 rad off, confidence 0.75."""
+    before, rest = path.read_text().split('type="application/json">', 1)
+    text, after = rest.split("</script>", 1)
+    report = json.loads(text)
+    artifact = report["artifacts"][0]
+    shown = artifact["shown"]
+    starts = struct.iter_unpack("<5f", base64.b64decode(artifact["starts"]["data"]))
+    after_steps = struct.iter_unpack("<3f", base64.b64decode(artifact["steps"]["object"]["data"]))
+    poses = []
+    for rollout, start in zip(shown, starts):
+        states = [start[2:], *(next(after_steps) for _ in range(artifact["rollouts"]["steps"][rollout]))]
+        poses += [(x + 3, y, theta + 0.1) for x, y, theta in states[:-1]]
+    packed = b"".join(struct.pack("<3f", *pose) for pose in poses)
+    artifact["steps"]["observed"] = {"type": "f32", "data": base64.b64encode(packed).decode()}
+    packed = struct.pack("<d", 0.75) * len(poses)
+    artifact["steps"]["confidence"] = {"type": "f64", "data": base64.b64encode(packed).decode()}
+    text = json.dumps(report).replace("<", "\\u003c")
+    target.write_text(f'{before}type="application/json">{text}</script>{after}')
 
 
 def scores_are_the_manifests(page, artifacts):
@@ -160,7 +186,7 @@ def plots_are_drawn(page, artifacts):
     mark = page.one(f"#seed-plot .point[data-artifact='{len(artifacts) - 1}'][data-rollout='{last}']")
     page.run("arguments[0].dispatchEvent(new MouseEvent('click', {bubbles: true}))", mark)
     seed = artifacts[-1].results["seed"][last]
-    check(f"seed {seed} " in page.one("#scene-caption").text, "a click on a mark does not choose its rollout")
+    check(f" {seed} · " in page.one("#scene-caption").text, "a click on a mark does not choose its rollout")
     check("selected" in mark.get_attribute("class"), "the chosen mark is not marked")
 
 
@@ -172,15 +198,15 @@ def seeds_can_be_chosen(page, artifact):
     pictures = set()
     for seed in seeds[:3]:
         Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
-        check(f"seed {seed} " in page.one("#scene-caption").text, f"seed {seed} is not shown")
+        check(f" {seed} · " in page.one("#scene-caption").text, f"seed {seed} is not shown")
         equal(page.step(), 0, "step of a rollout that was just chosen")
         pictures.add(page.picture())
     equal(len(pictures), 3, "pictures of three seeds")
     page.one("#previous-seed").click()
-    check(f"seed {seeds[1]} " in page.one("#scene-caption").text, "the button for the previous seed does nothing")
+    check(f" {seeds[1]} · " in page.one("#scene-caption").text, "the button for the previous seed does nothing")
     button = page.one(f"#seeds tr[data-seed='{seeds[4]}'] button")
     page.run("arguments[0].click()", button)
-    check(f"seed {seeds[4]} " in page.one("#scene-caption").text, "a row of the table of seeds cannot be chosen")
+    check(f" {seeds[4]} · " in page.one("#scene-caption").text, "a row of the table of seeds cannot be chosen")
 
 
 def scrubbing_shows_each_state(page, artifact):
@@ -256,6 +282,27 @@ def keys_step_through(page, artifact):
     equal(page.step(), 0, "first step")
 
 
+def keys_walk_the_plot(page, artifact):
+    page.run("document.querySelector('input[name=order][value=seed]').click()")
+    seeds = artifact.results["seed"].to_list()
+    Select(page.one("#pick-seed")).select_by_visible_text(str(seeds[0]))
+    page.one("#seed-plot svg").send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    check(f" {seeds[2]} · " in page.one("#scene-caption").text, "arrow keys in the plot do not choose the next rollout")
+
+
+def estimates_are_drawn(page):
+    """Of a page made by with_estimates."""
+    page.scrub(1)
+    outline = page.one("#scene .observed").get_attribute("d")
+    check(outline.startswith("M"), "the estimated pose is not drawn")
+    check(outline != page.one("#scene .block").get_attribute("d"), "the estimated pose is the true one")
+    away, turn = page.one("#facts [data-fact=pose_error]").get_attribute("data-value").split()
+    check(abs(float(away) - 3) < 1e-3 and abs(float(turn) - 0.1) < 1e-3, f"the estimate is off by {away} px, {turn} rad")
+    equal(page.one("#facts [data-fact=pose_confidence]").get_attribute("data-value"), "0.75", "confidence")
+    page.press(Keys.END)
+    equal(page.one("#scene .observed").get_attribute("d"), "", "estimate after the last action")
+
+
 def it_plays(page):
     page.scrub(0)
     Select(page.one("#speed")).select_by_value("5")
@@ -301,8 +348,15 @@ def main():
             scrubbing_shows_each_state(page, artifacts[0])
             chunk_is_carried_by_delta(page, artifacts[0])
             keys_step_through(page, artifacts[0])
+            keys_walk_the_plot(page, artifacts[0])
             it_plays(page)
             widths_and_schemes_hold(page)
+            nothing_was_loaded(page)
+            check(not page.all("#scene .observed[d^=M]"), "an estimated pose is drawn where there is none")
+            estimated = Path(profile) / "estimated.html"
+            with_estimates(path, estimated)
+            page.open(estimated)
+            estimates_are_drawn(page)
             nothing_was_loaded(page)
         finally:
             page.driver.quit()

@@ -50,6 +50,7 @@ fn artifact_json(artifact: &Rollouts, label: &str, curve: &Curve) -> Value {
         "label": label,
         "key": artifact.key,
         "index": artifact.index_key,
+        "noun": artifact.starts.noun(),
         "max_steps": artifact.max_steps,
         "rollouts": {
             "seed": rollouts.iter().map(|r| r.seed).collect::<Vec<_>>(),

@@ -23,6 +23,9 @@ const FIRST: [&str; 9] = [
     "measure",
 ];
 
+/// A fact that changes no rollout: whether pictures lie beside the states.
+const WITHOUT_EFFECT: &str = "demonstrations.images";
+
 /// Most points of a drawn curve.
 const CURVE_POINTS: u32 = 256;
 
@@ -87,13 +90,20 @@ impl Facts {
         }
     }
 
-    /// Names of the facts of protocol that the artifacts disagree on.
+    /// Names of what the artifacts disagree on in their protocols, each group of facts once.
     pub(super) fn differences(&self) -> Vec<&str> {
-        self.protocol
+        let mut names: Vec<&str> = Vec::new();
+        for row in self
+            .protocol
             .iter()
-            .filter(|row| row.differs())
-            .map(|row| row.name.as_str())
-            .collect()
+            .filter(|row| row.differs() && row.name != WITHOUT_EFFECT)
+        {
+            let name = row.name.split('.').next().unwrap_or(&row.name);
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names
     }
 }
 

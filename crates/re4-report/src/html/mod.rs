@@ -62,9 +62,13 @@ pub struct Rollouts {
     pub variant: String,
     /// How many demonstrations it had, where that is known.
     pub demonstrations: Option<u64>,
-    /// Whether these were the first so many of the dataset, and not all of them or others.
+    /// Which of the dataset's demonstrations these were.
     pub demonstrations_taken: Taken,
-    /// Scenes in words.
+    /// Demonstrations in the whole dataset, where that is known.
+    pub dataset_demonstrations: Option<u64>,
+    /// What rollouts start from.
+    pub starts: Starts,
+    /// The starts in words.
     pub scenes: String,
     /// Control steps a rollout lasts at most.
     pub max_steps: u32,
@@ -76,6 +80,25 @@ pub struct Rollouts {
     pub settings: Value,
     /// The rollouts.
     pub rollouts: Vec<Rollout>,
+}
+
+/// What rollouts start from, and so what their numbers mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Starts {
+    /// Scenes made from seeds.
+    Seeds,
+    /// Chosen scenes.
+    Scenes,
+}
+
+impl Starts {
+    /// What one of them is called.
+    fn noun(self) -> &'static str {
+        match self {
+            Self::Seeds => "seed",
+            Self::Scenes => "scene",
+        }
+    }
 }
 
 /// Which demonstrations of the dataset were taken.
@@ -105,7 +128,7 @@ pub struct Metrics {
 /// One rollout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rollout {
-    /// Seed of its scene.
+    /// Seed of its scene, or number of its scene.
     pub seed: u32,
     /// Greatest scaled score.
     pub score: f64,

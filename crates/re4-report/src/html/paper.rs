@@ -9,6 +9,12 @@ pub(super) enum Demonstrations {
     First50,
 }
 
+/// Demonstrations in the paper's dataset (section "Sparse Demonstration Experiment").
+pub(super) const DEMONSTRATIONS: u64 = 206;
+
+/// Control steps of an episode in the paper's tables for Push-T.
+pub(super) const MAX_STEPS: u32 = 200;
+
 /// One method's row in the paper's tables; means over 100 seeds, without intervals. `None` where it prints nothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PaperRow {

@@ -4,11 +4,14 @@ use maud::{Markup, html};
 
 use super::facts::{Curve, Facts, Row};
 use super::paper::{self, Demonstrations};
-use super::{Report, Rollouts, Taken};
+use super::{Report, Rollouts, Starts, Taken};
 use crate::Interval;
 
 /// Distinct marks for this many artifacts; further ones repeat them.
 const MARKS: usize = 8;
+
+/// The page's first sentence names this many artifacts at most.
+const MOST_NAMED: usize = 4;
 
 /// How the page shows a number.
 fn short(value: f64) -> String {
@@ -45,9 +48,13 @@ pub(super) fn header(report: &Report, facts: &Facts) -> Markup {
             h1 { "Push-T" }
             p.lead {
                 (plural(rollouts, "rollout", "rollouts")) " of "
-                @for (i, label) in facts.labels.iter().enumerate() {
-                    @if i > 0 { @if i + 1 == facts.labels.len() { " and " } @else { ", " } }
-                    strong { (label) }
+                @if facts.labels.len() > MOST_NAMED {
+                    strong { (facts.labels.len()) } " policies and protocols"
+                } @else {
+                    @for (i, label) in facts.labels.iter().enumerate() {
+                        @if i > 0 { @if i + 1 == facts.labels.len() { " and " } @else { ", " } }
+                        strong { (label) }
+                    }
                 }
                 ". Every action can be traced to the demonstration that it was taken from."
             }
@@ -70,7 +77,7 @@ pub(super) fn scores(report: &Report, facts: &Facts) -> Markup {
             @if !differences.is_empty() {
                 p.notice #protocol-differs data-differences=(differences.join(" ")) {
                     strong { "These rollouts were not made under one protocol." }
-                    " They differ in " (differences.join(", ")) ". Compare rows with that in mind; "
+                    " They differ in " (differences.join(", ").replace('_', " ")) ". Compare rows with that in mind; "
                     a href="#protocol" { "the protocol" } " has the details."
                 }
             }
@@ -115,7 +122,7 @@ fn score_row(number: usize, artifact: &Rollouts, label: &str) -> Markup {
                         span.value data-paper=(exact(value)) { (short(value)) }
                         span.interval { (method) ", " (artifact.variant) }
                     }
-                    None => { span.value { "–" } span.interval { "prints none" } }
+                    None => { span.value { "–" } span.interval { "has no such figure" } }
                 }
             }
         }
@@ -136,9 +143,14 @@ fn details(artifact: &Rollouts) -> [String; 2] {
     ]
 }
 
+/// The paper's figure for the same experiment: its dataset, scenes from seeds, its number of steps.
 fn paper_counterpart(artifact: &Rollouts) -> Option<(&'static str, f64)> {
+    let experiment = (artifact.dataset_demonstrations, artifact.starts, artifact.max_steps);
+    if experiment != (Some(paper::DEMONSTRATIONS), Starts::Seeds, paper::MAX_STEPS) {
+        return None;
+    }
     let demonstrations = match artifact.demonstrations_taken {
-        Taken::All if artifact.demonstrations == Some(206) => Demonstrations::All,
+        Taken::All => Demonstrations::All,
         Taken::First(50) => Demonstrations::First50,
         _ => return None,
     };
@@ -252,10 +264,10 @@ pub(super) fn viewer(report: &Report, facts: &Facts) -> Markup {
                     label { span { "Policy" } select #pick-artifact {
                         @for (i, label) in facts.labels.iter().enumerate() { option value=(i) { (label) } }
                     } }
-                    label { span { "Seed" } select #pick-seed {} }
+                    label { span #seed-noun { "Seed" } select #pick-seed {} }
                     div.pair {
-                        button #previous-seed type="button" aria-label="Previous seed" title="Previous seed" { "‹" }
-                        button #next-seed type="button" aria-label="Next seed" title="Next seed" { "›" }
+                        button #previous-seed type="button" aria-label="Previous rollout" title="Previous rollout" { "‹" }
+                        button #next-seed type="button" aria-label="Next rollout" title="Next rollout" { "›" }
                     }
                 }
             }
@@ -332,7 +344,7 @@ pub(super) fn seeds(facts: &Facts) -> Markup {
         section #tables aria-labelledby="tables-title" {
             h2 #tables-title { "Figures" }
             details.card open {
-                summary { "Seeds of " span #seeds-of {} }
+                summary { "Rollouts of " span #seeds-of {} }
                 div.scroll.tall tabindex="0" role="region" aria-label="Seeds" {
                     table.plain.sortable #seeds {
                         thead { tr {

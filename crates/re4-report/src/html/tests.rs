@@ -73,6 +73,8 @@ fn set(key: char, preset: &str) -> Rollouts {
         variant: "state".to_owned(),
         demonstrations: Some(206),
         demonstrations_taken: Taken::All,
+        dataset_demonstrations: Some(206),
+        starts: Starts::Seeds,
         scenes: "seeds 500–501".to_owned(),
         max_steps: 120,
         metrics: Metrics {
@@ -270,26 +272,30 @@ fn estimated_poses_are_packed_where_there_are_any() {
 }
 
 #[test]
-fn the_papers_figures_stand_beside_what_follows_them() {
-    let count = |taken, demonstrations| {
+fn the_papers_figures_stand_beside_the_same_experiment_only() {
+    let beside = |change: fn(&mut Rollouts)| {
         let mut set = set('a', "re4");
-        set.demonstrations_taken = taken;
-        set.demonstrations = demonstrations;
+        set.max_steps = 200;
+        change(&mut set);
         let page = page(&report(vec![set]));
-        let row = page
-            .split("<tbody>")
-            .nth(1)
-            .unwrap()
-            .split("</tbody>")
-            .next()
-            .unwrap()
-            .to_owned();
-        row.split("data-paper=\"")
-            .nth(1)
-            .map(|rest| rest.split('"').next().unwrap().to_owned())
+        let (_, table) = page.split_once("<tbody>").unwrap();
+        let (_, figure) = table.split_once("</tbody>").unwrap().0.split_once("data-paper=\"")?;
+        Some(figure.split_once('"').unwrap().0.to_owned())
     };
-    assert_eq!(count(Taken::All, Some(206)).as_deref(), Some("0.919"));
-    assert_eq!(count(Taken::First(50), Some(50)).as_deref(), Some("0.781"));
-    assert_eq!(count(Taken::All, Some(50)), None, "another dataset");
-    assert_eq!(count(Taken::Other, Some(50)), None);
+    assert_eq!(beside(|_| {}).as_deref(), Some("0.919"));
+    assert_eq!(
+        beside(|set| set.demonstrations_taken = Taken::First(50)).as_deref(),
+        Some("0.781")
+    );
+    assert_eq!(beside(|set| set.variant = "image".to_owned()).as_deref(), Some("0.883"));
+    for change in [
+        |set: &mut Rollouts| set.demonstrations_taken = Taken::First(40),
+        |set: &mut Rollouts| set.demonstrations_taken = Taken::Other,
+        |set: &mut Rollouts| set.dataset_demonstrations = Some(50),
+        |set: &mut Rollouts| set.starts = Starts::Scenes,
+        |set: &mut Rollouts| set.max_steps = 300,
+        |set: &mut Rollouts| set.preset = "mine".to_owned(),
+    ] {
+        assert_eq!(beside(change), None);
+    }
 }

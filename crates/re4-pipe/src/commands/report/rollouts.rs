@@ -6,7 +6,7 @@ use anyhow::{Result, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::{Artifact, col_bool, col_f64, col_f64_list, col_f64_or_null, col_text, col_u32, tables};
 use re4_report::Interval;
-use re4_report::html::{DecisionTrace, Metrics, Rollout, Rollouts, StepTrace, Taken};
+use re4_report::html::{DecisionTrace, Metrics, Rollout, Rollouts, Starts, StepTrace, Taken};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
@@ -18,6 +18,7 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
     let metric =
         |name: &str| -> Result<Interval> { stated(artifact, "summary.metrics", &manifest.summary["metrics"], name) };
     let (demonstrations_taken, demonstrations) = demonstrations(protocol);
+    let (starts, scenes) = starts(config);
     Ok(Rollouts {
         key: artifact.key().to_string(),
         index_key: super::index_key(artifact)?.to_string(),
@@ -25,7 +26,9 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
         variant: stated(artifact, "config", config, "variant")?,
         demonstrations,
         demonstrations_taken,
-        scenes: scenes(config, protocol),
+        dataset_demonstrations: protocol["dataset"]["episodes"].as_u64(),
+        starts,
+        scenes,
         max_steps: stated(artifact, "config", config, "max_steps")?,
         metrics: Metrics {
             score_scaled_mean: metric("score_scaled_mean")?,
@@ -71,13 +74,15 @@ fn demonstrations(protocol: &Value) -> (Taken, Option<u64>) {
     }
 }
 
-/// The scenes in words: seeds, or whatever else the configuration calls them.
-fn scenes(config: &Value, protocol: &Value) -> String {
-    let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    match (&config["seeds"], &config["scenes"], &protocol["scenes"]) {
-        (Value::Null, Value::Null, Value::Null) => "scenes not stated".to_owned(),
-        (Value::Null, Value::Null, scenes) | (Value::Null, scenes, _) => format!("scenes {}", text(scenes)),
-        (seeds, ..) => format!("seeds {}", inclusive(&text(seeds))),
+/// What the rollouts start from, and that in words.
+fn starts(config: &Value) -> (Starts, String) {
+    match (&config["scenes"], &config["seeds"]) {
+        (Value::Null, Value::String(seeds)) => (Starts::Seeds, format!("seeds {}", inclusive(seeds))),
+        (Value::Null, seeds) => (Starts::Seeds, format!("seeds {seeds}")),
+        (scenes, _) => {
+            let kind = scenes["kind"].as_str().unwrap_or("chosen").replace('_', " ");
+            (Starts::Scenes, format!("scenes: {kind}"))
+        }
     }
 }
 

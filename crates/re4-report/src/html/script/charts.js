@@ -99,14 +99,14 @@ const drawSeeds = (host, width) => {
   const most = Math.max(...REPORT.artifacts.map(({ rollouts }) => rollouts.seed.length));
   const scale = near(clamp((width - 50) / most / 5, 0.55, 1));
   for (const [artifact, rollout, x] of marks) {
-    const { rollouts, label } = REPORT.artifacts[artifact];
+    const { rollouts, label, noun } = REPORT.artifacts[artifact];
     const kinds = ["point", rollouts.success[rollout] ? "success" : "failure", isShown(artifact, rollout) ? "" : "absent"];
     const mark = markPath(artifact, place.x(x), place.y(rollouts[measure][rollout]), {
       class: `${kinds.join(" ")} series-${markOf(artifact)}`,
       "data-artifact": artifact, "data-rollout": rollout,
     }, scale);
     const ending = isShown(artifact, rollout) ? "" : " (not embedded in this page)";
-    mark.append(svg("title", {}, `${label}, seed ${rollouts.seed[rollout]}: ${MEASURES[measure]} ${digits(rollouts[measure][rollout])}${ending}`));
+    mark.append(svg("title", {}, `${label}, ${noun} ${rollouts.seed[rollout]}: ${MEASURES[measure]} ${digits(rollouts[measure][rollout])}${ending}`));
     mark.addEventListener("click", () => selectRollout(artifact, rollout));
     root.append(mark);
   }

@@ -15,6 +15,7 @@ const svg = (name, attributes = {}, ...children) => fill(document.createElementN
 
 const digits = (value, count = 3) => (Number.isFinite(value) ? value.toFixed(count).replace("-", "−") : "–");
 const degrees = (angle) => `${digits((angle * 180) / Math.PI, 1)}°`;
+const titled = (word) => word[0].toUpperCase() + word.slice(1);
 const around = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const near = (value) => Math.round(value * 100) / 100;

@@ -26,7 +26,7 @@ const seedCell = (column, value, artifact, rollout) => {
 
 const fillSeeds = () => {
   const { artifact } = selection;
-  const { rollouts, label } = REPORT.artifacts[artifact];
+  const { rollouts, label, noun } = REPORT.artifacts[artifact];
   const numbers = rollouts.seed.map((_, rollout) => rollout);
   const values = rollouts[sorting.column];
   numbers.sort((a, b) => sorting.way * (values[a] - values[b]) || rollouts.seed[a] - rollouts.seed[b]);
@@ -35,6 +35,7 @@ const fillSeeds = () => {
       ...SEED_COLUMNS.map((column) => seedCell(column, rollouts[column][rollout], artifact, rollout))));
   byId("seeds").tBodies[0].replaceChildren(...rows);
   byId("seeds-of").textContent = label;
+  byId("seeds").querySelector("th button[data-column=seed]").textContent = titled(noun);
   sorting.artifact = artifact;
   for (const button of byId("seeds").querySelectorAll("th button")) {
     const sorted = button.dataset.column === sorting.column;

@@ -85,7 +85,7 @@ const showStep = () => {
       html("span", {}, ` · best `, html("b", {}, digits(data.best[step - 1])), ` (score ${digits(scoreOf(data.best[step - 1]))})`),
     ]),
   );
-  SCENE.root.setAttribute("aria-label", `Scene of seed ${data.seed} at step ${step} of ${data.length}`);
+  SCENE.root.setAttribute("aria-label", `Scene of ${REPORT.artifacts[data.artifact].noun} ${data.seed} at step ${step} of ${data.length}`);
   movePlayhead();
 };
 
@@ -165,8 +165,9 @@ const showRollout = () => {
   picker.value = rollout;
   byId("pick-artifact").value = artifact;
   byId("scrubber").max = data.length;
-  const { rollouts } = REPORT.artifacts[artifact];
-  byId("scene-caption").textContent = `seed ${data.seed} · scaled score ${digits(rollouts.score[rollout])} · ${data.success ? `success after ${data.length} steps` : `no success in ${data.length} steps`}`;
+  const { rollouts, noun } = REPORT.artifacts[artifact];
+  byId("seed-noun").textContent = titled(noun);
+  byId("scene-caption").textContent = `${noun} ${data.seed} · scaled score ${digits(rollouts.score[rollout])} · ${data.success ? `success after ${data.length} steps` : `no success in ${data.length} steps`}`;
   drawTimeline();
 };
 
@@ -226,6 +227,9 @@ const pickArtifact = (artifact) => {
 };
 
 const setUpViewer = () => {
+  REPORT.artifacts.forEach(({ shown }, number) => {
+    byId("pick-artifact").options[number].disabled = shown.length === 0;
+  });
   const press = (id, act) => byId(id).addEventListener("click", act);
   press("previous-step", KEYS.ArrowLeft);
   press("next-step", KEYS.ArrowRight);
