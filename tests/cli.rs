@@ -11,11 +11,12 @@ mod support;
 use insta::assert_snapshot;
 use support::Place;
 
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 13] = [
     "ingest",
     "segment",
     "train-pose",
     "index",
+    "scenes",
     "rollout",
     "run",
     "replay",

@@ -433,11 +433,14 @@ fn inspect_shows_every_artifact() {
     let place = Place::new();
     place.run("run small.toml").done();
     place.run("replay small.toml").done();
+    place.write_sparse();
+    place.run("scenes sparse.toml").done();
     let mut seen = Vec::new();
     for stage in [
         Stage::Ingest,
         Stage::Segment,
         Stage::Index,
+        Stage::Scenes,
         Stage::Rollout,
         Stage::Replay,
     ] {

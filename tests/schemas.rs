@@ -58,6 +58,8 @@ fn the_schemas_describe_the_columns_that_are_written() {
     let place = Place::new();
     place.run("run small.toml").done();
     place.run("replay small.toml").done();
+    place.write_sparse();
+    place.run("scenes sparse.toml").done();
     let mut compared = 0;
     for kind in folders_in(&place.artifacts()) {
         for artifact in folders_in(&kind)
@@ -104,7 +106,7 @@ fn the_schemas_describe_the_columns_that_are_written() {
             }
         }
     }
-    assert_eq!(compared, 13, "every table is written by some stage");
+    assert_eq!(compared, 15, "every table is written by some stage");
 }
 
 #[test]

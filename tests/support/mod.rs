@@ -59,6 +59,12 @@ impl Place {
         fs::write(self.path().join(name), content).unwrap();
     }
 
+    /// Writes `sparse.toml`: `small.toml` with rollouts from 12 scenes far from the demonstrations, in place of seeds.
+    pub(crate) fn write_sparse(&self) {
+        let small = fs::read_to_string(self.path().join("small.toml")).unwrap();
+        self.write("sparse.toml", small.replace("seeds = \"500..506\"\n", "") + SCENES);
+    }
+
     /// The program, to be run in this folder with its data.
     pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(PROGRAM);
@@ -265,6 +271,14 @@ pub(crate) fn real_data() -> Option<PathBuf> {
     }
     there.then_some(data)
 }
+
+const SCENES: &str = r#"
+[scenes]
+kind = "sparse_observations"
+poses = 6
+pushers = 2
+grid = 20
+"#;
 
 const PIPELINE: &str = r#"task = "pusht"
 variant = "state"

@@ -211,10 +211,44 @@ pub const SEGMENTS: TableSpec = TableSpec {
     ],
 };
 
+/// Poses estimated from pictures.
+pub const POSES: TableSpec = TableSpec {
+    name: "poses",
+    version: 1,
+    description: "One row a frame of every demonstration: the object's pose as estimated from the frame's picture, and what to think of it. No recorded pose enters. Sorted by episode and frame.",
+    columns: &[
+        EPISODE,
+        FRAME,
+        world("object_x", "Estimated origin of the block's frame, x; null where no block is seen.").nullable(),
+        world("object_y", "Estimated origin of the block's frame, y; null where no block is seen.").nullable(),
+        heading("object_theta", "Estimated angle of the block; null where no block is seen.").nullable(),
+        number(
+            "confidence",
+            "Intersection over union of the block's outline at the pose with the block-coloured pixels that neither pusher nor contact marks hide, times the share of the outline in sight: 0 to 1.",
+        ),
+        category(
+            "flag",
+            "What to think of the pose: clear; or occluded, poor_fit or second_block, when it is a guess; or no_block, when there is none.",
+        ),
+    ],
+};
+
+/// The anchor of the log-polar pose estimator.
+pub const ANCHOR: TableSpec = TableSpec {
+    name: "anchor",
+    version: 1,
+    description: "One row a pixel of the 96 x 96 pictures: how much of it the goal covers, as seen over the pictures. The goal pose is the pose of this mask; angles are measured from it. Sorted by row and column.",
+    columns: &[
+        id("row", "Row of the picture, from 0 at the top."),
+        id("column", "Column of the picture, from 0 at the left."),
+        number("goal_share", "Share of the pixel that has the goal's colour, 0 to 1."),
+    ],
+};
+
 /// States that Retrieve searches.
 pub const INDEX: TableSpec = TableSpec {
     name: "index",
-    version: 1,
+    version: 2,
     description: "One row a retrievable frame: its object-augmented state, its action and its normalised coordinates. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -232,6 +266,12 @@ pub const INDEX: TableSpec = TableSpec {
         number("q_2", "Normalised object_x."),
         number("q_3", "Normalised object_y."),
         number("q_4", "Normalised object_theta."),
+        flag(
+            "retrievable",
+            "Whether the frame may be retrieved. Where its pose was not clear it may not, and has a pose between those of the clear frames round it. Null in older artifacts, whose frames all may.",
+        )
+        .nullable()
+        .since(2),
     ],
 };
 
@@ -360,7 +400,7 @@ pub const RESULTS: TableSpec = TableSpec {
 /// Steps of rollouts.
 pub const STEPS: TableSpec = TableSpec {
     name: "steps",
-    version: 1,
+    version: 2,
     description: "One row a control step of a rollout: the action executed and the state that it led to. Sorted by seed and step.",
     columns: &[
         SEED,
@@ -381,6 +421,28 @@ pub const STEPS: TableSpec = TableSpec {
             "Number of the decision, in the rollout, that the action belongs to.",
         ),
         category("phase", "What the action is part of: plan or replay."),
+        world(
+            "observed_object_x",
+            "Origin of the block's frame that the policy was told before the action, x; null where it is told the true state.",
+        )
+        .nullable()
+        .since(2),
+        world("observed_object_y", "The same, y.").nullable().since(2),
+        heading("observed_object_theta", "Angle of the block that the policy was told.")
+            .nullable()
+            .since(2),
+        number(
+            "pose_confidence",
+            "Confidence of the estimate from the picture before the action, 0 to 1; null where there is no picture.",
+        )
+        .nullable()
+        .since(2),
+        category(
+            "pose_flag",
+            "What to think of that estimate, as in table poses; where it is not clear, the policy was told the last clear one.",
+        )
+        .nullable()
+        .since(2),
     ],
 };
 
@@ -539,7 +601,7 @@ pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
         Stage::Scenes => &[&SCENES],
         Stage::Rollout => &[&RESULTS, &STEPS, &DECISIONS, &BUDGETS],
         Stage::Replay => &[&REPLAYS, &DIVERGENCE],
-        Stage::TrainPose => &[],
+        Stage::TrainPose => &[&POSES, &ANCHOR],
     }
 }
 
@@ -584,6 +646,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 15);
+        assert_eq!(names.len(), 17);
     }
 }

@@ -292,21 +292,20 @@ impl TableWriter {
                 .map_err(ArtifactError::parquet("write", &self.path))?;
             self.write_group(&rows)?;
         }
-        let sink = self
-            .parquet
-            .into_inner()
+        // `ArrowWriter::into_inner` would put a refusal of the operating system into words; `finish` hands it on.
+        self.parquet
+            .finish()
             .map_err(ArtifactError::parquet("write", &self.path))?;
-        let Sink { file, hasher, bytes } = sink;
-        file.into_inner()
-            .map_err(io::IntoInnerError::into_error)
-            .and_then(|file| file.sync_all())
+        let Sink { file, hasher, bytes } = self.parquet.inner_mut();
+        file.flush()
+            .and_then(|()| file.get_ref().sync_all())
             .map_err(ArtifactError::io("write", &self.path))?;
         let facts = TableFacts {
             file: self.spec.file(),
             schema_version: self.spec.version,
             rows: self.rows,
             row_group_rows: self.row_group_rows as u64,
-            bytes,
+            bytes: *bytes,
             blake3: hasher.finalize().into(),
         };
         locked(&self.tables).insert(self.spec.name, Some(facts.clone()));

@@ -25,7 +25,7 @@ pub(crate) enum Command {
     Ingest(StageArguments),
     /// Label manipulation modes: the `modes` artifact
     Segment(StageArguments),
-    /// Train the pose estimator: the `poses` artifact (this version takes recorded poses and has nothing to train)
+    /// Calibrate the pose estimator and estimate poses from the pictures: the `poses` artifact
     TrainPose(StageArguments),
     /// Build what Retrieve searches: the `index` artifact
     Index(StageArguments),

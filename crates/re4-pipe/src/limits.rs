@@ -2,8 +2,9 @@
 
 use anyhow::{Result, bail, ensure};
 use re4_scenes::ScenesConfig;
+use re4_segment::Rule;
 
-use crate::pipeline::Pipeline;
+use crate::pipeline::{Pipeline, PoseSource, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
@@ -33,6 +34,7 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         (0.0..=1.0).contains(&bias),
         "rollout.replan.goal_bias is {bias}; it is a share, from 0 to 1"
     );
+    check_variant(pipeline)?;
     match (&pipeline.scenes, &rollout.seeds) {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
@@ -45,14 +47,45 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     }
 }
 
+/// What the policy sees and what is indexed have to come from the same source.
+fn check_variant(pipeline: &Pipeline) -> Result<()> {
+    let (pose, ingest) = (&pipeline.pose, &pipeline.ingest);
+    match (pipeline.variant, pose.source) {
+        (Variant::State, PoseSource::Recorded) => Ok(()),
+        (Variant::Image, PoseSource::LogPolar) => {
+            ensure!(
+                ingest.images || !ingest.render.is_empty(),
+                "variant is \"image\" and ingest.images is false, so there would be no pictures; set it to true, or set ingest.render = [\"image\"]"
+            );
+            // Other rules look at the recorded pose of the object.
+            ensure!(
+                pipeline.segment.rule == Rule::AlwaysTransit,
+                "variant is \"image\" and segment.rule reads recorded object poses; set it to \"always_transit\""
+            );
+            ensure!(
+                pose.goal.iter().all(|number| number.is_finite()),
+                "pose.goal is {:?}; give x, y and theta as finite numbers",
+                pose.goal
+            );
+            Ok(())
+        }
+        (Variant::State, PoseSource::LogPolar) => bail!(
+            "variant is \"state\" and pose.source is \"log_polar\"; poses from pictures belong to variant = \"image\""
+        ),
+        (Variant::Image, PoseSource::Recorded) => bail!(
+            "variant is \"image\" and pose.source is \"recorded\"; what pictures show is estimated, so set pose.source = \"log_polar\""
+        ),
+    }
+}
+
 /// Longest episode, nearly three hours of control: a rollout keeps its steps in memory.
 const LONGEST: u32 = 100_000;
 
 /// Finest grid: beyond it the table of candidates would fill the memory for nothing.
 const FINEST: u32 = 200;
 
-/// Most scenes of a kind, far more than any experiment has rolled out.
-const MOST: u32 = 10_000;
+/// Most poses, and most pushers at each.
+const MOST: u32 = 1000;
 
 fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
     between("scenes.grid", scenes.grid, 2, FINEST)?;

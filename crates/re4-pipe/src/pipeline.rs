@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use re4_geometry::Pose2;
 use re4_ingest::Selection;
 use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
-use re4_sim::{ResetOrder, SeedScheme};
+use re4_sim::{GOAL, ResetOrder, SeedScheme};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
@@ -52,6 +53,8 @@ pub(crate) enum TaskName {
 pub(crate) enum Variant {
     /// End-effector state and the object's true pose.
     State,
+    /// Pictures, and the end effector's position.
+    Image,
 }
 
 /// Raw dataset to `episodes`.
@@ -64,9 +67,21 @@ pub(crate) struct IngestSection {
     /// Whether the pictures are ingested too.
     #[serde(default = "yes")]
     pub(crate) images: bool,
+    /// Cameras whose pictures are drawn by the simulator's own renderer from the recorded states, for a dataset without
+    /// pictures.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) render: Vec<Camera>,
     /// Which episodes to take.
     #[serde(default)]
     pub(crate) select: Selection,
+}
+
+/// Cameras of the tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Camera {
+    /// Push-T's only one: the window from above, 96 x 96.
+    Image,
 }
 
 /// Where object poses come from.
@@ -75,14 +90,32 @@ pub(crate) struct IngestSection {
 pub(crate) struct PoseSection {
     /// Source of the poses that are indexed and that the policy sees.
     pub(crate) source: PoseSource,
+    /// For `log_polar`: whether the block's outline is aligned with the picture after the paper's closed-form estimate.
+    #[serde(default = "yes")]
+    pub(crate) refine: bool,
+    /// For `log_polar`: goal pose of the task as x and y in px and theta in rad, which calibrates the anchor. Push-T's own by
+    /// default.
+    #[serde(default = "goal")]
+    pub(crate) goal: [f64; 3],
+}
+
+impl PoseSection {
+    /// The goal pose, world frame.
+    pub(crate) fn goal(&self) -> Pose2 {
+        let [x, y, theta] = self.goal;
+        Pose2::new(x, y, theta)
+    }
 }
 
 /// Source of object poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum PoseSource {
     /// The pose recorded in the dataset is the pose; nothing is trained.
     Recorded,
+    /// The pose is estimated from the pictures in closed form: centroid of the block's colour, angle by the log-polar
+    /// transform.
+    LogPolar,
 }
 
 /// `episodes` and `modes` to `index`.
@@ -139,6 +172,10 @@ impl RolloutSection {
 
 fn yes() -> bool {
     true
+}
+
+fn goal() -> [f64; 3] {
+    [GOAL.x, GOAL.y, GOAL.theta]
 }
 
 fn longest_chunk() -> u32 {

@@ -5,6 +5,7 @@ mod demos;
 mod open_loop;
 mod outcome;
 mod path;
+mod perception;
 mod policy;
 mod pusher;
 mod reframe;
@@ -18,6 +19,7 @@ pub use config::{
 pub use demos::DemoSet;
 pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
+pub use perception::{Observation, Perception, Sight};
 pub use policy::{Decision, Knowledge, Phase, Re4};
 pub use pusher::{PusherModel, PusherState};
 pub use reframe::{Reframed, reframe, without_reframe};
@@ -27,7 +29,6 @@ pub use rollout::{EpisodeRollout, RolloutError, Start, StepRecord, rollout, roll
 
 use re4_episode::Mode;
 use re4_geometry::Point2;
-use re4_sim::PushTObservation;
 use thiserror::Error;
 
 /// A policy in the middle of an episode of Push-T.
@@ -36,7 +37,7 @@ pub trait Policy {
     ///
     /// # Errors
     /// When the policy has no action for it.
-    fn act(&mut self, observation: &PushTObservation) -> Result<Act, PolicyError>;
+    fn act(&mut self, observation: &Observation) -> Result<Act, PolicyError>;
 }
 
 /// One action, and why it was taken.

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
-use re4_sim::{GOAL, PushTObservation, coverage};
+use re4_sim::{GOAL, coverage};
 
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
@@ -17,7 +17,7 @@ use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
-use crate::{Act, Policy, PolicyError};
+use crate::{Act, Observation, Policy, PolicyError};
 
 /// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
 const PLANS_TRIED: usize = 8;
@@ -197,18 +197,18 @@ impl Re4 {
 }
 
 impl Policy for Re4 {
-    fn act(&mut self, observation: &PushTObservation) -> Result<Act, PolicyError> {
+    fn act(&mut self, observation: &Observation) -> Result<Act, PolicyError> {
         // The pusher's velocity is not observed; it follows from the commands sent.
         let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
         let pusher = PusherState {
-            position: observation.agent,
+            position: observation.eef,
             velocity,
         };
-        if self.strayed(observation.block) {
+        if self.strayed(observation.object) {
             self.queue.clear();
         }
         let decision = if self.queue.is_empty() {
-            Some(self.decide(pusher, observation.block)?)
+            Some(self.decide(pusher, observation.object)?)
         } else {
             None
         };

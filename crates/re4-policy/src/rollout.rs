@@ -11,6 +11,7 @@ use re4_sim::{
 use thiserror::Error;
 
 use crate::config::PolicyConfig;
+use crate::perception::{Eyes, Perception, Sight};
 use crate::policy::{Decision, Knowledge, Phase, Re4};
 use crate::{Policy, PolicyError};
 
@@ -40,7 +41,7 @@ impl Start {
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepRecord {
     /// What the policy saw before the step.
-    pub before: PushTObservation,
+    pub sight: Sight,
     /// Target sent.
     pub action: Point2,
     /// Part of the loop.
@@ -99,6 +100,16 @@ pub enum RolloutError {
         /// Why.
         source: PolicyError,
     },
+    /// No block in the first picture.
+    #[error(
+        "rollout of scene {scene} failed at step {step}: no block is seen in the picture and none was seen before; start from a scene that shows it"
+    )]
+    Blind {
+        /// Number of the scene.
+        scene: u32,
+        /// Steps taken.
+        step: usize,
+    },
     /// The caller asked to stop.
     #[error("the rollout was interrupted; nothing was written, run it again")]
     Interrupted,
@@ -107,10 +118,11 @@ pub enum RolloutError {
 /// Rolls a policy out from one scene, until success or the step budget.
 ///
 /// # Errors
-/// When the simulator refuses the scene or an action, or the policy has no action.
+/// When the simulator refuses the scene or an action, the policy has no action, or no block is seen.
 pub fn rollout(
     simulator: &mut PushT,
     policy: &mut dyn Policy,
+    perception: &Perception,
     start: Start,
     max_steps: u32,
 ) -> Result<EpisodeRollout, RolloutError> {
@@ -118,23 +130,23 @@ pub fn rollout(
     let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
     simulator.reset(&start.scene, start.order).map_err(refused(0))?;
     let first = simulator.outcome();
-    let mut observation = first.observation;
+    let mut eyes = Eyes::new(perception.clone());
     let mut steps: Vec<StepRecord> = Vec::new();
     let mut decisions = Vec::new();
     for step in 0..max_steps as usize {
+        let sight = eyes.look(simulator).ok_or(RolloutError::Blind { scene, step })?;
         let act = policy
-            .act(&observation)
+            .act(&sight.observation)
             .map_err(|source| RolloutError::Policy { scene, step, source })?;
         decisions.extend(act.decision);
         let after = simulator.step(&act.target).map_err(refused(step))?;
         steps.push(StepRecord {
-            before: observation,
+            sight,
             action: act.target,
             phase: act.phase,
             decision: (decisions.len() as u32).saturating_sub(1),
             after,
         });
-        observation = after.observation;
         if after.success {
             break;
         }
@@ -157,6 +169,7 @@ pub fn rollout(
 pub fn rollouts(
     config: &PolicyConfig,
     knowledge: &Arc<Knowledge>,
+    perception: &Perception,
     starts: &[Start],
     max_steps: u32,
     progress: &(dyn Fn() -> bool + Sync),
@@ -174,7 +187,7 @@ pub fn rollouts(
                 source,
             })?;
             let mut policy = Re4::new(config.clone(), Arc::clone(knowledge), u64::from(start.number));
-            let episode = rollout(&mut simulator, &mut policy, start, max_steps)?;
+            let episode = rollout(&mut simulator, &mut policy, perception, start, max_steps)?;
             if progress() {
                 Ok(episode)
             } else {

@@ -7,14 +7,12 @@ use std::collections::BTreeSet;
 use common::{Random, knowledge, scripted};
 use re4_geometry::{Point2, Pose2};
 use re4_index::AngleMetric;
-use re4_policy::{Phase, Policy as _, PolicyConfig, Re4};
-use re4_sim::PushTObservation;
+use re4_policy::{Observation, Phase, Policy as _, PolicyConfig, Re4};
 
-fn seen(agent: Point2, block: Pose2) -> PushTObservation {
-    PushTObservation {
-        agent,
-        agent_velocity: Point2::zeros(),
-        block,
+fn seen(agent: Point2, block: Pose2) -> Observation {
+    Observation {
+        eef: agent,
+        object: block,
     }
 }
 

@@ -15,15 +15,14 @@ use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_policy::{
-    DemoSet, EpisodeRollout, Knowledge, PRESETS, Phase, PlanKind, Planner, Policy as _, PolicyConfig, PolicyError, Re4,
+    DemoSet, EpisodeRollout, Knowledge, Observation, PRESETS, Perception, Phase, PlanKind, Planner, Policy as _, PolicyConfig, PolicyError, Re4,
     RolloutError, Selector, Tracking, rollouts,
 };
-use re4_sim::PushTObservation;
 
 const SEEDS: [u32; 4] = [810_000, 810_001, 810_002, 810_003];
 
 fn rolled(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> Vec<EpisodeRollout> {
-    rollouts(config, knowledge, &starts(&SEEDS), 60, &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
+    rollouts(config, knowledge, &Perception::State, &starts(&SEEDS), 60, &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
 fn actions(episodes: &[EpisodeRollout]) -> Vec<Point2> {
@@ -177,14 +176,14 @@ fn one_thread_and_two_give_the_same_rollouts() {
         let config = base(name);
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| rollouts(&config, &knowledge, &starts(&seeds), 50, &|| true))
+            pool.install(|| rollouts(&config, &knowledge, &Perception::State, &starts(&seeds), 50, &|| true))
                 .unwrap()
         };
         let one = run(1);
         assert_eq!(one.iter().map(|e| e.start.number).collect::<Vec<_>>(), seeds);
         assert_eq!(one, run(2), "{name}");
         // Nor do they depend on the company of other seeds.
-        let alone = rollouts(&config, &knowledge, &starts(&seeds[5..6]), 50, &|| true).unwrap();
+        let alone = rollouts(&config, &knowledge, &Perception::State, &starts(&seeds[5..6]), 50, &|| true).unwrap();
         assert_eq!(one[5..6], alone[..]);
     }
 }
@@ -192,7 +191,7 @@ fn one_thread_and_two_give_the_same_rollouts() {
 #[test]
 fn a_caller_can_stop_the_rollouts() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
-    let stopped = rollouts(&base("paper"), &knowledge, &starts(&SEEDS), 5, &|| false);
+    let stopped = rollouts(&base("paper"), &knowledge, &Perception::State, &starts(&SEEDS), 5, &|| false);
     assert!(matches!(stopped, Err(RolloutError::Interrupted)));
 }
 
@@ -220,10 +219,9 @@ fn without_a_push(mode: Mode) -> (DemoSet, RetrievalIndex) {
 
 #[test]
 fn what_cannot_be_followed_is_refused_in_one_sentence() {
-    let seen = PushTObservation {
-        agent: Point2::new(100.0, 100.0),
-        agent_velocity: Point2::zeros(),
-        block: Pose2::new(250.0, 250.0, 0.5),
+    let seen = Observation {
+        eef: Point2::new(100.0, 100.0),
+        object: Pose2::new(250.0, 250.0, 0.5),
     };
     let refusal = |name: &str, mode: Mode, demos: Option<DemoSet>| {
         let (own, index) = without_a_push(mode);

@@ -36,8 +36,9 @@ pub struct ScenesConfig {
     #[serde(default = "padding_angle")]
     pub padding_angle: f64,
     /// Least distance between two chosen poses, in normalised coordinates, the angle taken the short way round. The paper
-    /// names no figure. 0.2 is a fifth of the range of one dimension (some 60 px or 70 degrees in Push-T): about the diagonal
-    /// of the block's bar, so that two poses ask for different pushes, and loose enough for 25 poses.
+    /// names no figure. 0.2 is a fifth of the range of one dimension, some 76 px or 72 degrees for the human demonstrations
+    /// of Push-T: far enough for two poses to ask for different pushes, and near enough for 25 poses to stay far from the
+    /// demonstrations.
     #[serde(default = "separation")]
     pub separation: f64,
     /// How angles enter the distance to the demonstrations.
@@ -52,7 +53,7 @@ pub struct ScenesConfig {
     pub clearance: f64,
     /// Seed of the pusher's positions.
     #[serde(default)]
-    pub seed: u64,
+    pub seed: u32,
 }
 
 impl ScenesConfig {

@@ -17,7 +17,7 @@ pub use error::SimError;
 pub use pusht::{
     COORDINATE_LIMIT, DAMPING_GAIN, PROPORTIONAL_GAIN, PushT, PushTObservation, SUBSTEPS, Scene, TIME_STEP, WINDOW,
 };
-pub use render::{Canvas, OBSERVATION_SIDE, render_state};
+pub use render::{Canvas, OBSERVATION_SIDE, OUTLINE_RADIUS, render_state};
 pub use seed::{SeedScheme, scene_from_seed};
 pub use simulator::{ResetOrder, Simulator, Step};
 pub use tee::{

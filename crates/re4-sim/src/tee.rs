@@ -72,7 +72,8 @@ pub(crate) fn overlap_area(a: &[[Point2; 4]; 2], b: &[[Point2; 4]; 2]) -> f64 {
         .flat_map(|p| b.iter().map(move |q| (p, q)))
         .filter(|(p, q)| boxes_meet(p, q))
         .map(|(p, q)| polygon_area(&clip_convex(p, q)))
-        .sum()
+        // `sum` starts from -0, which would be the coverage of a block off the goal.
+        .fold(0.0, |sum, area| sum + area)
 }
 
 /// Whether the axis-parallel boxes round two rectangles meet: spares most of the clipping while the block is far away.

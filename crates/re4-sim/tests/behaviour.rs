@@ -110,6 +110,14 @@ fn a_block_on_the_goal_is_a_success_and_one_far_away_is_not() {
 }
 
 #[test]
+fn a_block_off_the_goal_covers_nothing() {
+    for measure in [coverage, re4_sim::iou] {
+        // To the bit: a sum of nothing is -0 to some.
+        assert_eq!(measure(Pose2::new(30.0, 30.0, 0.0), GOAL).to_bits(), 0.0_f64.to_bits());
+    }
+}
+
+#[test]
 fn success_is_strict_and_the_score_is_the_scaled_coverage() {
     let mut simulator = PushT::new().unwrap();
     let (mut below, mut above) = (0, 0);

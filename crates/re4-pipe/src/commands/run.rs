@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{col_f64, tables};
+use re4_artifact::{col_f64, col_u32, tables};
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::divergence_plot;
 use serde_json::{Value, json};
@@ -29,15 +29,16 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     report(&runner, &built)
 }
 
-/// `re4-pipe train-pose`: there is nothing to train where the recorded pose is the pose.
+/// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
-    match runner.pipeline.pose.source {
-        PoseSource::Recorded => anyhow::bail!(
-            "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; estimators from pictures are not part of this version",
-            arguments.pipeline.display()
-        ),
-    }
+    anyhow::ensure!(
+        runner.pipeline.pose.source != PoseSource::Recorded,
+        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"log_polar\"",
+        arguments.pipeline.display()
+    );
+    let built = runner.train_pose(&runner.ingest()?)?.context("no pose estimator")?;
+    report(&runner, &built)
 }
 
 /// `re4-pipe index`.
@@ -45,7 +46,8 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
-    let built = runner.index(&episodes, &modes)?;
+    let poses = runner.train_pose(&episodes)?;
+    let built = runner.index(&episodes, &modes, poses.as_ref())?;
     report(&runner, &built)
 }
 
@@ -95,16 +97,19 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
-    let index = runner.index(&episodes, &modes)?;
+    let poses = runner.train_pose(&episodes)?;
+    let index = runner.index(&episodes, &modes, poses.as_ref())?;
     let scenes = runner.scenes(&episodes)?;
-    let built = runner.rollout(&episodes, &index, scenes.as_ref())?;
+    let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
     if let Some(path) = &arguments.record {
         record(&runner, &built, path)?;
     }
     let metrics = metrics(&built.artifact);
     let section = &runner.pipeline.rollout;
     let rollouts = built.artifact.table(&tables::RESULTS)?.rows();
-    runner.console.answer(&json!({
+    // The curve over budgets is what scenes are rolled out for; elsewhere the table in the artifact is enough.
+    let budgets = scenes.is_some().then(|| budgets(&built)).transpose()?;
+    let mut answer = json!({
         "task": runner.pipeline.task,
         "variant": runner.pipeline.variant,
         "policy": section.policy,
@@ -113,10 +118,14 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
         "metrics": in_order(&metrics),
         "artifact": built.artifact.path(),
         "wall_s": start.elapsed().as_secs_f64(),
-    }))?;
+    });
+    if let Some(budgets) = &budgets {
+        answer["budgets"] = json!(budgets);
+    }
+    runner.console.answer(&answer)?;
     let mut text = score_table(&section.policy, rollouts, section.max_steps, &metrics)?;
-    if scenes.is_some() {
-        text += &budget_table(&built)?;
+    if let Some(budgets) = &budgets {
+        text += &budget_table(budgets)?;
     }
     runner.console.say(&text)?;
     Ok(Outcome::Done)
@@ -131,7 +140,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
             .artifact
             .table(&tables::DIVERGENCE)?
             .read_columns(&["frame", "block"])?;
-        let frames = re4_artifact::col_u32(&table, "frame")?;
+        let frames = col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
             .with_context(|| format!("cannot draw {}", path.display()))?;
         runner.console.picture(path, &svg)?;
@@ -187,23 +196,29 @@ const METRICS: [(&str, &str); 4] = [
     ("success rate", "success_rate"),
 ];
 
-/// What was reached under smaller budgets of steps: the curve that scenes are rolled out for.
-fn budget_table(built: &Built) -> Result<String> {
+/// What was reached under smaller budgets of steps: a budget and its metrics, as the answer has them.
+fn budgets(built: &Built) -> Result<Vec<Value>> {
     let table = built.artifact.table(&tables::BUDGETS)?.read_all()?;
-    let columns = BUDGET_MEASURES
-        .iter()
-        .flatten()
-        .map(|name| col_f64(&table, name))
-        .collect::<Result<Vec<_>, _>>()?;
-    let mut text = format!("\n  {:>6}", "budget");
-    for (label, _) in METRICS {
-        write!(text, "   {label:<20}")?;
+    let mut rows = Vec::new();
+    for (row, budget) in col_u32(&table, "budget")?.iter().enumerate() {
+        let mut object = json!({ "budget": budget });
+        for ((_, name), columns) in METRICS.iter().zip(BUDGET_MEASURES) {
+            for (part, column) in ["value", "low", "high"].into_iter().zip(columns) {
+                object[*name][part] = json!(col_f64(&table, column)?[row]);
+            }
+        }
+        rows.push(object);
     }
-    text.truncate(text.trim_end().len());
-    for (row, budget) in re4_artifact::col_u32(&table, "budget")?.iter().enumerate() {
-        write!(text, "\n  {budget:>6}")?;
-        for measure in columns.chunks_exact(3) {
-            let [value, low, high] = [0, 1, 2].map(|part: usize| measure[part][row]);
+    Ok(rows)
+}
+
+fn budget_table(budgets: &[Value]) -> Result<String> {
+    let labels = METRICS.map(|(label, _)| format!("{label:<20}"));
+    let mut text = format!("\n  steps   {}", labels.join("   ").trim_end());
+    for row in budgets {
+        write!(text, "\n  {:>5}", row["budget"].as_u64().unwrap_or_default())?;
+        for (_, name) in METRICS {
+            let [value, low, high] = ["value", "low", "high"].map(|key| row[name][key].as_f64().unwrap_or(f64::NAN));
             write!(text, "   {value:.3} [{low:.3}, {high:.3}]")?;
         }
     }

@@ -1,34 +1,50 @@
-//! Index: `episodes` and `modes` to `index`.
+//! Index: `episodes`, `modes` and perhaps `poses` to `index`.
+
+use std::collections::BTreeSet;
+use std::f64::consts::{PI, TAU};
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col_text, col_u32, tables};
+use arrow::array::Array as _;
+use re4_artifact::{
+    Artifact, Columns, Facts, Recipe, Stage, Writer, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables,
+};
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, Normalization, Range, RetrievalIndex};
 use re4_policy::{Chunk, ChunkLibrary, DemoSet, Knowledge, PolicyConfig, Selector, collect_chunks};
+use re4_pose::Flag;
 use serde_json::json;
 
 use super::segment::read_episodes;
 use super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 impl Runner {
-    /// The `index` artifact.
-    pub(crate) fn index(&self, episodes: &Built, modes: &Built) -> Result<Built> {
-        let recipe = Recipe::new(Stage::Index, CODE_VERSION)
-            .config(&json!({ "longest_chunk": self.pipeline.index.longest_chunk, "pose": self.pipeline.pose }))?
+    /// The `index` artifact, over the poses of the `poses` artifact where there is one, over the recorded ones otherwise.
+    pub(crate) fn index(&self, episodes: &Built, modes: &Built, poses: Option<&Built>) -> Result<Built> {
+        let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
+            .config(&json!({
+                "longest_chunk": self.pipeline.index.longest_chunk,
+                "pose": { "source": self.pipeline.pose.source },
+            }))?
             .input("episodes", episodes.artifact.key())
             .input("modes", modes.artifact.key());
+        if let Some(poses) = poses {
+            recipe = recipe.input("poses", poses.artifact.key());
+        }
         self.build(&recipe, |writer| {
-            let demos = read_demos(&episodes.artifact, &modes.artifact)?;
-            let frames = indexed_frames(&demos);
+            let estimated = poses.map(|poses| read_poses(&poses.artifact)).transpose()?;
+            let (demos, blanks) = read_demos(&episodes.artifact, &modes.artifact, estimated)?;
+            let mut frames = indexed_frames(&demos);
             // The ranges do not depend on how angles are compared; the policy chooses that when it opens the index.
             let normalization = Normalization::over(&frames, AngleMetric::default());
-            write_index(&demos, &frames, &normalization, writer)?;
-            let chunks = collect_chunks(&demos, self.pipeline.index.longest_chunk as usize);
+            write_index(&demos, &frames, &blanks, &normalization, writer)?;
+            let mut chunks = collect_chunks(&demos, self.pipeline.index.longest_chunk as usize);
+            chunks.retain(|chunk| blanks.range((chunk.demo, chunk.start)..=(chunk.demo, chunk.end)).next().is_none());
             write_chunks(&chunks, writer)?;
+            frames.retain(|frame| !blanks.contains(&(frame.episode, frame.frame)));
             let summary = json!({
                 "episodes": demos.iter().count(),
                 "frames": frames.len(),
@@ -59,25 +75,103 @@ fn indexed_frames(demos: &DemoSet) -> Vec<IndexedFrame> {
     indexed
 }
 
-/// Episodes and the mode of each of their frames.
-fn read_demos(episodes: &Artifact, modes: &Artifact) -> Result<DemoSet> {
-    let table = modes.table(&tables::MODES)?.read_columns(&["mode"])?;
-    let mut labels = col_text(&table, "mode")?.into_iter();
-    let mut demos = Vec::new();
-    for (number, episode) in read_episodes(episodes)?.into_iter().enumerate() {
-        let mut frames = Vec::with_capacity(episode.frames.len());
-        for frame in episode.frames {
-            let mode = labels.next().flatten().and_then(Mode::from_name).with_context(|| {
-                format!("cannot read {}: table modes has fewer frames than the episodes, or an unknown mode; build it again", modes.path().display())
-            })?;
-            frames.push((frame, mode));
-        }
-        demos.push((number as u32, frames));
-    }
-    Ok(DemoSet::new(demos))
+/// Frames, as (episode, frame), whose pose is not clear.
+type Blanks = BTreeSet<(u32, u32)>;
+
+/// The estimated pose of every frame in the order of the episodes; none where it is not clear.
+fn read_poses(artifact: &Artifact) -> Result<Vec<Option<Pose2>>> {
+    let table = artifact
+        .table(&tables::POSES)?
+        .read_columns(&["object_x", "object_y", "object_theta", "flag"])?;
+    let column = |name| col_f64_or_null(&table, name);
+    let (x, y, theta) = (column("object_x")?, column("object_y")?, column("object_theta")?);
+    let clear = Flag::Clear.as_str();
+    Ok(col_text(&table, "flag")?
+        .iter()
+        .enumerate()
+        .map(|(i, flag)| {
+            let pose = Pose2::new(x[i]?, y[i]?, theta[i]?);
+            (*flag == Some(clear)).then_some(pose)
+        })
+        .collect())
 }
 
-fn write_index(demos: &DemoSet, frames: &[IndexedFrame], normalization: &Normalization, writer: &Writer) -> Result<()> {
+/// Episodes and the mode of each of their frames. Estimated poses, where there are any, take the place of the recorded
+/// ones; between clear ones they are interpolated.
+fn read_demos(
+    episodes: &Artifact,
+    modes: &Artifact,
+    estimated: Option<Vec<Option<Pose2>>>,
+) -> Result<(DemoSet, Blanks)> {
+    let table = modes.table(&tables::MODES)?.read_columns(&["mode"])?;
+    let mut labels = col_text(&table, "mode")?.into_iter();
+    let mut poses = estimated.map(Vec::into_iter);
+    let mut blanks = Blanks::new();
+    let mut demos = Vec::new();
+    for (number, mut episode) in (0..).zip(read_episodes(episodes)?) {
+        let count = episode.frames.len();
+        let modes_of: Vec<Mode> = labels
+            .by_ref()
+            .take(count)
+            .map_while(|label| label.and_then(Mode::from_name))
+            .collect();
+        anyhow::ensure!(
+            modes_of.len() == count,
+            "cannot read {}: table modes has fewer frames than the episodes, or an unknown mode; build it again",
+            modes.path().display()
+        );
+        if let Some(poses) = &mut poses {
+            let known: Vec<Option<Pose2>> = poses.by_ref().take(count).collect();
+            anyhow::ensure!(
+                known.len() == count,
+                "cannot index {}: it has more frames than there are poses; build the poses again",
+                episodes.path().display()
+            );
+            blanks.extend((0..).zip(&known).filter(|(_, pose)| pose.is_none()).map(|(frame, _)| (number, frame)));
+            let Some(filled) = fill(&known) else { continue };
+            for (frame, pose) in episode.frames.iter_mut().zip(filled) {
+                frame.object = pose;
+            }
+        }
+        demos.push((number, episode.frames.into_iter().zip(modes_of).collect()));
+    }
+    anyhow::ensure!(
+        !demos.is_empty(),
+        "cannot index {}: no frame of it has a clear pose; look at the table poses",
+        episodes.path().display()
+    );
+    Ok((DemoSet::new(demos), blanks))
+}
+
+/// Poses with the gaps filled: between two clear ones by equal shares of the motion, the short way round; before the first
+/// and after the last by that one. None when none is clear.
+fn fill(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
+    let clear: Vec<(usize, Pose2)> = known.iter().enumerate().filter_map(|(i, pose)| Some((i, (*pose)?))).collect();
+    let (first, last) = (clear.first()?, clear.last()?);
+    let at = |i: usize| {
+        let after = clear.partition_point(|(frame, _)| *frame < i);
+        match (after.checked_sub(1).and_then(|before| clear.get(before)), clear.get(after)) {
+            (_, Some((frame, pose))) if *frame == i => *pose,
+            (Some((from, a)), Some((to, b))) => {
+                let share = (i - from) as f64 / (to - from) as f64;
+                let turn = (b.theta - a.theta + PI).rem_euclid(TAU) - PI;
+                let between = |a: f64, b: f64| a + share * (b - a);
+                Pose2::new(between(a.x, b.x), between(a.y, b.y), a.theta + share * turn).normalized()
+            }
+            (None, _) => first.1,
+            (_, None) => last.1,
+        }
+    };
+    Some((0..known.len()).map(at).collect())
+}
+
+fn write_index(
+    demos: &DemoSet,
+    frames: &[IndexedFrame],
+    blanks: &Blanks,
+    normalization: &Normalization,
+    writer: &Writer,
+) -> Result<()> {
     let normalized: Vec<[f64; 5]> = frames.iter().map(|frame| normalization.frame(frame)).collect();
     let actions: Vec<Point2> = demos
         .iter()
@@ -102,6 +196,8 @@ fn write_index(demos: &DemoSet, frames: &[IndexedFrame], normalization: &Normali
             normalized.iter().map(|q| q[dimension]).collect(),
         );
     }
+    let retrievable = frames.iter().map(|f| Some(!blanks.contains(&(f.episode, f.frame))));
+    columns = columns.bool_or_null("retrievable", retrievable.collect());
     let mut table = writer.table(&tables::INDEX)?;
     table.write_columns(columns)?;
     table.finish()?;
@@ -164,7 +260,9 @@ fn open_states(artifact: &Artifact, policy: &PolicyConfig) -> Result<(DemoSet, R
         "object_theta",
         "action_x",
         "action_y",
+        "retrievable",
     ])?;
+    let retrievable = col_bool(&table, "retrievable")?;
     let column = |name| col_f64(&table, name);
     let (eef_x, eef_y) = (column("eef_x")?, column("eef_y")?);
     let (x, y, theta) = (column("object_x")?, column("object_y")?, column("object_theta")?);
@@ -181,13 +279,16 @@ fn open_states(artifact: &Artifact, policy: &PolicyConfig) -> Result<(DemoSet, R
             )
         })?;
         let (eef, object) = (Point2::new(eef_x[i], eef_y[i]), Pose2::new(x[i], y[i], theta[i]));
-        indexed.push(IndexedFrame {
-            episode: episode[i],
-            frame: frame[i],
-            mode,
-            eef,
-            object,
-        });
+        // Null in artifacts of older versions, whose frames all may be retrieved.
+        if retrievable.is_null(i) || retrievable.value(i) {
+            indexed.push(IndexedFrame {
+                episode: episode[i],
+                frame: frame[i],
+                mode,
+                eef,
+                object,
+            });
+        }
         let row = PlanarFrame {
             eef,
             object,

@@ -7,6 +7,7 @@ mod replay;
 mod rollout;
 mod scenes;
 mod segment;
+mod train_pose;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};

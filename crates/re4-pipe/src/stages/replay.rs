@@ -12,7 +12,7 @@ use super::segment::read_episodes;
 use super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// A replay, with the number that the demonstration has in the raw dataset.
 type Replay = (u32, OpenLoop);

@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col_u32, tables};
 use re4_episode::PlanarFrame;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::{Decision, EpisodeRollout, Start, StepRecord, rollouts};
+use re4_policy::{Decision, EpisodeRollout, Perception, Start, StepRecord, rollouts};
 use re4_report::{Interval, mean_interval, median, wilson_interval};
 use re4_sim::{
     AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
@@ -18,17 +18,24 @@ use serde_json::{Value, json};
 use super::budgets::Budgets;
 use super::index::open_index;
 use super::scenes::read_starts;
+use super::train_pose::open_estimator;
 use super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Seed of the bootstrap, so that intervals are the same in every run.
 pub(super) const BOOTSTRAP_SEED: u64 = 0;
 
 impl Runner {
     /// The `rollouts` artifact: from the scenes where there are any, from those of the seeds otherwise.
-    pub(crate) fn rollout(&self, episodes: &Built, index: &Built, scenes: Option<&Built>) -> Result<Built> {
+    pub(crate) fn rollout(
+        &self,
+        episodes: &Built,
+        poses: Option<&Built>,
+        index: &Built,
+        scenes: Option<&Built>,
+    ) -> Result<Built> {
         let section = &self.pipeline.rollout;
         let policy = section.policy_config();
         let mut config = json!({
@@ -42,6 +49,9 @@ impl Runner {
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
             .config(&config)?
             .input("index", index.artifact.key());
+        if let Some(poses) = poses {
+            recipe = recipe.input("poses", poses.artifact.key());
+        }
         if let Some(scenes) = scenes {
             recipe = recipe.input("scenes", scenes.artifact.key());
         }
@@ -53,6 +63,10 @@ impl Runner {
                 "rollout",
                 1e3 * opening.elapsed().as_secs_f64()
             ));
+            let perception = match poses {
+                Some(poses) => Perception::Pictures(Arc::new(open_estimator(&poses.artifact, &self.pipeline.pose)?)),
+                None => Perception::State,
+            };
             let starts = self.starts(scenes)?;
             let bar = self.console.progress(starts.len() as u64, "rollouts");
             let going = || {
@@ -64,7 +78,7 @@ impl Runner {
             let mut budgets = Budgets::up_to(section.max_steps);
             // In batches, so that memory does not grow with the number of steps.
             for batch in starts.chunks(BATCH) {
-                let episodes = rollouts(&policy, &knowledge, batch, section.max_steps, &going)?;
+                let episodes = rollouts(&policy, &knowledge, &perception, batch, section.max_steps, &going)?;
                 outcomes.add(&episodes);
                 budgets.add(&episodes);
                 tables.write(&episodes)?;
@@ -251,6 +265,11 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
             .flat_map(|e| e.steps.iter().enumerate().map(|(i, s)| (e.start.number, i as u32, s)))
     };
     let of = |value: fn(&StepRecord) -> f64| rows().map(|(_, _, s)| value(s)).collect::<Vec<f64>>();
+    let told = |value: fn(Pose2) -> f64| {
+        rows()
+            .map(|(_, _, s)| s.sight.estimate.map(|_| value(s.sight.observation.object)))
+            .collect::<Vec<_>>()
+    };
     Columns::new(&tables::STEPS)
         .u32("seed", rows().map(|(seed, ..)| seed).collect())
         .u32("step", rows().map(|(_, step, _)| step).collect())
@@ -267,6 +286,17 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
         .f64("score", of(|s| s.after.score))
         .u32("decision", rows().map(|(_, _, s)| s.decision).collect())
         .text("phase", rows().map(|(_, _, s)| s.phase.as_str()))
+        .f64_or_null("observed_object_x", told(|p| p.x))
+        .f64_or_null("observed_object_y", told(|p| p.y))
+        .f64_or_null("observed_object_theta", told(|p| p.theta))
+        .f64_or_null(
+            "pose_confidence",
+            rows().map(|(_, _, s)| s.sight.estimate.map(|e| e.confidence)).collect(),
+        )
+        .text_or_null(
+            "pose_flag",
+            rows().map(|(_, _, s)| s.sight.estimate.map(|e| e.flag.as_str())),
+        )
 }
 
 fn decision_columns(episodes: &[EpisodeRollout]) -> Columns {

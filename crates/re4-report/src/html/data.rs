@@ -3,6 +3,8 @@
 //! Positions are packed as 32-bit floats (a pixel to five decimals); every number that the page prints is a 64-bit float,
 //! the artifact's own.
 
+use std::collections::BTreeSet;
+
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use serde_json::{Map, Value, json};
@@ -64,7 +66,7 @@ fn artifact_json(artifact: &Rollouts, label: &str, curve: &Curve) -> Value {
         },
         "shown": shown,
         "starts": f32s(traced().flat_map(|r| r.start)),
-        "steps": steps_json(&traced().flat_map(|r| &r.steps).copied().collect::<Vec<_>>()),
+        "steps": steps_json(&traced().flat_map(|r| &r.steps).collect::<Vec<_>>()),
         "decisions": decisions_json(&traced().flat_map(|r| &r.decisions).collect::<Vec<_>>()),
         "curve": {
             "budgets": curve.budgets,
@@ -77,7 +79,7 @@ fn artifact_json(artifact: &Rollouts, label: &str, curve: &Curve) -> Value {
     })
 }
 
-fn steps_json(steps: &[StepTrace]) -> Value {
+fn steps_json(steps: &[&StepTrace]) -> Value {
     let mut columns = json!({
         "action": f32s(steps.iter().flat_map(|s| s.action)),
         "eef": f32s(steps.iter().flat_map(|s| s.eef)),
@@ -91,6 +93,14 @@ fn steps_json(steps: &[StepTrace]) -> Value {
     }
     if steps.iter().any(|s| s.confidence.is_some()) {
         columns["confidence"] = f64s(steps.iter().map(|s| s.confidence.unwrap_or(f64::NAN)));
+    }
+    let words: BTreeSet<&str> = steps.iter().filter_map(|s| s.flag.as_deref()).collect();
+    if !words.is_empty() {
+        let words: Vec<&str> = [""].into_iter().chain(words).collect();
+        let code = |flag: &str| words.iter().position(|word| *word == flag).unwrap_or(0) as u8;
+        let codes: Vec<u8> = steps.iter().map(|s| code(s.flag.as_deref().unwrap_or(""))).collect();
+        columns["flag"] = pack("u8", &codes);
+        columns["flag_words"] = json!(words);
     }
     columns
 }

@@ -151,7 +151,7 @@ pub struct Rollout {
 }
 
 /// A control step.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct StepTrace {
     /// Target sent.
     pub action: [f64; 2],
@@ -171,6 +171,8 @@ pub struct StepTrace {
     pub observed: Option<[f64; 3]>,
     /// Confidence of that estimate, 0 to 1.
     pub confidence: Option<f64>,
+    /// What the estimator says of it, in a word.
+    pub flag: Option<String>,
 }
 
 /// A decision.

@@ -16,6 +16,7 @@ fn step(coverage: f64, decision: u32, replay: bool) -> StepTrace {
         replay,
         observed: None,
         confidence: None,
+        flag: None,
     }
 }
 
@@ -261,6 +262,7 @@ fn estimated_poses_are_packed_where_there_are_any() {
     assert!(plain["artifacts"][0]["steps"].get("observed").is_none());
     set.rollouts[0].steps[1].observed = Some([1.0, 2.0, 3.0]);
     set.rollouts[0].steps[1].confidence = Some(0.75);
+    set.rollouts[0].steps[2].flag = Some("held".to_owned());
     let steps = data(&page(&report(vec![set])))["artifacts"][0]["steps"].clone();
     assert_eq!(f64s(&steps["confidence"])[1], 0.75);
     assert!(f64s(&steps["confidence"])[0].is_nan());
@@ -268,6 +270,8 @@ fn estimated_poses_are_packed_where_there_are_any() {
         .decode(steps["observed"]["data"].as_str().unwrap())
         .unwrap();
     assert_eq!(bytes.len(), 5 * 3 * 4);
+    assert_eq!(steps["flag_words"], json!(["", "held"]));
+    assert_eq!(BASE64_STANDARD.decode(steps["flag"]["data"].as_str().unwrap()).unwrap(), [0, 0, 1, 0, 0]);
     assert_eq!(bytes[12..16], 1.0f32.to_le_bytes());
 }
 

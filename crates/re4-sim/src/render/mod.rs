@@ -30,7 +30,8 @@ const MARK_COLOUR: [u8; 3] = [231, 76, 60];
 
 /// The lighter disc inside the agent's is smaller by this many pixels.
 const AGENT_RIM: f64 = 4.0;
-const OUTLINE_RADIUS: f64 = 2.0;
+/// How far the outline round each of the block's rectangles reaches, in pixels.
+pub const OUTLINE_RADIUS: f64 = 2.0;
 
 /// A picture of 512 x 512 pixels: RGB, 8 bits each, row by row from the top.
 ///

@@ -181,6 +181,10 @@ impl Steps {
             optional(&rows, "observed_object_theta")?,
         ];
         let confidence = optional(&rows, "pose_confidence")?;
+        let flag = match rows.column_by_name("pose_flag") {
+            Some(_) => col_text(&rows, "pose_flag")?,
+            None => vec![None; rows.num_rows()],
+        };
         Ok((0..range.len())
             .map(|i| StepTrace {
                 action: [action_x[i], action_y[i]],
@@ -192,6 +196,7 @@ impl Steps {
                 replay: phase[i] == Some("replay"),
                 observed: whole([observed[0][i], observed[1][i], observed[2][i]]),
                 confidence: confidence[i],
+                flag: flag[i].map(str::to_owned),
             })
             .collect())
     }

@@ -104,6 +104,7 @@ const loadRollout = (artifact, rollout) => {
       return pose.some(Number.isNaN) ? null : pose;
     }),
     confidence: rows.map((row) => (steps.confidence ? numberOrNull(steps.confidence[row]) : null)),
+    flag: rows.map((row) => (steps.flag ? steps.flag_words[steps.flag[row]] : "")),
     coverage,
     best: bestSoFar(coverage),
     decisions: Array.from({ length: figures.decisions[rollout] }, (_, i) => decisionAt(decisions, place.decision + i)),

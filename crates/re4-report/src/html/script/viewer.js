@@ -35,8 +35,9 @@ const decisionFacts = (decision) => [
 const estimateFacts = (data, step) => {
   const estimate = estimateAt(data, step);
   if (estimate === undefined) return [];
-  const { away, turn, confidence } = estimate;
-  const facts = [fact("Pose given", `off by ${digits(away, 1)} px, ${degrees(turn)}`, { "data-fact": "pose_error", "data-value": `${away} ${turn}` })];
+  const { away, turn, confidence, flag } = estimate;
+  const facts = [fact("Pose given", `off by ${digits(away, 2)} px, ${digits((turn * 180) / Math.PI, 2)}°`, { "data-fact": "pose_error", "data-value": `${away} ${turn}` })];
+  if (flag) facts.push(fact("Estimator says", flag.replaceAll("_", " "), { "data-fact": "pose_flag", "data-value": flag }));
   if (confidence !== null) facts.push(fact("Confidence", digits(confidence), { "data-fact": "pose_confidence", "data-value": confidence }));
   return facts;
 };
