@@ -271,7 +271,10 @@ fn estimated_poses_are_packed_where_there_are_any() {
         .unwrap();
     assert_eq!(bytes.len(), 5 * 3 * 4);
     assert_eq!(steps["flag_words"], json!(["", "held"]));
-    assert_eq!(BASE64_STANDARD.decode(steps["flag"]["data"].as_str().unwrap()).unwrap(), [0, 0, 1, 0, 0]);
+    assert_eq!(
+        BASE64_STANDARD.decode(steps["flag"]["data"].as_str().unwrap()).unwrap(),
+        [0, 0, 1, 0, 0]
+    );
     assert_eq!(bytes[12..16], 1.0f32.to_le_bytes());
 }
 
