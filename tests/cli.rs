@@ -11,7 +11,7 @@ mod support;
 use insta::assert_snapshot;
 use support::Place;
 
-const COMMANDS: [&str; 13] = [
+const COMMANDS: [&str; 14] = [
     "ingest",
     "segment",
     "train-pose",
@@ -20,6 +20,7 @@ const COMMANDS: [&str; 13] = [
     "rollout",
     "run",
     "replay",
+    "film",
     "verify",
     "inspect",
     "report",
@@ -79,6 +80,10 @@ fn errors_of_the_command_line() {
         "run small.toml --jobs -1",
         "run small.toml --set",
         "run small.toml --max-steps 1.5",
+        "film x out.gif",
+        "film x --seed 500",
+        "film x out.gif --seeds 5..5",
+        "film x out.gif --seed 500 --size small",
         "inspect",
         "inspect x --seed 500",
         "inspect x --rows -1",

@@ -219,9 +219,21 @@ pub const POSES: TableSpec = TableSpec {
     columns: &[
         EPISODE,
         FRAME,
-        world("object_x", "Estimated origin of the block's frame, x; null where no block is seen.").nullable(),
-        world("object_y", "Estimated origin of the block's frame, y; null where no block is seen.").nullable(),
-        heading("object_theta", "Estimated angle of the block; null where no block is seen.").nullable(),
+        world(
+            "object_x",
+            "Estimated origin of the block's frame, x; null where no block is seen.",
+        )
+        .nullable(),
+        world(
+            "object_y",
+            "Estimated origin of the block's frame, y; null where no block is seen.",
+        )
+        .nullable(),
+        heading(
+            "object_theta",
+            "Estimated angle of the block; null where no block is seen.",
+        )
+        .nullable(),
         number(
             "confidence",
             "Intersection over union of the block's outline at the pose with the block-coloured pixels that neither pusher nor contact marks hide, times the share of the outline in sight: 0 to 1.",

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::seeds::Seeds;
+
 /// Staged batch jobs from robot demonstrations to explainable imitation policies.
 ///
 /// A pipeline file names a dataset and how it is ingested, segmented, indexed and rolled out. Each stage leaves an
@@ -37,6 +39,8 @@ pub(crate) enum Command {
     Run(RolloutArguments),
     /// Replay the demonstrations' actions open-loop and measure how far the simulator strays from the recording
     Replay(ReplayArguments),
+    /// Draw rollouts as a film: the scene, the plan, the reframed chunk, the coverage
+    Film(FilmArguments),
     /// Check every byte of artifacts against their manifests
     Verify(VerifyArguments),
     /// Show what an artifact holds: tables, rows, columns with units, provenance
@@ -116,6 +120,29 @@ pub(crate) struct ReplayArguments {
     /// Also draw the divergence as an SVG picture
     #[arg(long, value_name = "OUT.svg")]
     pub(crate) plot: Option<PathBuf>,
+}
+
+/// Arguments of `film`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct FilmArguments {
+    /// Folder of a rollouts artifact
+    #[arg(value_name = "ARTIFACT")]
+    pub(crate) path: PathBuf,
+    /// File that the film is written to
+    #[arg(value_name = "OUT.gif")]
+    pub(crate) out: PathBuf,
+    /// Seeds of the rollouts: 503, or several side by side: 500..504
+    #[arg(long, value_name = "SEEDS", visible_alias = "seed")]
+    pub(crate) seeds: Seeds,
+    /// Width and height of a scene in pixels, from 64 to 512; text is below it from 256 on
+    #[arg(long, value_name = "PIXELS", default_value_t = 256)]
+    pub(crate) size: u32,
+    /// Speed, from 0.1 to 50; at 1, a second holds 10 control steps, as in the simulator
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub(crate) speed: f64,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
 }
 
 /// Arguments of `verify`.

@@ -35,6 +35,7 @@ fn main() -> ExitCode {
         Command::Scenes(arguments) => commands::run::scenes(&arguments),
         Command::Rollout(arguments) | Command::Run(arguments) => commands::run::rollout(&arguments),
         Command::Replay(arguments) => commands::run::replay(&arguments),
+        Command::Film(arguments) => commands::film::film(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),
         Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
         Command::Report(arguments) => commands::report::report(&arguments),

@@ -160,6 +160,12 @@ impl ChunkLibrary {
         self.body
     }
 
+    /// How many chunks there are; at least one.
+    #[expect(clippy::len_without_is_empty, reason = "there is no library without chunks")]
+    pub fn len(&self) -> usize {
+        self.chunks.len()
+    }
+
     /// The `count` chunks whose outcome is nearest to `wanted`, a motion in the object's own frame; nearest first, each
     /// with its remaining misalignment in pixels.
     pub fn nearest(&self, wanted: Pose2, count: NonZeroUsize) -> Vec<(f64, Chunk)> {

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
-use re4_sim::{GOAL, coverage};
+use re4_sim::{GOAL, WALL_FACES, coverage, tee_vertices};
 
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
@@ -21,6 +21,15 @@ use crate::{Act, Observation, Policy, PolicyError};
 
 /// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
 const PLANS_TRIED: usize = 8;
+
+/// The same, among the chunks that the search is widened to.
+const PLANS_TRIED_FARTHER: usize = 128;
+
+/// By how much the search is widened where none of the candidates can be carried out.
+const WIDER: NonZeroUsize = NonZeroUsize::MIN.saturating_add(7);
+
+/// How far, in pixels, a recorded motion of the block may lead it into a wall; deeper than it is, if it is in one.
+const WALL_TOLERANCE: f64 = 30.0;
 
 /// How far, in pixels, a replayed path may cut the corners of the recorded one.
 const CORNER_TOLERANCE: f64 = 0.5;
@@ -154,6 +163,13 @@ struct Trial {
     before: Pose2,
 }
 
+/// A chunk with the way to it.
+struct Choice {
+    chunk: Chunk,
+    reframed: Reframed,
+    connection: Plan,
+}
+
 /// What a selector chose.
 struct Selected {
     demo: u32,
@@ -175,6 +191,27 @@ fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame],
         .and_then(|frames| frames.get(frame as usize..))
         .filter(|frames| !frames.is_empty())
         .ok_or(PolicyError::UnknownDemo { demo, frame })
+}
+
+/// Whether the block, moved from `block` as `chunk` records it, stays clear of the walls: beyond them the demonstration
+/// says nothing of what will happen.
+fn stays_inside(frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
+    let depth = |pose: Pose2| {
+        let [low, high] = WALL_FACES;
+        let corners = tee_vertices(pose);
+        let beyond = corners
+            .iter()
+            .flatten()
+            .flat_map(|p| [low - p.x, p.x - high, low - p.y, p.y - high]);
+        beyond.fold(0.0, f64::max)
+    };
+    let limit = depth(block) + WALL_TOLERANCE;
+    let carry = block.delta_from(frames[0].object);
+    let length = (chunk.end - chunk.start) as usize;
+    frames
+        .iter()
+        .take(length + 1)
+        .all(|frame| depth(carry.compose(frame.object)) <= limit)
 }
 
 impl Re4 {
@@ -292,10 +329,54 @@ impl Re4 {
         let knowledge = Arc::clone(&self.knowledge);
         let chunks = knowledge.chunks.as_ref().ok_or(PolicyError::NoChunks)?;
         let wanted = block.inverse().compose(GOAL);
-        let count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
-        let candidates = chunks.nearest(wanted, count);
+        let mut count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
+        let mut candidates = chunks.nearest(wanted, count);
+        let mut compared = candidates.len();
+        let mut found = self.cheapest(&candidates, PLANS_TRIED, mode, pusher, block)?;
+        // Where none of the best outcomes can be had, in a corner say, a lesser one will do: it leads to where they can.
+        let mut fallback = None;
+        while let Some((_, false)) = &found {
+            fallback = fallback.or(found);
+            if compared >= chunks.len() {
+                found = None;
+                break;
+            }
+            count = count.saturating_mul(WIDER);
+            candidates = chunks.nearest(wanted, count);
+            found = self.cheapest(&candidates[compared..], PLANS_TRIED_FARTHER, mode, pusher, block)?;
+            compared = candidates.len();
+        }
+        let (chosen, _) = found.or(fallback).ok_or(PolicyError::NoChunks)?;
+        let Choice {
+            chunk,
+            reframed,
+            connection,
+        } = chosen;
+        self.trial = Some(Trial { chunk, before: block });
+        let selected = Selected {
+            demo: chunk.demo,
+            start: chunk.start,
+            end: chunk.end,
+            distances: None,
+            compared,
+            reframed,
+            connection,
+        };
+        self.carry_out(selected, mode, pusher, block)
+    }
+
+    /// The cheapest of the candidates to whose start a way leads; where there is none, the cheapest, with `false`.
+    fn cheapest(
+        &mut self,
+        candidates: &[(f64, Chunk)],
+        plans: usize,
+        mode: Mode,
+        pusher: PusherState,
+        block: Pose2,
+    ) -> Result<Option<(Choice, bool)>, PolicyError> {
+        let knowledge = Arc::clone(&self.knowledge);
         let mut ranked: Vec<(f64, Chunk)> = Vec::with_capacity(candidates.len());
-        for (misalignment, chunk) in &candidates {
+        for (misalignment, chunk) in candidates {
             let failed_before = self.set_aside.contains(&(chunk.demo, chunk.start));
             let cost = if failed_before {
                 f64::INFINITY
@@ -306,31 +387,28 @@ impl Re4 {
         }
         // Stable: equal costs keep the order of their misalignment.
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // The cheapest chunk that can be reached; if none can, the cheapest.
-        let mut chosen = None;
-        for (cost, chunk) in ranked.iter().take(PLANS_TRIED) {
+        let mut first = None;
+        let mut planned = 0;
+        for (cost, chunk) in ranked {
             let frames = demo_frames(&knowledge.demos, chunk.demo, chunk.start)?;
+            let possible = cost.is_finite() && stays_inside(frames, &chunk, block);
+            if planned == plans || (!possible && first.is_some()) {
+                continue;
+            }
             let (reframed, connection) = self.connect(mode, &frames[0], pusher, block);
-            let reached = connection.kind != PlanKind::Failed && cost.is_finite();
-            if reached || chosen.is_none() {
-                chosen = Some((*chunk, reframed, connection));
-            }
+            planned += 1;
+            let reached = possible && connection.kind != PlanKind::Failed;
+            let choice = Choice {
+                chunk,
+                reframed,
+                connection,
+            };
             if reached {
-                break;
+                return Ok(Some((choice, true)));
             }
+            first = first.or(Some((choice, false)));
         }
-        let (chunk, reframed, connection) = chosen.ok_or(PolicyError::NoChunks)?;
-        self.trial = Some(Trial { chunk, before: block });
-        let selected = Selected {
-            demo: chunk.demo,
-            start: chunk.start,
-            end: chunk.end,
-            distances: None,
-            compared: candidates.len(),
-            reframed,
-            connection,
-        };
-        self.carry_out(selected, mode, pusher, block)
+        Ok(first)
     }
 
     /// Reframe and Replan for a chunk that starts at `frame`.

@@ -15,14 +15,15 @@ use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_policy::{
-    DemoSet, EpisodeRollout, Knowledge, Observation, PRESETS, Perception, Phase, PlanKind, Planner, Policy as _, PolicyConfig, PolicyError, Re4,
-    RolloutError, Selector, Tracking, rollouts,
+    DemoSet, EpisodeRollout, Knowledge, Observation, PRESETS, Perception, Phase, PlanKind, Planner, Policy as _,
+    PolicyConfig, PolicyError, Re4, RolloutError, Selector, Tracking, rollouts,
 };
 
 const SEEDS: [u32; 4] = [810_000, 810_001, 810_002, 810_003];
 
 fn rolled(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> Vec<EpisodeRollout> {
-    rollouts(config, knowledge, &Perception::State, &starts(&SEEDS), 60, &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
+    rollouts(config, knowledge, &Perception::State, &starts(&SEEDS), 60, &|| true)
+        .unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
 fn actions(episodes: &[EpisodeRollout]) -> Vec<Point2> {
@@ -183,7 +184,15 @@ fn one_thread_and_two_give_the_same_rollouts() {
         assert_eq!(one.iter().map(|e| e.start.number).collect::<Vec<_>>(), seeds);
         assert_eq!(one, run(2), "{name}");
         // Nor do they depend on the company of other seeds.
-        let alone = rollouts(&config, &knowledge, &Perception::State, &starts(&seeds[5..6]), 50, &|| true).unwrap();
+        let alone = rollouts(
+            &config,
+            &knowledge,
+            &Perception::State,
+            &starts(&seeds[5..6]),
+            50,
+            &|| true,
+        )
+        .unwrap();
         assert_eq!(one[5..6], alone[..]);
     }
 }
@@ -191,7 +200,14 @@ fn one_thread_and_two_give_the_same_rollouts() {
 #[test]
 fn a_caller_can_stop_the_rollouts() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
-    let stopped = rollouts(&base("paper"), &knowledge, &Perception::State, &starts(&SEEDS), 5, &|| false);
+    let stopped = rollouts(
+        &base("paper"),
+        &knowledge,
+        &Perception::State,
+        &starts(&SEEDS),
+        5,
+        &|| false,
+    );
     assert!(matches!(stopped, Err(RolloutError::Interrupted)));
 }
 

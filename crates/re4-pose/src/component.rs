@@ -49,8 +49,8 @@ pub(crate) fn largest(share: &[f32]) -> Option<Region> {
     let mut mask = vec![0.0; SIDE * SIDE];
     let (mut area, mut moment) = (0.0, Point2::zeros());
     for at in 0..share.len() {
-        let belongs =
-            label[at] == chosen || (share[at] > 0.0 && label[at] == 0 && neighbours(at).any(|next| label[next] == chosen));
+        let belongs = label[at] == chosen
+            || (share[at] > 0.0 && label[at] == 0 && neighbours(at).any(|next| label[next] == chosen));
         if belongs {
             let weight = f64::from(share[at]);
             mask[at] = share[at];

@@ -58,7 +58,9 @@ fn step(layer: &BlockLayer, outline: &Outline, pose: Pose2, ramp: f64) -> Vector
         normal += slope * slope.transpose();
         right += slope * (f64::from(layer.share[at]) - height);
     });
-    normal.cholesky().map_or_else(Vector3::zeros, |normal| normal.solve(&right))
+    normal
+        .cholesky()
+        .map_or_else(Vector3::zeros, |normal| normal.solve(&right))
 }
 
 /// How well the outline at a pose agrees with a picture.

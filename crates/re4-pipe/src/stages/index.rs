@@ -42,7 +42,12 @@ impl Runner {
             let normalization = Normalization::over(&frames, AngleMetric::default());
             write_index(&demos, &frames, &blanks, &normalization, writer)?;
             let mut chunks = collect_chunks(&demos, self.pipeline.index.longest_chunk as usize);
-            chunks.retain(|chunk| blanks.range((chunk.demo, chunk.start)..=(chunk.demo, chunk.end)).next().is_none());
+            chunks.retain(|chunk| {
+                blanks
+                    .range((chunk.demo, chunk.start)..=(chunk.demo, chunk.end))
+                    .next()
+                    .is_none()
+            });
             write_chunks(&chunks, writer)?;
             frames.retain(|frame| !blanks.contains(&(frame.episode, frame.frame)));
             let summary = json!({
@@ -127,7 +132,12 @@ fn read_demos(
                 "cannot index {}: it has more frames than there are poses; build the poses again",
                 episodes.path().display()
             );
-            blanks.extend((0..).zip(&known).filter(|(_, pose)| pose.is_none()).map(|(frame, _)| (number, frame)));
+            blanks.extend(
+                (0..)
+                    .zip(&known)
+                    .filter(|(_, pose)| pose.is_none())
+                    .map(|(frame, _)| (number, frame)),
+            );
             let Some(filled) = fill(&known) else { continue };
             for (frame, pose) in episode.frames.iter_mut().zip(filled) {
                 frame.object = pose;
@@ -146,11 +156,18 @@ fn read_demos(
 /// Poses with the gaps filled: between two clear ones by equal shares of the motion, the short way round; before the first
 /// and after the last by that one. None when none is clear.
 fn fill(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
-    let clear: Vec<(usize, Pose2)> = known.iter().enumerate().filter_map(|(i, pose)| Some((i, (*pose)?))).collect();
+    let clear: Vec<(usize, Pose2)> = known
+        .iter()
+        .enumerate()
+        .filter_map(|(i, pose)| Some((i, (*pose)?)))
+        .collect();
     let (first, last) = (clear.first()?, clear.last()?);
     let at = |i: usize| {
         let after = clear.partition_point(|(frame, _)| *frame < i);
-        match (after.checked_sub(1).and_then(|before| clear.get(before)), clear.get(after)) {
+        match (
+            after.checked_sub(1).and_then(|before| clear.get(before)),
+            clear.get(after),
+        ) {
             (_, Some((frame, pose))) if *frame == i => *pose,
             (Some((from, a)), Some((to, b))) => {
                 let share = (i - from) as f64 / (to - from) as f64;

@@ -85,12 +85,7 @@ impl Runner {
             .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))
     }
 
-    fn estimate_all(
-        &self,
-        estimator: &LogPolarEstimator,
-        pictures: &Pictures,
-        writer: &Writer,
-    ) -> Result<Vec<Row>> {
+    fn estimate_all(&self, estimator: &LogPolarEstimator, pictures: &Pictures, writer: &Writer) -> Result<Vec<Row>> {
         let bar = self.console.progress(pictures.table.rows(), "poses");
         let mut table = writer.table(&tables::POSES)?;
         let mut all = Vec::with_capacity(pictures.table.rows() as usize);
@@ -121,9 +116,16 @@ fn outline() -> Outline {
 /// The estimator that a `poses` artifact was made with.
 pub(super) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<LogPolarEstimator> {
     let table = artifact.table(&tables::ANCHOR)?.read_columns(&["goal_share"])?;
-    let share = col_f64(&table, "goal_share")?.iter().map(|share| *share as f32).collect();
-    let anchor = Anchor::from_goal_mask(share, pose.goal(), &outline())
-        .with_context(|| format!("cannot read {}: table anchor is not that of a goal", artifact.path().display()))?;
+    let share = col_f64(&table, "goal_share")?
+        .iter()
+        .map(|share| *share as f32)
+        .collect();
+    let anchor = Anchor::from_goal_mask(share, pose.goal(), &outline()).with_context(|| {
+        format!(
+            "cannot read {}: table anchor is not that of a goal",
+            artifact.path().display()
+        )
+    })?;
     Ok(LogPolarEstimator::new(&anchor, outline(), pose.refine))
 }
 
@@ -158,7 +160,11 @@ impl Pictures {
     fn map<T: Send>(&self, rows: &RecordBatch, look: impl Fn(&Picture<'_>) -> T + Sync) -> Result<Vec<T>> {
         let all: Vec<usize> = (0..rows.num_rows()).collect();
         self.each(rows, &all, |pixels| {
-            Ok(look(&Picture::new(pixels.as_raw(), pixels.width() as usize, pixels.height() as usize)?))
+            Ok(look(&Picture::new(
+                pixels.as_raw(),
+                pixels.width() as usize,
+                pixels.height() as usize,
+            )?))
         })
     }
 
@@ -205,7 +211,10 @@ fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
         Columns::new(&tables::ANCHOR)
             .u32("row", (0..pixels).map(|i| i / side).collect())
             .u32("column", (0..pixels).map(|i| i % side).collect())
-            .f64("goal_share", anchor.share().iter().map(|share| f64::from(*share)).collect()),
+            .f64(
+                "goal_share",
+                anchor.share().iter().map(|share| f64::from(*share)).collect(),
+            ),
     )?;
     table.finish()?;
     Ok(())

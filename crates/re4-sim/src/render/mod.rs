@@ -60,6 +60,23 @@ impl Canvas {
     /// Width and height, in pixels.
     pub const SIDE: usize = SIDE;
 
+    /// Colour of what nothing is drawn on: red, green and blue.
+    pub const PAPER: [u8; 3] = WHITE;
+
+    /// Colour of the block's outline.
+    pub const OUTLINE: [u8; 3] = BLOCK_OUTLINE;
+
+    /// All colours of a picture without contact marks.
+    pub const COLOURS: [[u8; 3]; 7] = [
+        WHITE,
+        GOAL_COLOUR,
+        AGENT_COLOUR,
+        AGENT_CORE,
+        BLOCK_COLOUR,
+        BLOCK_OUTLINE,
+        WALL_COLOUR,
+    ];
+
     /// A canvas with the goal alone on it.
     pub fn new() -> Self {
         let mut canvas = Self {

@@ -1,0 +1,64 @@
+//! Blocks in a corner: most recorded pushes would lead them, or the pusher, into a wall. Scenes drawn for this purpose alone.
+#![expect(clippy::panic, reason = "only tests call these functions, and they may end")]
+
+mod common;
+
+use common::{Random, distance_to_tee, knowledge, pusht};
+use re4_geometry::{Point2, Pose2};
+use re4_index::AngleMetric;
+use re4_policy::{Perception, PolicyConfig, Start, rollouts};
+use re4_sim::{ResetOrder, Scene, tee_vertices};
+
+/// Scenes whose block lies close to two walls.
+fn cornered(count: u32) -> Vec<Start> {
+    let mut random = Random::new(200_000);
+    let mut starts = Vec::new();
+    while starts.len() < count as usize {
+        let at = random.point(0.0, 512.0);
+        let block = Pose2::new(at.x, at.y, random.range(0.0, 6.283));
+        let vertices = tee_vertices(block);
+        let nearest = vertices
+            .iter()
+            .flatten()
+            .flat_map(|p| [p.x, p.y, 512.0 - p.x, 512.0 - p.y])
+            .fold(f64::MAX, f64::min);
+        let centre = block.transform_point(Point2::new(0.0, 45.0));
+        let aside = |v: f64| !(140.0..=372.0).contains(&v);
+        if !(7.0..30.0).contains(&nearest) || !aside(centre.x) || !aside(centre.y) {
+            continue;
+        }
+        let agent = random.point(25.0, 487.0);
+        if distance_to_tee(block, agent) >= 22.0 {
+            starts.push(Start {
+                number: 200_000 + starts.len() as u32,
+                scene: Scene { agent, block },
+                order: ResetOrder::PoseIsPose,
+            });
+        }
+    }
+    starts
+}
+
+#[test]
+fn a_block_in_a_corner_is_brought_out_of_it() {
+    let Some(demos) = pusht() else { return };
+    let knowledge = knowledge(demos, AngleMetric::Periodic);
+    // Scenes among the first 600 in which the block was driven through a wall as long as the cheapest chunk was taken even
+    // where no way led to it.
+    let hard = [94, 128, 300, 359, 412, 435, 476, 485, 501];
+    let starts: Vec<Start> = cornered(600)
+        .into_iter()
+        .filter(|start| hard.contains(&(start.number - 200_000)))
+        .collect();
+    let episodes = rollouts(
+        &PolicyConfig::re4(),
+        &knowledge,
+        &Perception::State,
+        &starts,
+        500,
+        &|| true,
+    )
+    .unwrap_or_else(|error| panic!("{error}"));
+    let solved = episodes.iter().filter(|episode| episode.success()).count();
+    assert_eq!(solved, hard.len());
+}

@@ -1,0 +1,118 @@
+//! The notebooks run from top to bottom on the artifacts of the demo pipeline, and notice a manifest that is wrong.
+//!
+//! They are executed by the Python interpreter that the variable `RE4_PYTHON` names, as `scripts/test.sh` sets it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::{Value, json};
+use support::{Answer, Place, folders_in, repository};
+
+fn notebook() -> PathBuf {
+    repository().join("notebooks/pusht.ipynb")
+}
+
+/// The interpreter; says that the test is skipped where none is named.
+fn python() -> Option<PathBuf> {
+    let python = std::env::var_os("RE4_PYTHON").map(PathBuf::from);
+    if python.is_none() {
+        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+    }
+    python
+}
+
+/// Artifacts of the demo pipeline for two presets, on few scenes.
+fn demo() -> Place {
+    let place = Place::empty();
+    for (preset, steps) in [("re4", 200), ("paper", 40)] {
+        let output = place
+            .command()
+            .env("RE4_DATA", repository().join("data"))
+            .arg("run")
+            .arg(repository().join("pipelines/demo.toml"))
+            .args(["--seeds", "500..506", "--policy", preset])
+            .args(["--max-steps", &steps.to_string()])
+            .output()
+            .unwrap();
+        Answer::new(&output, place.path()).done();
+    }
+    place
+}
+
+fn execute(python: &Path, place: &Place) -> Answer {
+    let output = Command::new(python)
+        .arg(repository().join("tests/run_notebook.py"))
+        .arg(notebook())
+        .arg(place.path().join("executed.ipynb"))
+        .env("RE4_ARTIFACTS", place.artifacts())
+        .output()
+        .unwrap();
+    Answer::new(&output, place.path())
+}
+
+fn cells(path: &Path) -> Vec<Value> {
+    let notebook: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+    notebook["cells"].as_array().unwrap().clone()
+}
+
+#[test]
+fn the_notebook_is_kept_without_outputs() {
+    let cells = cells(&notebook());
+    let code: Vec<&Value> = cells.iter().filter(|cell| cell["cell_type"] == "code").collect();
+    assert!(code.len() >= 5 && code.len() < cells.len(), "code, and words about it");
+    for cell in &cells {
+        assert_eq!(cell["metadata"], json!({}), "{}", cell["id"]);
+    }
+    for cell in code {
+        assert_eq!(cell["outputs"], json!([]), "{} has outputs", cell["id"]);
+        assert_eq!(
+            cell["execution_count"],
+            Value::Null,
+            "{} was saved after a run",
+            cell["id"]
+        );
+    }
+}
+
+#[test]
+fn the_notebook_runs_and_draws_and_holds_the_manifest_to_its_tables() {
+    let Some(python) = python() else { return };
+    let place = demo();
+    execute(&python, &place).done();
+    let pictures = cells(&place.path().join("executed.ipynb"))
+        .iter()
+        .filter_map(|cell| cell["outputs"].as_array())
+        .flatten()
+        .filter(|output| output["data"]["image/png"].is_string())
+        .count();
+    assert_eq!(pictures, 4, "scores, budgets, decisions, demonstrations");
+
+    // One end of one interval, off in the sixth digit.
+    let artifacts = folders_in(&place.artifacts().join("rollouts"));
+    assert_eq!(artifacts.len(), 2);
+    for artifact in artifacts {
+        let path = artifact.join("manifest.json");
+        let original = fs::read(&path).unwrap();
+        let mut manifest: Value = serde_json::from_slice(&original).unwrap();
+        let low = &mut manifest["summary"]["metrics"]["coverage_raw_mean"]["low"];
+        *low = json!(low.as_f64().unwrap() + 1e-6);
+        fs::write(&path, manifest.to_string()).unwrap();
+        let answer = execute(&python, &place);
+        assert_eq!(answer.code, Some(1), "{}", answer.stderr);
+        assert!(
+            answer.stderr.contains("AssertionError") && answer.stderr.contains("coverage_raw_mean is"),
+            "{}",
+            answer.stderr
+        );
+        fs::write(&path, original).unwrap();
+    }
+}
