@@ -50,6 +50,10 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
 /// What the policy sees and what is indexed have to come from the same source.
 fn check_variant(pipeline: &Pipeline) -> Result<()> {
     let (pose, ingest) = (&pipeline.pose, &pipeline.ingest);
+    ensure!(
+        ingest.render.len() <= 1,
+        "ingest.render names a camera twice; name each once"
+    );
     match (pipeline.variant, pose.source) {
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {

@@ -47,22 +47,32 @@ pub(crate) fn largest(share: &[f32]) -> Option<Region> {
     }
     let (_, chosen) = best?;
     let mut mask = vec![0.0; SIDE * SIDE];
-    let (mut area, mut moment) = (0.0, Point2::zeros());
     for at in 0..share.len() {
-        let belongs = label[at] == chosen
-            || (share[at] > 0.0 && label[at] == 0 && neighbours(at).any(|next| label[next] == chosen));
-        if belongs {
-            let weight = f64::from(share[at]);
+        let rim = || share[at] > 0.0 && label[at] == 0 && neighbours(at).any(|next| label[next] == chosen);
+        if label[at] == chosen || rim() {
             mask[at] = share[at];
-            area += weight;
-            moment += weight * Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64));
         }
     }
     Some(Region {
-        area,
-        centroid: moment / area,
+        area: mask.iter().map(|share| f64::from(*share)).sum(),
+        centroid: centroid(&mask),
         mask,
     })
+}
+
+/// Centroid of a whole mask, in world pixels; not a number where it is empty.
+pub(crate) fn centroid(share: &[f32]) -> Point2 {
+    let (mut area, mut moment) = (0.0, Point2::zeros());
+    for (at, &weight) in share.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+        area += f64::from(weight);
+        moment += f64::from(weight) * place(at);
+    }
+    moment / area
+}
+
+/// Centre of a pixel, in the world.
+fn place(at: usize) -> Point2 {
+    Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64))
 }
 
 /// The pixel itself and those that touch it.

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use re4_geometry::{Point2, Pose2};
 
 use crate::anchor::Anchor;
-use crate::component::largest;
+use crate::component::{centroid, largest};
 use crate::log_polar::{LogPolar, Signature};
 use crate::outline::Outline;
 use crate::picture::{BlockLayer, Picture};
@@ -18,13 +18,13 @@ const LEAST_REGION: f64 = 0.15;
 const MOST_BEYOND: f64 = 0.25;
 
 /// With less than this share of the block in sight, its pose is a guess.
-const LEAST_SEEN: f64 = 0.6;
+const LEAST_SEEN: f64 = 0.7;
 
 /// With less intersection over union than this, the outline does not fit.
-const LEAST_FIT: f64 = 0.75;
+const LEAST_FIT: f64 = 0.8;
 
 /// Agreement that a second start may improve on.
-const GOOD_FIT: f64 = 0.8;
+const GOOD_FIT: f64 = 0.82;
 
 /// Starts, evenly over the circle, where the first one did not fit.
 const RESTARTS: usize = 12;
@@ -132,13 +132,16 @@ impl LogPolarEstimator {
         }
         let mut fit = agreement(&layer, &self.outline, pose);
         if self.refined && fit.iou < GOOD_FIT {
-            // A pusher before the block moves the centroid and distorts the signature: try the whole circle.
-            for start in 0..RESTARTS {
-                let angle = rotation.angle + TAU * start as f64 / RESTARTS as f64;
-                let other = refine(&layer, &self.outline, self.pose_at(region.centroid, angle));
-                let other_fit = agreement(&layer, &self.outline, other);
-                if other_fit.iou > fit.iou {
-                    (pose, fit) = (other, other_fit);
+            // A pusher before the block moves the centroid, distorts the signature and may cut the block in two: try the
+            // whole circle, about the largest region's centroid and about that of all that has the block's colour.
+            for centroid in [region.centroid, centroid(&layer.share)] {
+                for start in 0..RESTARTS {
+                    let angle = rotation.angle + TAU * start as f64 / RESTARTS as f64;
+                    let other = refine(&layer, &self.outline, self.pose_at(centroid, angle));
+                    let other_fit = agreement(&layer, &self.outline, other);
+                    if other_fit.iou > fit.iou {
+                        (pose, fit) = (other, other_fit);
+                    }
                 }
             }
         }

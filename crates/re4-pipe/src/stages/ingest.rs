@@ -7,7 +7,9 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use rayon::prelude::*;
 use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
+use re4_geometry::{Point2, Pose2};
 use re4_ingest::pusht::{PushtEpisodes, PushtReader};
+use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::json;
 
 use super::{Built, Runner, data_folders};
@@ -30,8 +32,17 @@ impl Runner {
             "episodes": reader.episode_ranges().len(),
             "frames": reader.frame_count(),
         });
+        anyhow::ensure!(
+            section.render.is_empty() || reader.image_shape().is_none(),
+            "cannot render pictures for {}: it holds recorded ones; leave ingest.render out",
+            path.display()
+        );
+        let mut config = json!({ "images": section.images, "select": section.select });
+        if let (Some(config), false) = (config.as_object_mut(), section.render.is_empty()) {
+            config.insert("render".to_owned(), json!(section.render));
+        }
         let recipe = Recipe::new(Stage::Ingest, CODE_VERSION)
-            .config(&json!({ "images": section.images, "select": section.select }))?
+            .config(&config)?
             .source(&hash, facts);
         self.build(&recipe, |writer| self.ingest_from(&reader, writer))
     }
@@ -43,6 +54,8 @@ impl Runner {
         let mut pictures = 0;
         if let (true, Some(shape)) = (section.images, reader.image_shape()) {
             pictures = self.write_images(reader, &episodes, shape, writer)?;
+        } else if !section.render.is_empty() {
+            pictures = self.render_images(&episodes, writer)?;
         }
         let warnings = warnings.iter().map(serde_json::to_value).collect::<Result<_, _>>()?;
         Ok(Facts {
@@ -96,6 +109,52 @@ impl Runner {
         bar.finish_and_clear();
         Ok(written)
     }
+
+    /// Draws what the states say. Contact marks are not part of a state, so these pictures have none.
+    fn render_images(&self, episodes: &PushtEpisodes, writer: &Writer) -> Result<usize> {
+        let bar = self.console.progress(episodes.frame_count() as u64, "images");
+        let mut table = writer.table_in_groups(&tables::IMAGES, PICTURES_IN_GROUP)?;
+        let mut numbered = (0..)
+            .zip(&episodes.frames)
+            .flat_map(|(episode, rows)| (0..).zip(rows.clone()).map(move |(frame, row)| (episode, frame, row)))
+            .peekable();
+        while numbered.peek().is_some() {
+            self.interrupt.check("ingest")?;
+            let mut group = Group::default();
+            for (episode, frame, row) in numbered.by_ref().take(PICTURES_IN_GROUP) {
+                group.episodes.push(episode);
+                group.frames.push(frame);
+                group.states.push(episodes.state[row]);
+            }
+            let encoded = group
+                .states
+                .par_iter()
+                .map_init(Canvas::new, |canvas, &[eef_x, eef_y, x, y, theta]| {
+                    canvas.draw_state(Point2::new(eef_x, eef_y), Pose2::new(x, y, theta));
+                    let side = OBSERVATION_SIDE as u32;
+                    encode_png(&canvas.observation(), side, side)
+                })
+                .collect::<Result<Vec<_>>>()?;
+            bar.inc(encoded.len() as u64);
+            table.write_columns(
+                Columns::new(&tables::IMAGES)
+                    .u32("episode", group.episodes)
+                    .u32("frame", group.frames)
+                    .binary("image", encoded),
+            )?;
+        }
+        table.finish()?;
+        bar.finish_and_clear();
+        Ok(episodes.frame_count())
+    }
+}
+
+/// What one row group of table images holds.
+#[derive(Default)]
+struct Group {
+    episodes: Vec<u32>,
+    frames: Vec<u32>,
+    states: Vec<[f64; 5]>,
 }
 
 /// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.
