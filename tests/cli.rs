@@ -11,7 +11,7 @@ mod support;
 use insta::assert_snapshot;
 use support::Place;
 
-const COMMANDS: [&str; 13] = [
+const COMMANDS: [&str; 14] = [
     "ingest",
     "segment",
     "train-pose",
@@ -23,6 +23,7 @@ const COMMANDS: [&str; 13] = [
     "film",
     "verify",
     "inspect",
+    "report",
     "fetch",
     "schemas",
 ];
@@ -86,6 +87,7 @@ fn errors_of_the_command_line() {
         "inspect",
         "inspect x --seed 500",
         "inspect x --rows -1",
+        "report",
         "train-pose small.toml",
     ]
     .into_iter()

@@ -45,6 +45,8 @@ pub(crate) enum Command {
     Verify(VerifyArguments),
     /// Show what an artifact holds: tables, rows, columns with units, provenance
     Inspect(InspectArguments),
+    /// Write one HTML page over rollouts: scores, every seed, step budgets, and a viewer of each decision
+    Report(ReportArguments),
     /// Download a dataset into the data folder
     Fetch(FetchArguments),
     /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
@@ -169,6 +171,23 @@ pub(crate) struct InspectArguments {
     /// File that the picture is written to
     #[arg(long, value_name = "OUT.svg", requires = "seed")]
     pub(crate) picture: Option<PathBuf>,
+    /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `report`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct ReportArguments {
+    /// Folders of rollouts artifacts, in the order in which the page shows them
+    #[arg(value_name = "ARTIFACT", required = true)]
+    pub(crate) paths: Vec<PathBuf>,
+    /// File that the page is written to
+    #[arg(long, short, value_name = "OUT.html", default_value = "report.html")]
+    pub(crate) output: PathBuf,
+    /// Rollouts that the viewer holds, to keep the page small; all count in the figures [default: all]
+    #[arg(long, value_name = "SEEDS")]
+    pub(crate) seeds: Option<String>,
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,

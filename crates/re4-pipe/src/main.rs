@@ -38,6 +38,7 @@ fn main() -> ExitCode {
         Command::Film(arguments) => commands::film::film(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),
         Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
+        Command::Report(arguments) => commands::report::report(&arguments),
         Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
         Command::Schemas(arguments) => commands::schemas::schemas(&arguments),
     };

@@ -1,10 +1,12 @@
-//! Statistics, tables and pictures.
+//! Statistics, pictures, films, and the page to look at rollouts with.
 
+mod budget;
+mod film;
+pub mod html;
 mod picture;
 mod statistics;
 
-mod film;
-
+pub use budget::{budgets, running_maxima};
 pub use film::{
     FILM_SIZES, FILM_SPEEDS, FILM_TILES, FilmDecision, FilmError, FilmFacts, FilmRollout, FilmSettings, FilmState,
     write_film,

@@ -3,6 +3,7 @@
 pub(crate) mod fetch;
 pub(crate) mod film;
 pub(crate) mod inspect;
+pub(crate) mod report;
 pub(crate) mod run;
 pub(crate) mod schemas;
 pub(crate) mod verify;

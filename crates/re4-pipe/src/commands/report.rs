@@ -1,0 +1,244 @@
+//! `re4-pipe report`: one self-contained HTML page over `rollouts` artifacts.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write as _;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use re4_artifact::{Artifact, Key, MANIFEST_NAME, Stage, col_f64, col_u32, tables};
+use re4_report::html::{Demonstration, Report, Rollouts, World, page};
+use serde_json::json;
+
+use super::Outcome;
+use crate::arguments::ReportArguments;
+use crate::console::Console;
+use crate::seeds::Seeds;
+
+mod rollouts;
+
+/// A page beyond this many bytes takes a while to open, which is said.
+const LARGE_PAGE: usize = 12_000_000;
+
+/// Reads the artifacts, makes the page and writes it whole.
+pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.common);
+    let artifacts = open_all(&arguments.paths)?;
+    let mut sets = artifacts
+        .iter()
+        .map(rollouts::read)
+        .collect::<Result<Vec<Rollouts>>>()?;
+    if let Some(text) = &arguments.seeds {
+        show_only(&mut sets, &text.parse()?)?;
+    }
+    let mut warnings = Vec::new();
+    let mut demonstrations = BTreeMap::new();
+    for (artifact, set) in artifacts.iter().zip(&sets) {
+        if demonstrations.contains_key(&set.index_key) {
+            continue;
+        }
+        let needed = sets
+            .iter()
+            .filter(|other| other.index_key == set.index_key)
+            .flat_map(|other| other.rollouts.iter().filter(|rollout| rollout.shown))
+            .flat_map(|rollout| rollout.decisions.iter().map(|decision| decision.demo))
+            .collect();
+        match find_index(artifact, &arguments.common.artifacts)? {
+            Some(index) => {
+                demonstrations.insert(set.index_key.clone(), read_demonstrations(&index, &needed)?);
+            }
+            None => warnings.push(format!(
+                "the page shows no recorded frames for {}: its index artifact index/{} is neither beside it nor in {}",
+                artifact.path().display(),
+                short(&set.index_key),
+                arguments.common.artifacts.display()
+            )),
+        }
+    }
+    let shown: usize = sets
+        .iter()
+        .map(|set| set.rollouts.iter().filter(|r| r.shown).count())
+        .sum();
+    let embedded: usize = demonstrations.values().map(BTreeMap::len).sum();
+    let text = page(&Report {
+        tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+        world: world(),
+        artifacts: sets,
+        demonstrations,
+    });
+    if text.len() > LARGE_PAGE {
+        warnings.push(format!(
+            "the page is {} MB large; --seeds limits the rollouts that the viewer holds",
+            text.len() / 1_000_000
+        ));
+    }
+    write_whole(&arguments.output, &text)?;
+    for warning in &warnings {
+        console.note(&format!("warning: {warning}"));
+    }
+    console.answer(&json!({
+        "report": arguments.output,
+        "bytes": text.len(),
+        "artifacts": artifacts.iter().map(|artifact| json!({ "path": artifact.path(), "key": artifact.key() })).collect::<Vec<_>>(),
+        "rollouts_in_viewer": shown,
+        "demonstrations_in_viewer": embedded,
+        "warnings": warnings,
+    }))?;
+    console.say(&format!(
+        "report {}  {} in the viewer, {embedded} demonstrations, {:.1} MB",
+        arguments.output.display(),
+        if shown == 1 {
+            "1 rollout".to_owned()
+        } else {
+            format!("{shown} rollouts")
+        },
+        text.len() as f64 / 1e6
+    ))?;
+    Ok(Outcome::Done)
+}
+
+fn short(key: &str) -> &str {
+    key.get(..16).unwrap_or(key)
+}
+
+/// Opens and verifies the artifacts; each is named once, and each holds rollouts.
+fn open_all(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
+    let mut artifacts: Vec<Artifact> = Vec::new();
+    for path in paths {
+        let artifact = Artifact::open(path)?;
+        let kind = &artifact.manifest().artifact;
+        ensure!(
+            *kind == Stage::Rollout.artifact(),
+            "cannot report on {}: it is an artifact of kind {kind}, and a report is made of rollouts; name a folder below {}",
+            path.display(),
+            Path::new("artifacts").join(Stage::Rollout.artifact()).display()
+        );
+        if let Some(first) = artifacts.iter().find(|first| first.key() == artifact.key()) {
+            bail!(
+                "cannot report on {}: it is the same artifact as {}; name each artifact once",
+                path.display(),
+                first.path().display()
+            );
+        }
+        artifact.verify_bytes()?;
+        artifacts.push(artifact);
+    }
+    Ok(artifacts)
+}
+
+/// Keeps the traces of these seeds only; figures count all.
+fn show_only(sets: &mut [Rollouts], seeds: &Seeds) -> Result<()> {
+    let wanted: BTreeSet<u32> = seeds.as_slice().iter().copied().collect();
+    let mut found = BTreeSet::new();
+    for rollout in sets.iter_mut().flat_map(|set| &mut set.rollouts) {
+        rollout.shown = wanted.contains(&rollout.seed);
+        if rollout.shown {
+            found.insert(rollout.seed);
+        }
+    }
+    if let Some(seed) = wanted.difference(&found).next() {
+        bail!("cannot show seed {seed}: none of the artifacts has a rollout of it; give seeds that they have");
+    }
+    Ok(())
+}
+
+/// The index that an artifact's demonstrations were retrieved from: beside it, or in the artifacts folder.
+fn find_index(rollouts: &Artifact, store: &Path) -> Result<Option<Artifact>> {
+    let key = index_key(rollouts)?;
+    let beside = std::fs::canonicalize(rollouts.path())
+        .ok()
+        .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
+    let folders = beside.into_iter().chain([store.to_path_buf()]);
+    for folder in folders.map(|root| root.join(Stage::Index.artifact()).join(key.short())) {
+        if !folder.join(MANIFEST_NAME).exists() {
+            continue;
+        }
+        let index = Artifact::open(&folder)?;
+        ensure!(
+            index.key() == key,
+            "cannot read {}: it is the index {}, and the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
+            folder.display(),
+            index.key(),
+            rollouts.path().display()
+        );
+        index.verify_bytes()?;
+        return Ok(Some(index));
+    }
+    Ok(None)
+}
+
+fn index_key(rollouts: &Artifact) -> Result<&Key> {
+    rollouts
+        .manifest()
+        .inputs
+        .get(Stage::Index.artifact())
+        .with_context(|| {
+            format!(
+                "cannot report on {}: its manifest names no index; run the rollout again",
+                rollouts.path().display()
+            )
+        })
+}
+
+/// The frames of the demonstrations that are referred to.
+fn read_demonstrations(index: &Artifact, needed: &BTreeSet<u32>) -> Result<BTreeMap<u32, Demonstration>> {
+    let columns = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
+    let table = index.table(&tables::INDEX)?;
+    let rows = table.read_columns(&[&["episode"], &columns[..]].concat())?;
+    let mut values = Vec::with_capacity(columns.len());
+    for column in columns {
+        values.push(col_f64(&rows, column)?);
+    }
+    let mut demonstrations: BTreeMap<u32, Demonstration> = BTreeMap::new();
+    for (row, episode) in col_u32(&rows, "episode")?.iter().enumerate() {
+        if needed.contains(episode) {
+            let frame = std::array::from_fn(|column| values[column][row]);
+            demonstrations.entry(*episode).or_default().push(frame);
+        }
+    }
+    Ok(demonstrations)
+}
+
+/// Push-T's plane. The walls' inner edges are where gym-pusht draws them, 5 px inside.
+fn world() -> World {
+    let [bar, stem] = re4_sim::tee_rectangles();
+    let corners = [bar[0], bar[1], bar[2], stem[1], stem[2], stem[3], stem[0], bar[3]];
+    World {
+        side: 512.0,
+        wall: 5.0,
+        goal: [re4_sim::GOAL.x, re4_sim::GOAL.y, re4_sim::GOAL.theta],
+        outline: corners.iter().map(|corner| [corner.x, corner.y]).collect(),
+        pusher_radius: re4_sim::AGENT_RADIUS,
+        success_coverage: re4_sim::SUCCESS_COVERAGE,
+    }
+}
+
+/// Writes the page to a temporary sibling and renames it: a page is there whole or not at all.
+fn write_whole(path: &Path, text: &str) -> Result<()> {
+    let refused = || {
+        format!(
+            "cannot write the report {}; give the path of a file in a folder that exists and may be written",
+            path.display()
+        )
+    };
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    ensure!(
+        folder.is_dir(),
+        "cannot write the report {}: there is no folder {}; make it, or give another path",
+        path.display(),
+        folder.display()
+    );
+    let mut file = tempfile::Builder::new()
+        .prefix(".tmp-report-")
+        // As any file that a user makes: readable as the umask says, not for the user alone.
+        .permissions(std::fs::Permissions::from_mode(0o666))
+        .tempfile_in(folder)
+        .with_context(refused)?;
+    file.write_all(text.as_bytes()).with_context(refused)?;
+    file.as_file().sync_all().with_context(refused)?;
+    file.persist(path).map_err(|error| error.error).with_context(refused)?;
+    Ok(())
+}

@@ -1,0 +1,55 @@
+// What is looked at: an artifact, one of its rollouts, a state of that rollout.
+const selection = { artifact: 0, rollout: 0, step: 0, data: undefined };
+const listeners = { rollout: [], step: [] };
+const tell = (what) => listeners[what].forEach((act) => act());
+
+const isShown = (artifact, rollout) => traces(artifact).places.has(rollout);
+
+const selectRollout = (artifact, rollout, step = 0) => {
+  const data = loadRollout(artifact, rollout);
+  if (data === undefined) return;
+  Object.assign(selection, { artifact, rollout, data, step: clamp(step, 0, data.length) });
+  tell("rollout");
+  tell("step");
+};
+
+const selectStep = (step) => {
+  const wanted = clamp(step, 0, selection.data.length);
+  if (wanted === selection.step) return;
+  selection.step = wanted;
+  tell("step");
+};
+
+// The decision in force at a state: that of the action which follows it, or at the last state the last one.
+const decisionInForce = (data, step) => data.decisionOf[Math.min(step, data.length - 1)] ?? 0;
+
+const selectDecision = (way) => {
+  const { data, step } = selection;
+  const starts = data.decisions.map((decision) => decision.step);
+  const next = way > 0 ? starts.find((start) => start > step) : starts.findLast((start) => start < step);
+  selectStep(next ?? (way > 0 ? data.length : 0));
+};
+
+// The place in the page's address: #rollout=<16 digits of the key>/<seed>/<step>.
+const addressOf = () => {
+  const { key } = REPORT.artifacts[selection.artifact];
+  return `#rollout=${key.slice(0, 16)}/${selection.data.seed}/${selection.step}`;
+};
+
+const readAddress = () => {
+  const found = /^#rollout=([0-9a-f]{16})\/(\d+)(?:\/(\d+))?$/.exec(location.hash);
+  if (found === null) return false;
+  const artifact = REPORT.artifacts.findIndex(({ key }) => key.startsWith(found[1]));
+  const rollout = artifact < 0 ? -1 : REPORT.artifacts[artifact].rollouts.seed.indexOf(Number(found[2]));
+  if (rollout < 0 || !isShown(artifact, rollout)) return false;
+  selectRollout(artifact, rollout, Number(found[3] ?? 0));
+  return true;
+};
+
+let addressTimer = 0;
+const writeAddress = () => {
+  clearTimeout(addressTimer);
+  addressTimer = setTimeout(() => {
+    if (location.hash !== addressOf()) location.replace(addressOf());
+  }, 400);
+};
