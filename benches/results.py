@@ -3,10 +3,10 @@
 Needs the human demonstrations (RE4_DATA) and the release build:
 
     cargo build --release -p re4-pipe
-    RE4_DATA=... python3 benches/results.py [main|paper|re4|protocol ...]
+    RE4_DATA=... python3 benches/results.py [main|image|poses|observations|paper|re4|protocol ...]
 
 Nothing here tunes anything: settings come from the presets, which were tuned on seeds from 200000 up; the tables are
-reported on seeds 500-599 and 100000-100299.
+reported on seeds 500-599 and 100000-100299, and on the scenes of the sparse-observation experiment.
 """
 
 import json
@@ -19,7 +19,8 @@ SEEDS = {"100": "500..600", "300": "100000..100300", "400": "500..600,100000..10
 
 
 def rollout(pipeline, arguments, artifacts):
-    command = [BINARY, "rollout", pipeline, "--json", "--quiet", "--artifacts", artifacts, "--no-images", *arguments]
+    without_images = [] if pipeline in (IMAGE, SPARSE_IMAGE, OBSERVATIONS_IMAGE) else ["--no-images"]
+    command = [BINARY, "rollout", pipeline, "--json", "--quiet", "--artifacts", artifacts, *without_images, *arguments]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
@@ -48,6 +49,10 @@ def change(preset, *settings):
 
 STATE = "pipelines/pusht-state.toml"
 SPARSE = "pipelines/pusht-sparse-demos.toml"
+OBSERVATIONS = "pipelines/pusht-sparse-observations.toml"
+IMAGE = "pipelines/pusht-image.toml"
+SPARSE_IMAGE = "pipelines/pusht-sparse-demos-image.toml"
+OBSERVATIONS_IMAGE = "pipelines/pusht-sparse-observations-image.toml"
 
 MAIN = [
     ("`re4`", STATE, change("re4")),
@@ -55,6 +60,16 @@ MAIN = [
     ("`re2`", STATE, change("re2")),
     ("`re4`, first 50 demos", SPARSE, change("re4")),
     ("`paper`, first 50 demos", SPARSE, change("paper")),
+]
+
+FROM_PICTURES = [
+    ("`re4`", IMAGE, change("re4")),
+    ("`paper`", IMAGE, change("paper")),
+    ("`re2`", IMAGE, change("re2")),
+    ("`re4`, first 50 demos", SPARSE_IMAGE, change("re4")),
+    ("`paper`, first 50 demos", SPARSE_IMAGE, change("paper")),
+    ("`re4`, the paper's estimate alone", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
+    ("`paper`, the paper's estimate alone", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
 ]
 
 FROM_PAPER = [
@@ -100,17 +115,54 @@ PROTOCOL = [
 
 TABLES = {
     "main": ("Scores", MAIN, ["100", "300"]),
+    "image": ("From pictures", FROM_PICTURES, ["100", "300"]),
     "paper": ("The `paper` preset, one setting changed at a time", FROM_PAPER, ["400"]),
     "re4": ("The `re4` preset, one setting changed at a time", FROM_RE4, ["400"]),
     "protocol": ("Other protocols", PROTOCOL, ["400"]),
 }
 
 
+def print_poses(artifacts):
+    """How far the estimated poses are from the recorded ones, over every frame."""
+    print("\nPoses from pictures, over every frame\n")
+    print("| estimate | frames | not clear | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
+    print("|---|---|---|---|---|---|")
+    for label, refine in [("aligned with the outline", "true"), ("the paper's closed form alone", "false")]:
+        command = [BINARY, "train-pose", IMAGE, "--json", "--quiet", "--artifacts", artifacts, "--set", f"pose.refine={refine}"]
+        summary = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["summary"]
+        evaluation = summary["evaluation"]
+        spread = lambda name: " / ".join(f"{evaluation[name][key]:.2f}" for key in ("p50", "p90", "p99", "max"))
+        print(
+            f"| {label} | {summary['frames']} | {summary['frames_not_clear']} | {spread('position_px')} "
+            f"| {spread('angle_deg')} | {evaluation['flips']} |",
+            flush=True,
+        )
+
+
+def print_observations(artifacts):
+    """Scores under budgets of steps on the scenes far from the demonstrations."""
+    print("\nSparse observations: scaled score / raw coverage by the budget of steps\n")
+    columns = [(f"`{preset}`, {variant}", pipeline, preset) for variant, pipeline in (("state", OBSERVATIONS), ("image", OBSERVATIONS_IMAGE)) for preset in ("re4", "paper", "re2")]
+    results = [rollout(pipeline, ["--policy", preset], artifacts) for _, pipeline, preset in columns]
+    print(f"| steps | {' | '.join(label for label, _, _ in columns)} |")
+    print("|---" * (len(columns) + 1) + "|")
+    for row in range(len(results[0]["budgets"])):
+        budgets = [result["budgets"][row] for result in results]
+        cells = [f"{b['score_mean']:.3f} / {b['coverage_mean']:.3f}" for b in budgets]
+        print(f"| {budgets[0]['budget']} | {' | '.join(cells)} |")
+    for name, key in (("scaled score at the end", "score_scaled_mean"), ("success rate at the end", "success_rate")):
+        print(f"| {name} | {' | '.join(cell(result['metrics'][key]) for result in results)} |")
+
+
 def main():
-    wanted = sys.argv[1:] or list(TABLES)
+    special = {"poses": print_poses, "observations": print_observations}
+    wanted = sys.argv[1:] or [*TABLES, *special]
     with tempfile.TemporaryDirectory() as artifacts:
         for name in wanted:
-            print_table(*TABLES[name], artifacts)
+            if name in special:
+                special[name](artifacts)
+            else:
+                print_table(*TABLES[name], artifacts)
 
 
 if __name__ == "__main__":

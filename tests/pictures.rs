@@ -313,7 +313,7 @@ fn pictures_that_give_no_poses() {
             .refused();
         assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
         assert!(support::folders_in(&place.artifacts().join("poses")).is_empty());
-        refusals += &format!("{name}\n  {refusal}\n");
+        refusals.extend([name, "\n  ", &refusal, "\n"]);
     };
     refuse("no pictures", &states_only(), "");
     let place = Place::new();

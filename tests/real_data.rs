@@ -252,3 +252,32 @@ fn policies_score_as_they_should() {
         "re2 scores {re2}, without Reframe and Replan, and paper {paper}"
     );
 }
+
+/// Every recorded picture, against the recorded pose: half of what is asked for is kept as the gate, so that a fault of the
+/// estimator shows before its scores do.
+#[test]
+fn poses_from_pictures_are_near_the_recorded_ones() {
+    let Some(data) = real_data() else { return };
+    let folder = TempDir::new().unwrap();
+    let object = json(&data, folder.path(), "train-pose pipelines/pusht-image.toml");
+    let summary = &object["summary"];
+    assert_eq!(summary["frames"], 25650);
+    assert_eq!(summary["frames_not_clear"], 0);
+    let number = |pointer: &str| summary["evaluation"].pointer(pointer).unwrap().as_f64().unwrap();
+    assert_eq!(number("/flips"), 0.0);
+    for (pointer, most) in [
+        ("/position_px/p50", 0.5),
+        ("/position_px/p99", 2.0),
+        ("/angle_deg/p50", 0.25),
+        ("/angle_deg/p99", 1.5),
+    ] {
+        let found = number(pointer);
+        println!("{pointer}: {found:.3}");
+        assert!(found <= most, "{pointer} is {found}");
+    }
+    let arguments = "run pipelines/pusht-image.toml --seeds 200000..200020";
+    let object = json(&data, folder.path(), arguments);
+    let score = object["metrics"]["score_scaled_mean"]["value"].as_f64().unwrap();
+    println!("re4 from pictures: {score:.4} on 20 seeds from 200000");
+    assert!(score > 0.95, "re4 scores {score}");
+}

@@ -159,10 +159,14 @@ fn decisions_and_steps_fit_together() {
                     "{name}, step {i}"
                 );
                 if since == 0 {
-                    assert_eq!((decision.eef, decision.object), (step.before.agent, step.before.block));
+                    assert_eq!(
+                        (decision.eef, decision.object),
+                        (step.sight.observation.eef, step.sight.observation.object)
+                    );
                 }
                 if i > 0 {
-                    assert_eq!(step.before, episode.steps[i - 1].after.observation);
+                    let before = Observation::from(&episode.steps[i - 1].after.observation);
+                    assert_eq!((step.sight.observation, step.sight.estimate), (before, None));
                 }
             }
         }

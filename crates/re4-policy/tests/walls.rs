@@ -1,5 +1,4 @@
 //! Blocks in a corner: most recorded pushes would lead them, or the pusher, into a wall. Scenes drawn for this purpose alone.
-#![expect(clippy::panic, reason = "only tests call these functions, and they may end")]
 
 mod common;
 
@@ -15,7 +14,7 @@ fn cornered(count: u32) -> Vec<Start> {
     let mut starts = Vec::new();
     while starts.len() < count as usize {
         let at = random.point(0.0, 512.0);
-        let block = Pose2::new(at.x, at.y, random.range(0.0, 6.283));
+        let block = Pose2::new(at.x, at.y, random.range(0.0, std::f64::consts::TAU));
         let vertices = tee_vertices(block);
         let nearest = vertices
             .iter()

@@ -124,7 +124,7 @@ impl AnchorBuilder {
                 pixels: self.bgr_pixels,
             });
         }
-        Anchor::of_goal_mask(self.share, goal, outline, self.pictures)
+        Anchor::of_goal_mask(&self.share, goal, outline, self.pictures)
     }
 }
 
@@ -133,11 +133,11 @@ impl Anchor {
     ///
     /// # Errors
     /// When the mask is not that of a goal at `goal`.
-    pub fn from_goal_mask(share: Vec<f32>, goal: Pose2, outline: &Outline) -> Result<Self, AnchorError> {
+    pub fn from_goal_mask(share: &[f32], goal: Pose2, outline: &Outline) -> Result<Self, AnchorError> {
         Self::of_goal_mask(share, goal, outline, 1)
     }
 
-    fn of_goal_mask(share: Vec<f32>, goal: Pose2, outline: &Outline, pictures: usize) -> Result<Self, AnchorError> {
+    fn of_goal_mask(share: &[f32], goal: Pose2, outline: &Outline, pictures: usize) -> Result<Self, AnchorError> {
         let outline = outline.without_stroke();
         let inside = |v: f64| (0.0..=(SIDE - 1) as f64).contains(&picture(v));
         if !outline.corners(goal).all(|corner| inside(corner.x) && inside(corner.y)) {
@@ -146,7 +146,7 @@ impl Anchor {
         if share.len() != SIDE * SIDE {
             return Err(AnchorError::NoGoal { pictures });
         }
-        let Region { area, centroid, mask } = largest(&share).ok_or(AnchorError::NoGoal { pictures })?;
+        let Region { area, centroid, mask } = largest(share).ok_or(AnchorError::NoGoal { pictures })?;
         let expected_area = outline.pixels() * SCALE * SCALE;
         let found = area * SCALE * SCALE;
         if (found / expected_area - 1.0).abs() > AREA_TOLERANCE {

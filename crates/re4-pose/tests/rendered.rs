@@ -1,5 +1,4 @@
 //! The estimator on pictures of the simulator's renderer, whose poses are known.
-#![expect(clippy::unwrap_used, reason = "only tests call these functions, and they may end")]
 
 mod common;
 
@@ -135,7 +134,7 @@ fn the_goal_is_put_together_from_pictures_that_hide_parts_of_it() {
     let left = drawn(Point2::new(190.0, 330.0), Pose2::new(230.0, 200.0, 0.2));
     let right = drawn(Point2::new(300.0, 250.0), Pose2::new(230.0, 330.0, 3.0));
     assert!(matches!(
-        calibrated(&[left.clone()], GOAL),
+        calibrated(std::slice::from_ref(&left), GOAL),
         Err(AnchorError::Area { .. })
     ));
     let both = calibrated(
@@ -159,9 +158,9 @@ fn pictures_that_cannot_calibrate_are_refused_in_one_sentence() {
     assert!(refusal(&[], GOAL).contains("no picture"));
     assert!(refusal(&[bgr], GOAL).contains("blue before red"));
     assert!(refusal(&[floats], GOAL).contains("light green"));
-    let outside = refusal(&[good.clone()], Pose2::new(480.0, 256.0, 0.0));
+    let outside = refusal(std::slice::from_ref(&good), Pose2::new(480.0, 256.0, 0.0));
     assert!(outside.contains("outside of the picture"), "{outside}");
-    let elsewhere = refusal(&[good.clone()], Pose2::new(240.0, 256.0, GOAL.theta));
+    let elsewhere = refusal(std::slice::from_ref(&good), Pose2::new(240.0, 256.0, GOAL.theta));
     assert!(elsewhere.contains("give the goal pose of this dataset"), "{elsewhere}");
     let not_a_number = refusal(&[good], Pose2::new(f64::NAN, 256.0, 0.0));
     assert!(not_a_number.contains("outside of the picture"), "{not_a_number}");

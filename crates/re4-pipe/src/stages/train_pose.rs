@@ -116,11 +116,11 @@ fn outline() -> Outline {
 /// The estimator that a `poses` artifact was made with.
 pub(super) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<LogPolarEstimator> {
     let table = artifact.table(&tables::ANCHOR)?.read_columns(&["goal_share"])?;
-    let share = col_f64(&table, "goal_share")?
+    let share: Vec<f32> = col_f64(&table, "goal_share")?
         .iter()
         .map(|share| *share as f32)
         .collect();
-    let anchor = Anchor::from_goal_mask(share, pose.goal(), &outline()).with_context(|| {
+    let anchor = Anchor::from_goal_mask(&share, pose.goal(), &outline()).with_context(|| {
         format!(
             "cannot read {}: table anchor is not that of a goal",
             artifact.path().display()
