@@ -16,8 +16,10 @@ echo "== ingest: all pictures as bytes, against zarr-python"
 "$venv/bin/python" benches/ingest_rate.py "$dataset" 5
 echo "== retrieve: against numpy and scipy"
 "$venv/bin/python" benches/retrieve.py "$dataset"
-echo "== stages, whole commands"
 cargo build --release -q -p re4-pipe
+echo "== poses from pictures: against OpenCV and numpy"
+"$venv/bin/python" benches/poses.py "$dataset"
+echo "== stages, whole commands"
 artifacts="$(mktemp -d)"
 trap 'rm -rf "$artifacts"' EXIT
 target/release/re4-pipe run pipelines/pusht-state.toml --artifacts "$artifacts"

@@ -146,7 +146,8 @@ impl Anchor {
         if share.len() != SIDE * SIDE {
             return Err(AnchorError::NoGoal { pictures });
         }
-        let Region { area, centroid, mask } = largest(share).ok_or(AnchorError::NoGoal { pictures })?;
+        let covered: Vec<usize> = (0..share.len()).filter(|&at| share[at] > 0.0).collect();
+        let Region { area, centroid, mask } = largest(share, &covered).ok_or(AnchorError::NoGoal { pictures })?;
         let expected_area = outline.pixels() * SCALE * SCALE;
         let found = area * SCALE * SCALE;
         if (found / expected_area - 1.0).abs() > AREA_TOLERANCE {

@@ -17,23 +17,23 @@ pub(crate) struct Region {
     pub(crate) mask: Vec<f32>,
 }
 
-/// The largest region of pixels that hang together by sides or corners, with the soft pixels at its rim; the first from
-/// the top if several are as large. None when no pixel is inside of a region.
-pub(crate) fn largest(share: &[f32]) -> Option<Region> {
+/// The largest region of `pixels` (those with any share) that hang together by sides or corners, with the soft pixels at its
+/// rim; the first from the top if several are as large. None when no pixel is inside of a region.
+pub(crate) fn largest(share: &[f32], pixels: &[usize]) -> Option<Region> {
     let mut label = vec![0_u16; SIDE * SIDE];
     let mut waiting = Vec::new();
     let mut best: Option<(usize, u16)> = None;
     let mut regions = 0;
-    for start in 0..share.len() {
+    for &start in pixels {
         if share[start] < INSIDE || label[start] != 0 {
             continue;
         }
         regions += 1;
-        let mut pixels = 0;
+        let mut size = 0;
         label[start] = regions;
         waiting.push(start);
         while let Some(at) = waiting.pop() {
-            pixels += 1;
+            size += 1;
             for next in neighbours(at) {
                 if share[next] >= INSIDE && label[next] == 0 {
                     label[next] = regions;
@@ -41,31 +41,32 @@ pub(crate) fn largest(share: &[f32]) -> Option<Region> {
                 }
             }
         }
-        if best.is_none_or(|(most, _)| pixels > most) {
-            best = Some((pixels, regions));
+        if best.is_none_or(|(most, _)| size > most) {
+            best = Some((size, regions));
         }
     }
     let (_, chosen) = best?;
+    let rim = |at: usize| label[at] == 0 && neighbours(at).any(|next| label[next] == chosen);
     let mut mask = vec![0.0; SIDE * SIDE];
-    for at in 0..share.len() {
-        let rim = || share[at] > 0.0 && label[at] == 0 && neighbours(at).any(|next| label[next] == chosen);
-        if label[at] == chosen || rim() {
-            mask[at] = share[at];
-        }
+    let mut own = Vec::with_capacity(pixels.len());
+    for &at in pixels.iter().filter(|&&at| label[at] == chosen || rim(at)) {
+        mask[at] = share[at];
+        own.push(at);
     }
     Some(Region {
-        area: mask.iter().map(|share| f64::from(*share)).sum(),
-        centroid: centroid(&mask),
+        area: own.iter().map(|&at| f64::from(share[at])).sum(),
+        centroid: centroid(share, &own),
         mask,
     })
 }
 
-/// Centroid of a whole mask, in world pixels; not a number where it is empty.
-pub(crate) fn centroid(share: &[f32]) -> Point2 {
+/// Centroid of some pixels of a mask, in world pixels; not a number where there are none.
+pub(crate) fn centroid(share: &[f32], pixels: &[usize]) -> Point2 {
     let (mut area, mut moment) = (0.0, Point2::zeros());
-    for (at, &weight) in share.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
-        area += f64::from(weight);
-        moment += f64::from(weight) * place(at);
+    for &at in pixels {
+        let weight = f64::from(share[at]);
+        area += weight;
+        moment += weight * place(at);
     }
     moment / area
 }

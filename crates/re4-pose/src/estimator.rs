@@ -118,7 +118,7 @@ impl LogPolarEstimator {
     /// The pose of the block in a picture.
     pub fn estimate(&self, picture: &Picture<'_>) -> Estimate {
         let layer = BlockLayer::of(picture);
-        let Some(region) = largest(&layer.share) else {
+        let Some(region) = largest(&layer.share, &layer.pixels) else {
             return Estimate::NOTHING;
         };
         if region.area < LEAST_REGION * self.outline.pixels() {
@@ -126,7 +126,7 @@ impl LogPolarEstimator {
         }
         let signature = self.log_polar.signature(&region.mask, region.centroid);
         let rotation = self.log_polar.rotation(&self.signature, &signature);
-        let mut pose = self.pose_at(region.centroid, rotation.angle);
+        let mut pose = self.pose_at(region.centroid, rotation);
         if self.refined {
             pose = refine(&layer, &self.outline, pose);
         }
@@ -134,9 +134,9 @@ impl LogPolarEstimator {
         if self.refined && fit.iou < GOOD_FIT {
             // A pusher before the block moves the centroid, distorts the signature and may cut the block in two: try the
             // whole circle, about the largest region's centroid and about that of all that has the block's colour.
-            for centroid in [region.centroid, centroid(&layer.share)] {
+            for centroid in [region.centroid, centroid(&layer.share, &layer.pixels)] {
                 for start in 0..RESTARTS {
-                    let angle = rotation.angle + TAU * start as f64 / RESTARTS as f64;
+                    let angle = rotation + TAU * start as f64 / RESTARTS as f64;
                     let other = refine(&layer, &self.outline, self.pose_at(centroid, angle));
                     let other_fit = agreement(&layer, &self.outline, other);
                     if other_fit.iou > fit.iou {

@@ -11,30 +11,18 @@ use rustfft::{Fft, FftPlanner};
 use crate::picture::{SCALE, SIDE, picture};
 
 /// Bins along the angle, over the whole circle.
-const ANGLES: usize = 180;
+const ANGLES: usize = 128;
 
 /// Bins along the logarithm of the radius; an even number, since two share a transform.
-const RADII: usize = 16;
+const RADII: usize = 12;
 
 /// Least and greatest radius, in world pixels: the farthest point of the block is 84 px from its centroid.
 const RADIUS: [f64; 2] = [8.0, 92.0];
-
-/// Peaks closer together than this many bins are one peak.
-const PEAK_WIDTH: usize = ANGLES / 12;
 
 /// A mask in log-polar coordinates about its centroid, Fourier-transformed along the angle, two radii in one transform as
 /// real and imaginary part.
 #[derive(Clone)]
 pub(crate) struct Signature(Vec<Complex<f64>>);
-
-/// The rotation between two masks.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Rotation {
-    /// Angle that turns the first mask onto the second, in radians.
-    pub(crate) angle: f64,
-    /// Correlation at the second-highest peak over that at the highest: near 1 where the rotation is ambiguous.
-    pub(crate) ambiguity: f64,
-}
 
 /// Transforms masks and finds rotations between them.
 #[derive(Clone)]
@@ -78,9 +66,9 @@ impl LogPolar {
         Signature(spectra)
     }
 
-    /// The rotation that carries `anchor` onto `mask`: the peak of their circular cross-correlation along the angle,
+    /// The rotation that carries `anchor` onto `mask`, in radians: the peak of their circular cross-correlation along the angle,
     /// summed over the radii, with a parabola through the highest bin and its neighbours.
-    pub(crate) fn rotation(&self, anchor: &Signature, mask: &Signature) -> Rotation {
+    pub(crate) fn rotation(&self, anchor: &Signature, mask: &Signature) -> f64 {
         // With two real rows a + ib in one transform, the real part of the correlation is the sum of the rows' own.
         let mut product = vec![Complex::new(0.0, 0.0); ANGLES];
         for (a, m) in anchor.0.chunks_exact(ANGLES).zip(mask.0.chunks_exact(ANGLES)) {
@@ -99,13 +87,7 @@ impl LogPolar {
         } else {
             0.0
         };
-        let second = (PEAK_WIDTH..=ANGLES - PEAK_WIDTH)
-            .map(|distance| at(peak + distance))
-            .fold(0.0, f64::max);
-        Rotation {
-            angle: TAU * (peak as f64 + offset) / ANGLES as f64,
-            ambiguity: if top > 0.0 { second / top } else { 1.0 },
-        }
+        TAU * (peak as f64 + offset) / ANGLES as f64
     }
 }
 

@@ -80,7 +80,9 @@ const GOAL_EXCESS: f32 = 94.0;
 pub(crate) struct BlockLayer {
     /// Share of the pixel that has the block's colour, 0 to 1.
     pub(crate) share: Vec<f32>,
-    /// Whether the pixel shows the pusher or a contact mark, or touches one that does.
+    /// Pixels with any of the block's colour, from the top.
+    pub(crate) pixels: Vec<usize>,
+    /// Whether the pixel shows the pusher or a contact mark, or touches one that does: there the share is not to be trusted.
     pub(crate) hidden: Vec<bool>,
 }
 
@@ -88,6 +90,7 @@ impl BlockLayer {
     pub(crate) fn of(picture: &Picture<'_>) -> Self {
         let mut share = vec![0.0; SIDE * SIDE];
         let mut hidden = vec![false; SIDE * SIDE];
+        let mut pixels = Vec::with_capacity(512);
         for (i, &[red, green, blue]) in picture.pixels().iter().enumerate() {
             let [red, green, blue] = [red, green, blue].map(i16::from);
             let excess = blue - red;
@@ -100,14 +103,10 @@ impl BlockLayer {
                 }
             } else if excess > 0 {
                 share[i] = (f32::from(excess) / BLOCK_EXCESS).min(1.0);
+                pixels.push(i);
             }
         }
-        for (share, hidden) in share.iter_mut().zip(&hidden) {
-            if *hidden {
-                *share = 0.0;
-            }
-        }
-        Self { share, hidden }
+        Self { share, pixels, hidden }
     }
 }
 

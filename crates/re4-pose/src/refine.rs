@@ -39,16 +39,12 @@ fn step(layer: &BlockLayer, outline: &Outline, pose: Pose2, ramp: f64) -> Vector
     let (sine, cosine) = pose.theta.sin_cos();
     let mut normal = Matrix3::from_diagonal_element(DAMPING);
     let mut right = Vector3::zeros();
-    for_each_pixel(outline, pose, ramp, |at, place| {
-        if layer.hidden[at] {
+    for_each_pixel(outline, pose, ramp, |at, value, place| {
+        let height = 0.5 - value / ramp;
+        if !(0.0..=1.0).contains(&height) || layer.hidden[at] {
             return;
         }
-        let distance = outline.distance(place);
-        let height = 0.5 - distance.value / ramp;
-        if !(0.0..=1.0).contains(&height) {
-            return;
-        }
-        let g = distance.gradient;
+        let g = outline.distance(place).gradient;
         // How the distance changes as the pose moves: against the gradient, and by the lever arm as it turns.
         let slope = Vector3::new(
             -(cosine * g.x - sine * g.y),
@@ -79,8 +75,8 @@ pub(crate) fn agreement(layer: &BlockLayer, outline: &Outline, pose: Pose2) -> A
     // The softness of a pixel: about its own width.
     const RAMP: f64 = 6.0;
     let (mut both, mut either, mut seen) = (0.0, 0.0, 0.0);
-    for_each_pixel(outline, pose, RAMP, |at, place| {
-        let height = (0.5 - outline.distance(place).value / RAMP).clamp(0.0, 1.0);
+    for_each_pixel(outline, pose, RAMP, |at, value, _| {
+        let height = (0.5 - value / RAMP).clamp(0.0, 1.0);
         if layer.hidden[at] {
             return;
         }
@@ -89,7 +85,8 @@ pub(crate) fn agreement(layer: &BlockLayer, outline: &Outline, pose: Pose2) -> A
         both += share.min(height);
         either += share.max(height);
     });
-    let block: f64 = layer.share.iter().map(|share| f64::from(*share)).sum();
+    let unhidden = layer.pixels.iter().filter(|&&at| !layer.hidden[at]);
+    let block: f64 = unhidden.map(|&at| f64::from(layer.share[at])).sum();
     let area = outline.pixels();
     Agreement {
         iou: if either > 0.0 { both / either } else { 0.0 },
@@ -98,8 +95,9 @@ pub(crate) fn agreement(layer: &BlockLayer, outline: &Outline, pose: Pose2) -> A
     }
 }
 
-/// Calls `visit` with the index of every pixel near the outline at `pose`, and its place in the block's frame.
-fn for_each_pixel(outline: &Outline, pose: Pose2, margin: f64, mut visit: impl FnMut(usize, Point2)) {
+/// Calls `visit` for every pixel near the outline at `pose`, with its index, its signed distance and its place in the
+/// block's frame.
+fn for_each_pixel(outline: &Outline, pose: Pose2, margin: f64, mut visit: impl FnMut(usize, f64, Point2)) {
     let (mut low, mut high) = (Point2::repeat(f64::INFINITY), Point2::repeat(f64::NEG_INFINITY));
     for corner in outline.corners(pose) {
         low = low.inf(&corner);
@@ -111,14 +109,18 @@ fn for_each_pixel(outline: &Outline, pose: Pose2, margin: f64, mut visit: impl F
         first..(last + 1.0) as usize
     };
     let (sine, cosine) = pose.theta.sin_cos();
+    let columns = range(low.x, high.x);
+    let (mut xs, mut ys, mut distances) = ([0.0; SIDE], [0.0; SIDE], [0.0; SIDE]);
     for row in range(low.y, high.y) {
         let y = world(row as f64) - pose.y;
-        for column in range(low.x, high.x) {
+        for (column, (px, py)) in columns.clone().zip(xs.iter_mut().zip(&mut ys)) {
             let x = world(column as f64) - pose.x;
-            visit(
-                row * SIDE + column,
-                Point2::new(cosine * x + sine * y, cosine * y - sine * x),
-            );
+            (*px, *py) = (cosine * x + sine * y, cosine * y - sine * x);
+        }
+        let count = columns.len();
+        outline.distances(&xs[..count], &ys[..count], &mut distances[..count]);
+        for (i, column) in columns.clone().enumerate() {
+            visit(row * SIDE + column, distances[i], Point2::new(xs[i], ys[i]));
         }
     }
 }
