@@ -1,7 +1,8 @@
 #!/bin/sh
-# Sets up what is missing, builds re4-pipe and runs the demo pipeline on the sample in data/; ends with a score table.
+# Sets up what is missing, builds re4-pipe and runs the demo pipeline on the sample in data/: writes the page demo.html and
+# ends with a score table.
 set -eu
 cd "$(dirname "$0")/.."
 scripts/setup.sh
 cargo build --release --locked -p re4-pipe
-exec target/release/re4-pipe run pipelines/demo.toml "$@"
+exec target/release/re4-pipe run pipelines/demo.toml --report demo.html "$@"

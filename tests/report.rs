@@ -84,6 +84,31 @@ fn attribute(page: &str, words: &[&str], name: &str) -> f64 {
 }
 
 #[test]
+fn a_run_writes_the_page_that_report_makes() {
+    let place = Place::new();
+    let answer = place.run("run small.toml --no-images --report run.html --json").done();
+    assert!(
+        answer.stderr.contains("    report  run.html  6 rollouts in the viewer"),
+        "{}",
+        answer.stderr
+    );
+    let artifact = answer.json()["artifact"].as_str().unwrap().to_owned();
+    let page = page_of(&place, &artifact);
+    assert!(fs::read_to_string(place.path().join("run.html")).unwrap() == page);
+    // What cannot be written is refused before anything is run.
+    for path in ["nowhere/run.html", "data"] {
+        let refusal = place
+            .run(&format!("run small.toml --report {path} --artifacts other"))
+            .refused_at_once();
+        assert!(
+            refusal.contains(&format!("cannot write the report {path}")),
+            "{refusal}"
+        );
+        assert!(folders_in(&place.path().join("other")).is_empty());
+    }
+}
+
+#[test]
 fn figures_are_those_of_the_artifacts() {
     let (place, folders) = two_policies();
     let page = page_of(&place, &folders.join(" "));

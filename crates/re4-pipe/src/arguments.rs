@@ -106,6 +106,9 @@ pub(crate) struct RolloutArguments {
         help = "Control steps an episode lasts at most; as --set rollout.max_steps=..."
     )]
     pub(crate) max_steps: Option<u32>,
+    /// Also write the HTML page of the rollouts, as re4-pipe report does
+    #[arg(long, value_name = "OUT.html")]
+    pub(crate) report: Option<PathBuf>,
     /// Also write the rollouts as a dataset in Push-T's own zarr format, to a folder that does not exist yet
     #[arg(long, value_name = "OUT.zarr")]
     pub(crate) record: Option<PathBuf>,

@@ -20,16 +20,74 @@ mod rollouts;
 /// A page beyond this many bytes takes a while to open, which is said.
 const LARGE_PAGE: usize = 12_000_000;
 
-/// Reads the artifacts, makes the page and writes it whole.
+/// What was written.
+pub(crate) struct Written {
+    bytes: usize,
+    artifacts: Vec<Artifact>,
+    rollouts: usize,
+    demonstrations: usize,
+    warnings: Vec<String>,
+}
+
+impl Written {
+    /// What the page holds, in words.
+    pub(crate) fn headline(&self) -> String {
+        format!(
+            "{} in the viewer, {} demonstrations, {:.1} MB",
+            if self.rollouts == 1 {
+                "1 rollout".to_owned()
+            } else {
+                format!("{} rollouts", self.rollouts)
+            },
+            self.demonstrations,
+            self.bytes as f64 / 1e6
+        )
+    }
+
+    /// What the user should know.
+    pub(crate) fn say_warnings(&self, console: Console) {
+        for warning in &self.warnings {
+            console.note(&format!("warning: {warning}"));
+        }
+    }
+}
+
+/// `re4-pipe report`.
 pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let artifacts = open_all(&arguments.paths)?;
+    let seeds = arguments.seeds.as_deref().map(str::parse).transpose()?;
+    let written = write(
+        &arguments.paths,
+        seeds.as_ref(),
+        &arguments.output,
+        &arguments.common.artifacts,
+    )?;
+    written.say_warnings(console);
+    console.answer(&json!({
+        "report": arguments.output,
+        "bytes": written.bytes,
+        "artifacts": written.artifacts.iter().map(|artifact| json!({ "path": artifact.path(), "key": artifact.key() })).collect::<Vec<_>>(),
+        "rollouts_in_viewer": written.rollouts,
+        "demonstrations_in_viewer": written.demonstrations,
+        "warnings": written.warnings,
+    }))?;
+    console.say(&format!(
+        "report {}  {}",
+        arguments.output.display(),
+        written.headline()
+    ))?;
+    Ok(Outcome::Done)
+}
+
+/// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
+pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Path, store: &Path) -> Result<Written> {
+    let artifacts = open_all(paths)?;
     let mut sets = artifacts
         .iter()
         .map(rollouts::read)
         .collect::<Result<Vec<Rollouts>>>()?;
-    if let Some(text) = &arguments.seeds {
-        show_only(&mut sets, &text.parse()?)?;
+    if let Some(seeds) = seeds {
+        show_only(&mut sets, seeds)?;
     }
     let mut warnings = Vec::new();
     let mut demonstrations = BTreeMap::new();
@@ -43,7 +101,7 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
             .flat_map(|other| other.rollouts.iter().filter(|rollout| rollout.shown))
             .flat_map(|rollout| rollout.decisions.iter().map(|decision| decision.demo))
             .collect();
-        match find_index(artifact, &arguments.common.artifacts)? {
+        match find_index(artifact, store)? {
             Some(index) => {
                 demonstrations.insert(set.index_key.clone(), read_demonstrations(&index, &needed)?);
             }
@@ -51,7 +109,7 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
                 "the page shows no recorded frames for {}: its index artifact index/{} is neither beside it nor in {}",
                 artifact.path().display(),
                 short(&set.index_key),
-                arguments.common.artifacts.display()
+                store.display()
             )),
         }
     }
@@ -68,33 +126,41 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     });
     if text.len() > LARGE_PAGE {
         warnings.push(format!(
-            "the page is {} MB large; --seeds limits the rollouts that the viewer holds",
+            "the page is {} MB large; re4-pipe report --seeds limits the rollouts that the viewer holds",
             text.len() / 1_000_000
         ));
     }
-    write_whole(&arguments.output, &text)?;
-    for warning in &warnings {
-        console.note(&format!("warning: {warning}"));
-    }
-    console.answer(&json!({
-        "report": arguments.output,
-        "bytes": text.len(),
-        "artifacts": artifacts.iter().map(|artifact| json!({ "path": artifact.path(), "key": artifact.key() })).collect::<Vec<_>>(),
-        "rollouts_in_viewer": shown,
-        "demonstrations_in_viewer": embedded,
-        "warnings": warnings,
-    }))?;
-    console.say(&format!(
-        "report {}  {} in the viewer, {embedded} demonstrations, {:.1} MB",
-        arguments.output.display(),
-        if shown == 1 {
-            "1 rollout".to_owned()
-        } else {
-            format!("{shown} rollouts")
-        },
-        text.len() as f64 / 1e6
-    ))?;
-    Ok(Outcome::Done)
+    write_whole(output, &text)?;
+    Ok(Written {
+        bytes: text.len(),
+        artifacts,
+        rollouts: shown,
+        demonstrations: embedded,
+        warnings,
+    })
+}
+
+/// Refuses a path that a report could not be written to.
+pub(crate) fn check_output(path: &Path) -> Result<()> {
+    let folder = folder_of(path);
+    ensure!(
+        folder.is_dir(),
+        "cannot write the report {}: there is no folder {}; make it, or give another path",
+        path.display(),
+        folder.display()
+    );
+    ensure!(
+        !path.is_dir(),
+        "cannot write the report {}: it is a folder; give the path of a file",
+        path.display()
+    );
+    Ok(())
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
 }
 
 fn short(key: &str) -> &str {
@@ -221,21 +287,12 @@ fn write_whole(path: &Path, text: &str) -> Result<()> {
             path.display()
         )
     };
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    ensure!(
-        folder.is_dir(),
-        "cannot write the report {}: there is no folder {}; make it, or give another path",
-        path.display(),
-        folder.display()
-    );
+    check_output(path)?;
     let mut file = tempfile::Builder::new()
         .prefix(".tmp-report-")
         // As any file that a user makes: readable as the umask says, not for the user alone.
         .permissions(std::fs::Permissions::from_mode(0o666))
-        .tempfile_in(folder)
+        .tempfile_in(folder_of(path))
         .with_context(refused)?;
     file.write_all(text.as_bytes()).with_context(refused)?;
     file.as_file().sync_all().with_context(refused)?;

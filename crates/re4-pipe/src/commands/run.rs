@@ -10,7 +10,7 @@ use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::divergence_plot;
 use serde_json::{Value, json};
 
-use super::Outcome;
+use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::pipeline::PoseSource;
 use crate::stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
@@ -19,14 +19,14 @@ use crate::stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
 pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     let built = runner.ingest()?;
-    report(&runner, &built)
+    answer(&runner, &built)
 }
 
 /// `re4-pipe segment`.
 pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     let built = runner.segment(&runner.ingest()?)?;
-    report(&runner, &built)
+    answer(&runner, &built)
 }
 
 /// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
@@ -38,7 +38,7 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         arguments.pipeline.display()
     );
     let built = runner.train_pose(&runner.ingest()?)?.context("no pose estimator")?;
-    report(&runner, &built)
+    answer(&runner, &built)
 }
 
 /// `re4-pipe index`.
@@ -48,7 +48,7 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let modes = runner.segment(&episodes)?;
     let poses = runner.train_pose(&episodes)?;
     let built = runner.index(&episodes, &modes, poses.as_ref())?;
-    report(&runner, &built)
+    answer(&runner, &built)
 }
 
 /// `re4-pipe scenes`.
@@ -60,7 +60,7 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
         arguments.pipeline.display()
     );
     let built = runner.scenes(&runner.ingest()?)?.context("no table [scenes]")?;
-    report(&runner, &built)
+    answer(&runner, &built)
 }
 
 /// `re4-pipe rollout` and `re4-pipe run`.
@@ -95,6 +95,9 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
             path.display()
         );
     }
+    if let Some(path) = &arguments.report {
+        report::check_output(path)?;
+    }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let poses = runner.train_pose(&episodes)?;
@@ -103,6 +106,18 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
     if let Some(path) = &arguments.record {
         record(&runner, &built, path)?;
+    }
+    if let Some(path) = &arguments.report {
+        let written = report::write(
+            &[built.artifact.path().to_path_buf()],
+            None,
+            path,
+            &arguments.stage.common.artifacts,
+        )?;
+        written.say_warnings(runner.console);
+        runner
+            .console
+            .note(&format!("{:>10}  {}  {}", "report", path.display(), written.headline()));
     }
     let metrics = metrics(&built.artifact);
     let section = &runner.pipeline.rollout;
@@ -145,7 +160,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
             .with_context(|| format!("cannot draw {}", path.display()))?;
         runner.console.picture(path, &svg)?;
     }
-    report(&runner, &built)
+    answer(&runner, &built)
 }
 
 fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
@@ -163,7 +178,7 @@ fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
     Ok(())
 }
 
-fn report(runner: &Runner, built: &Built) -> Result<Outcome> {
+fn answer(runner: &Runner, built: &Built) -> Result<Outcome> {
     runner.console.answer(&built.to_json())?;
     let manifest = built.artifact.manifest();
     let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
