@@ -148,7 +148,7 @@ def print_observations(artifacts):
     print("|---" * (len(columns) + 1) + "|")
     for row in range(len(results[0]["budgets"])):
         budgets = [result["budgets"][row] for result in results]
-        cells = [f"{b['score_mean']:.3f} / {b['coverage_mean']:.3f}" for b in budgets]
+        cells = [f"{b['score_scaled_mean']['value']:.3f} / {b['coverage_raw_mean']['value']:.3f}" for b in budgets]
         print(f"| {budgets[0]['budget']} | {' | '.join(cells)} |")
     for name, key in (("scaled score at the end", "score_scaled_mean"), ("success rate at the end", "success_rate")):
         print(f"| {name} | {' | '.join(cell(result['metrics'][key]) for result in results)} |")

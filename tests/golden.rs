@@ -20,12 +20,12 @@ use support::{Answer, PROGRAM, folders_in, repository};
 use tempfile::TempDir;
 
 /// Runs the demo as a user does, in the top folder of the repository; its score table and the hashes of its tables.
-fn demo(jobs: &str) -> String {
+fn demo(pipeline: &str, jobs: &str) -> String {
     let folder = TempDir::new().unwrap();
     let output = Command::new(PROGRAM)
         .current_dir(repository())
         .env_remove("RE4_DATA")
-        .args(["run", "pipelines/demo.toml", "--quiet", "--jobs", jobs, "--artifacts"])
+        .args(["run", pipeline, "--quiet", "--jobs", jobs, "--artifacts"])
         .arg(folder.path())
         .output()
         .unwrap();
@@ -50,9 +50,16 @@ fn demo(jobs: &str) -> String {
 
 #[test]
 fn the_demo_gives_the_same_bytes_in_every_run() {
-    let one = demo("1");
+    let one = demo("pipelines/demo.toml", "1");
     for jobs in ["2", "4"] {
-        assert_eq!(demo(jobs), one, "--jobs {jobs}");
+        assert_eq!(demo("pipelines/demo.toml", jobs), one, "--jobs {jobs}");
     }
+    insta::assert_snapshot!(one);
+}
+
+#[test]
+fn the_demo_from_pictures_gives_the_same_bytes_in_every_run() {
+    let one = demo("pipelines/demo-image.toml", "1");
+    assert_eq!(demo("pipelines/demo-image.toml", "2"), one);
     insta::assert_snapshot!(one);
 }

@@ -11,7 +11,7 @@ mod support;
 use std::fs;
 
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::Value;
 use support::dataset::{LENGTH, SIDE, picture};
 use support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
@@ -266,7 +266,7 @@ fn episodes_are_selected_by_number() {
     place.run("ingest small.toml --artifacts all").done();
     let read = |artifacts: &str, table| {
         let folder = folders_in(&place.path().join(artifacts).join("episodes")).remove(0);
-        let artifact = re4_artifact::Artifact::open(&folder).unwrap();
+        let artifact = Artifact::open(&folder).unwrap();
         artifact.table(table).unwrap().read_all().unwrap()
     };
     let all = read("all", &tables::FRAMES);
@@ -331,10 +331,10 @@ fn pictures_are_kept_without_loss_or_left_out() {
     }
     place.run("ingest small.toml --artifacts without --no-images").done();
     let folder = folders_in(&place.path().join("without/episodes")).remove(0);
-    let without = re4_artifact::Artifact::open(&folder).unwrap();
+    let without = Artifact::open(&folder).unwrap();
     assert!(!folder.join("images.parquet").exists());
     for table in ["frames", "episodes"] {
-        let hash = |artifact: &re4_artifact::Artifact| artifact.manifest().tables[table].blake3;
+        let hash = |artifact: &Artifact| artifact.manifest().tables[table].blake3;
         assert_eq!(hash(&with), hash(&without), "{table}");
     }
 }
@@ -369,7 +369,7 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     );
     place.run(&again).done();
     let folder = folders_in(&place.path().join("recorded/episodes")).remove(0);
-    let recorded = re4_artifact::Artifact::open(&folder).unwrap();
+    let recorded = Artifact::open(&folder).unwrap();
     let episodes = recorded.table(&tables::EPISODES).unwrap().read_all().unwrap();
     let frames = recorded.table(&tables::FRAMES).unwrap().read_all().unwrap();
     assert_eq!(
@@ -436,15 +436,21 @@ fn inspect_shows_every_artifact() {
     place.write_sparse();
     place.run("scenes sparse.toml").done();
     let mut seen = Vec::new();
-    for stage in [
+    let stages: Vec<(Stage, Artifact)> = [
         Stage::Ingest,
         Stage::Segment,
         Stage::Index,
         Stage::Scenes,
         Stage::Rollout,
         Stage::Replay,
-    ] {
-        let artifact = place.artifact(stage);
+    ]
+    .map(|stage| (stage, place.artifact(stage)))
+    .into();
+    // Its episodes are others.
+    place.write_image();
+    place.run("train-pose image.toml").done();
+    let poses = (Stage::TrainPose, place.artifact(Stage::TrainPose));
+    for (stage, artifact) in stages.into_iter().chain([poses]) {
         let path = artifact
             .path()
             .strip_prefix(place.path())
@@ -549,7 +555,7 @@ fn all_presets_leave_traces_of_the_loop() {
             .run(&format!("run small.toml --policy {preset} --artifacts {preset}"))
             .done();
         let folder = folders_in(&place.path().join(preset).join("rollouts")).remove(0);
-        let artifact = re4_artifact::Artifact::open(&folder).unwrap();
+        let artifact = Artifact::open(&folder).unwrap();
         let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
         let kinds = col_text(&decisions, "plan").unwrap();
         assert_eq!(kinds.iter().any(|kind| *kind != Some("off")), plans, "{preset}");

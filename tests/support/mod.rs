@@ -65,6 +65,20 @@ impl Place {
         self.write("sparse.toml", small.replace("seeds = \"500..506\"\n", "") + SCENES);
     }
 
+    /// Writes `data/states.zarr`, two episodes without pictures, and `image.toml`: `small.toml` on rendered pictures of them.
+    pub(crate) fn write_image(&self) {
+        dataset::write(&self.path().join("data/states.zarr"), 2, false);
+        let small = fs::read_to_string(self.path().join("small.toml")).unwrap();
+        let image = small
+            .replace("variant = \"state\"", "variant = \"image\"")
+            .replace(
+                "source = \"small.zarr\"",
+                "source = \"states.zarr\"\nrender = [\"image\"]",
+            )
+            .replace("source = \"recorded\"", "source = \"log_polar\"");
+        self.write("image.toml", image);
+    }
+
     /// The program, to be run in this folder with its data.
     pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(PROGRAM);
