@@ -82,3 +82,54 @@ fn neighbours(at: usize) -> impl Iterator<Item = usize> {
     (row.saturating_sub(1)..=(row + 1).min(SIDE - 1))
         .flat_map(move |y| (column.saturating_sub(1)..=(column + 1).min(SIDE - 1)).map(move |x| y * SIDE + x))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mask(rows: &[(usize, usize, f32)]) -> (Vec<f32>, Vec<usize>) {
+        let mut share = vec![0.0; SIDE * SIDE];
+        for &(row, column, value) in rows {
+            share[row * SIDE + column] = value;
+        }
+        let pixels = (0..share.len()).filter(|&at| share[at] > 0.0).collect();
+        (share, pixels)
+    }
+
+    #[test]
+    fn the_largest_region_is_taken_with_its_soft_rim() {
+        // Three pixels that touch by corners, a soft one beside them, two pixels far away, a soft one alone.
+        let (share, pixels) = mask(&[
+            (10, 10, 1.0),
+            (11, 11, 0.5),
+            (12, 10, 0.75),
+            (12, 11, 0.25),
+            (40, 40, 1.0),
+            (40, 41, 1.0),
+            (70, 70, 0.25),
+        ]);
+        let region = largest(&share, &pixels).unwrap();
+        assert_eq!(region.area, 2.5);
+        let expected = (place(10 * SIDE + 10)
+            + 0.5 * place(11 * SIDE + 11)
+            + 0.75 * place(12 * SIDE + 10)
+            + 0.25 * place(12 * SIDE + 11))
+            / 2.5;
+        assert!((region.centroid - expected).norm() < 1e-9);
+        assert_eq!(region.mask.iter().filter(|value| **value > 0.0).count(), 4);
+    }
+
+    #[test]
+    fn of_two_as_large_the_first_from_the_top_and_of_none_nothing() {
+        let (share, pixels) = mask(&[(50, 3, 1.0), (5, 90, 1.0)]);
+        assert_eq!(largest(&share, &pixels).unwrap().centroid, place(5 * SIDE + 90));
+        let (share, pixels) = mask(&[(50, 3, 0.4)]);
+        assert!(largest(&share, &pixels).is_none());
+    }
+
+    #[test]
+    fn regions_do_not_hang_together_round_the_border() {
+        let (share, pixels) = mask(&[(20, SIDE - 1, 1.0), (21, 0, 1.0), (21, 1, 1.0)]);
+        assert_eq!(largest(&share, &pixels).unwrap().area, 2.0);
+    }
+}

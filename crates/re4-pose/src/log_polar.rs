@@ -106,3 +106,54 @@ fn bilinear(mask: &[f32], place: Point2) -> f64 {
     let lower_row = value(at + SIDE) + right * (value(at + SIDE + 1) - value(at + SIDE));
     upper_row + lower * (lower_row - upper_row)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use re4_geometry::{Pose2, periodic_distance};
+
+    use super::*;
+    use crate::outline::Outline;
+    use crate::picture::world;
+
+    /// A soft mask of the T with its centroid in the middle of the picture.
+    fn mask(angle: f64) -> Vec<f32> {
+        let outline = Outline::new(&re4_sim::tee_rectangles(), 0.0);
+        let centre = Point2::new(256.0, 256.0);
+        let turn = Pose2::new(0.0, 0.0, angle);
+        let place = |at: usize| Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64)) - centre;
+        (0..SIDE * SIDE)
+            .map(|at| {
+                outline
+                    .distance(turn.inverse_transform_point(place(at)) + outline.centroid())
+                    .value
+            })
+            .map(|distance| (0.5 - distance / 5.0).clamp(0.0, 1.0) as f32)
+            .collect()
+    }
+
+    #[test]
+    fn a_rotation_is_the_shift_at_the_peak_between_bins_too() {
+        let log_polar = LogPolar::new();
+        let centre = Point2::new(256.0, 256.0);
+        let anchor = log_polar.signature(&mask(PI / 4.0), centre);
+        let mut worst: f64 = 0.0;
+        for i in 0..360 {
+            let wanted = f64::from(i).to_radians();
+            let found = log_polar.rotation(&anchor, &log_polar.signature(&mask(PI / 4.0 + wanted), centre));
+            worst = worst.max(periodic_distance(found, wanted, TAU));
+        }
+        // A bin is 2.8 degrees wide.
+        assert!(worst.to_degrees() < 0.6, "{} degrees", worst.to_degrees());
+    }
+
+    #[test]
+    fn beyond_the_picture_there_is_nothing() {
+        let full = vec![1.0; SIDE * SIDE];
+        assert_eq!(bilinear(&full, Point2::new(40.3, 50.7)), 1.0);
+        for place in [(-0.1, 3.0), (3.0, -0.1), (95.0, 3.0), (3.0, 95.2), (f64::NAN, 3.0)] {
+            assert_eq!(bilinear(&full, Point2::new(place.0, place.1)), 0.0);
+        }
+    }
+}

@@ -163,3 +163,72 @@ impl Rectangle {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::LazyLock;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The T of Push-T with an outline of 2 px.
+    static TEE: LazyLock<Outline> = LazyLock::new(|| Outline::new(&re4_sim::tee_rectangles(), 2.0));
+
+    /// Distance by the nearest of many points on the edges of the rectangles; negative inside.
+    fn by_brute_force(place: Point2) -> f64 {
+        let mut nearest = f64::INFINITY;
+        let mut inside = false;
+        for corners in re4_sim::tee_rectangles() {
+            let [low, high] = [corners[0].inf(&corners[2]), corners[0].sup(&corners[2])];
+            inside |= (0..2).all(|axis| (low[axis]..=high[axis]).contains(&place[axis]));
+            for i in 0..4 {
+                let (a, b) = (corners[i], corners[(i + 1) % 4]);
+                for step in 0..=400 {
+                    nearest = nearest.min((a + (b - a) * (f64::from(step) / 400.0) - place).norm());
+                }
+            }
+        }
+        if inside { -nearest - 2.0 } else { nearest - 2.0 }
+    }
+
+    proptest! {
+        #[test]
+        fn distances_are_those_of_brute_force(x in -120.0..120.0f64, y in -80.0..200.0f64) {
+            let place = Point2::new(x, y);
+            let found = TEE.distance(place);
+            let expected = by_brute_force(place);
+            // Inside, the line where bar and stem meet is no edge of the T, but may be the nearest of a rectangle.
+            if expected > -2.0 {
+                prop_assert!((found.value - expected).abs() < 0.2, "{} and {expected}", found.value);
+            } else {
+                prop_assert!(found.value < -1.9);
+            }
+            let mut values = [0.0; 1];
+            TEE.distances(&[x], &[y], &mut values);
+            prop_assert!((values[0] - found.value).abs() < 1e-9);
+        }
+
+        #[test]
+        fn gradients_are_differences(x in -120.0..120.0f64, y in -80.0..200.0f64) {
+            let at = |dx: f64, dy: f64| TEE.distance(Point2::new(x + dx, y + dy)).value;
+            let step = 1e-6;
+            let slope = Point2::new(at(step, 0.0) - at(-step, 0.0), at(0.0, step) - at(0.0, -step)) / (2.0 * step);
+            // Where two edges are as near as each other there is a kink, which differences straddle.
+            prop_assume!((slope.norm() - 1.0).abs() < 1e-3);
+            prop_assert!((slope - TEE.distance(Point2::new(x, y)).gradient).norm() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn area_and_centroid_are_those_of_the_union() {
+        let tee = &TEE;
+        // Bar of 124 x 34 about (0, 15), and what the stem of 34 x 94 adds below it: 34 x 90 about (0, 77).
+        let (bar, stem) = (124.0 * 34.0, 34.0 * 90.0);
+        let rounded = 4.0 * (4.0 - std::f64::consts::PI);
+        assert!((tee.pixels() * SCALE * SCALE - (bar + stem)).abs() < rounded + 10.0);
+        assert!(tee.centroid().x.abs() < 1e-9);
+        assert!((tee.centroid().y - (bar * 15.0 + stem * 77.0) / (bar + stem)).abs() < 0.1);
+        assert!((tee.without_stroke().pixels() * SCALE * SCALE - 6300.0).abs() < 1.0);
+    }
+}
