@@ -109,6 +109,60 @@ fn a_run_writes_the_page_that_report_makes() {
 }
 
 #[test]
+fn nothing_but_a_file_is_replaced() {
+    let place = Place::new();
+    let artifact = place.run("run small.toml --no-images --json").done().json()["artifact"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let before = place.bytes();
+    fs::write(place.path().join("old.html"), "old").unwrap();
+    std::os::unix::fs::symlink("old.html", place.path().join("link.html")).unwrap();
+    for pipe in ["pipe.html", "pipe.gif", "pipe.svg"] {
+        let made = Command::new("mkfifo").arg(place.path().join(pipe)).status().unwrap();
+        assert!(made.success());
+    }
+    let refusals: Vec<String> = [
+        format!("report {artifact} --output pipe.html"),
+        format!("report {artifact} --output {artifact}/manifest.json"),
+        format!("report {artifact} --output {artifact}/page.html"),
+        format!("film {artifact} pipe.gif --seed 500"),
+        format!("film {artifact} {artifact}/film.gif --seed 500"),
+        format!("inspect {artifact} --seed 500 --picture pipe.svg"),
+        format!("inspect {artifact} --seed 500 --picture {artifact}/results.parquet"),
+        "run small.toml --no-images --report pipe.html".to_owned(),
+    ]
+    .iter()
+    .map(|arguments| place.run(arguments).refused_at_once())
+    .collect();
+    with_settings!({ filters => filters() }, { assert_snapshot!(refusals.join("\n")) });
+    assert!(place.bytes() == before, "an artifact was changed");
+    assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
+    // A link stays a link.
+    let page = page_of(&place, &artifact);
+    place.run(&format!("report {artifact} --output link.html")).done();
+    assert!(
+        fs::symlink_metadata(place.path().join("link.html"))
+            .unwrap()
+            .is_symlink()
+    );
+    assert!(fs::read_to_string(place.path().join("old.html")).unwrap() == page);
+}
+
+#[test]
+fn a_preset_with_changed_settings_is_not_the_preset() {
+    let place = Place::new();
+    let roll = |more: &str| {
+        let answer = place
+            .run(&format!("run small.toml --no-images --policy paper --json {more}"))
+            .done();
+        page_of(&place, answer.json()["artifact"].as_str().unwrap())
+    };
+    assert!(!roll("").contains("settings changed"));
+    assert!(roll("--set rollout.reframe.enabled=false").contains("settings changed"));
+}
+
+#[test]
 fn figures_are_those_of_the_artifacts() {
     let (place, folders) = two_policies();
     let page = page_of(&place, &folders.join(" "));

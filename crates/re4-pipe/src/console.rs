@@ -3,11 +3,12 @@
 use std::io::{IsTerminal as _, Write as _};
 use std::path::Path;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::Value;
 
 use crate::arguments::Common;
+use crate::output::Output;
 
 /// How to print.
 #[derive(Debug, Clone, Copy)]
@@ -53,12 +54,7 @@ impl Console {
 
     /// Writes a picture, and says where it is.
     pub(crate) fn picture(self, path: &Path, svg: &str) -> Result<()> {
-        std::fs::write(path, svg).with_context(|| {
-            format!(
-                "cannot write the picture {}; give a path in a folder that exists",
-                path.display()
-            )
-        })?;
+        Output::at(path, "picture")?.write(svg)?;
         self.note(&format!("picture in {}", path.display()));
         Ok(())
     }

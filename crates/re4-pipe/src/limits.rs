@@ -54,12 +54,16 @@ fn check_variant(pipeline: &Pipeline) -> Result<()> {
         ingest.render.len() <= 1,
         "ingest.render names a camera twice; name each once"
     );
+    ensure!(
+        ingest.images || ingest.render.is_empty(),
+        "ingest.images is false and ingest.render names a camera; leave one of the two out"
+    );
     match (pipeline.variant, pose.source) {
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {
             ensure!(
-                ingest.images || !ingest.render.is_empty(),
-                "variant is \"image\" and ingest.images is false, so there would be no pictures; set it to true, or set ingest.render = [\"image\"]"
+                ingest.images,
+                "variant is \"image\" and ingest.images is false, so there would be no pictures; leave it out"
             );
             // Other rules look at the recorded pose of the object.
             ensure!(

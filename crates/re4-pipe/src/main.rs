@@ -8,6 +8,7 @@ mod commands;
 mod console;
 mod interrupt;
 mod limits;
+mod output;
 mod pipeline;
 mod seeds;
 mod stages;

@@ -1,11 +1,11 @@
 //! `re4-pipe film`: rollouts as a GIF.
 
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use arrow::array::RecordBatch;
-use re4_artifact::{Artifact, ArtifactError, col_f64, col_f64_list, col_text, col_u32, tables};
+use re4_artifact::{Artifact, ArtifactError, Stage, col_f64, col_f64_list, col_text, col_u32, tables};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_report::{FilmDecision, FilmRollout, FilmSettings, FilmState, write_film};
@@ -16,6 +16,7 @@ use super::Outcome;
 use crate::arguments::FilmArguments;
 use crate::console::Console;
 use crate::interrupt::Interrupt;
+use crate::output::Output;
 
 /// Writes the film, whole or not at all.
 pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
@@ -32,27 +33,17 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
         );
     }
     let artifact = Artifact::open(&arguments.path)?;
+    let kind = &artifact.manifest().artifact;
+    ensure!(
+        *kind == Stage::Rollout.artifact(),
+        "cannot film {}: it is an artifact of kind {kind}, and films are made of rollouts",
+        arguments.path.display()
+    );
     artifact.verify_bytes()?;
     let (rollouts, chunks) = read_films(&artifact, arguments.seeds.as_slice(), console)?;
 
-    let refuse = || format!("cannot write the film {}", out.display());
-    let folder = match out.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    };
-    if !folder.is_dir() || out.is_dir() {
-        bail!(
-            "cannot write the film {}; give the name of a file, in a folder that exists",
-            out.display()
-        );
-    }
-    // Beside its place, so that the film takes it in one move.
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".tmp-film-");
-    // For all to read, as far as the user's mask allows; temporary files are private otherwise.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let temporary = builder.tempfile_in(folder).with_context(refuse)?;
+    let output = Output::at(out, "film")?;
+    let temporary = output.temporary()?;
     let settings = FilmSettings {
         size: arguments.size,
         speed: arguments.speed,
@@ -65,11 +56,12 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
     })
     .with_context(|| format!("cannot make the film {}", out.display()))?;
     bar.finish_and_clear();
-    let bytes = temporary.as_file().metadata().with_context(refuse)?.len();
-    temporary
-        .persist(out)
-        .map_err(|error| error.error)
-        .with_context(refuse)?;
+    let bytes = temporary
+        .as_file()
+        .metadata()
+        .with_context(|| format!("cannot write the film {}", out.display()))?
+        .len();
+    output.keep(temporary)?;
 
     let seconds = f64::from(facts.duration_cs) / 100.0;
     console.answer(&json!({

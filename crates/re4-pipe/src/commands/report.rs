@@ -1,8 +1,6 @@
 //! `re4-pipe report`: one self-contained HTML page over `rollouts` artifacts.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Write as _;
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -13,6 +11,7 @@ use serde_json::json;
 use super::Outcome;
 use crate::arguments::ReportArguments;
 use crate::console::Console;
+use crate::output::Output;
 use crate::seeds::Seeds;
 
 mod rollouts;
@@ -56,12 +55,8 @@ impl Written {
 pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let seeds = arguments.seeds.as_deref().map(str::parse).transpose()?;
-    let written = write(
-        &arguments.paths,
-        seeds.as_ref(),
-        &arguments.output,
-        &arguments.common.artifacts,
-    )?;
+    let output = Output::at(&arguments.output, "report")?;
+    let written = write(&arguments.paths, seeds.as_ref(), &output, &arguments.common.artifacts)?;
     written.say_warnings(console);
     console.answer(&json!({
         "report": arguments.output,
@@ -80,7 +75,7 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
 }
 
 /// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
-pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Path, store: &Path) -> Result<Written> {
+pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, store: &Path) -> Result<Written> {
     let artifacts = open_all(paths)?;
     let mut sets = artifacts
         .iter()
@@ -130,7 +125,7 @@ pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Path, sto
             text.len() / 1_000_000
         ));
     }
-    write_whole(output, &text)?;
+    output.write(&text)?;
     Ok(Written {
         bytes: text.len(),
         artifacts,
@@ -138,29 +133,6 @@ pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Path, sto
         demonstrations: embedded,
         warnings,
     })
-}
-
-/// Refuses a path that a report could not be written to.
-pub(crate) fn check_output(path: &Path) -> Result<()> {
-    let folder = folder_of(path);
-    ensure!(
-        folder.is_dir(),
-        "cannot write the report {}: there is no folder {}; make it, or give another path",
-        path.display(),
-        folder.display()
-    );
-    ensure!(
-        !path.is_dir(),
-        "cannot write the report {}: it is a folder; give the path of a file",
-        path.display()
-    );
-    Ok(())
-}
-
-fn folder_of(path: &Path) -> &Path {
-    path.parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."))
 }
 
 fn short(key: &str) -> &str {
@@ -277,25 +249,4 @@ fn world() -> World {
         pusher_radius: re4_sim::AGENT_RADIUS,
         success_coverage: re4_sim::SUCCESS_COVERAGE,
     }
-}
-
-/// Writes the page to a temporary sibling and renames it: a page is there whole or not at all.
-fn write_whole(path: &Path, text: &str) -> Result<()> {
-    let refused = || {
-        format!(
-            "cannot write the report {}; give the path of a file in a folder that exists and may be written",
-            path.display()
-        )
-    };
-    check_output(path)?;
-    let mut file = tempfile::Builder::new()
-        .prefix(".tmp-report-")
-        // As any file that a user makes: readable as the umask says, not for the user alone.
-        .permissions(std::fs::Permissions::from_mode(0o666))
-        .tempfile_in(folder_of(path))
-        .with_context(refused)?;
-    file.write_all(text.as_bytes()).with_context(refused)?;
-    file.as_file().sync_all().with_context(refused)?;
-    file.persist(path).map_err(|error| error.error).with_context(refused)?;
-    Ok(())
 }

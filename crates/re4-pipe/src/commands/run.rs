@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
+use crate::output::Output;
 use crate::pipeline::PoseSource;
 use crate::stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
 
@@ -95,9 +96,11 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
             path.display()
         );
     }
-    if let Some(path) = &arguments.report {
-        report::check_output(path)?;
-    }
+    let page = arguments
+        .report
+        .as_deref()
+        .map(|path| Output::at(path, "report"))
+        .transpose()?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let poses = runner.train_pose(&episodes)?;
@@ -107,11 +110,11 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     if let Some(path) = &arguments.record {
         record(&runner, &built, path)?;
     }
-    if let Some(path) = &arguments.report {
+    if let (Some(path), Some(page)) = (&arguments.report, &page) {
         let written = report::write(
             &[built.artifact.path().to_path_buf()],
             None,
-            path,
+            page,
             &arguments.stage.common.artifacts,
         )?;
         written.say_warnings(runner.console);

@@ -58,6 +58,8 @@ pub struct Rollouts {
     pub index_key: String,
     /// Preset of the policy.
     pub preset: String,
+    /// Whether single settings of the preset were changed.
+    pub altered: bool,
     /// What the policy observed: state or image.
     pub variant: String,
     /// How many demonstrations it had, where that is known.

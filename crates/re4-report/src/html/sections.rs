@@ -137,16 +137,20 @@ fn details(artifact: &Rollouts) -> [String; 2] {
         (_, None) => "demonstrations not counted".to_owned(),
     };
     let steps = plural(artifact.max_steps as usize, "step", "steps");
+    let changed = if artifact.altered { " · settings changed" } else { "" };
     [
-        format!("{} · {demos}", artifact.variant),
+        format!("{} · {demos}{changed}", artifact.variant),
         format!("{} · {steps}", artifact.scenes),
     ]
 }
 
-/// The paper's figure for the same experiment: its dataset, scenes from seeds, its number of steps.
+/// The paper's figure for the same experiment: its dataset, scenes from seeds, its number of steps, a preset as it is.
 fn paper_counterpart(artifact: &Rollouts) -> Option<(&'static str, f64)> {
     let experiment = (artifact.dataset_demonstrations, artifact.starts, artifact.max_steps);
     if experiment != (Some(paper::DEMONSTRATIONS), Starts::Seeds, paper::MAX_STEPS) {
+        return None;
+    }
+    if artifact.altered {
         return None;
     }
     let demonstrations = match artifact.demonstrations_taken {

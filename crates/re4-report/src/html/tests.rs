@@ -85,6 +85,7 @@ fn set(key: char, preset: &str) -> Rollouts {
             success_rate: interval,
         },
         protocol: json!({"seeds": "500..502", "reset": "legacy", "dataset": {"episodes": 206}}),
+        altered: false,
         settings: json!({"replay": {"horizon": 24}}),
         rollouts: vec![rollout(500, &[0.1, 0.4, 0.3]), rollout(501, &[0.2, 0.96])],
     }
@@ -302,6 +303,7 @@ fn the_papers_figures_stand_beside_the_same_experiment_only() {
         |set: &mut Rollouts| set.starts = Starts::Scenes,
         |set: &mut Rollouts| set.max_steps = 300,
         |set: &mut Rollouts| set.preset = "mine".to_owned(),
+        |set: &mut Rollouts| set.altered = true,
     ] {
         assert_eq!(beside(change), None);
     }

@@ -5,6 +5,7 @@ use std::ops::Range;
 use anyhow::{Result, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::{Artifact, col_bool, col_f64, col_f64_list, col_f64_or_null, col_text, col_u32, tables};
+use re4_policy::PolicyConfig;
 use re4_report::Interval;
 use re4_report::html::{DecisionTrace, Metrics, Rollout, Rollouts, Starts, StepTrace, Taken};
 use serde::de::DeserializeOwned;
@@ -18,11 +19,14 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
     let metric =
         |name: &str| -> Result<Interval> { stated(artifact, "summary.metrics", &manifest.summary["metrics"], name) };
     let (demonstrations_taken, demonstrations) = demonstrations(protocol);
+    let preset: String = stated(artifact, "config", config, "preset")?;
+    let unchanged = PolicyConfig::preset(&preset).and_then(|policy| serde_json::to_value(policy).ok());
     let (starts, scenes) = starts(config);
     Ok(Rollouts {
         key: artifact.key().to_string(),
         index_key: super::index_key(artifact)?.to_string(),
-        preset: stated(artifact, "config", config, "preset")?,
+        altered: unchanged.as_ref() != Some(&config["policy"]),
+        preset,
         variant: stated(artifact, "config", config, "variant")?,
         demonstrations,
         demonstrations_taken,
