@@ -199,6 +199,9 @@ impl Pictures {
                     .with_context(|| format!("{} is not a PNG picture; ingest again", place(row)))?;
                 look(picture.into_rgb8()).with_context(|| place(row))
             })
+            // In order, so that of several errors the first is told, whichever thread met one first.
+            .collect::<Vec<_>>()
+            .into_iter()
             .collect()
     }
 }
