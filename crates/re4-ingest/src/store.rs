@@ -97,6 +97,9 @@ impl Store {
                     .map_err(|error| Fault::io("read", path, error))?;
                 Ok((hasher.count(), hasher.finalize()))
             })
+            // In order, so that the first of several errors is told for any number of threads.
+            .collect::<Vec<_>>()
+            .into_iter()
             .collect::<Result<_, Fault>>()?;
         let mut whole = blake3::Hasher::new();
         for (name, (length, hash)) in files.iter().zip(hashes) {

@@ -407,6 +407,9 @@ impl ZarrArray {
                 }
                 Ok(values)
             })
+            // In order, so that the first of several errors is told for any number of threads.
+            .collect::<Vec<_>>()
+            .into_iter()
             .collect::<Result<_, Fault>>()?;
         Ok(rows.concat())
     }

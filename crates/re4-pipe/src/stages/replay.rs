@@ -63,6 +63,8 @@ fn replay_all(episodes: &Artifact) -> Result<Vec<Replay>> {
                 .with_context(|| format!("cannot replay demonstration {}: it has no frames", episode.source))?;
             Ok((episode.source, replay))
         })
+        .collect::<Vec<_>>()
+        .into_iter()
         .collect()
 }
 
