@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
-use re4_sim::{GOAL, WALL_FACES, coverage, tee_vertices};
+use re4_sim::{GOAL, coverage, depth_in_walls};
 
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
@@ -196,22 +196,13 @@ fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame],
 /// Whether the block, moved from `block` as `chunk` records it, stays clear of the walls: beyond them the demonstration
 /// says nothing of what will happen.
 fn stays_inside(frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
-    let depth = |pose: Pose2| {
-        let [low, high] = WALL_FACES;
-        let corners = tee_vertices(pose);
-        let beyond = corners
-            .iter()
-            .flatten()
-            .flat_map(|p| [low - p.x, p.x - high, low - p.y, p.y - high]);
-        beyond.fold(0.0, f64::max)
-    };
-    let limit = depth(block) + WALL_TOLERANCE;
+    let limit = depth_in_walls(block) + WALL_TOLERANCE;
     let carry = block.delta_from(frames[0].object);
     let length = (chunk.end - chunk.start) as usize;
     frames
         .iter()
         .take(length + 1)
-        .all(|frame| depth(carry.compose(frame.object)) <= limit)
+        .all(|frame| depth_in_walls(carry.compose(frame.object)) <= limit)
 }
 
 impl Re4 {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2, periodic_distance, wrap_to_two_pi};
 use re4_index::{IndexError, IndexedFrame, Query, Range, RetrievalIndex};
-use re4_sim::{WALL_FACES, tee_vertices};
+use re4_sim::depth_in_walls;
 
 use crate::{ObjectFrame, ScenesConfig, ScenesError};
 
@@ -141,14 +141,13 @@ impl Sweep {
 
 /// Whether no corner of the block reaches into a wall.
 fn is_inside(pose: Pose2) -> bool {
-    let [low, high] = WALL_FACES;
-    let within = |corner: &Point2| corner.iter().all(|value| (low..=high).contains(value));
-    tee_vertices(pose).iter().flatten().all(within)
+    depth_in_walls(pose) == 0.0
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use re4_sim::WALL_FACES;
 
     const fn range(minimum: f64, maximum: f64) -> Range {
         Range { minimum, maximum }

@@ -21,5 +21,6 @@ pub use render::{Canvas, OBSERVATION_SIDE, OUTLINE_RADIUS, render_state};
 pub use seed::{SeedScheme, scene_from_seed};
 pub use simulator::{ResetOrder, Simulator, Step};
 pub use tee::{
-    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, SUCCESS_COVERAGE, TEE_AREA, coverage, iou, tee_rectangles, tee_vertices,
+    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, SUCCESS_COVERAGE, TEE_AREA, coverage, depth_in_walls, iou, tee_rectangles,
+    tee_vertices,
 };

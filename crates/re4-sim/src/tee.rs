@@ -2,6 +2,7 @@
 //!
 //! Source of the figures: gym-pusht 0.1.8 (`envs/pusht.py`), the same in `diffusion_policy`'s `env/pusht/pusht_env.py`.
 
+use crate::chipmunk::WALL_FACES;
 use re4_geometry::{Point2, Pose2, clip_convex, polygon_area};
 
 /// Where the block should be brought, in pixels and radians.
@@ -46,6 +47,17 @@ pub fn tee_vertices(pose: Pose2) -> [[Point2; 4]; 2] {
     tee_rectangles().map(|rectangle| {
         rectangle.map(|p| Point2::new(pose.x + cosine * p.x - sine * p.y, pose.y + sine * p.x + cosine * p.y))
     })
+}
+
+/// How far the block's farthest corner reaches into a wall or beyond it, in pixels; 0 for a block between the walls.
+pub fn depth_in_walls(block: Pose2) -> f64 {
+    let [low, high] = WALL_FACES;
+    let beyond = |p: &Point2| [low - p.x, p.x - high, low - p.y, p.y - high];
+    tee_vertices(block)
+        .iter()
+        .flatten()
+        .flat_map(beyond)
+        .fold(0.0, f64::max)
 }
 
 /// Share of the goal's area that the block covers, in `[0, 1]`.

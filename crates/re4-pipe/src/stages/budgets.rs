@@ -3,13 +3,9 @@
 use rayon::prelude::*;
 use re4_artifact::{Columns, tables};
 use re4_policy::EpisodeRollout;
-use re4_report::{Interval, mean_interval, wilson_interval};
+use re4_report::{Interval, budgets, mean_interval, wilson_interval};
 
 use super::rollout::BOOTSTRAP_SEED;
-
-/// Distance between budgets, in control steps: the paper's sweep goes from 50 to 500 by 50 (section "Sparse Data
-/// Benchmarks").
-const STRIDE: u32 = 50;
 
 /// One budget, and what every rollout had reached by it.
 struct Budget {
@@ -24,9 +20,8 @@ struct Budget {
 pub(super) struct Budgets(Vec<Budget>);
 
 impl Budgets {
-    /// Every [`STRIDE`] steps up to `max_steps`, and `max_steps` itself.
+    /// The budgets of rollouts of at most `max_steps`, as [`budgets`] has them.
     pub(super) fn up_to(max_steps: u32) -> Self {
-        let inner = (1..).map(|i| i * STRIDE).take_while(|steps| *steps < max_steps);
         let budget = |steps| Budget {
             steps,
             score: Vec::new(),
@@ -34,7 +29,7 @@ impl Budgets {
             iou: Vec::new(),
             successes: 0,
         };
-        Self(inner.chain([max_steps]).map(budget).collect())
+        Self(budgets(max_steps).into_iter().map(budget).collect())
     }
 
     /// Adds rollouts.

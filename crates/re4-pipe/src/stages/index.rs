@@ -1,7 +1,6 @@
 //! Index: `episodes`, `modes` and perhaps `poses` to `index`.
 
 use std::collections::BTreeSet;
-use std::f64::consts::{PI, TAU};
 
 use anyhow::{Context as _, Result};
 use arrow::array::Array as _;
@@ -9,7 +8,7 @@ use re4_artifact::{
     Artifact, Columns, Facts, Recipe, Stage, Writer, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables,
 };
 use re4_episode::{Mode, PlanarFrame};
-use re4_geometry::{Point2, Pose2};
+use re4_geometry::{Point2, Pose2, wrap_to_pi};
 use re4_index::{AngleMetric, IndexedFrame, Normalization, Range, RetrievalIndex};
 use re4_policy::{Chunk, ChunkLibrary, DemoSet, Knowledge, PolicyConfig, Selector, collect_chunks};
 use re4_pose::Flag;
@@ -171,7 +170,7 @@ fn fill(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
             (_, Some((frame, pose))) if *frame == i => *pose,
             (Some((from, a)), Some((to, b))) => {
                 let share = (i - from) as f64 / (to - from) as f64;
-                let turn = (b.theta - a.theta + PI).rem_euclid(TAU) - PI;
+                let turn = wrap_to_pi(b.theta - a.theta);
                 let between = |a: f64, b: f64| a + share * (b - a);
                 Pose2::new(between(a.x, b.x), between(a.y, b.y), a.theta + share * turn).normalized()
             }
