@@ -151,7 +151,9 @@ impl Osc {
         initial: Option<&Isometry3<f64>>,
     ) -> Result<Vec<Action>, ActionError> {
         check(delta, site)?;
-        let mut held = initial.or(site.first()).map_or_else(UnitQuaternion::identity, |pose| pose.rotation);
+        let mut held = initial
+            .or(site.first())
+            .map_or_else(UnitQuaternion::identity, |pose| pose.rotation);
         let steps = delta.iter().zip(site).enumerate();
         Ok(steps
             .map(|(t, (action, site))| {
@@ -181,7 +183,9 @@ impl Osc {
         initial: Option<&Isometry3<f64>>,
     ) -> Result<Vec<Action>, ActionError> {
         check(absolute, site)?;
-        let mut held = initial.or(site.first()).map_or_else(UnitQuaternion::identity, |pose| pose.rotation);
+        let mut held = initial
+            .or(site.first())
+            .map_or_else(UnitQuaternion::identity, |pose| pose.rotation);
         let steps = absolute.iter().zip(site).enumerate();
         Ok(steps
             .map(|(t, (action, site))| {

@@ -11,7 +11,9 @@ use re4_robosuite::kinematics::Model;
 #[test]
 fn poses_equal_the_recorded_observations_of_all_scripted_demos() {
     for task in TASKS {
-        let Some(source) = scripted(task, "low_dim.hdf5") else { return };
+        let Some(source) = scripted(task, "low_dim.hdf5") else {
+            return;
+        };
         let object = match task {
             "lift" => "cube",
             "can" => "Can",
@@ -54,13 +56,23 @@ fn models_of_other_versions_are_understood() {
     let models = [
         ("robosuite-1.0.1-demos/lift/panda", 32, vec!["cube"]),
         ("robosuite-1.0.1-demos/stack/panda", 45, vec!["cubeA", "cubeB"]),
-        ("robosuite-1.0.1-demos/nut-assembly/panda", 45, vec!["SquareNut0", "RoundNut0"]),
-        ("robosuite-1.0.1-demos/pick-place/panda", 71, vec!["Milk0", "Bread0", "Cereal0", "Can0"]),
+        (
+            "robosuite-1.0.1-demos/nut-assembly/panda",
+            45,
+            vec!["SquareNut0", "RoundNut0"],
+        ),
+        (
+            "robosuite-1.0.1-demos/pick-place/panda",
+            71,
+            vec!["Milk0", "Bread0", "Cereal0", "Can0"],
+        ),
         ("robosuite-1.0.1-demos/door/panda", 23, vec![]),
         ("robosuite-1.0.1-demos/wipe/panda", 15, vec![]),
     ];
     for (folder, width, free) in models {
-        let Some(path) = dataset(&format!("robosuite/{folder}/models/model_1.xml")) else { return };
+        let Some(path) = dataset(&format!("robosuite/{folder}/models/model_1.xml")) else {
+            return;
+        };
         let model = Model::parse(&std::fs::read_to_string(path).unwrap()).unwrap();
         let names: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
         assert_eq!((model.state_width(), names), (width, free), "{folder}");
@@ -73,5 +85,8 @@ fn models_of_other_versions_are_understood() {
     let model = Model::parse(&text_attribute(&file, "data/demo_0", "model_file")).unwrap();
     let (left, right) = (model.robot(0).unwrap(), model.robot(1).unwrap());
     assert_eq!((left.fingers, right.fingers), (Some([7, 8]), Some([16, 17])));
-    assert!(model.object("hammer").unwrap_err().to_string().contains("hammer_root"), "it is called hammer_root");
+    assert!(
+        model.object("hammer").unwrap_err().to_string().contains("hammer_root"),
+        "it is called hammer_root"
+    );
 }

@@ -2,10 +2,10 @@
 
 use super::demo::Sound;
 use super::evidence::{Declared, Fit, MARGIN, Test, Verdict};
-use super::residuals::{self, Motion, Relation, Share};
+use super::residuals::{self, Kinds, Relation, Share};
 use super::{
-    ActionKind, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof, QuaternionOrder, RelativeLag,
-    Settings, Task, Unproven,
+    ActionKind, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof, QuaternionOrder,
+    RelativeLag, Settings, Task, Unproven,
 };
 use crate::env_args::EnvArgs;
 
@@ -38,9 +38,11 @@ const fn exact(name: &'static str) -> Test {
     }
 }
 
-const EEF_KINEMATICS: Test = exact("robot0_eef_pos and robot0_eef_quat against the poses that states and model_file give");
+const EEF_KINEMATICS: Test =
+    exact("robot0_eef_pos and robot0_eef_quat against the poses that states and model_file give");
 const EEF_RELATION: Test = exact("the relative part of obs/object against object and end-effector pose");
-const OBJECT: Test = exact("the parts of obs/object against each other, and against states and model_file where they are there");
+const OBJECT: Test =
+    exact("the parts of obs/object against each other, and against states and model_file where they are there");
 const ANGULAR_VELOCITY: Test = Test {
     name: "the change of robot0_eef_quat against robot0_eef_vel_ang",
     unit: "of the velocity",
@@ -102,22 +104,30 @@ impl Conventions {
         let mut proofs = Vec::new();
         let mut keep = |proof: Proof| proofs.push(proof);
 
-        let (action_kind, proof) = action_kind(&demos).settle("action_kind", settings.action_kind, declared_kind(env).as_ref())?;
+        let (action_kind, proof) =
+            action_kind(&demos).settle("action_kind", settings.action_kind, declared_kind(env).as_ref())?;
         keep(proof);
-        let (gripper_sign, proof) =
-            gripper_sign(&demos).settle("gripper_sign", settings.gripper_sign, Some(&robosuite(env, GripperSign::PositiveCloses)))?;
+        let (gripper_sign, proof) = gripper_sign(&demos).settle(
+            "gripper_sign",
+            settings.gripper_sign,
+            Some(&robosuite(env, GripperSign::PositiveCloses)),
+        )?;
         keep(proof);
 
         let has_object = task != Task::Other && demos.iter().any(|demo| demo.arrays.object.is_some());
         let (order, frame) = eef(&demos, task, has_object, action_kind, env);
-        let (eef_quaternion, proof) =
-            order.settle("eef_quaternion", settings.eef_quaternion, Some(&robosuite(env, QuaternionOrder::Xyzw)))?;
+        let (eef_quaternion, proof) = order.settle(
+            "eef_quaternion",
+            settings.eef_quaternion,
+            Some(&robosuite(env, QuaternionOrder::Xyzw)),
+        )?;
         keep(proof);
         let hand = Declared {
             strict: false,
             ..robosuite(env, EefOrientation::HandBody)
         };
-        let (eef_orientation, proof) = frame(eef_quaternion).settle("eef_orientation", settings.eef_orientation, Some(&hand))?;
+        let (eef_orientation, proof) =
+            frame(eef_quaternion).settle("eef_orientation", settings.eef_orientation, Some(&hand))?;
         keep(proof);
 
         let mut conventions = Self {
@@ -133,7 +143,11 @@ impl Conventions {
         if has_object {
             let related = relations(&demos, task, &[eef_quaternion], &[eef_orientation], true);
             let (layout, proof) = Verdict::new(OBJECT, related.iter().map(|(relation, fit)| (relation.layout, *fit)))
-                .settle("object_layout", settings.object_layout, declared_layout(env, task).as_ref())?;
+                .settle(
+                "object_layout",
+                settings.object_layout,
+                declared_layout(env, task).as_ref(),
+            )?;
             keep(proof);
             let of_layout = || related.iter().filter(|(relation, _)| relation.layout == layout);
             let mut order = Verdict::new(OBJECT, of_layout().map(|(relation, fit)| (relation.object, *fit)));
@@ -226,7 +240,9 @@ fn eef<'a>(
     }
     if has_object && task != Task::Lift {
         let related = relations(demos, task, &ORDERS, &FRAMES, false);
-        let fits = related.iter().map(|(relation, fit)| (relation.eef, relation.frame, *fit));
+        let fits = related
+            .iter()
+            .map(|(relation, fit)| (relation.eef, relation.frame, *fit));
         return joint(EEF_RELATION, fits.collect());
     }
     let freq = env.control_freq.unwrap_or(20.0);
@@ -277,7 +293,13 @@ fn relations(
             for &eef in eefs {
                 for &frame in frames {
                     let fits = LAGS.map(|lag| {
-                        let relation = Relation { layout, object, eef, frame, lag };
+                        let relation = Relation {
+                            layout,
+                            object,
+                            eef,
+                            frame,
+                            lag,
+                        };
                         let fit = Fit::of(every(demos, |demo, t| {
                             let relative = residuals::relative(demo, t, &relation)?;
                             let known = with_states.then(|| residuals::object_kinematics(demo, t, layout, object));
@@ -287,7 +309,11 @@ fn relations(
                     });
                     // A later one only where the current row does not fit.
                     related.extend(fits.into_iter().reduce(|best, next| {
-                        if best.1.high <= EXACT || best.1.high <= next.1.high { best } else { next }
+                        if best.1.high <= EXACT || best.1.high <= next.1.high {
+                            best
+                        } else {
+                            next
+                        }
                     }));
                 }
             }
@@ -299,7 +325,9 @@ fn relations(
 /// Lift without states: a cube that rests stands upright, under the right order, whatever its yaw.
 fn at_rest(demos: &[Sound<'_>]) -> Verdict<QuaternionOrder> {
     let fits = ORDERS.map(|order| {
-        let rows = demos.iter().filter_map(|demo| demo.arrays.object.filter(|rows| !rows.is_empty()));
+        let rows = demos
+            .iter()
+            .filter_map(|demo| demo.arrays.object.filter(|rows| !rows.is_empty()));
         let tilts: Vec<f64> = rows.filter_map(|rows| residuals::tilt(rows.row(0), order)).collect();
         (order, Fit::of(tilts))
     });
@@ -311,7 +339,11 @@ fn gripper_sign(demos: &[Sound<'_>]) -> Verdict<GripperSign> {
     for demo in demos {
         share.add(residuals::finger_travel(demo));
     }
-    let frames = if share.total() >= FINGER_TRAVEL { share.frames } else { 0 };
+    let frames = if share.total() >= FINGER_TRAVEL {
+        share.frames
+    } else {
+        0
+    };
     let fit = |share: Share| Fit::whole(share.value(), frames);
     Verdict::new(
         FINGERS,
@@ -323,12 +355,10 @@ fn gripper_sign(demos: &[Sound<'_>]) -> Verdict<GripperSign> {
 }
 
 fn action_kind(demos: &[Sound<'_>]) -> Verdict<ActionKind> {
-    let mut sums = [Motion::default(); 2];
+    let mut kinds = Kinds::default();
     for demo in demos {
-        for (sum, motion) in sums.iter_mut().zip(residuals::motion(demo)) {
-            sum.add(motion);
-        }
+        kinds.add(residuals::motion(demo));
     }
-    let [delta, absolute] = sums.map(|motion| Fit::whole(motion.unexplained(), motion.frames));
-    Verdict::new(MOTION, [(ActionKind::Delta, delta), (ActionKind::Absolute, absolute)])
+    let fit = |kind: ActionKind| (kind, Fit::whole(kinds.unexplained(kind), kinds.frames()));
+    Verdict::new(MOTION, [fit(ActionKind::Delta), fit(ActionKind::Absolute)])
 }

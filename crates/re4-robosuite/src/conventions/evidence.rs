@@ -203,7 +203,10 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
             return "there is nothing to test it on".to_owned();
         };
         if fit.frames < self.test.frames {
-            format!("only {} of {} needed frames tell anything", fit.frames, self.test.frames)
+            format!(
+                "only {} of {} needed frames tell anything",
+                fit.frames, self.test.frames
+            )
         } else if fit.high > self.test.threshold {
             format!("no hypothesis fits within {:e}", self.test.threshold)
         } else {
@@ -270,7 +273,10 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
                 });
             }
             let (proven, expected) = (name(proven), name(declared.value));
-            warning = Some(format!("{}, which means {expected}, but the data proves {proven}", declared.by));
+            warning = Some(format!(
+                "{}, which means {expected}, but the data proves {proven}",
+                declared.by
+            ));
         }
         Ok((proven, proof(proven, Basis::Data, warning)))
     }

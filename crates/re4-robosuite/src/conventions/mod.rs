@@ -213,7 +213,9 @@ pub enum Unproven {
         setting: String,
     },
     /// A setting that the data contradicts.
-    #[error("the setting {setting} is contradicted by the data: {convention} is {proven} ({residuals}); remove the setting")]
+    #[error(
+        "the setting {setting} is contradicted by the data: {convention} is {proven} ({residuals}); remove the setting"
+    )]
     Setting {
         /// The convention.
         convention: &'static str,

@@ -163,7 +163,8 @@ impl Conventions {
         }
         if self.action_kind == ActionKind::Delta {
             let commands = demo.actions.iter().enumerate();
-            let beyond = commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
+            let beyond =
+                commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
             let what = "a delta action leaves [-1, 1]";
             within("actions", what, COMMAND_TOLERANCE, greatest(beyond))?;
         }
@@ -183,7 +184,9 @@ impl Conventions {
     /// A stored quaternion; none for a relative one that robosuite 1.5 has not yet computed.
     fn late_or_stored(&self, row: &[f64], start: usize) -> Option<[f64; 4]> {
         let stored: [f64; 4] = part(row, start)?;
-        let relative = self.object_layout.is_some_and(|layout| layout.relative_start() + 3 == start);
+        let relative = self
+            .object_layout
+            .is_some_and(|layout| layout.relative_start() + 3 == start);
         let pending = relative && self.relative_lag != RelativeLag::Current && stored == [0.0; 4];
         (!pending).then_some(stored)
     }
@@ -262,16 +265,17 @@ impl Conventions {
                 return refuse("actions[:, 6]", what, against, 0.5, fingers.frames);
             }
         }
-        let [delta, absolute] = residuals::motion(demo);
-        let (own, other) = match self.action_kind {
-            ActionKind::Delta => (delta, absolute),
-            ActionKind::Absolute => (absolute, delta),
+        let kinds = residuals::motion(demo);
+        let other = match self.action_kind {
+            ActionKind::Delta => ActionKind::Absolute,
+            ActionKind::Absolute => ActionKind::Delta,
         };
-        if own.frames >= 20 {
-            result.motion_unexplained = Some(own.unexplained());
-            if own.unexplained() > NOT_EXPLAINED && other.unexplained() <= UNEXPLAINED {
+        if kinds.frames() >= 20 {
+            let own = kinds.unexplained(self.action_kind);
+            result.motion_unexplained = Some(own);
+            if own > NOT_EXPLAINED && kinds.unexplained(other) <= UNEXPLAINED {
                 let what = "the actions are of the other kind (delta or absolute): motion left unexplained, as a share";
-                return refuse("actions[:, 0:6]", what, own.unexplained(), NOT_EXPLAINED, own.frames);
+                return refuse("actions[:, 0:6]", what, own, NOT_EXPLAINED, kinds.frames());
             }
         }
         Ok(())

@@ -3,13 +3,16 @@
 use nalgebra::{Isometry3, Vector3};
 
 use super::demo::Sound;
-use super::{EefOrientation, ObjectLayout, QuaternionOrder, RelativeLag, part, pose};
+use super::{ActionKind, EefOrientation, ObjectLayout, QuaternionOrder, RelativeLag, part, pose};
 use crate::actions;
 
 /// Fingers that move less than this in a frame (metres) tell nothing of the command's sign.
 const FINGER_MOVES: f64 = 2e-4;
 /// A hand that moves less than this in a frame (metres) tells nothing of the action.
 const HAND_MOVES: f64 = 5e-4;
+/// A hand that goes a smaller part of the way in a step does not follow its goal. With the default stiffness the part is about
+/// a fifth; for actions that are deltas, taken for goals, it is about a hundredth.
+const LEAST_APPROACH: f64 = 0.05;
 
 /// The larger of a distance in metres and an angle in radians.
 fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
@@ -24,12 +27,7 @@ fn hand(demo: &Sound<'_>, t: usize, order: QuaternionOrder, frame: EefOrientatio
 }
 
 /// `obs/robot0_eef_pos` and `_quat` against the pose that the state gives; none without states.
-pub(super) fn eef_kinematics(
-    demo: &Sound<'_>,
-    t: usize,
-    order: QuaternionOrder,
-    frame: EefOrientation,
-) -> Option<f64> {
+pub(super) fn eef_kinematics(demo: &Sound<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<f64> {
     let observed = demo.observed.get(t)?;
     let Some(stored) = order.rotation(demo.arrays.eef_quat[t]) else {
         return Some(f64::INFINITY);
@@ -126,7 +124,11 @@ impl Share {
 
     /// The share, 0 to 1; infinite where there is nothing.
     pub(super) fn value(&self) -> f64 {
-        if self.all > 0.0 { self.against / self.all } else { f64::INFINITY }
+        if self.all > 0.0 {
+            self.against / self.all
+        } else {
+            f64::INFINITY
+        }
     }
 
     /// What it is a share of: finger travel in metres, ...
@@ -162,53 +164,84 @@ pub(super) fn finger_travel(demo: &Sound<'_>) -> Share {
 
 /// Sums for a fit of the hand's next step to what an action asks for, with one gain for all.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Motion {
+struct Motion {
     step_ask: f64,
     ask_ask: f64,
     step_step: f64,
-    pub(super) frames: usize,
+    frames: usize,
 }
 
 impl Motion {
-    pub(super) fn add(&mut self, other: Self) {
+    fn add(&mut self, other: Self) {
         self.step_ask += other.step_ask;
         self.ask_ask += other.ask_ask;
         self.step_step += other.step_step;
         self.frames += other.frames;
     }
 
-    /// The share of the motion (sum of squares) that the best gain, at least zero, leaves unexplained; infinite without motion.
-    pub(super) fn unexplained(&self) -> f64 {
+    /// The share of the motion (sum of squares) that the best gain, at least `least`, leaves unexplained: 1 for an action that
+    /// says nothing, more for one that says something else; infinite without motion.
+    fn unexplained(&self, least: f64) -> f64 {
         if self.step_step <= 0.0 {
-            f64::INFINITY
-        } else if self.ask_ask <= 0.0 {
-            1.0
-        } else {
-            1.0 - self.step_ask.max(0.0).powi(2) / (self.ask_ask * self.step_step)
+            return f64::INFINITY;
         }
+        let best = if self.ask_ask > 0.0 {
+            self.step_ask / self.ask_ask
+        } else {
+            0.0
+        };
+        let gain = best.max(least);
+        1.0 - gain * (2.0 * self.step_ask - gain * self.ask_ask) / self.step_step
+    }
+}
+
+/// What the hand's steps leave unexplained.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Kinds {
+    deltas: Motion,
+    goals: Motion,
+}
+
+impl Kinds {
+    pub(super) fn add(&mut self, other: Self) {
+        self.deltas.add(other.deltas);
+        self.goals.add(other.goals);
+    }
+
+    /// The share of the motion that actions of a kind leave unexplained.
+    pub(super) fn unexplained(&self, kind: ActionKind) -> f64 {
+        match kind {
+            ActionKind::Delta => self.deltas.unexplained(0.0),
+            ActionKind::Absolute => self.goals.unexplained(LEAST_APPROACH),
+        }
+    }
+
+    /// Frames in which the hand moves.
+    pub(super) fn frames(&self) -> usize {
+        self.deltas.frames
     }
 }
 
 /// The hand's steps against what actions ask for: as deltas, and as goals.
-pub(super) fn motion(demo: &Sound<'_>) -> [Motion; 2] {
-    let mut sums = [Motion::default(); 2];
+pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
+    let mut kinds = Kinds::default();
     for (t, pair) in demo.arrays.eef_pos.windows(2).enumerate() {
         let (now, next) = (Vector3::from(pair[0]), Vector3::from(pair[1]));
         let step = next - now;
         if step.norm() < HAND_MOVES {
             continue;
         }
+        let asked = |ask: Vector3<f64>| Motion {
+            step_ask: step.dot(&ask),
+            ask_ask: ask.norm_squared(),
+            step_step: step.norm_squared(),
+            frames: 1,
+        };
         let action = actions::position(&demo.arrays.actions[t]);
-        for (sum, ask) in sums.iter_mut().zip([action, action - now]) {
-            sum.add(Motion {
-                step_ask: step.dot(&ask),
-                ask_ask: ask.norm_squared(),
-                step_step: step.norm_squared(),
-                frames: 1,
-            });
-        }
+        kinds.deltas.add(asked(action));
+        kinds.goals.add(asked(action - now));
     }
-    sums
+    kinds
 }
 
 /// Recorded angular velocity against the change of the recorded orientation under a quaternion order, as a share.

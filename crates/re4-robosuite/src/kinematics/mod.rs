@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, Unit, UnitQuaternion, Vector
 use thiserror::Error;
 
 pub use names::Robot;
-pub use observe::Observed;
+pub use observe::{Observed, PANDA_RESET};
 
 /// What a joint adds to the pose of its body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -58,7 +58,7 @@ fn find<'a>(
 }
 
 /// Names for an error message, at most twelve.
-fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
+pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.filter(|name| !name.is_empty()).collect();
     match names.len() {
         0 => "none with a name".to_owned(),

@@ -1,7 +1,10 @@
 //! What robosuite's observations hold of a state, computed from the model.
 
+use std::f64::consts::PI;
+
 use nalgebra::Isometry3;
 
+use super::names::listed;
 use super::{KinematicsError, Model};
 
 /// World poses that observations are made of.
@@ -19,7 +22,34 @@ pub struct Observed {
     pub object: Option<Isometry3<f64>>,
 }
 
+/// The arm joints (radians) at which robosuite resets a Panda, before noise. Source: robosuite 1.4.1 and 1.5.1,
+/// `models/robots/manipulators/panda_robot.py` (`init_qpos`).
+pub const PANDA_RESET: [f64; 7] = [0.0, PI / 16.0, 0.0, -5.0 * PI / 6.0, 0.0, PI - 0.2, PI / 4.0];
+
 impl Model {
+    /// The grip site's pose with robot 0's arm joints at these angles, e.g. [`PANDA_RESET`].
+    ///
+    /// A simulator that was reset to a recorded state holds this pose in its controller until the first step is done.
+    ///
+    /// # Errors
+    /// When the robot or its arm joints `robot0_joint1` to `robot0_joint7` are not in the model.
+    pub fn site_at(&self, arm: &[f64; 7]) -> Result<Isometry3<f64>, KinematicsError> {
+        let robot = self.robot(0)?;
+        let mut qpos = vec![0.0; self.positions()];
+        for (number, angle) in (1..).zip(arm) {
+            let name = format!("robot0_joint{number}");
+            let Some(joint) = self.joints().find(|joint| joint.name == name) else {
+                return Err(KinematicsError::Missing {
+                    what: format!("arm joint {number}"),
+                    sought: name,
+                    present: listed(self.joints().map(|joint| joint.name.as_str())),
+                });
+            };
+            qpos[joint.address] = *angle;
+        }
+        Ok(*self.forward(&qpos)?.site(robot.grip_site))
+    }
+
     /// What robot 0 and an object are in each of these flattened states.
     ///
     /// `object` is its name in observations: `cube`, `Can`, `SquareNut`.

@@ -39,7 +39,10 @@ pub(super) fn parse(text: &str) -> Result<Model, KinematicsError> {
     let document = Document::parse(text).map_err(|error| KinematicsError::Xml(error.to_string()))?;
     let root = document.root_element();
     if root.tag_name().name() != "mujoco" {
-        return refuse(format!("its root element is <{}>, not <mujoco>", root.tag_name().name()));
+        return refuse(format!(
+            "its root element is <{}>, not <mujoco>",
+            root.tag_name().name()
+        ));
     }
     let mut parser = Parser {
         compiler: compiler(root)?,
@@ -98,10 +101,12 @@ fn compiler(root: Node<'_, '_>) -> Result<Compiler, KinematicsError> {
     Ok(result)
 }
 
-/// The numbers of an attribute.
+/// The numbers of an attribute. Models of robosuite 1.0 hold Python lists here and there: brackets and commas count as spaces.
 fn numbers<const N: usize>(element: &str, attribute: &str, text: &str) -> Result<[f64; N], KinematicsError> {
     let mut result = [0.0; N];
-    let mut words = text.split_ascii_whitespace();
+    let mut words = text
+        .split([' ', '\t', '\n', '\r', ',', '[', ']'])
+        .filter(|word| !word.is_empty());
     for value in &mut result {
         match words.next().and_then(|word| word.parse::<f64>().ok()) {
             Some(number) if number.is_finite() => *value = number,
@@ -157,12 +162,7 @@ impl<'a> Parser<'a> {
     }
 
     /// An attribute of an element, else of its class.
-    fn attribute(
-        &self,
-        node: Node<'a, 'a>,
-        class: &str,
-        attribute: &str,
-    ) -> Result<Option<&'a str>, KinematicsError> {
+    fn attribute(&self, node: Node<'a, 'a>, class: &str, attribute: &str) -> Result<Option<&'a str>, KinematicsError> {
         if let Some(value) = node.attribute(attribute) {
             return Ok(Some(value));
         }
@@ -228,7 +228,11 @@ impl<'a> Parser<'a> {
                 _ => Vector3::z_axis(),
             };
             let turn = UnitQuaternion::from_axis_angle(&unit, self.compiler.radians(angle));
-            result = if axis.is_lowercase() { result * turn } else { turn * result };
+            result = if axis.is_lowercase() {
+                result * turn
+            } else {
+                turn * result
+            };
         }
         result
     }
@@ -298,7 +302,9 @@ impl<'a> Parser<'a> {
         if body == 0 {
             return refuse(format!("{} is a joint of the world", called(node)));
         }
-        if kind == JointKind::Free && (self.model.bodies[body].parent != 0 || !self.model.bodies[body].joints.is_empty()) {
+        if kind == JointKind::Free
+            && (self.model.bodies[body].parent != 0 || !self.model.bodies[body].joints.is_empty())
+        {
             return refuse(format!(
                 "{} is a free joint, but not the only joint of a child of the world",
                 called(node)

@@ -18,10 +18,15 @@ use re4_robosuite::kinematics::Model;
 /// A file below the folder of the datasets, if it is at hand.
 pub(crate) fn dataset(name: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let path = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from).join(name);
+    let path = std::env::var_os("RE4_DATA")
+        .map_or_else(beside, PathBuf::from)
+        .join(name);
     let there = path.exists();
     if !there {
-        println!("skipped: no {}; set RE4_DATA to the folder of the datasets", path.display());
+        println!(
+            "skipped: no {}; set RE4_DATA to the folder of the datasets",
+            path.display()
+        );
     }
     there.then_some(path)
 }
