@@ -269,7 +269,6 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
                     declared: name(declared.value),
                     declared_by: declared.by.clone(),
                     residuals: self.residuals(),
-                    setting: assign(proven),
                 });
             }
             let (proven, expected) = (name(proven), name(declared.value));

@@ -196,7 +196,7 @@ pub enum Unproven {
     },
     /// The data proves another convention than the file declares.
     #[error(
-        "the convention {convention} is proven to be {proven} ({residuals}), but {declared_by}, which writes {declared}: the file has been changed; set {setting} to accept it as it is"
+        "the convention {convention} is proven to be {proven} ({residuals}), but {declared_by}, which writes {declared}: the file is not what it declares; set {convention} = \"{proven}\" to accept it as it is"
     )]
     Declared {
         /// The convention.
@@ -209,8 +209,6 @@ pub enum Unproven {
         declared_by: String,
         /// The hypotheses and their residuals.
         residuals: String,
-        /// The setting that accepts it.
-        setting: String,
     },
     /// A setting that the data contradicts.
     #[error(

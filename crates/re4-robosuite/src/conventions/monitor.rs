@@ -150,7 +150,7 @@ impl Conventions {
             ..DemoResiduals::default()
         };
 
-        let norms = demo.eef_quat.iter().map(|q| norm_error(q)).enumerate();
+        let norms = demo.eef_quat.iter().map(norm_error).enumerate();
         let what = "the norm of a quaternion differs from 1";
         result.eef_quaternion_norm =
             within("obs/robot0_eef_quat", what, QUATERNION_TOLERANCE, greatest(norms))?.unwrap_or_default();
@@ -174,7 +174,7 @@ impl Conventions {
     }
 
     /// First columns of the quaternions in `obs/object`.
-    fn object_quaternions(&self) -> impl Iterator<Item = usize> {
+    fn object_quaternions(self) -> impl Iterator<Item = usize> {
         self.object_layout.into_iter().flat_map(|layout| {
             let relative = (layout.columns() == 14).then(|| layout.relative_start() + 3);
             [Some(layout.pose_start() + 3), relative].into_iter().flatten()
@@ -182,7 +182,7 @@ impl Conventions {
     }
 
     /// A stored quaternion; none for a relative one that robosuite 1.5 has not yet computed.
-    fn late_or_stored(&self, row: &[f64], start: usize) -> Option<[f64; 4]> {
+    fn late_or_stored(self, row: &[f64], start: usize) -> Option<[f64; 4]> {
         let stored: [f64; 4] = part(row, start)?;
         let relative = self
             .object_layout
@@ -193,7 +193,7 @@ impl Conventions {
 
     /// Relations that hold to rounding.
     fn check_exact(
-        &self,
+        self,
         demo: &Sound<'_>,
         result: &mut DemoResiduals,
         within: &impl Fn(&str, &'static str, f64, Option<(usize, f64)>) -> Result<Option<f64>, Contradiction>,
@@ -229,9 +229,9 @@ impl Conventions {
         };
         let (late, current) = (relation(self.relative_lag), relation(RelativeLag::Current));
         let worst = each(&|t| {
-            let late = residuals::relative(demo, t, &late)?;
+            let late = residuals::relative(demo, t, late)?;
             // A late part is current again after a second look at the same state.
-            let current = residuals::relative(demo, t, &current)?;
+            let current = residuals::relative(demo, t, current)?;
             Some(late.min(current))
         });
         let start = layout.relative_start();
@@ -242,7 +242,7 @@ impl Conventions {
     }
 
     /// Shares over the whole demo.
-    fn check_motion(&self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
+    fn check_motion(self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
         let refuse = |dataset: &'static str, what: &'static str, measured: f64, threshold: f64, frames: usize| {
             Err(Contradiction::Whole {
                 demo: demo.arrays.name.to_owned(),

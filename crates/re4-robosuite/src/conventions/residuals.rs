@@ -6,10 +6,13 @@ use super::demo::Sound;
 use super::{ActionKind, EefOrientation, ObjectLayout, QuaternionOrder, RelativeLag, part, pose};
 use crate::actions;
 
-/// Fingers that move less than this in a frame (metres) tell nothing of the command's sign.
-const FINGER_MOVES: f64 = 2e-4;
-/// A hand that moves less than this in a frame (metres) tells nothing of the action.
-const HAND_MOVES: f64 = 5e-4;
+/// Fingers that part or close less than this in a frame (metres) tell nothing of the command's sign: commanded ones go 4 mm
+/// and more, while those of robosuite 1.0 tremble by 0.4 mm as the arm moves.
+const FINGER_MOVES: f64 = 1e-3;
+/// Frames over which the hand's motion is held against what their actions ask for: it lags behind single commands.
+const WINDOW: usize = 4;
+/// A hand that moves less than this (metres) in that time tells nothing of the actions.
+const HAND_MOVES: f64 = 2e-3;
 /// A hand that goes a smaller part of the way in a step does not follow its goal. With the default stiffness the part is about
 /// a fifth; for actions that are deltas, taken for goals, it is about a hundredth.
 const LEAST_APPROACH: f64 = 0.05;
@@ -72,7 +75,7 @@ pub(super) struct Relation {
 
 /// The relative part of a row against what the poses give; none where it was not yet computed (all zeros), or there is no row
 /// before.
-pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: &Relation) -> Option<f64> {
+pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: Relation) -> Option<f64> {
     let rows = demo.arrays.object?;
     let row = rows.row(t);
     let start = relation.layout.relative_start();
@@ -162,7 +165,7 @@ pub(super) fn finger_travel(demo: &Sound<'_>) -> Share {
     share
 }
 
-/// Sums for a fit of the hand's next step to what an action asks for, with one gain for all.
+/// Sums for a fit of the hand's motion to what its actions ask for, with one gain for all.
 #[derive(Debug, Clone, Copy, Default)]
 struct Motion {
     step_ask: f64,
@@ -195,7 +198,7 @@ impl Motion {
     }
 }
 
-/// What the hand's steps leave unexplained.
+/// What is needed to tell deltas from goals.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Kinds {
     deltas: Motion,
@@ -216,20 +219,27 @@ impl Kinds {
         }
     }
 
-    /// Frames in which the hand moves.
+    /// Windows in which the hand moves.
     pub(super) fn frames(&self) -> usize {
         self.deltas.frames
     }
 }
 
-/// The hand's steps against what actions ask for: as deltas, and as goals.
+/// The hand's motion against what actions ask for: as deltas, and as goals.
 pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
     let mut kinds = Kinds::default();
-    for (t, pair) in demo.arrays.eef_pos.windows(2).enumerate() {
-        let (now, next) = (Vector3::from(pair[0]), Vector3::from(pair[1]));
-        let step = next - now;
+    let positions = demo.arrays.eef_pos;
+    for (t, window) in positions.windows(WINDOW + 1).enumerate() {
+        let step = Vector3::from(window[WINDOW]) - Vector3::from(window[0]);
         if step.norm() < HAND_MOVES {
             continue;
+        }
+        let [mut motion, mut approach] = [Vector3::zeros(); 2];
+        for (action, now) in demo.arrays.actions[t..].iter().zip(&window[..WINDOW]) {
+            let action = actions::position(action);
+            // The controller cuts commands; keyboards give ones beyond its range.
+            motion += action.map(|command| command.clamp(-1.0, 1.0));
+            approach += action - Vector3::from(*now);
         }
         let asked = |ask: Vector3<f64>| Motion {
             step_ask: step.dot(&ask),
@@ -237,9 +247,8 @@ pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
             step_step: step.norm_squared(),
             frames: 1,
         };
-        let action = actions::position(&demo.arrays.actions[t]);
-        kinds.deltas.add(asked(action));
-        kinds.goals.add(asked(action - now));
+        kinds.deltas.add(asked(motion));
+        kinds.goals.add(asked(approach));
     }
     kinds
 }

@@ -1,6 +1,6 @@
-//! Forward kinematics of MuJoCo models, as far as robosuite's `model_file` needs it.
+//! Forward kinematics of `MuJoCo` models, as far as robosuite's `model_file` needs it.
 //!
-//! A flattened state is `[time, qpos, qvel]`; `qpos` holds joints in the depth-first order of bodies. Source: MuJoCo's
+//! A flattened state is `[time, qpos, qvel]`; `qpos` holds joints in the depth-first order of bodies. Source: `MuJoCo`'s
 //! documentation, chapters "XML Reference" and "Computation" (kinematics).
 
 mod names;
@@ -156,7 +156,7 @@ impl Poses {
     }
 }
 
-/// The parts of a flattened MuJoCo state.
+/// The parts of a flattened `MuJoCo` state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct State<'a> {
     /// Seconds.
@@ -170,7 +170,7 @@ pub struct State<'a> {
 impl Model {
     /// Reads a merged MJCF model.
     ///
-    /// Frames, includes, replicas and attachments are refused: models that MuJoCo or robosuite saved have none.
+    /// Frames, includes, replicas and attachments are refused: models that `MuJoCo` or robosuite saved have none.
     ///
     /// # Errors
     /// A sentence that names the element, where the text is no XML, no MJCF, or needs what is not known here.
@@ -244,7 +244,7 @@ impl Model {
 
     /// World poses of all bodies and sites.
     ///
-    /// Quaternions in `qpos` are normalised first, as MuJoCo does.
+    /// Quaternions in `qpos` are normalised first, as `MuJoCo` does.
     ///
     /// # Errors
     /// When `qpos` has another length than the model's or holds a number that is not finite.
@@ -279,7 +279,7 @@ impl Model {
     }
 }
 
-/// A quaternion with w first; the identity where all numbers are zero, as in MuJoCo.
+/// A quaternion with w first; the identity where all numbers are zero, as in `MuJoCo`.
 fn rotation_wxyz(q: &[f64]) -> UnitQuaternion<f64> {
     UnitQuaternion::try_new(Quaternion::new(q[0], q[1], q[2], q[3]), 1e-15).unwrap_or_default()
 }

@@ -182,3 +182,45 @@ pub(crate) fn quantile(values: &mut [f64], share: f64) -> f64 {
     let rank = (share * values.len() as f64).ceil() as usize;
     values[rank.max(1) - 1]
 }
+
+/// Demos of a raw file, with the observations that their states give; the model is beside the file or within it.
+pub(crate) fn raw(folder: &str) -> Option<(EnvArgs, Vec<Demo>)> {
+    let folder = dataset(&format!("robosuite/robosuite-{folder}"))?;
+    let file = hdf5::File::open(folder.join("demo.hdf5")).unwrap();
+    let data = file.group("data").unwrap();
+    let attribute = |name: &str| text(&data, name);
+    let env = EnvArgs::parse_raw(
+        Some(&attribute("env")),
+        Some(&attribute("env_info")),
+        Some(&attribute("repository_version")),
+    );
+    let source = Source {
+        file,
+        env: env.unwrap(),
+    };
+    let demos = source.names().into_iter().map(|name| {
+        let mut xml = text(&source.file.group(&format!("data/{name}")).unwrap(), "model_file");
+        if !xml.starts_with('<') {
+            xml = std::fs::read_to_string(folder.join("models").join(xml)).unwrap();
+        }
+        let model = Model::parse(&xml).unwrap();
+        let (states, state_columns) = source.flat(&format!("data/{name}/states"));
+        let observed = model.observe(states.chunks_exact(state_columns), None).unwrap();
+        let actions = source.actions(&name);
+        Demo {
+            name,
+            eef_pos: observed.iter().map(|o| o.site.translation.vector.into()).collect(),
+            eef_quat: observed.iter().map(|o| o.hand.rotation.coords.into()).collect(),
+            object: Vec::new(),
+            object_columns: 0,
+            gripper_qpos: observed.iter().map(|o| o.gripper_qpos.unwrap()).collect(),
+            actions,
+            eef_vel_ang: vec![[0.0; 3]; observed.len()],
+            states,
+            state_columns,
+            model,
+        }
+    });
+    let demos = demos.collect();
+    Some((source.env, demos))
+}
