@@ -14,10 +14,10 @@ use re4_robosuite::hand_to_site;
 type Outcome = Result<(Conventions, Vec<Proof>), Unproven>;
 
 /// With and without states.
-fn detect_both(demos: &[Demo], env: &EnvArgs, settings: &Settings) -> [Outcome; 2] {
+fn detect_both(demos: &[Demo], env: &EnvArgs, settings: Settings) -> [Outcome; 2] {
     let full: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
     let alone: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays_alone).collect();
-    [full, alone].map(|arrays| Conventions::detect(&arrays, env, settings))
+    [full, alone].map(|arrays| Conventions::detect(&arrays, env, &settings))
 }
 
 /// Deltas and a cube do not tell the frame of the hand's orientation without states.
@@ -54,6 +54,9 @@ fn as_written_by_1_5(demo: &Demo) -> Demo {
         object_quaternion: Some(QuaternionOrder::Xyzw),
         action_kind: ActionKind::Delta,
         gripper_sign: GripperSign::PositiveCloses,
+        eef_proven: true,
+        object_proven: true,
+        allow_actions_beyond_range: false,
     };
     for t in 0..demo.frames() {
         let row = &demo.object[t * 14..(t + 1) * 14];
@@ -89,7 +92,7 @@ fn scripted_files_are_proven_and_every_demo_follows() {
             let demos = source.demos(10);
             for (states, outcome) in [true, false]
                 .into_iter()
-                .zip(detect_both(&demos, &source.env, &known_frame(task)))
+                .zip(detect_both(&demos, &source.env, known_frame(task)))
             {
                 let (conventions, proofs) = outcome.unwrap();
                 for proof in &proofs {
@@ -171,7 +174,7 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
                 "relative_first",
             ),
         };
-        for outcome in detect_both(&demos, &declare(&source.env, "1.5.1"), &known_frame(task)) {
+        for outcome in detect_both(&demos, &declare(&source.env, "1.5.1"), known_frame(task)) {
             let (conventions, proofs) = outcome.unwrap();
             assert_eq!(
                 (conventions.object_layout, conventions.relative_lag),
@@ -189,7 +192,7 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
                 assert!(row.pose.rotation.angle_to(&known.rotation) < 1e-9);
             }
         }
-        for outcome in detect_both(&demos, &source.env, &known_frame(task)) {
+        for outcome in detect_both(&demos, &source.env, known_frame(task)) {
             let error = outcome.unwrap_err();
             println!("{error}");
             assert!(matches!(
@@ -206,7 +209,7 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
             object_layout: Some(layout),
             ..known_frame(task)
         };
-        for outcome in detect_both(&demos, &source.env, &accept) {
+        for outcome in detect_both(&demos, &source.env, accept) {
             let (conventions, proofs) = outcome.unwrap();
             assert_eq!(conventions.object_layout, Some(layout));
             let proof = proof(&proofs, "object_layout");
@@ -221,6 +224,74 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
         let error = conventions.check(&old.arrays()).unwrap_err().to_string();
         assert!(error.starts_with("demo_3: obs/object["), "{error}");
     }
+}
+
+/// Where observations were computed twice at each state: only the first row is not yet there.
+#[test]
+fn relative_parts_of_1_5_may_be_current_again() {
+    let Some(source) = scripted("square", "low_dim.hdf5") else {
+        return;
+    };
+    let demos = changed(&source.demos(4), |demo| {
+        let mut demo = demo.clone();
+        demo.object.chunks_exact_mut(14).for_each(|row| row.rotate_left(7));
+        demo.object[..7].fill(0.0);
+        demo
+    });
+    let declared = declare(&source.env, "1.5.1");
+    for outcome in detect_both(&demos, &declared, Settings::default()) {
+        let (conventions, _) = outcome.unwrap();
+        assert_eq!(conventions.object_layout, Some(ObjectLayout::RelativeFirst));
+        assert_eq!(conventions.relative_lag, RelativeLag::Current);
+        conventions.check(&demos[0].arrays()).unwrap();
+        // Zeros anywhere else are no orientation.
+        let mut later = demos[1].clone();
+        later.object[14 * 5..14 * 5 + 7].fill(0.0);
+        let error = conventions.check(&later.arrays()).unwrap_err().to_string();
+        assert!(error.starts_with("demo_1: obs/object[3:7], row 5: the norm"), "{error}");
+        let mut stale = demos[1].clone();
+        stale.object[14 * 5] += 0.01;
+        let error = conventions.check(&stale.arrays()).unwrap_err().to_string();
+        assert!(
+            error.starts_with("demo_1: obs/object[0:7], row 5: the relative part"),
+            "{error}"
+        );
+    }
+}
+
+/// A relative part that nothing explains: only a setting takes it, and it then refuses no demo.
+#[test]
+fn what_only_a_setting_says_is_measured_and_not_refused() {
+    let Some(source) = scripted("can", "low_dim.hdf5") else {
+        return;
+    };
+    let demos = changed(&source.demos(4), |demo| {
+        let mut demo = demo.clone();
+        demo.object.chunks_exact_mut(14).for_each(|row| row[7] += 0.004);
+        demo
+    });
+    for outcome in detect_both(&demos, &source.env, Settings::default()) {
+        let error = outcome.unwrap_err();
+        println!("{error}");
+        assert!(matches!(error, Unproven::Undecided { .. }));
+    }
+    let settings = Settings {
+        object_layout: Some(ObjectLayout::PoseFirst),
+        object_quaternion: Some(QuaternionOrder::Xyzw),
+        ..Settings::default()
+    };
+    let [outcome, _] = detect_both(&demos, &source.env, settings);
+    let (conventions, proofs) = outcome.unwrap();
+    assert!(conventions.eef_proven && !conventions.object_proven);
+    assert_eq!(proof(&proofs, "object_layout").basis, Basis::Setting);
+    let residuals = conventions.check(&demos[0].arrays()).unwrap();
+    assert!((residuals.relative.unwrap() - 0.004).abs() < 1e-5);
+    let wrong = Settings {
+        object_layout: Some(ObjectLayout::RelativeFirst),
+        ..settings
+    };
+    let [outcome, _] = detect_both(&demos, &source.env, wrong);
+    assert!(matches!(outcome, Err(Unproven::Setting { .. })));
 }
 
 #[test]
@@ -249,7 +320,7 @@ fn quaternions_with_the_scalar_first_are_detected() {
             demo
         });
         for (demos, convention) in [(hand, "eef_quaternion"), (object, "object_quaternion")] {
-            for outcome in detect_both(&demos, &source.env, &known_frame(task)) {
+            for outcome in detect_both(&demos, &source.env, known_frame(task)) {
                 let error = outcome.unwrap_err();
                 println!("{task}: {error}");
                 let Unproven::Declared {
@@ -269,7 +340,7 @@ fn quaternions_with_the_scalar_first_are_detected() {
                 object_quaternion: wxyz("object_quaternion"),
                 ..known_frame(task)
             };
-            for outcome in detect_both(&demos, &source.env, &settings) {
+            for outcome in detect_both(&demos, &source.env, settings) {
                 let (conventions, _) = outcome.unwrap();
                 for demo in &demos {
                     conventions.check(&demo.arrays()).unwrap();
@@ -293,7 +364,7 @@ fn the_site_s_orientation_is_told_from_the_hand_s() {
             }
             demo
         });
-        for outcome in detect_both(&demos, &source.env, &Settings::default()) {
+        for outcome in detect_both(&demos, &source.env, Settings::default()) {
             let (conventions, proofs) = outcome.unwrap();
             assert_eq!(conventions.eef_orientation, EefOrientation::GripSite, "{task}");
             assert!(proof(&proofs, "eef_orientation").warning.is_some());
@@ -313,7 +384,7 @@ fn the_other_gripper_sign_is_detected() {
             demo.actions.iter_mut().for_each(|action| action[6] = -action[6]);
             demo
         });
-        for outcome in detect_both(&demos, &source.env, &known_frame(task)) {
+        for outcome in detect_both(&demos, &source.env, known_frame(task)) {
             let error = outcome.unwrap_err();
             println!("{task}: {error}");
             assert!(
@@ -324,7 +395,7 @@ fn the_other_gripper_sign_is_detected() {
             gripper_sign: Some(GripperSign::PositiveOpens),
             ..known_frame(task)
         };
-        for outcome in detect_both(&demos, &source.env, &settings) {
+        for outcome in detect_both(&demos, &source.env, settings) {
             let (conventions, _) = outcome.unwrap();
             conventions.check(&demos[0].arrays()).unwrap();
             let error = conventions.check(&source.demo("demo_0").arrays()).unwrap_err();
@@ -394,7 +465,7 @@ fn settings_against_the_data_are_refused() {
         ),
     ];
     for (name, settings) in wrong {
-        for outcome in detect_both(&demos, &source.env, &settings) {
+        for outcome in detect_both(&demos, &source.env, settings) {
             let error = outcome.unwrap_err();
             assert!(
                 matches!(&error, Unproven::Setting { convention, .. } if *convention == name),
@@ -417,7 +488,7 @@ fn a_demo_without_motion_proves_nothing() {
         // One convention after the other is asked for, until all are set.
         let mut asked = Vec::new();
         loop {
-            let [outcome, _] = detect_both(&demos, &source.env, &settings);
+            let [outcome, _] = detect_both(&demos, &source.env, settings);
             match outcome {
                 Err(Unproven::Undecided {
                     convention, setting, ..

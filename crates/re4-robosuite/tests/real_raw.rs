@@ -66,6 +66,12 @@ fn actions_of_human_demos_are_proven_from_states_alone() {
                     println!("{folder}: {error}");
                     assert_eq!(folder, "1.4.1-demos/lift");
                     assert!(matches!(error, Contradiction::Residual { measured, .. } if measured > 2.0));
+                    let allowed = Conventions {
+                        allow_actions_beyond_range: true,
+                        ..conventions
+                    };
+                    let beyond = allowed.check(&demo.arrays()).unwrap().beyond_range;
+                    assert!((beyond.unwrap() - 2.75).abs() < 1e-9);
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! Proving all conventions of a file from some of its demos.
 
 use super::demo::Sound;
-use super::evidence::{Declared, Fit, MARGIN, Test, Verdict};
+use super::evidence::{Basis, Declared, Fit, MARGIN, Test, Verdict};
 use super::residuals::{self, Kinds, Relation, Share};
 use super::{
     ActionKind, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof, QuaternionOrder,
@@ -97,38 +97,38 @@ impl Conventions {
         settings: &Settings,
     ) -> Result<(Self, Vec<Proof>), Unproven> {
         let task = Task::of(&env.env_name);
+        let by_data = |proofs: &[Proof]| proofs.iter().all(|proof| proof.basis == Basis::Data);
         let demos = demos
             .iter()
             .map(|demo| Sound::new(demo, task))
             .collect::<Result<Vec<_>, _>>()?;
         let mut proofs = Vec::new();
-        let mut keep = |proof: Proof| proofs.push(proof);
-
         let (action_kind, proof) =
             action_kind(&demos).settle("action_kind", settings.action_kind, declared_kind(env).as_ref())?;
-        keep(proof);
+        proofs.push(proof);
         let (gripper_sign, proof) = gripper_sign(&demos).settle(
             "gripper_sign",
             settings.gripper_sign,
             Some(&robosuite(env, GripperSign::PositiveCloses)),
         )?;
-        keep(proof);
+        proofs.push(proof);
 
         let has_object = task != Task::Other && demos.iter().any(|demo| demo.arrays.object.is_some());
-        let (order, frame) = eef(&demos, task, has_object, action_kind, env);
-        let (eef_quaternion, proof) = order.settle(
+        let eef = eef(&demos, task, has_object, action_kind, env);
+        let (eef_quaternion, proof) = eef.order.settle(
             "eef_quaternion",
             settings.eef_quaternion,
             Some(&robosuite(env, QuaternionOrder::Xyzw)),
         )?;
-        keep(proof);
+        proofs.push(proof);
         let hand = Declared {
             strict: false,
             ..robosuite(env, EefOrientation::HandBody)
         };
         let (eef_orientation, proof) =
-            frame(eef_quaternion).settle("eef_orientation", settings.eef_orientation, Some(&hand))?;
-        keep(proof);
+            eef.frame(eef_quaternion)
+                .settle("eef_orientation", settings.eef_orientation, Some(&hand))?;
+        proofs.push(proof);
 
         let mut conventions = Self {
             task,
@@ -139,6 +139,9 @@ impl Conventions {
             object_quaternion: None,
             action_kind,
             gripper_sign,
+            eef_proven: by_data(&proofs[2..]),
+            object_proven: false,
+            allow_actions_beyond_range: settings.allow_actions_beyond_range,
         };
         if has_object {
             let related = relations(&demos, task, &[eef_quaternion], &[eef_orientation], true);
@@ -148,7 +151,7 @@ impl Conventions {
                 settings.object_layout,
                 declared_layout(env, task).as_ref(),
             )?;
-            keep(proof);
+            proofs.push(proof);
             let of_layout = || related.iter().filter(|(relation, _)| relation.layout == layout);
             let mut order = Verdict::new(OBJECT, of_layout().map(|(relation, fit)| (relation.object, *fit)));
             if task == Task::Lift && order.proven().is_none() {
@@ -159,7 +162,8 @@ impl Conventions {
                 settings.object_quaternion,
                 Some(&robosuite(env, QuaternionOrder::Xyzw)),
             )?;
-            keep(proof);
+            proofs.push(proof);
+            conventions.object_proven = by_data(&proofs[4..]);
             conventions.object_layout = Some(layout);
             conventions.object_quaternion = Some(object_quaternion);
             conventions.relative_lag = of_layout()
@@ -210,40 +214,52 @@ fn layouts(task: Task) -> &'static [ObjectLayout] {
     }
 }
 
-/// Order and frame of the end effector's quaternion; the frame given the order.
-fn eef<'a>(
-    demos: &'a [Sound<'a>],
-    task: Task,
-    has_object: bool,
-    kind: ActionKind,
-    env: &EnvArgs,
-) -> (
-    Verdict<QuaternionOrder>,
-    Box<dyn Fn(QuaternionOrder) -> Verdict<EefOrientation> + 'a>,
-) {
-    let joint = |test: Test, fits: Vec<(QuaternionOrder, EefOrientation, Fit)>| {
-        let order = Verdict::new(test, fits.iter().map(|(order, _, fit)| (*order, *fit)));
-        let frame = move |given: QuaternionOrder| {
-            let fits = fits.iter().filter(|(order, _, _)| *order == given);
-            Verdict::new(test, fits.map(|(_, frame, fit)| (*frame, *fit)))
-        };
-        (order, Box::new(frame) as Box<dyn Fn(QuaternionOrder) -> _>)
-    };
+/// Order and frame of the end effector's quaternion.
+struct Eef {
+    order: Verdict<QuaternionOrder>,
+    test: Test,
+    fits: Vec<(QuaternionOrder, EefOrientation, Fit)>,
+}
+
+impl Eef {
+    /// From hypotheses that are of both at once.
+    fn joint(test: Test, fits: impl Iterator<Item = (QuaternionOrder, EefOrientation, Fit)>) -> Self {
+        let fits: Vec<_> = fits.collect();
+        Self {
+            order: Verdict::new(test, fits.iter().map(|(order, _, fit)| (*order, *fit))),
+            test,
+            fits,
+        }
+    }
+
+    /// The frame, given the order.
+    fn frame(&self, order: QuaternionOrder) -> Verdict<EefOrientation> {
+        let fits = self.fits.iter().filter(|(given, _, _)| *given == order);
+        Verdict::new(self.test, fits.map(|(_, frame, fit)| (*frame, *fit)))
+    }
+}
+
+/// All pairs of order and frame.
+fn eef_hypotheses() -> impl Iterator<Item = (QuaternionOrder, EefOrientation)> {
+    ORDERS
+        .into_iter()
+        .flat_map(|order| FRAMES.into_iter().map(move |frame| (order, frame)))
+}
+
+fn eef(demos: &[Sound<'_>], task: Task, has_object: bool, kind: ActionKind, env: &EnvArgs) -> Eef {
     if demos.iter().any(|demo| !demo.observed.is_empty()) {
-        let fits = ORDERS.iter().flat_map(|&order| {
-            FRAMES.map(|frame| {
-                let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
-                (order, frame, Fit::of(residuals))
-            })
+        let fits = eef_hypotheses().map(|(order, frame)| {
+            let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
+            (order, frame, Fit::of(residuals))
         });
-        return joint(EEF_KINEMATICS, fits.collect());
+        return Eef::joint(EEF_KINEMATICS, fits);
     }
     if has_object && task != Task::Lift {
         let related = relations(demos, task, &ORDERS, &FRAMES, false);
         let fits = related
             .iter()
             .map(|(relation, fit)| (relation.eef, relation.frame, *fit));
-        return joint(EEF_RELATION, fits.collect());
+        return Eef::joint(EEF_RELATION, fits);
     }
     let freq = env.control_freq.unwrap_or(20.0);
     let order = Verdict::new(
@@ -256,18 +272,19 @@ fn eef<'a>(
             (order, Fit::whole(share.value(), share.frames))
         }),
     );
-    let frame = move |order: QuaternionOrder| {
-        let goals = |frame: EefOrientation| {
-            if kind == ActionKind::Delta {
-                // Deltas turn the goal in world axes: they do not tell which frame is turned.
-                return Fit::of(Vec::new());
-            }
-            let fit = Fit::of(every(demos, |demo, t| residuals::goal_angle(demo, t, order, frame)));
-            Fit::whole(fit.median, fit.frames)
-        };
-        Verdict::new(GOALS, FRAMES.map(|frame| (frame, goals(frame))))
-    };
-    (order, Box::new(frame))
+    let fits = eef_hypotheses().map(|(order, frame)| {
+        if kind == ActionKind::Delta {
+            // Deltas turn the goal in world axes: they do not tell which frame is turned.
+            return (order, frame, Fit::of(Vec::new()));
+        }
+        let fit = Fit::of(every(demos, |demo, t| residuals::goal_angle(demo, t, order, frame)));
+        (order, frame, Fit::whole(fit.median, fit.frames))
+    });
+    Eef {
+        order,
+        test: GOALS,
+        fits: fits.collect(),
+    }
 }
 
 /// A residual of every frame that has one.

@@ -128,7 +128,7 @@ pub(super) fn name<V: Serialize>(value: V) -> String {
 /// What a file's declarations entail for a convention.
 pub(super) struct Declared<V> {
     pub(super) value: V,
-    /// A clause: "env_version is 1.4.1".
+    /// A clause that names the declaration.
     pub(super) by: String,
     /// Whether another proven value needs a setting; otherwise it is a warning.
     pub(super) strict: bool,
@@ -239,13 +239,16 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
                     setting: options.join(" or "),
                 });
             };
-            if let Some((_, fit)) = self.fits.iter().find(|(value, _)| *value == setting)
-                && self.clearly_not(fit)
-            {
+            // Where nothing fits, the setting may still be the one value that is clearly off.
+            let off = |wanted: bool| {
+                let mut fits = self.fits.iter().filter(move |(value, _)| (*value == setting) == wanted);
+                fits.find(|(_, fit)| self.clearly_not(fit) == wanted)
+            };
+            if let (Some(_), Some((other, _))) = (off(true), off(false)) {
                 return Err(Unproven::Setting {
                     convention,
                     setting: assign(setting),
-                    proven: "something else".to_owned(),
+                    proven: format!("rather {}", name(other)),
                     residuals: self.residuals(),
                 });
             }

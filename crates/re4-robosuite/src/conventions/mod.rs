@@ -156,6 +156,9 @@ pub struct Settings {
     pub action_kind: Option<ActionKind>,
     /// What a positive gripper command does.
     pub gripper_sign: Option<GripperSign>,
+    /// Accepts delta actions beyond [-1, 1]: the controller cuts them. Files of robosuite's own collector have them,
+    /// robomimic's must not.
+    pub allow_actions_beyond_range: bool,
 }
 
 /// The conventions of a file.
@@ -177,6 +180,13 @@ pub struct Conventions {
     pub action_kind: ActionKind,
     /// What a positive gripper command does.
     pub gripper_sign: GripperSign,
+    /// Whether the conventions of the end effector come from the data. Otherwise residuals against them are measured, but
+    /// refuse nothing.
+    pub eef_proven: bool,
+    /// The same for the object vector.
+    pub object_proven: bool,
+    /// The setting of that name.
+    pub allow_actions_beyond_range: bool,
 }
 
 /// Why conventions cannot be told.
@@ -258,6 +268,13 @@ impl ObjectLayout {
     #[must_use]
     pub fn pose_start(self) -> usize {
         if self == Self::RelativeFirst { 7 } else { 0 }
+    }
+
+    /// Whether a row's relative part is not yet there: robosuite 1.5 leaves zeros in the first row of a demo.
+    fn pending(self, row: &[f64], frame: usize) -> bool {
+        let late = matches!(self, Self::RelativeFirst | Self::LiftCubeMinusEef);
+        let relative = row.iter().skip(self.relative_start()).take(self.columns() - 7);
+        late && frame == 0 && relative.into_iter().all(|value| *value == 0.0)
     }
 
     /// First column of the relative part.

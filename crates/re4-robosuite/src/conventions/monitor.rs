@@ -115,6 +115,8 @@ pub struct DemoResiduals {
     pub object_kinematics: Option<f64>,
     /// Finger joints against states and model (metres).
     pub gripper_kinematics: Option<f64>,
+    /// How far the greatest delta action is beyond [-1, 1]; none for absolute actions.
+    pub beyond_range: Option<f64>,
     /// Share of the finger travel against the gripper command; none where the fingers hardly move.
     pub fingers_against: Option<f64>,
     /// Share of the hand's motion that the actions leave unexplained; none where it hardly moves.
@@ -123,7 +125,7 @@ pub struct DemoResiduals {
 
 /// The greatest value and its row.
 fn greatest(values: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {
-    values.reduce(|best, next| if next.1 > best.1 { next } else { best })
+    values.reduce(|best, next| if next.1.total_cmp(&best.1).is_gt() { next } else { best })
 }
 
 impl Conventions {
@@ -156,7 +158,7 @@ impl Conventions {
             within("obs/robot0_eef_quat", what, QUATERNION_TOLERANCE, greatest(norms))?.unwrap_or_default();
         for start in self.object_quaternions() {
             let Some(rows) = demo.object else { continue };
-            let norms = (0..frames).filter_map(|t| Some((t, norm_error(&self.late_or_stored(rows.row(t), start)?))));
+            let norms = (0..frames).filter_map(|t| Some((t, norm_error(&self.stored(rows.row(t), start, t)?))));
             let dataset = format!("obs/object[{start}:{}]", start + 4);
             let worst = within(&dataset, what, QUATERNION_TOLERANCE, greatest(norms))?;
             result.object_quaternion_norm = larger(result.object_quaternion_norm, worst);
@@ -165,8 +167,12 @@ impl Conventions {
             let commands = demo.actions.iter().enumerate();
             let beyond =
                 commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
-            let what = "a delta action leaves [-1, 1]";
-            within("actions", what, COMMAND_TOLERANCE, greatest(beyond))?;
+            let worst = greatest(beyond);
+            result.beyond_range = worst.map(|(_, beyond)| beyond.max(0.0));
+            if !self.allow_actions_beyond_range {
+                let what = "a delta action leaves [-1, 1] (allow_actions_beyond_range accepts it)";
+                within("actions", what, COMMAND_TOLERANCE, worst)?;
+            }
         }
         self.check_exact(&sound, &mut result, &within)?;
         self.check_motion(&sound, &mut result)?;
@@ -182,13 +188,13 @@ impl Conventions {
     }
 
     /// A stored quaternion; none for a relative one that robosuite 1.5 has not yet computed.
-    fn late_or_stored(self, row: &[f64], start: usize) -> Option<[f64; 4]> {
-        let stored: [f64; 4] = part(row, start)?;
-        let relative = self
-            .object_layout
-            .is_some_and(|layout| layout.relative_start() + 3 == start);
-        let pending = relative && self.relative_lag != RelativeLag::Current && stored == [0.0; 4];
-        (!pending).then_some(stored)
+    fn stored(self, row: &[f64], start: usize, frame: usize) -> Option<[f64; 4]> {
+        let layout = self.object_layout?;
+        let relative = layout.relative_start() + 3 == start;
+        if relative && layout.pending(row, frame) {
+            return None;
+        }
+        part(row, start)
     }
 
     /// Relations that hold to rounding.
@@ -198,12 +204,19 @@ impl Conventions {
         result: &mut DemoResiduals,
         within: &impl Fn(&str, &'static str, f64, Option<(usize, f64)>) -> Result<Option<f64>, Contradiction>,
     ) -> Result<(), Contradiction> {
+        // What only a setting says is measured, but refuses nothing.
+        let exact = |proven: bool| if proven { EXACT } else { f64::INFINITY };
         let each = |residual: &dyn Fn(usize) -> Option<f64>| {
             greatest((0..demo.arrays.actions.len()).filter_map(|t| Some((t, residual(t)?))))
         };
         let worst = each(&|t| residuals::eef_kinematics(demo, t, self.eef_quaternion, self.eef_orientation));
         let what = "the pose differs from the one that states and model_file give";
-        result.eef_kinematics = within("obs/robot0_eef_pos and robot0_eef_quat", what, EXACT, worst)?;
+        result.eef_kinematics = within(
+            "obs/robot0_eef_pos and robot0_eef_quat",
+            what,
+            exact(self.eef_proven),
+            worst,
+        )?;
         let worst = each(&|t| {
             let known = demo.observed.get(t)?.gripper_qpos?;
             let stored = demo.arrays.gripper_qpos[t];
@@ -219,7 +232,7 @@ impl Conventions {
         let columns = |start: usize, end: usize| format!("obs/object[{start}:{end}]");
         let start = layout.pose_start();
         let what = "the object pose differs from the one that states and model_file give";
-        result.object_kinematics = within(&columns(start, start + 7), what, EXACT, worst)?;
+        result.object_kinematics = within(&columns(start, start + 7), what, exact(self.object_proven), worst)?;
         let relation = |lag: RelativeLag| Relation {
             layout,
             object,
@@ -237,7 +250,7 @@ impl Conventions {
         let start = layout.relative_start();
         let end = if layout.columns() == 14 { start + 7 } else { start + 3 };
         let what = "the relative part differs from what object and end-effector pose give";
-        result.relative = within(&columns(start, end), what, EXACT, worst)?;
+        result.relative = within(&columns(start, end), what, exact(self.object_proven), worst)?;
         Ok(())
     }
 

@@ -73,11 +73,13 @@ pub(super) struct Relation {
     pub(super) lag: RelativeLag,
 }
 
-/// The relative part of a row against what the poses give; none where it was not yet computed (all zeros), or there is no row
-/// before.
+/// The relative part of a row against what the poses give; none where it was not yet computed, or there is no row before.
 pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: Relation) -> Option<f64> {
     let rows = demo.arrays.object?;
     let row = rows.row(t);
+    if relation.layout.pending(row, t) {
+        return None;
+    }
     let start = relation.layout.relative_start();
     let stored: [f64; 3] = part(row, start)?;
     let (eef_t, object_t) = match relation.lag {
@@ -91,9 +93,6 @@ pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: Relation) -> Option
         ObjectLayout::LiftCubeMinusEef => -1.0,
         ObjectLayout::PoseFirst | ObjectLayout::RelativeFirst => {
             let stored_quaternion: [f64; 4] = part(row, start + 3)?;
-            if stored_quaternion == [0.0; 4] && relation.lag != RelativeLag::Current {
-                return None;
-            }
             let poses = (
                 hand(demo, eef_t, relation.eef, relation.frame),
                 object_pose(object_row, relation.layout, relation.object),
