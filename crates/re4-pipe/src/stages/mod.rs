@@ -1,5 +1,6 @@
 //! The stages: which artifacts go in, which come out.
 
+mod audit;
 mod budgets;
 mod index;
 mod ingest;
