@@ -285,11 +285,19 @@ pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
             path.display()
         )
     })?;
+    parse(&text, path, overrides)
+}
+
+/// The pipeline in the text of a file; the path is for messages only.
+///
+/// # Errors
+/// As [`load`], but for reading the file.
+pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pipeline> {
     let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
         anyhow::anyhow!(
             "cannot read the pipeline file {}: {}",
             path.display(),
-            one_line(&text, &error)
+            one_line(text, &error)
         )
     })?;
     let mut document = serde_json::to_value(table).context("cannot represent the pipeline file")?;
