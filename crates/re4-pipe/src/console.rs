@@ -100,7 +100,7 @@ pub(crate) fn print_usage_error(error: &clap::Error) {
 
 /// What, where and how to mend: contexts are written `what; mend`, and their cause stands between the two. A cause that
 /// the sentence already tells is not told again.
-fn sentence(error: &anyhow::Error) -> String {
+pub(crate) fn sentence(error: &anyhow::Error) -> String {
     let (mut text, mut mend) = (String::new(), String::new());
     for words in error.chain().map(ToString::to_string) {
         if text.contains(&words) || mend.contains(&words) {

@@ -1,0 +1,69 @@
+//! `re4-pipe`: staged batch jobs from robot demonstrations to explainable imitation policies.
+//!
+//! This crate holds arguments, printing, exit codes and the wiring of stages to artifacts; what stages compute is in the
+//! library crates. Exit codes: 0 done, 1 a gate failed, 2 the user's or the machine's fault. The library is the program, not
+//! an interface to build upon: nothing of it but `main` is meant to be called.
+
+mod arguments;
+mod commands;
+mod console;
+#[doc(hidden)]
+pub mod fuzzing;
+mod interrupt;
+mod limits;
+mod output;
+mod pipeline;
+mod seeds;
+mod stages;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+use crate::arguments::{Arguments, Command};
+
+/// The program: reads the command line, does the work, prints, and answers with the exit code.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) if is_help(&error) => error.exit(),
+        Err(error) => {
+            console::print_usage_error(&error);
+            return ExitCode::from(2);
+        }
+    };
+    let outcome = match arguments.command {
+        Command::Ingest(arguments) => commands::run::ingest(&arguments),
+        Command::Segment(arguments) => commands::run::segment(&arguments),
+        Command::Audit(arguments) => commands::audit::audit(&arguments),
+        Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
+        Command::Index(arguments) => commands::run::index(&arguments),
+        Command::Scenes(arguments) => commands::run::scenes(&arguments),
+        Command::Rollout(arguments) => commands::run::rollout(&arguments),
+        Command::Run(arguments) => commands::run::run(&arguments),
+        Command::Replay(arguments) => commands::run::replay(&arguments),
+        Command::Film(arguments) => commands::film::film(&arguments),
+        Command::Verify(arguments) => commands::verify::verify(&arguments),
+        Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
+        Command::Report(arguments) => commands::report::report(&arguments),
+        Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
+        Command::Schemas(arguments) => commands::schemas::schemas(&arguments),
+    };
+    match outcome {
+        Ok(commands::Outcome::Done) => ExitCode::SUCCESS,
+        Ok(commands::Outcome::GateFailed) => ExitCode::from(1),
+        Err(error) => {
+            console::print_error(&error);
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// Help and version are asked for, or shown where a subcommand is missing; they are printed as they are.
+fn is_help(error: &clap::Error) -> bool {
+    use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
+    matches!(
+        error.kind(),
+        DisplayHelp | DisplayHelpOnMissingArgumentOrSubcommand | DisplayVersion
+    )
+}
