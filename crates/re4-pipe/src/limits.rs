@@ -11,6 +11,7 @@ use crate::pipeline::{Pipeline, PoseSection, PoseSource, Variant};
 /// # Errors
 /// The first such setting, with the values that it can have.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
+    pipeline.audit.check()?;
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
     }

@@ -6,8 +6,8 @@ use anyhow::Result;
 use re4_artifact::{Artifact, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::{Value, json};
 
-/// Findings that are printed one by one.
-const SHOWN: usize = 40;
+/// Findings of one kind that are printed one by one.
+const SHOWN: usize = 12;
 
 /// What an artifact tells.
 pub(crate) struct Told {
@@ -101,7 +101,10 @@ impl Told {
 
     /// Findings of a severity.
     pub(crate) fn count(&self, severity: &str) -> usize {
-        self.findings.iter().filter(|finding| finding.severity == severity).count()
+        self.findings
+            .iter()
+            .filter(|finding| finding.severity == severity)
+            .count()
     }
 
     /// All of it, added to what is said of every artifact.
@@ -176,7 +179,10 @@ impl Told {
             write!(text, "\n  grasps    {}", outcomes.join(", "))?;
         }
         if let Some(overlap) = summary["contacts"]["jaccard"].as_f64() {
-            write!(text, "\n  contact and motion of the block agree with a Jaccard index of {overlap:.3}")?;
+            write!(
+                text,
+                "\n  contact and motion of the block agree with a Jaccard index of {overlap:.3}"
+            )?;
         }
         self.write_checks(&mut text)?;
         self.write_findings(&mut text)?;
@@ -186,7 +192,11 @@ impl Told {
     fn write_checks(&self, text: &mut String) -> Result<()> {
         let found: Vec<&Check> = self.checks.iter().filter(|check| check.findings > 0).collect();
         if !found.is_empty() {
-            write!(text, "\n\n  {:<8} {:<25} {:>8} {:>6}  threshold", "severity", "check", "findings", "demos")?;
+            write!(
+                text,
+                "\n\n  {:<8} {:<25} {:>8} {:>6}  threshold",
+                "severity", "check", "findings", "demos"
+            )?;
         }
         for severity in SEVERITIES {
             for check in found.iter().filter(|check| check.severity == severity) {
@@ -210,9 +220,12 @@ impl Told {
         write!(
             text,
             "\n  {} found nothing{}",
-            plural(quiet - skipped.min(quiet), if found.is_empty() { "check" } else { "other check" }),
+            plural(
+                quiet - skipped.min(quiet),
+                if found.is_empty() { "check" } else { "other check" }
+            ),
             if skipped > 0 {
-                format!(", {skipped} could not be made on so few demonstrations")
+                format!(", {skipped} could not be made: too few values to derive a threshold from")
             } else {
                 String::new()
             }
@@ -221,25 +234,29 @@ impl Told {
     }
 
     fn write_findings(&self, text: &mut String) -> Result<()> {
-        let mut shown = 0;
         for severity in SEVERITIES {
-            for finding in self.findings.iter().filter(|finding| finding.severity == severity) {
-                if shown == 0 {
-                    text.push('\n');
-                }
-                if shown < SHOWN {
-                    let frames = format!("{}-{}", finding.first_frame, finding.end_frame.saturating_sub(1));
-                    write!(
-                        text,
-                        "\n  {:<8} {:<10} {frames:>9}  {}: {}",
-                        finding.severity, finding.demo, finding.code, finding.message
-                    )?;
-                }
-                shown += 1;
+            for check in self.checks.iter().filter(|check| check.severity == severity) {
+                self.write_findings_of(&check.code, text)?;
             }
         }
-        if shown > SHOWN {
-            write!(text, "\n  ... {} more, see --json or the artifact", shown - SHOWN)?;
+        Ok(())
+    }
+
+    fn write_findings_of(&self, code: &str, text: &mut String) -> Result<()> {
+        let found: Vec<&Finding> = self.findings.iter().filter(|finding| finding.code == code).collect();
+        for (place, finding) in found.iter().take(SHOWN).enumerate() {
+            let frames = format!("{}-{}", finding.first_frame, finding.end_frame.saturating_sub(1));
+            if place == 0 {
+                write!(text, "\n\n  {} {code}", finding.severity)?;
+            }
+            write!(text, "\n    {:<11} {frames:>9}  {}", finding.demo, finding.message)?;
+        }
+        if found.len() > SHOWN {
+            write!(
+                text,
+                "\n    ... {} more, see --json or the artifact",
+                found.len() - SHOWN
+            )?;
         }
         Ok(())
     }
@@ -258,10 +275,18 @@ fn plural(count: usize, what: &str) -> String {
 
 /// Four significant digits are enough to recognise a threshold; the artifact has all of them.
 fn with_unit(value: f64, unit: &str) -> String {
-    let digits = if value == 0.0 { 0 } else { (3 - value.abs().log10().floor() as i32).clamp(0, 8) };
+    let digits = if value == 0.0 {
+        0
+    } else {
+        (3 - value.abs().log10().floor() as i32).clamp(0, 8)
+    };
     let mut number = format!("{value:.*}", digits as usize);
     if number.contains('.') {
         number.truncate(number.trim_end_matches('0').trim_end_matches('.').len());
     }
-    if unit.is_empty() { number } else { format!("{number} {unit}") }
+    if unit.is_empty() {
+        number
+    } else {
+        format!("{number} {unit}")
+    }
 }
