@@ -116,7 +116,11 @@ fn the_notebook_of_an_audit_runs_and_draws_and_holds_the_manifest_to_its_tables(
     fs::write(&path, manifest.to_string()).unwrap();
     let answer = execute(&python, &place, "audit.ipynb");
     assert_eq!(answer.code, Some(1), "{}", answer.stderr);
-    assert!(answer.stderr.contains("AssertionError: warning"), "{}", answer.stderr);
+    assert!(
+        answer.stderr.contains("severity warning, the manifest states"),
+        "{}",
+        answer.stderr
+    );
 }
 
 #[test]

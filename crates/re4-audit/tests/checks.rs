@@ -148,6 +148,21 @@ fn an_object_that_leaves_the_hand_is_lost_from_there() {
 }
 
 #[test]
+fn a_grasp_goes_on_across_flickers_of_the_command() {
+    let mut faulty = flawless(10);
+    for t in [24, 27] {
+        (faulty[t].closes, faulty[t].gripper) = (false, -1.0);
+    }
+    let (findings, outcomes) = audit(faulty, &AuditConfig::default());
+    assert_eq!(outcomes, [GraspOutcome::Held, GraspOutcome::Brief, GraspOutcome::Held]);
+    let frames: Vec<_> = findings
+        .iter()
+        .map(|finding| (finding.code, finding.frames.clone()))
+        .collect();
+    assert_eq!(frames, [("flicker", 25..26), ("flicker", 26..28), ("flicker", 28..29)]);
+}
+
+#[test]
 fn slipping_and_turning_in_the_hand_are_told_apart() {
     let slips = found(|frames| {
         for frame in &mut frames[28..] {
