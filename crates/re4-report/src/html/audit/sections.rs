@@ -9,7 +9,7 @@ use crate::statistics::median;
 /// The shape that tells a severity apart where colour does not; the script draws it.
 fn glyph(severity: Severity) -> Markup {
     html! {
-        svg class={ "glyph " (severity.as_str()) } viewBox="-7 -7 14 14" width="14" height="14" aria-hidden="true" {
+        svg class={ "glyph sev-" (severity.as_str()) } viewBox="-7 -7 14 14" width="14" height="14" aria-hidden="true" {
             path data-glyph=(severity.as_str()) {}
         }
     }
@@ -111,7 +111,7 @@ pub(super) fn findings(audit: &Audit) -> Markup {
                 @for severity in Severity::ALL {
                     @let count = audit.findings.iter().filter(|f| f.severity == severity).count();
                     @let checks = sorted_checks(audit, severity);
-                    div class={ "card kind " (severity.as_str()) } {
+                    div.card.kind {
                         button.severity type="button" aria-pressed="false" data-severity=(severity.as_str())
                             data-count=(count) disabled[count == 0] title={ "Show demonstrations with a finding of severity " (severity.as_str()) } {
                             (glyph(severity))
@@ -187,7 +187,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                             option value="grasp" { "first grasp" }
                         } }
                         button #reverse type="button" aria-pressed="false" title="Reverse the order" aria-label="Reverse the order" { "⇅" }
-                        label.grow { span.hidden { "Filter by text" } input #filter-text type="search" placeholder="Filter: name or words of a finding" autocomplete="off"; }
+                        label.grow { span.hidden { "Filter by text" } input #filter-text type="search" placeholder="Name or words" title="Shows demonstrations by their name or by words of their findings" autocomplete="off"; }
                         (choice("scale", "Scale of the timelines", &[("frames", "Frames"), ("share", "Whole length")]))
                     }
                     div.plot #timeline-axis aria-hidden="true" {}
@@ -307,6 +307,7 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                     }
                 }
             }
+            p.hint { "Triangles under the axis are the segments of the chosen demonstration." }
         }
     }
 }

@@ -68,7 +68,7 @@ const GLYPHS = {
 const GLYPH_PATHS = Object.fromEntries(Object.entries(GLYPHS).map(([name, path]) => [name, new Path2D(path)]));
 
 const glyph = (severity) =>
-  svg("svg", { class: `glyph ${severity}`, viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" }, svg("path", { d: GLYPHS[severity] }));
+  svg("svg", { class: `glyph sev-${severity}`, viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" }, svg("path", { d: GLYPHS[severity] }));
 
 // A canvas of this size in CSS pixels, sharp on the screen; its context.
 const fitCanvas = (canvas, width, height) => {

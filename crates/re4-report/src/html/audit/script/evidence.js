@@ -71,7 +71,7 @@ const findingBands = (root, scale, top, height) => {
     if (isWhole(finding)) continue;
     const [a, b] = [Math.max(finding.first, scale.first), Math.min(finding.end, scale.end)];
     if (a >= b) continue;
-    root.append(svg("rect", { class: `span ${SEVERITIES[finding.severity]}${active ? " active" : ""}`, "data-finding": finding.number, x: near(scale.x(a)), y: top, width: near(Math.max(1.5, scale.x(b) - scale.x(a))), height }));
+    root.append(svg("rect", { class: `span sev-${SEVERITIES[finding.severity]}${active ? " active" : ""}`, "data-finding": finding.number, x: near(scale.x(a)), y: top, width: near(Math.max(1.5, scale.x(b) - scale.x(a))), height }));
   }
 };
 
@@ -108,6 +108,8 @@ const drawStrips = (width, scale) => {
   const lanes = Math.max(0, ...found.map(({ lane }) => lane + 1));
   const height = strips.length * PLOT.strip + lanes * PLOT.strip + 6;
   const root = svg("svg", { class: "chart strips", width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Mode, findings and facts of each frame" });
+  // Of all plots below, which begin at the same height and are equally wide.
+  root.append(svg("defs", {}, svg("clipPath", { id: "plot-clip" }, svg("rect", { x: PLOT.left, y: PLOT.top - 2, width: scale.room, height: PLOT.height - PLOT.top - PLOT.bottom + 4 }))));
   strips.forEach(({ label, at }, row) => {
     const y = row * PLOT.strip + 2;
     root.append(svg("text", { class: "tick", x: PLOT.left - 6, y: y + 9, "text-anchor": "end" }, label));
@@ -124,9 +126,9 @@ const drawStrips = (width, scale) => {
     if (a >= b) continue;
     const severity = SEVERITIES[finding.severity];
     const y = from + lane * PLOT.strip;
-    const group = svg("g", { class: `found ${severity}${finding.number === selection.finding ? " active" : ""}` },
-      svg("rect", { class: `span solid ${severity}`, x: near(scale.x(a)), y: y + 3, width: near(Math.max(2, scale.x(b) - scale.x(a))), height: 6, rx: 2 }),
-      svg("path", { class: `glyph-mark ${severity}`, d: GLYPHS[severity], transform: `translate(${near(scale.x((a + b) / 2))} ${y + 6}) scale(0.9)` }),
+    const group = svg("g", { class: `found${finding.number === selection.finding ? " active" : ""}` },
+      svg("rect", { class: `span solid sev-${severity}`, x: near(scale.x(a)), y: y + 3, width: near(Math.max(2, scale.x(b) - scale.x(a))), height: 6, rx: 2 }),
+      svg("path", { class: `glyph-mark sev-${severity}`, d: GLYPHS[severity], transform: `translate(${near(scale.x((a + b) / 2))} ${y + 6}) scale(0.9)` }),
       svg("title", {}, finding.message));
     group.addEventListener("click", () => selectFinding(finding));
     root.append(group);
@@ -157,7 +159,7 @@ const drawPanel = (number, width, scale) => {
         svg("text", { class: "tick", x: PLOT.left - 6, y: y(tick / factor) + 4, "text-anchor": "end" }, figure(tick)),
       );
     }
-    curves.forEach((values, i) => root.append(svg("path", { class: `curve curve-${i}`, d: curvePath(values, scale, y) })));
+    curves.forEach((values, i) => root.append(svg("path", { class: `curve curve-${i}`, "clip-path": "url(#plot-clip)", d: curvePath(values, scale, y) })));
     words = svg("text", { class: "values", x: width - PLOT.right, y: 14, "text-anchor": "end" });
     root.append(words);
   }
@@ -228,7 +230,7 @@ const showFrame = () => {
 const findingItem = (finding) => {
   const severity = SEVERITIES[finding.severity];
   const compared = finding.value === null ? "" : `${figure(finding.value)}${finding.unit ? ` ${finding.unit}` : ""}${finding.threshold === null ? "" : ` against ${figure(finding.threshold)}`}`;
-  const button = html("button", { type: "button", class: `finding ${severity}`, "data-finding": finding.number, "aria-pressed": finding.number === selection.finding, title: CHECKS.get(finding.code)?.meaning },
+  const button = html("button", { type: "button", class: "finding", "data-finding": finding.number, "aria-pressed": finding.number === selection.finding, title: CHECKS.get(finding.code)?.meaning },
     glyph(severity),
     html("span", { class: "text" },
       html("span", { class: "kind-line" }, html("b", {}, wordsOf(finding.code)), html("span", { class: "soft" }, ` ${isWhole(finding) ? "whole demonstration" : spanWords(finding)}`), compared ? html("span", { class: "soft" }, ` · ${compared}`) : ""),

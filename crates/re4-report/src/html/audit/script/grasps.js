@@ -12,7 +12,7 @@ const OUTCOME_PATHS = Object.fromEntries(Object.entries(OUTCOME_MARKS).map(([nam
 // The rare ones last, so that they lie on top.
 const OUTCOME_ORDER = ["", "held", "brief", "lost", "missed"];
 
-// The plane of two axes in mm (or px), all views to one scale.
+// The plane of two axes, both to one scale, in the unit of the page.
 const graspScale = (canvas, width, height) => {
   const [across, up] = [...canvas.dataset.axes].map((axis) => AXES[axis]);
   const points = GRASPS.map(({ position }) => [position[across] * LENGTH.factor, position[up] * LENGTH.factor]);

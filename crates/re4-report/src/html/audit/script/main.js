@@ -6,9 +6,9 @@ setUpEvidence();
 setUpGrasps();
 arrange();
 if (COUNT === 0) byId("evidence").hidden = true;
-else if (!readAddress()) selectDemo(view.order[0]);
+else followAddress();
 revealChosen();
-window.addEventListener("hashchange", readAddress);
+window.addEventListener("hashchange", followAddress);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   readColours();
   drawTimelinesSoon();

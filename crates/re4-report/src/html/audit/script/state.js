@@ -4,13 +4,16 @@ const view = { sort: "worst", reversed: false, scale: "frames", text: "", severi
 const listeners = { demo: [], range: [], frame: [], view: [] };
 const tell = (what) => listeners[what].forEach((act) => act());
 
-const selectDemo = (demo, { range = null, finding = null } = {}) => {
+// Quietly: without a change of the page's address, which was followed.
+const selectDemo = (demo, { range = null, finding = null, quiet = false } = {}) => {
   if (demo < 0 || demo >= COUNT) return;
   const other = demo !== selection.demo;
   Object.assign(selection, { demo, range, finding, frame: other ? null : selection.frame });
   if (other) tell("demo");
   tell("range");
   tell("frame");
+  if (quiet) return;
+  warnOfAddress("");
   writeAddress();
 };
 
@@ -84,9 +87,7 @@ let addressTimer = 0;
 const writeAddress = () => {
   clearTimeout(addressTimer);
   addressTimer = setTimeout(() => {
-    if (location.hash === addressOf()) return;
-    history.replaceState(null, "", addressOf());
-    warnOfAddress("");
+    if (location.hash !== addressOf()) history.replaceState(null, "", addressOf());
   }, 250);
 };
 
@@ -96,26 +97,31 @@ const warnOfAddress = (words) => {
   notice.textContent = words;
 };
 
-// Whether the address names a place that there is; says so where it names one that there is not.
-const readAddress = () => {
-  const found = /^#demo=([^&]+)(?:&frames=(\d+)-(\d+))?$/.exec(location.hash);
+// The place that an address names: a demonstration by number or name, and a range of its frames; words where there is none.
+const placeOf = (hash) => {
+  const found = /^#demo=([^&]+)(?:&frames=(\d+)-(\d+))?$/.exec(hash);
   if (found === null) {
     // The page's own links to its parts are no places of this kind.
-    const dead = location.hash.length > 1 && document.getElementById(location.hash.slice(1)) === null;
-    warnOfAddress(dead ? `The link ${location.hash} leads nowhere in this page. Links look like #demo=${DEMOS.number[0] ?? 0}.` : "");
-    return false;
+    const dead = hash.length > 1 && byId(hash.slice(1)) === null;
+    return { words: dead ? `The link ${hash} leads nowhere in this page. Links look like #demo=${DEMOS.number[0] ?? 0}.` : "" };
   }
-  const called = decodeURIComponent(found[1]);
+  const called = found[1];
   const byNumber = /^\d+$/.test(called) ? DEMOS.number.indexOf(Number(called)) : -1;
   const demo = byNumber >= 0 ? byNumber : DEMOS.name.indexOf(called);
   if (demo < 0) {
-    warnOfAddress(`The link leads to demonstration ${called}, which this audit does not have: it has ${counted(COUNT, "demonstration")}${COUNT > 0 ? `, numbered ${DEMOS.number[0]} to ${DEMOS.number[COUNT - 1]}` : ""}.`);
-    return false;
+    const numbers = COUNT > 0 ? `, numbered ${DEMOS.number[0]} to ${DEMOS.number[COUNT - 1]}` : "";
+    return { words: `The link leads to demonstration ${called}, which this audit does not have: it has ${counted(COUNT, "demonstration")}${numbers}.` };
   }
+  if (found[2] === undefined) return { demo, range: null, words: "" };
   const frames = DEMOS.frames[demo];
-  const range = found[2] === undefined ? null : [Number(found[2]), Number(found[3]) + 1];
-  const fits = range === null || (range[0] < range[1] && range[1] <= frames);
-  warnOfAddress(fits ? "" : `The link leads to frames ${found[2]} to ${found[3]} of ${nameOf(demo)}, which has ${counted(frames, "frame")}; all of them are shown.`);
-  selectDemo(demo, { range: fits ? range : null });
-  return true;
+  const range = [Number(found[2]), Number(found[3]) + 1];
+  if (range[0] < range[1] && range[1] <= frames) return { demo, range, words: "" };
+  return { demo, range: null, words: `The link leads to frames ${found[2]} to ${found[3]} of ${nameOf(demo)}, which has ${counted(frames, "frame")}; all of them are shown.` };
+};
+
+const followAddress = () => {
+  const { demo, range, words } = placeOf(location.hash);
+  if (demo !== undefined) selectDemo(demo, { range, quiet: true });
+  else if (selection.demo < 0) selectDemo(view.order[0], { quiet: true });
+  warnOfAddress(words);
 };
