@@ -307,6 +307,7 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     let schema = schema();
     refuse_unknown(&schema, &schema, &document, "")
         .with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    complete_segment(&mut document)?;
     complete_policy(&mut document).with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
     let pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
         let place = match error.path().to_string().as_str() {
@@ -374,6 +375,22 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
         at = map.entry(key).or_insert(Value::Null);
     }
     *at = parsed;
+    Ok(())
+}
+
+/// Gives robosuite's tasks, which are in metres, their own defaults of `[segment]` for what the file leaves out.
+fn complete_segment(document: &mut Value) -> Result<()> {
+    if document.get("task").and_then(Value::as_str) == Some("pusht") {
+        return Ok(());
+    }
+    let Some(section) = document.get_mut("segment").and_then(Value::as_object_mut) else {
+        return Ok(());
+    };
+    if let Value::Object(defaults) = serde_json::to_value(SegmentConfig::spatial())? {
+        for (key, value) in defaults {
+            section.entry(key).or_insert(value);
+        }
+    }
     Ok(())
 }
 

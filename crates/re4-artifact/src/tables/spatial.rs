@@ -253,7 +253,7 @@ pub const SPATIAL_MODES: TableSpec = TableSpec {
         .nullable(),
         flag(
             "holds",
-            "What the evidence says by itself: fingers on something and the object fixed to the end effector.",
+            "Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is fixed to the end effector.",
         ),
     ],
 };

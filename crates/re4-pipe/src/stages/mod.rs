@@ -2,12 +2,14 @@
 
 mod audit;
 mod budgets;
+mod demos;
 mod index;
 mod ingest;
 mod replay;
 mod rollout;
 mod scenes;
 mod segment;
+mod spatial_modes;
 mod train_pose;
 
 use std::path::PathBuf;
