@@ -317,11 +317,11 @@ impl Invented {
             }],
             flags: vec![
                 Flag {
-                    label: "closes".to_owned(),
+                    label: "gripper closes".to_owned(),
                     values: self.closes,
                 },
                 Flag {
-                    label: "holds".to_owned(),
+                    label: "evidence holds".to_owned(),
                     values: self.holds,
                 },
             ],

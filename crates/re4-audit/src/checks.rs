@@ -424,7 +424,8 @@ fn with_unit(value: f64, unit: &str) -> String {
 
 /// The checks as a table in Markdown, for the documentation.
 pub fn markdown() -> String {
-    let mut text = "| code | severity | on | what it means | measure | threshold |\n|---|---|---|---|---|---|\n".to_owned();
+    let mut text =
+        "| code | severity | on | what it means | measure | threshold |\n|---|---|---|---|---|---|\n".to_owned();
     for check in CHECKS {
         let on = match check.applies {
             Applies::Everywhere => "all",
@@ -452,7 +453,11 @@ mod tests {
     fn checks_are_sorted_complete_and_unlike() {
         assert!(CHECKS.windows(2).all(|pair| pair[0].code < pair[1].code));
         for check in CHECKS {
-            assert!(check.meaning.ends_with('.') && !check.measure.is_empty(), "{}", check.code);
+            assert!(
+                check.meaning.ends_with('.') && !check.measure.is_empty(),
+                "{}",
+                check.code
+            );
         }
     }
 }

@@ -115,7 +115,10 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
         .map(SpatialFrame::finger_separation)
         .fold(f64::INFINITY, f64::min);
     let low = within.first().map_or(0.0, |frame| frame.object.translation.z);
-    let rise = within.iter().map(|frame| frame.object.translation.z - low).fold(0.0, f64::max);
+    let rise = within
+        .iter()
+        .map(|frame| frame.object.translation.z - low)
+        .fold(0.0, f64::max);
     let mut grasp = JudgedGrasp {
         segment: number,
         frames: range.clone(),
@@ -130,7 +133,11 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
     let Some(settled) = facts.settled_frame else {
         let cut_off = range.end == frames.len();
         let brief = range.len() < limits.flicker || cut_off;
-        grasp.outcome = if brief { GraspOutcome::Brief } else { GraspOutcome::Missed };
+        grasp.outcome = if brief {
+            GraspOutcome::Brief
+        } else {
+            GraspOutcome::Missed
+        };
         return grasp;
     };
     let Some(start) = frames.get(settled) else { return grasp };
@@ -197,8 +204,11 @@ pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp) -> Option<Release
         .get(grasp.segment + 1)
         .map_or(frames.len(), |next| next.segment.frames.end);
     let gripped = frames.get(grasp.settled)?.finger_separation();
-    let free = (grasp.frames.end..end)
-        .find(|&frame| frames.get(frame).is_some_and(|f| f.finger_separation() > gripped + LET_GO))?;
+    let free = (grasp.frames.end..end).find(|&frame| {
+        frames
+            .get(frame)
+            .is_some_and(|f| f.finger_separation() > gripped + LET_GO)
+    })?;
     let rest = rest(evidence, free, end).min(frames.len() - 1);
     let place = frames.get(rest)?.object.translation.vector;
     Some(Release {

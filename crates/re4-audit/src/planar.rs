@@ -37,7 +37,11 @@ pub fn observe_planar(demo: &PlanarDemo) -> Observation {
             .last()
             .map_or_else(Vector3::zeros, |f| Vector3::new(f.object.x, f.object.y, f.object.theta)),
         rewarded: None,
-        recording: hash(frames.iter().flat_map(|f| state(f).into_iter().chain([f.action.x, f.action.y]))),
+        recording: hash(
+            frames
+                .iter()
+                .flat_map(|f| state(f).into_iter().chain([f.action.x, f.action.y])),
+        ),
         actions: hash(frames.iter().flat_map(|f| [f.action.x, f.action.y])),
     }
 }
@@ -98,7 +102,11 @@ fn check_contacts(evidence: &[Evidence], sink: &mut Sink<'_>) {
     let steps = contact_and_motion(evidence);
     for (code, pattern, message) in [
         ("contact_without_motion", (true, false), "contact, and the block rests"),
-        ("motion_without_contact", (false, true), "no contact, and the block moves"),
+        (
+            "motion_without_contact",
+            (false, true),
+            "no contact, and the block moves",
+        ),
     ] {
         let least = sink.thresholds.over(code);
         for run in runs(steps.iter().map(|step| *step == Some(pattern)), 1) {

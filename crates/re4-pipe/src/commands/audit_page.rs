@@ -5,6 +5,7 @@ use arrow::record_batch::RecordBatch;
 use re4_artifact::{
     Artifact, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
 };
+use re4_geometry::{Point2, Pose2};
 use re4_report::html::audit::{
     Audit, Check, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
 };
@@ -111,7 +112,7 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
         checks: checks(sources.audit)?,
         findings: findings(sources.audit, &places)?,
         grasps: if planar {
-            push_starts(sources.modes, &places)?
+            contact_begins(sources.episodes, sources.modes, &segments, &places)?
         } else {
             grasps(sources.audit, &places)?
         },
@@ -347,29 +348,51 @@ fn grasps(audit: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
         .collect()
 }
 
-/// Where the pusher is in the block's frame as transfer begins.
-fn push_starts(modes: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
-    let rows = modes.table(&tables::SEGMENTS)?.read_all()?;
-    let (segment, first, end) = (
-        col_u32(&rows, "segment")?,
-        col_u32(&rows, "first_frame")?,
-        col_u32(&rows, "end_frame")?,
-    );
-    let (x, y) = (col_f64_or_null(&rows, "grasp_x")?, col_f64_or_null(&rows, "grasp_y")?);
-    let mut starts = Vec::new();
-    for (i, &episode) in col_u32(&rows, "episode")?.iter().enumerate() {
-        if let (Some(x), Some(y)) = (x[i], y[i]) {
-            starts.push(Grasp {
-                demo: places.of(modes, &tables::SEGMENTS, episode)?,
-                segment: segment[i],
-                first_frame: first[i],
-                end_frame: end[i],
-                outcome: String::new(),
-                position: [x, y, 0.0],
-            });
-        }
+/// Where the pusher is in the block's frame as contact begins.
+fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], places: &Places) -> Result<Vec<Grasp>> {
+    let columns = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
+    let rows = episodes.table(&tables::FRAMES)?.read_columns(&columns)?;
+    let mut values = Vec::with_capacity(columns.len());
+    for column in columns {
+        values.push(col_f64(&rows, column)?);
     }
-    Ok(starts)
+    let listed = modes
+        .table(&tables::MODES)?
+        .read_columns(&["episode", "frame", "contact"])?;
+    let (episode, frame) = (col_u32(&listed, "episode")?, col_u32(&listed, "frame")?);
+    let contact: Vec<Option<bool>> = col_bool(&listed, "contact")?.iter().collect();
+    let touching = |row: usize| contact[row] == Some(true);
+    let mut begins = Vec::new();
+    for row in 1..listed.num_rows().min(rows.num_rows()) {
+        if frame[row] == 0 || contact[row - 1] != Some(false) || !touching(row) {
+            continue;
+        }
+        let length = (row..listed.num_rows())
+            .take_while(|&later| episode[later] == episode[row] && touching(later))
+            .count() as u32;
+        let demo = places.of(modes, &tables::MODES, episode[row])?;
+        let [x, y, object_x, object_y, theta] = std::array::from_fn(|column| values[column][row]);
+        let seen = Pose2::new(object_x, object_y, theta).inverse_transform_point(Point2::new(x, y));
+        begins.push(Grasp {
+            demo,
+            segment: segment_at(segments, demo, frame[row]),
+            first_frame: frame[row],
+            end_frame: frame[row] + length,
+            outcome: String::new(),
+            position: [seen.x, seen.y, 0.0],
+        });
+    }
+    Ok(begins)
+}
+
+/// Number of the segment that holds a frame.
+fn segment_at(segments: &[Segment], demo: usize, frame: u32) -> u32 {
+    let of_demo = segments.iter().filter(|segment| segment.demo == demo);
+    of_demo
+        .filter(|segment| segment.first_frame <= frame)
+        .map(|segment| segment.number)
+        .max()
+        .unwrap_or(0)
 }
 
 fn conventions(episodes: &Artifact) -> Result<Vec<Convention>> {
@@ -432,9 +455,9 @@ fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>,
         .table(&tables::SPATIAL_FRAMES)?
         .read_columns(&["eef_z", "object_z"])?;
     let flags = vec![
-        flag(&rows, "command_closes", "closes")?,
-        flag(&rows, "holds", "holds")?,
-        flag(&rows, "object_moving", "moves")?,
+        flag(&rows, "command_closes", "gripper closes")?,
+        flag(&rows, "holds", "evidence holds")?,
+        flag(&rows, "object_moving", "object moves")?,
     ];
     let one = |name, label| series(&rows, name, label);
     let panels = vec![
@@ -474,8 +497,8 @@ fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>,
 fn planar_evidence(modes: &Artifact) -> Result<(Vec<Flag>, Vec<Panel>)> {
     let rows = modes.table(&tables::MODES)?.read_all()?;
     let flags = vec![
-        flag(&rows, "contact", "contact")?,
-        flag(&rows, "object_moving", "moves")?,
+        flag(&rows, "contact", "in contact")?,
+        flag(&rows, "object_moving", "object moves")?,
     ];
     let one = |name, label| series(&rows, name, label);
     let panels = vec![

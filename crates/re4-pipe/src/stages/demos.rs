@@ -128,7 +128,11 @@ fn spatial_episode(source: u32, rows: &RecordBatch, positive_closes: bool) -> Re
             delta: delta[i],
             goal: goal[i],
             gripper: gripper[i],
-            closes: if positive_closes { gripper[i] > 0.0 } else { gripper[i] < 0.0 },
+            closes: if positive_closes {
+                gripper[i] > 0.0
+            } else {
+                gripper[i] < 0.0
+            },
             reward: reward[i],
         })
         .collect();
@@ -145,7 +149,9 @@ fn segmented(modes: &RecordBatch, segments: &RecordBatch) -> Result<SegmentedSpa
     let modes = read_modes(modes)?;
     let segments = read_segments(segments)?;
     ensure!(
-        segments.last().is_some_and(|last| last.segment.frames.end == modes.len()),
+        segments
+            .last()
+            .is_some_and(|last| last.segment.frames.end == modes.len()),
         "table spatial_segments does not end where spatial_modes does; segment the dataset anew"
     );
     Ok(SegmentedSpatial {

@@ -37,7 +37,7 @@ pub struct Audit {
     pub findings: Vec<Finding>,
     /// Segments, by demonstration and frame.
     pub segments: Vec<Segment>,
-    /// Grasps: where the end effector took the object, in the object's frame.
+    /// Grasps: where the end effector took the object, in the object's frame. In the plane, where contact begins.
     pub grasps: Vec<Grasp>,
     /// Outline of the object in its own frame, where it is planar; there grasps have no height.
     pub outline: Option<Vec<[f64; 2]>>,
@@ -199,9 +199,9 @@ pub struct Grasp {
     pub demo: usize,
     /// Number of its segment.
     pub segment: u32,
-    /// First frame of the segment.
+    /// First frame of the segment, or of the contact.
     pub first_frame: u32,
-    /// Frame after the last one of the segment.
+    /// Frame after the last one of the segment, or of the contact.
     pub end_frame: u32,
     /// How it went; empty where that is not told.
     pub outcome: String,

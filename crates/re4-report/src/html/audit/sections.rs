@@ -75,12 +75,14 @@ pub(super) fn header(audit: &Audit) -> Markup {
                 strong data-fact="frames" data-value=(frames) { (thousands(frames)) " frames" }
                 ". "
                 span data-fact="clean" data-value=(clean) {
-                    @if clean == audit.demos.len() { "None of them has an error or a warning." }
+                    @if audit.demos.is_empty() {}
+                    @else if clean == audit.demos.len() { "None of them has an error or a warning." }
+                    @else if clean == 0 { "Each of them has an error or a warning." }
                     @else { (clean) " of them have neither error nor warning." }
                 }
             }
             div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % transfer", share(transit), share(transfer))) {
-                @for (mode, part) in [("transit", transit), ("transfer", transfer)] {
+                @for (mode, part) in [("transit", transit), ("transfer", transfer)].into_iter().filter(|(_, part)| *part > 0) {
                     div class={ "mode " (mode) } style=(format!("flex-grow: {part}")) {}
                 }
             }
@@ -269,14 +271,15 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
     html! {
         section #dataset aria-labelledby="dataset-title" {
             div.heading {
-                h2 #dataset-title { @if planar { "Where pushes begin" } @else { "Where the object is grasped" } }
+                h2 #dataset-title { @if planar { "Where contact begins" } @else { "Where the object is grasped" } }
                 ul.legend #grasp-legend {}
             }
             p.note {
                 @if audit.grasps.is_empty() {
-                    "No demonstration of this audit has a transfer segment, so there is nothing to show."
+                    @if planar { "No contact is recorded to begin in any demonstration, so there is nothing to show." }
+                    @else { "No demonstration of this audit has a transfer segment, so there is nothing to show." }
                 } @else if planar {
-                    "The end effector in the object’s frame at the first frame of every transfer segment. A pusher has no grasp that could be missed, so there are no outcomes."
+                    "The pusher’s centre in the block’s frame, at each frame from which on contact was counted and before which it was not. A pusher has no grasp that could be missed or lost, so there are no outcomes."
                 } @else {
                     "The end effector in the object’s frame, one mark a transfer segment, at the frame where the fingers have settled. The cross is the object’s origin; lengths in " (audit.length.unit) "."
                 }
@@ -286,7 +289,7 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                     @for (axes, name) in views {
                         figure.card {
                             figcaption { h3 { (name) } p.grasp-words {} }
-                            canvas.grasps data-axes=(axes) tabindex="0" role="img" aria-label={ (name) ": grasps in the object’s frame. Left and right choose one; click one to see its demonstration." } {}
+                            canvas.grasps data-axes=(axes) tabindex="0" role="img" aria-label={ (name) ": positions in the object’s frame. Left and right choose one; click one to see its demonstration." } {}
                         }
                     }
                 }

@@ -1,5 +1,5 @@
 // The chosen demonstration: its findings in sentences, its evidence over frames, its segments.
-const PLOT = { left: 58, right: 12, strip: 15, height: 92, top: 22, bottom: 8, axis: 24 };
+const PLOT = { left: 88, right: 12, strip: 15, height: 92, top: 22, bottom: 8, axis: 24 };
 const SEVERITY_COUNT = 3;
 
 const shownRange = () => selection.range ?? [0, DEMOS.frames[selection.demo]];
@@ -283,7 +283,7 @@ const showDemo = () => {
     counted(DEMOS.frames[demo], "frame"), `${(DEMOS.frames[demo] * REPORT.frame_seconds).toFixed(1)} s`, `${Math.round(100 * share(demo))} % transfer`,
     counted(DEMOS.segments[demo], "segment"), `object ends ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit} from where it began`, severityWords(demo),
   ];
-  const number = nameOf(demo) === `demo_${DEMOS.number[demo]}` ? [] : [`number ${DEMOS.number[demo]}`];
+  const number = new RegExp(`(^|\\D)${DEMOS.number[demo]}$`).test(nameOf(demo)) ? [] : [`number ${DEMOS.number[demo]}`];
   byId("evidence-facts").textContent = [...number, ...facts].join(" · ");
   showFindings();
   showSegments();

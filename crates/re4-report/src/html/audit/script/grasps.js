@@ -6,7 +6,7 @@ const OUTCOME_MARKS = {
   lost: "M0 4.6L4.6 -3.6H-4.6Z",
   brief: "M-3.2 -3.2H3.2V3.2H-3.2Z",
 };
-const OUTCOME_WORDS = { held: "held", missed: "missed: closed on nothing", lost: "lost: slipped out", brief: "brief: too short to tell", "": "first frame of transfer" };
+const OUTCOME_WORDS = { held: "held", missed: "missed: closed on nothing", lost: "lost: slipped out", brief: "brief: too short to tell", "": "contact begins" };
 const outcomeOf = (outcome) => (outcome in OUTCOME_MARKS ? outcome : "held");
 const OUTCOME_PATHS = Object.fromEntries(Object.entries(OUTCOME_MARKS).map(([name, path]) => [name, new Path2D(path)]));
 // The rare ones last, so that they lie on top.
@@ -176,6 +176,10 @@ const showGraspLegend = () => {
 const drawHistogram = (host, width) => {
   const transfer = host.dataset.mode === "transfer";
   const lengths = SEGMENTS.filter((segment) => (segment.transfer === 1) === transfer).map(({ first, end }) => end - first);
+  if (lengths.length === 0) {
+    host.replaceChildren(html("p", { class: "none" }, `There are no ${host.dataset.mode} segments.`));
+    return;
+  }
   const most = lengths.reduce((high, length) => Math.max(high, length), 1);
   const gap = [1, 2, 5, 10, 20, 50, 100, 200, 500].find((size) => most / size <= Math.min(40, width / 12)) ?? 1000;
   const bins = new Array(Math.floor(most / gap) + 1).fill(0);
