@@ -78,6 +78,10 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
 /// What Push-T needs, and what it does not have.
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ensure!(
+        pipeline.segment.rule != Rule::GripperCommand && pipeline.segment.gripper.is_none(),
+        "Push-T has no gripper; set segment.rule to \"always_transit\" or \"rigid_motion\", and leave segment.gripper out"
+    );
+    ensure!(
         pipeline.ingest.filter.is_none() && pipeline.ingest.object.is_none(),
         "ingest.filter and ingest.object belong to robosuite's tasks; leave them out, and choose episodes by ingest.select"
     );

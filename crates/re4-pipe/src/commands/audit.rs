@@ -2,13 +2,14 @@
 
 use anyhow::Result;
 
-use super::{Outcome, audit_page};
-use crate::arguments::AuditArguments;
+use super::{Outcome, audit_page, audit_text};
+use crate::arguments::{AuditArguments, FailOn};
 use crate::output::Output;
 use crate::stages::Runner;
 
 /// `re4-pipe audit`.
 pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
+    // Where it cannot be written, that is said before any work.
     let page = arguments
         .html
         .as_deref()
@@ -22,6 +23,14 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
         let sources = audit_page::Sources::of(&runner, &arguments.stage, [&episodes, &modes, &built]);
         audit_page::write(&sources, output, runner.console)?;
     }
-    runner.console.answer(&built.to_json())?;
-    Ok(Outcome::Done)
+    let told = audit_text::Told::read(&built.artifact)?;
+    runner.console.answer(&told.to_json(built.to_json()))?;
+    runner.console.say(&told.text()?)?;
+    // The gate comes last: whatever it says, everything is written and told.
+    let failed = match arguments.fail_on {
+        None => false,
+        Some(FailOn::Error) => told.count("error") > 0,
+        Some(FailOn::Warning) => told.count("error") + told.count("warning") > 0,
+    };
+    Ok(if failed { Outcome::GateFailed } else { Outcome::Done })
 }

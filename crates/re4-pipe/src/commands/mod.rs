@@ -2,6 +2,7 @@
 
 pub(crate) mod audit;
 mod audit_page;
+mod audit_text;
 pub(crate) mod fetch;
 pub(crate) mod film;
 pub(crate) mod inspect;
