@@ -8,13 +8,15 @@
 
 mod support;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
 use re4_report::html::audit::{Audit, Severity, page};
 use serde_json::{Map, Value, json};
-use support::{invented, repository};
+use support::{Place, invented, repository};
 
 /// The largest page for 600 demonstrations of a hundred and some frames.
 const LARGEST: usize = 8_000_000;
@@ -122,11 +124,164 @@ fn the_same_audit_gives_the_same_page() {
     assert!(page(&invented::audit(5)) != page(&invented::audit(6)));
 }
 
-#[test]
-fn writes() {
-    for count in [1, 200, 600] {
-        let audit = invented::audit(count);
-        fs::write(format!("/tmp/re4/page-{count}.html"), page(&audit)).unwrap();
-        fs::write(format!("/tmp/re4/page-{count}.json"), expected(&audit).to_string()).unwrap();
+/// A place with the sample of pick-and-place demonstrations.
+fn can() -> Place {
+    let place = Place::empty();
+    fs::copy(
+        repository().join("data/can-sample.hdf5"),
+        place.path().join("data/can-sample.hdf5"),
+    )
+    .unwrap();
+    place.write(
+        "can.toml",
+        fs::read_to_string(repository().join("pipelines/can-sample-audit.toml")).unwrap(),
+    );
+    place
+}
+
+/// What the page of these artifacts has to show: counts as `audit --json` tells them, the rest from the tables.
+fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static TableSpec, &[&str])]) -> Value {
+    let summary = &answer["summary"];
+    let mut codes = Map::new();
+    for check in answer["checks"].as_array().unwrap() {
+        let code = check["code"].as_str().unwrap();
+        codes.insert(code.to_owned(), json!([check["findings"], check["episodes"]]));
     }
+    let mut found: BTreeMap<(u64, String), u64> = BTreeMap::new();
+    for finding in answer["findings"].as_array().unwrap() {
+        let severity = finding["severity"].as_str().unwrap().to_owned();
+        *found
+            .entry((finding["episode"].as_u64().unwrap(), severity))
+            .or_default() += 1;
+    }
+    let rows = place
+        .artifact(Stage::Audit)
+        .table(&tables::AUDITED_EPISODES)
+        .unwrap()
+        .read_all()
+        .unwrap();
+    let number = |name| col_u32(&rows, name).unwrap();
+    let names = col_text(&rows, "demo").unwrap();
+    let grasps = col_u32_or_null(&rows, "grasp_frame").unwrap();
+    let demos: Vec<Value> = (0..rows.num_rows())
+        .map(|i| {
+            let episode = number("episode")[i];
+            let of = |severity: &str| {
+                found
+                    .get(&(u64::from(episode), severity.to_owned()))
+                    .copied()
+                    .unwrap_or(0)
+            };
+            json!({
+                "number": episode, "name": names[i].unwrap(), "frames": number("frames")[i],
+                "transfer_frames": number("transfer_frames")[i], "segments": number("segments")[i],
+                "grasp_frame": grasps[i],
+                "error": of("error"), "warning": of("warning"), "note": of("note"),
+            })
+        })
+        .collect();
+    let outcomes = summary["grasps"]["outcomes"].as_object().cloned().unwrap_or_default();
+    json!({
+        "frames": summary["frames"],
+        "transit_frames": summary["modes"]["transit"]["frames"],
+        "transfer_frames": summary["modes"]["transfer"]["frames"],
+        "severities": { "error": summary["errors"], "warning": summary["warnings"], "note": summary["notes"] },
+        "codes": codes,
+        "contacts": summary.get("contacts"),
+        "grasps": if outcomes.is_empty() { Value::Null } else { outcomes.values().map(|v| v.as_u64().unwrap()).sum::<u64>().into() },
+        "outcomes": outcomes,
+        "demos": demos,
+        "panels": panels.iter().map(|(title, stage, table, columns)| {
+            let rows = place.artifact(*stage).table(table).unwrap().read_all().unwrap();
+            let values: Vec<_> = columns.iter().map(|column| col_f64_or_null(&rows, column).unwrap()[2]).collect();
+            json!({ "title": title, "values": values })
+        }).collect::<Vec<_>>(),
+    })
+}
+
+#[test]
+fn figures_are_those_that_audit_prints() {
+    let place = can();
+    let answer = place.run("audit can.toml --html page.html --json").done().json();
+    let page = place.path().join("page.html");
+    let modes = (Stage::Segment, &tables::SPATIAL_MODES);
+    let of = |title, columns| (title, modes.0, modes.1, columns);
+    let expected = expected_of(
+        &place,
+        &answer,
+        &[
+            of("Fingers apart", &["finger_separation"][..]),
+            ("Height", Stage::Ingest, &tables::SPATIAL_FRAMES, &["eef_z", "object_z"]),
+            of("Speed", &["eef_step", "object_step"]),
+            of("Relative translation", &["relative_translation"]),
+            of("Relative rotation", &["relative_rotation"]),
+            of("Grip to object", &["eef_object_distance"]),
+        ],
+    );
+    // Something to see: findings of several kinds, and grasps that were missed.
+    assert!(expected["severities"]["error"].as_u64().unwrap() > 0, "{expected}");
+    assert!(expected["outcomes"]["missed"].as_u64().unwrap() > 0, "{expected}");
+    let text = fs::read_to_string(&page).unwrap();
+    assert!(text.contains("re4-pipe audit can.toml"));
+    for artifact in [Stage::Audit, Stage::Segment, Stage::Ingest].map(|stage| place.artifact(stage)) {
+        assert!(text.contains(&format!("{}/{}", artifact.manifest().artifact, artifact.key().short())));
+    }
+    for finding in answer["findings"].as_array().unwrap() {
+        let message = serde_json::to_string(&finding["message"]).unwrap();
+        assert!(text.contains(&message), "{message} is not on the page");
+    }
+    for check in answer["checks"].as_array().unwrap() {
+        if let Some(threshold) = check["threshold"].as_f64() {
+            assert!(text.contains(&format!("data-value=\"{threshold}\"")), "{check}");
+        }
+    }
+    let Some(python) = python() else { return };
+    look(&python, &page, &expected, &[]);
+}
+
+#[test]
+fn push_t_has_contacts_in_place_of_grasps() {
+    let place = Place::new();
+    let answer = place
+        .run("audit small.toml --no-images --html page.html --json")
+        .done()
+        .json();
+    let of = |title, columns| (title, Stage::Segment, &tables::MODES, columns);
+    let expected = expected_of(
+        &place,
+        &answer,
+        &[
+            of("Contact points", &["contacts"][..]),
+            of("Speed", &["eef_step", "object_step"]),
+            of("Block turns", &["object_turn"]),
+            of("Relative translation", &["relative_translation"]),
+            of("Pusher to block", &["eef_object_distance"]),
+        ],
+    );
+    assert!(expected["contacts"]["contact_and_motion"].as_u64().unwrap() > 0);
+    let text = fs::read_to_string(place.path().join("page.html")).unwrap();
+    assert!(text.contains("Where contact begins") && !text.contains("From above"));
+    let Some(python) = python() else { return };
+    look(&python, &place.path().join("page.html"), &expected, &[]);
+}
+
+#[test]
+fn the_page_is_there_whole_or_not_at_all() {
+    let place = can();
+    for path in ["nowhere/page.html", "data"] {
+        let refusal = place.run(&format!("audit can.toml --html {path}")).refused_at_once();
+        assert!(refusal.contains(&format!("cannot write the page {path}")), "{refusal}");
+        assert!(!place.artifacts().exists(), "work was done before the refusal");
+    }
+    let first = place.run("audit can.toml --html page.html --json").done();
+    let page = fs::read_to_string(place.path().join("page.html")).unwrap();
+    assert!(first.stderr.contains("page  page.html  "), "{}", first.stderr);
+    // The same bytes from artifacts that are there already, on one thread, over another file, by a gate that fails.
+    fs::write(place.path().join("other.html"), "old").unwrap();
+    let failed = place.run("audit can.toml --html other.html --jobs 1 --fail-on error");
+    assert_eq!(failed.code, Some(1), "{}", failed.stderr);
+    assert!(fs::read_to_string(place.path().join("other.html")).unwrap() == page);
+    assert!(!page.contains(place.path().to_str().unwrap()));
+    assert!(place.temporaries().is_empty());
+    assert!(Artifact::open(place.artifact(Stage::Audit).path()).is_ok());
 }

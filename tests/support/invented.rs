@@ -304,6 +304,7 @@ impl Invented {
             segments: self.segments,
             grasps: self.grasps,
             outline: None,
+            contacts: None,
             conventions: vec![Convention {
                 name: "quaternion_order".to_owned(),
                 value: "xyzw".to_owned(),

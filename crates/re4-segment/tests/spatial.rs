@@ -144,7 +144,11 @@ fn measures_are_those_that_the_motion_was_built_from() {
     near(evidence[7].object_turn.unwrap(), 0.01);
     assert_eq!(evidence.last().unwrap().eef_step, None);
     let holds: Vec<usize> = (0..evidence.len()).filter(|&i| evidence[i].holds).collect();
-    assert_eq!(holds, [6, 7, 8, 9], "stopped by the object, until the fingers move again");
+    assert_eq!(
+        holds,
+        [6, 7, 8, 9],
+        "stopped by the object, until the fingers move again"
+    );
 
     let [reach, transfer, leave] = segmented.segments.as_slice() else {
         panic_on(&segmented)
@@ -219,7 +223,12 @@ fn what_makes_no_sense_is_refused() {
     broken.frames[5].fingers[1] = f64::NAN;
     assert!(matches!(
         segment_spatial(&broken, &SegmentConfig::spatial()),
-        Err(SegmentError::NotFinite { episode: 7, frame: 5, column: "finger position", .. })
+        Err(SegmentError::NotFinite {
+            episode: 7,
+            frame: 5,
+            column: "finger position",
+            ..
+        })
     ));
 }
 

@@ -7,7 +7,7 @@ use re4_artifact::{
 };
 use re4_geometry::{Point2, Pose2};
 use re4_report::html::audit::{
-    Audit, Check, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
+    Audit, Check, Contacts, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
 };
 
 use crate::arguments::StageArguments;
@@ -117,6 +117,7 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
             grasps(sources.audit, &places)?
         },
         outline: planar.then(super::report::block_outline),
+        contacts: contacts(sources.audit),
         conventions: if has(sources.episodes, &tables::CONVENTIONS) {
             conventions(sources.episodes)?
         } else {
@@ -393,6 +394,19 @@ fn segment_at(segments: &[Segment], demo: usize, frame: u32) -> u32 {
         .map(|segment| segment.number)
         .max()
         .unwrap_or(0)
+}
+
+/// What the audit's summary says of contact and motion; nothing where contacts are not recorded.
+fn contacts(audit: &Artifact) -> Option<Contacts> {
+    let stated = audit.manifest().summary.get("contacts")?;
+    let count = |name: &str| stated.get(name)?.as_u64();
+    Some(Contacts {
+        both: count("contact_and_motion")?,
+        contact_alone: count("contact_alone")?,
+        motion_alone: count("motion_alone")?,
+        neither: count("neither")?,
+        jaccard: stated.get("jaccard")?.as_f64(),
+    })
 }
 
 fn conventions(episodes: &Artifact) -> Result<Vec<Convention>> {

@@ -101,7 +101,10 @@ impl Told {
 
     /// Findings of a severity.
     pub(crate) fn count(&self, severity: &str) -> usize {
-        self.findings.iter().filter(|finding| finding.severity == severity).count()
+        self.findings
+            .iter()
+            .filter(|finding| finding.severity == severity)
+            .count()
     }
 
     /// All of it, added to what is said of every artifact.
@@ -176,7 +179,10 @@ impl Told {
             write!(text, "\n  grasps    {}", outcomes.join(", "))?;
         }
         if let Some(overlap) = summary["contacts"]["jaccard"].as_f64() {
-            write!(text, "\n  contact and motion of the block agree with a Jaccard index of {overlap:.3}")?;
+            write!(
+                text,
+                "\n  contact and motion of the block agree with a Jaccard index of {overlap:.3}"
+            )?;
         }
         self.write_checks(&mut text)?;
         self.write_findings(&mut text)?;
@@ -186,7 +192,11 @@ impl Told {
     fn write_checks(&self, text: &mut String) -> Result<()> {
         let found: Vec<&Check> = self.checks.iter().filter(|check| check.findings > 0).collect();
         if !found.is_empty() {
-            write!(text, "\n\n  {:<8} {:<25} {:>8} {:>6}  threshold", "severity", "check", "findings", "demos")?;
+            write!(
+                text,
+                "\n\n  {:<8} {:<25} {:>8} {:>6}  threshold",
+                "severity", "check", "findings", "demos"
+            )?;
         }
         for severity in SEVERITIES {
             for check in found.iter().filter(|check| check.severity == severity) {
@@ -210,7 +220,10 @@ impl Told {
         write!(
             text,
             "\n  {} found nothing{}",
-            plural(quiet - skipped.min(quiet), if found.is_empty() { "check" } else { "other check" }),
+            plural(
+                quiet - skipped.min(quiet),
+                if found.is_empty() { "check" } else { "other check" }
+            ),
             if skipped > 0 {
                 format!(", {skipped} could not be made on so few demonstrations")
             } else {
@@ -258,10 +271,18 @@ fn plural(count: usize, what: &str) -> String {
 
 /// Four significant digits are enough to recognise a threshold; the artifact has all of them.
 fn with_unit(value: f64, unit: &str) -> String {
-    let digits = if value == 0.0 { 0 } else { (3 - value.abs().log10().floor() as i32).clamp(0, 8) };
+    let digits = if value == 0.0 {
+        0
+    } else {
+        (3 - value.abs().log10().floor() as i32).clamp(0, 8)
+    };
     let mut number = format!("{value:.*}", digits as usize);
     if number.contains('.') {
         number.truncate(number.trim_end_matches('0').trim_end_matches('.').len());
     }
-    if unit.is_empty() { number } else { format!("{number} {unit}") }
+    if unit.is_empty() {
+        number
+    } else {
+        format!("{number} {unit}")
+    }
 }

@@ -41,6 +41,8 @@ pub struct Audit {
     pub grasps: Vec<Grasp>,
     /// Outline of the object in its own frame, where it is planar; there grasps have no height.
     pub outline: Option<Vec<[f64; 2]>>,
+    /// Steps by contact and motion of the object, where contacts are recorded.
+    pub contacts: Option<Contacts>,
     /// Conventions of the dataset.
     pub conventions: Vec<Convention>,
     /// Facts of each frame that hold or not, beside the mode.
@@ -207,6 +209,21 @@ pub struct Grasp {
     pub outcome: String,
     /// The end effector in the object's frame, in the artifact's unit; the height is 0 in the plane.
     pub position: [f64; 3],
+}
+
+/// Steps by contact and motion of the object.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contacts {
+    /// With contact and with motion.
+    pub both: u64,
+    /// With contact, and the object rests.
+    pub contact_alone: u64,
+    /// With motion, and without contact.
+    pub motion_alone: u64,
+    /// With neither.
+    pub neither: u64,
+    /// Steps with both over steps with either; `None` where there are none.
+    pub jaccard: Option<f64>,
 }
 
 /// A convention of the dataset.

@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::{Audit, Check, Convention, Severity};
+use super::{Audit, Check, Contacts, Convention, Severity};
 use crate::html::common::{choice, exact, plural};
 use crate::statistics::median;
 
@@ -294,6 +294,7 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                     }
                 }
             }
+            @if let Some(contacts) = &audit.contacts { (contact_words(*contacts)) }
             h2.above { "How long segments are" }
             div.columns.even {
                 @for (transfer, mode) in [(false, "transit"), (true, "transfer")] {
@@ -311,6 +312,27 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                 }
             }
             p.hint { "Triangles under the axis are the segments of the chosen demonstration." }
+        }
+    }
+}
+
+/// Whether contact and motion of the object say the same.
+fn contact_words(contacts: Contacts) -> Markup {
+    html! {
+        h2.above { "Contact against motion" }
+        p.note {
+            "The block moves and is touched in "
+            b data-contacts="both" data-value=(contacts.both) { (thousands(contacts.both)) }
+            " steps; it is touched and rests in "
+            b data-contacts="contact_alone" data-value=(contacts.contact_alone) { (thousands(contacts.contact_alone)) }
+            "; it moves untouched in "
+            b data-contacts="motion_alone" data-value=(contacts.motion_alone) { (thousands(contacts.motion_alone)) }
+            "; neither in "
+            b data-contacts="neither" data-value=(contacts.neither) { (thousands(contacts.neither)) }
+            "."
+            @if let Some(jaccard) = contacts.jaccard {
+                " Both over either: " b data-contacts="jaccard" data-value=(exact(jaccard)) { (format!("{jaccard:.3}")) } "."
+            }
         }
     }
 }

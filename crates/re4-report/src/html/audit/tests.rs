@@ -42,6 +42,7 @@ fn audit() -> Audit {
         segments: Vec::new(),
         grasps: Vec::new(),
         outline: None,
+        contacts: None,
         conventions: Vec::new(),
         flags: vec![Flag {
             label: "holds".to_owned(),

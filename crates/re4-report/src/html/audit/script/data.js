@@ -49,7 +49,11 @@ const figure = (value, most = 4) => {
   const text = size !== 0 && (size < 1e-4 || size >= 1e7) ? value.toExponential(2) : String(Number(value.toPrecision(most)));
   return text.replace("-", "−");
 };
-const lengthWords = (value) => (value === null ? "–" : figure(value * LENGTH.factor, 3));
+const lengthWords = (value) => {
+  if (value === null || !Number.isFinite(value)) return "–";
+  const size = Math.abs(value * LENGTH.factor);
+  return digits(value * LENGTH.factor, size < 10 ? 2 : size < 100 ? 1 : 0);
+};
 
 // Colours of the page's scheme, for canvases; read again when the scheme changes.
 const COLOURS = {};

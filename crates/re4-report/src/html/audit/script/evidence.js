@@ -68,7 +68,8 @@ const modeBands = (root, scale, top, height) => {
 const findingBands = (root, scale, top, height) => {
   for (const finding of FINDINGS_OF[selection.demo]) {
     const active = finding.number === selection.finding;
-    if (isWhole(finding)) continue;
+    // Notes are long and many; behind every curve they would hide the modes.
+    if (isWhole(finding) || (SEVERITIES[finding.severity] === "note" && !active)) continue;
     const [a, b] = [Math.max(finding.first, scale.first), Math.min(finding.end, scale.end)];
     if (a >= b) continue;
     root.append(svg("rect", { class: `span sev-${SEVERITIES[finding.severity]}${active ? " active" : ""}`, "data-finding": finding.number, x: near(scale.x(a)), y: top, width: near(Math.max(1.5, scale.x(b) - scale.x(a))), height }));

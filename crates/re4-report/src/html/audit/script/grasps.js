@@ -102,15 +102,18 @@ const drawGrasps = (canvas) => {
     const outcome = outcomeOf(GRASPS[i].outcome);
     context.save();
     context.translate(place.x(x), place.y(y));
-    if (chosen) context.scale(1.5, 1.5);
+    if (chosen) context.scale(1.7, 1.7);
+    if (chosen) {
+      context.lineJoin = "round";
+      for (const [colour, wide] of [[COLOURS.card, 5], [COLOURS.ink, 2.6]]) {
+        context.strokeStyle = colour;
+        context.lineWidth = wide;
+        context.stroke(OUTCOME_PATHS[outcome]);
+      }
+    }
     context.fillStyle = COLOURS[outcome];
     context.globalAlpha = chosen ? 1 : outcome === "held" ? 0.45 : 0.9;
     context.fill(OUTCOME_PATHS[outcome]);
-    if (chosen) {
-      context.strokeStyle = COLOURS.ink;
-      context.lineWidth = 1.3;
-      context.stroke(OUTCOME_PATHS[outcome]);
-    }
     context.restore();
   };
   inOrder.filter((i) => GRASPS[i].demo !== selection.demo).forEach((i) => mark(i, false));

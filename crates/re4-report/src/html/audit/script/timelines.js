@@ -66,9 +66,12 @@ const drawRow = (context, demo, y, width, scale) => {
   const marks = marksOf(demo);
   for (const finding of marks) {
     if (isWhole(finding)) continue;
-    context.fillStyle = COLOURS[SEVERITIES[finding.severity]];
+    const severity = SEVERITIES[finding.severity];
+    context.fillStyle = COLOURS[severity];
+    context.globalAlpha = severity === "note" ? 0.5 : 1;
     const x = place.x(finding.first);
     context.fillRect(x, y + BAR.top + BAR.height + 1, Math.max(1.5, place.x(finding.end) - x), 2);
+    context.globalAlpha = 1;
   }
   for (const finding of marks) drawMark(context, SEVERITIES[finding.severity], markX(finding, place), y + ROW / 2, 0.86);
 };
