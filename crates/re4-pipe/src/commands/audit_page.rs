@@ -40,10 +40,12 @@ impl<'a> Sources<'a> {
     pub(crate) fn of(runner: &Runner, arguments: &StageArguments, [episodes, modes, audit]: [&'a Built; 3]) -> Self {
         let ingest = &runner.pipeline.ingest;
         let source = ingest.source.display();
-        let mut command = format!("re4-pipe audit {}", arguments.pipeline.display());
-        for setting in &arguments.set {
-            command.push_str(&format!(" --set {setting}"));
-        }
+        let settings: String = arguments
+            .set
+            .iter()
+            .map(|setting| [" --set ", setting].concat())
+            .collect();
+        let command = format!("re4-pipe audit {}{settings}", arguments.pipeline.display());
         Self {
             task: runner.pipeline.task,
             dataset: match &ingest.filter {

@@ -253,7 +253,7 @@ const markFinding = () => {
 const segmentCells = (segment) => {
   const outcome = GRASPS_OF[segment.demo].find((grasp) => grasp.segment === segment.number)?.outcome ?? "";
   const planar = REPORT.outline !== null;
-  const angle = segment.residual_rotation === null ? "–" : figure((segment.residual_rotation * 180) / Math.PI, 3);
+  const angle = segment.residual_rotation === null ? "–" : digits((segment.residual_rotation * 180) / Math.PI, 2);
   return [
     [`${segment.first}–${segment.end - 1}`],
     [String(segment.end - segment.first)],

@@ -97,6 +97,15 @@ const warnOfAddress = (words) => {
   notice.textContent = words;
 };
 
+// Names with blanks are written with percent signs; what is not well-formed stays as it is.
+const decoded = (text) => {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+};
+
 // The place that an address names: a demonstration by number or name, and a range of its frames; words where there is none.
 const placeOf = (hash) => {
   const found = /^#demo=([^&]+)(?:&frames=(\d+)-(\d+))?$/.exec(hash);
@@ -105,7 +114,7 @@ const placeOf = (hash) => {
     const dead = hash.length > 1 && byId(hash.slice(1)) === null;
     return { words: dead ? `The link ${hash} leads nowhere in this page. Links look like #demo=${DEMOS.number[0] ?? 0}.` : "" };
   }
-  const called = found[1];
+  const called = decoded(found[1]);
   const byNumber = /^\d+$/.test(called) ? DEMOS.number.indexOf(Number(called)) : -1;
   const demo = byNumber >= 0 ? byNumber : DEMOS.name.indexOf(called);
   if (demo < 0) {
