@@ -6,8 +6,8 @@ use anyhow::Result;
 use re4_artifact::{Artifact, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::{Value, json};
 
-/// Findings that are printed one by one.
-const SHOWN: usize = 40;
+/// Findings of one kind that are printed one by one.
+const SHOWN: usize = 12;
 
 /// What an artifact tells.
 pub(crate) struct Told {
@@ -225,7 +225,7 @@ impl Told {
                 if found.is_empty() { "check" } else { "other check" }
             ),
             if skipped > 0 {
-                format!(", {skipped} could not be made on so few demonstrations")
+                format!(", {skipped} could not be made: too few values to derive a threshold from")
             } else {
                 String::new()
             }
@@ -234,25 +234,29 @@ impl Told {
     }
 
     fn write_findings(&self, text: &mut String) -> Result<()> {
-        let mut shown = 0;
         for severity in SEVERITIES {
-            for finding in self.findings.iter().filter(|finding| finding.severity == severity) {
-                if shown == 0 {
-                    text.push('\n');
-                }
-                if shown < SHOWN {
-                    let frames = format!("{}-{}", finding.first_frame, finding.end_frame.saturating_sub(1));
-                    write!(
-                        text,
-                        "\n  {:<8} {:<10} {frames:>9}  {}: {}",
-                        finding.severity, finding.demo, finding.code, finding.message
-                    )?;
-                }
-                shown += 1;
+            for check in self.checks.iter().filter(|check| check.severity == severity) {
+                self.write_findings_of(&check.code, text)?;
             }
         }
-        if shown > SHOWN {
-            write!(text, "\n  ... {} more, see --json or the artifact", shown - SHOWN)?;
+        Ok(())
+    }
+
+    fn write_findings_of(&self, code: &str, text: &mut String) -> Result<()> {
+        let found: Vec<&Finding> = self.findings.iter().filter(|finding| finding.code == code).collect();
+        for (place, finding) in found.iter().take(SHOWN).enumerate() {
+            let frames = format!("{}-{}", finding.first_frame, finding.end_frame.saturating_sub(1));
+            if place == 0 {
+                write!(text, "\n\n  {} {code}", finding.severity)?;
+            }
+            write!(text, "\n    {:<11} {frames:>9}  {}", finding.demo, finding.message)?;
+        }
+        if found.len() > SHOWN {
+            write!(
+                text,
+                "\n    ... {} more, see --json or the artifact",
+                found.len() - SHOWN
+            )?;
         }
         Ok(())
     }
