@@ -115,6 +115,9 @@ impl Interpreter {
         let mut prepared = Vec::new();
         for (demo, model) in demos.iter().zip(&models) {
             check_object_columns(demo, reading.task)?;
+            if from_states == FromStates::Nothing && demo.object.is_none() {
+                return Err(no_object(demo));
+            }
             prepared.push(from_states.complete(demo, model.as_deref())?);
         }
         let complete: Vec<DemoArrays<'_>> = prepared
@@ -194,8 +197,12 @@ impl Interpreter {
         let mut columns = self.from_states.complete(demo, model.as_deref())?;
         let plain = arrays(demo, &columns, None);
         self.conventions.check(&plain).map_err(|contradiction| {
+            let why = contradiction.to_string().replace(
+                "allow_actions_beyond_range accepts it",
+                "ingest.conventions.allow_actions_beyond_range = true accepts it",
+            );
             Hdf5Fault::Other(format!(
-                "{contradiction}; repair that demonstration, or leave it out by a filter key or ingest.select"
+                "{why}; repair that demonstration, or leave it out by a filter key or ingest.select"
             ))
         })?;
         let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
@@ -207,9 +214,7 @@ impl Interpreter {
             .collect::<Option<Vec<_>>>()
             .ok_or_else(|| unknown("obs/robot0_eef_quat holds a quaternion without direction; repair that row"))?;
         if columns.object.is_empty() {
-            columns.object = self.objects(demo).ok_or_else(|| {
-                unknown("obs/object is missing, and nothing else says where the object is; set task = \"robosuite\" and ingest.object to take its pose from the states")
-            })?;
+            columns.object = self.objects(demo).ok_or_else(|| no_object(demo))?;
         }
         let initial = self.initial.as_ref();
         let refuse = |error: re4_robosuite::actions::ActionError| unknown(&error.to_string());
@@ -317,6 +322,13 @@ fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
         )));
     }
     Ok(())
+}
+
+fn no_object(demo: &Demo) -> Hdf5Fault {
+    Hdf5Fault::Missing {
+        object: format!("data/{}/obs/object", demo.name),
+        mend: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
+    }
 }
 
 fn check_object_columns(demo: &Demo, task: Task) -> Result<(), Hdf5Fault> {

@@ -2,16 +2,27 @@
 
 use anyhow::Result;
 
-use super::{Outcome, audit_text};
+use super::{Outcome, audit_page, audit_text};
 use crate::arguments::{AuditArguments, FailOn};
+use crate::output::Output;
 use crate::stages::Runner;
 
 /// `re4-pipe audit`.
 pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
+    // Where it cannot be written, that is said before any work.
+    let page = arguments
+        .html
+        .as_deref()
+        .map(|path| Output::at(path, "page"))
+        .transpose()?;
     let runner = Runner::new(&arguments.stage, &[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let built = runner.audit(&episodes, &modes)?;
+    if let Some(output) = &page {
+        let sources = audit_page::Sources::of(&runner, &arguments.stage, [&episodes, &modes, &built]);
+        audit_page::write(&sources, output, runner.console)?;
+    }
     let told = audit_text::Told::read(&built.artifact)?;
     runner.console.answer(&told.to_json(built.to_json()))?;
     runner.console.say(&told.text()?)?;

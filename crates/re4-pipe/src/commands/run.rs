@@ -276,7 +276,7 @@ fn conventions(built: &Built) -> Result<String> {
 fn goal_error(errors: &Value) -> Result<String> {
     let part = |name: &str, factor: f64| -> Vec<String> {
         let values = errors[name].as_array().into_iter().flatten().filter_map(Value::as_f64);
-        values.map(|value| format!("{:.3}", value * factor)).collect()
+        values.map(|value| format!("{:.1e}", value * factor)).collect()
     };
     let mut text = String::new();
     write!(
