@@ -65,14 +65,15 @@ const modeBands = (root, scale, top, height) => {
   }
 };
 
+// The chosen finding over the whole height, the others as edges, so that the modes stay in sight.
 const findingBands = (root, scale, top, height) => {
   for (const finding of FINDINGS_OF[selection.demo]) {
     const active = finding.number === selection.finding;
-    // Notes are long and many; behind every curve they would hide the modes.
+    // Notes are long and many, and stand in the strips above.
     if (isWhole(finding) || (SEVERITIES[finding.severity] === "note" && !active)) continue;
     const [a, b] = [Math.max(finding.first, scale.first), Math.min(finding.end, scale.end)];
     if (a >= b) continue;
-    root.append(svg("rect", { class: `span sev-${SEVERITIES[finding.severity]}${active ? " active" : ""}`, "data-finding": finding.number, x: near(scale.x(a)), y: top, width: near(Math.max(1.5, scale.x(b) - scale.x(a))), height }));
+    root.append(svg("rect", { class: `span sev-${SEVERITIES[finding.severity]}${active ? " active" : ""}`, "data-finding": finding.number, x: near(scale.x(a)), y: top, width: near(Math.max(1.5, scale.x(b) - scale.x(a))), height: active ? height : 3 }));
   }
 };
 
