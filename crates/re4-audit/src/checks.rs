@@ -241,8 +241,8 @@ pub const CHECKS: &[Check] = &[
         ..check("lost_grasp", Severity::Error, Applies::Gripper)
     },
     Check {
-        meaning: "A command to close without a grasp: the fingers closed on nothing, or on something that does not follow the hand. The frames are labelled transfer and are not, and where it is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out.",
-        measure: "Distance between the fingers at their narrowest",
+        meaning: "A command to close without a grasp of the object: the fingers closed on nothing, or on something else, so that the object does not follow the hand. The frames are labelled transfer and are not transfer of this object, and where it is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out, or, where another object is carried, audit that one (ingest.object).",
+        measure: "Distance between the fingers at their narrowest, and whether the object follows the hand",
         unit: "m",
         basis: Basis::ClosedFingers,
         ..check("missed_grasp", Severity::Error, Applies::Gripper)

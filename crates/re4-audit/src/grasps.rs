@@ -91,7 +91,7 @@ pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits) -> Vec<JudgedGrasp
         let mut grasp = judge_one(number, facts, frames, limits);
         if let Some(before) = judged.last()
             && facts.segment.frames.start - before.frames.end < limits.flicker
-            && before.outcome == GraspOutcome::Held
+            && (before.outcome == GraspOutcome::Held || before.continues)
             && let (Some(then), Some(now)) = (frames.get(before.settled), frames.get(grasp.settled))
         {
             let strayed = in_object(now) - in_object(then);
@@ -130,10 +130,14 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
         rise,
         continues: false,
     };
+    if range.len() < limits.flicker {
+        grasp.outcome = GraspOutcome::Brief;
+        return grasp;
+    }
     let Some(settled) = facts.settled_frame else {
+        // The end of the recording may have cut it off.
         let cut_off = range.end == frames.len();
-        let brief = range.len() < limits.flicker || cut_off;
-        grasp.outcome = if brief {
+        grasp.outcome = if cut_off {
             GraspOutcome::Brief
         } else {
             GraspOutcome::Missed

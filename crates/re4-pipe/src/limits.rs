@@ -12,6 +12,7 @@ use crate::pipeline::{Pipeline, PoseSection, PoseSource, Variant};
 /// # Errors
 /// The first such setting, with the values that it can have.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
+    pipeline.audit.check()?;
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
     }
@@ -78,6 +79,10 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
 
 /// What Push-T needs, and what it does not have.
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
+    ensure!(
+        pipeline.segment.rule != Rule::GripperCommand && pipeline.segment.gripper.is_none(),
+        "Push-T has no gripper; set segment.rule to \"always_transit\" or \"rigid_motion\", and leave segment.gripper out"
+    );
     let ingest = &pipeline.ingest;
     let foreign = [
         ("filter", ingest.filter.is_some()),

@@ -10,6 +10,7 @@ use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::divergence_plot;
 use serde_json::{Value, json};
 
+use super::audit_text::Told;
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::output::Output;
@@ -26,8 +27,16 @@ pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe segment`.
 pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
-    let built = runner.segment(&runner.ingest()?)?;
-    answer(&runner, &built)
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let audit = runner.audit(&episodes, &modes)?;
+    let told = Told::read(&audit.artifact)?;
+    let mut both = modes.to_json();
+    both["audit"] = audit.to_json();
+    runner.console.answer(&both)?;
+    let text = format!("{}\naudit: {}; see re4-pipe audit", described(&modes)?, told.headline());
+    runner.console.say(&text)?;
+    Ok(Outcome::Done)
 }
 
 /// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
@@ -209,6 +218,12 @@ fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
 
 fn answer(runner: &Runner, built: &Built) -> Result<Outcome> {
     runner.console.answer(&built.to_json())?;
+    runner.console.say(&described(built)?)?;
+    Ok(Outcome::Done)
+}
+
+/// An artifact with its tables and warnings.
+fn described(built: &Built) -> Result<String> {
     let manifest = built.artifact.manifest();
     let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
     for (name, table) in &manifest.tables {
@@ -222,8 +237,7 @@ fn answer(runner: &Runner, built: &Built) -> Result<Outcome> {
         let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
         write!(text, "\n  warning {}: {}", word("code"), word("message"))?;
     }
-    runner.console.say(&text)?;
-    Ok(Outcome::Done)
+    Ok(text)
 }
 
 /// The conventions of a dataset, each with the reason why it is believed.
