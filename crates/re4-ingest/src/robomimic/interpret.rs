@@ -4,6 +4,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::Isometry3;
+use rayon::prelude::*;
 use re4_robosuite::actions::{Action, Osc, distance};
 use re4_robosuite::conventions::{
     ActionKind, Basis, Conventions, DemoArrays, Proof, QuaternionOrder, Rows, Settings, Task,
@@ -110,7 +111,7 @@ impl Interpreter {
         check_task(&env, reading.task)?;
         let demos = reader.demos().iter().take(PROVEN_ON);
         let demos = demos.map(|demo| reader.read(demo)).collect::<Result<Vec<_>, _>>()?;
-        let models = demos.iter().map(parse_model).collect::<Result<Vec<_>, _>>()?;
+        let models = parse_models(&demos)?;
         let from_states = from_states(reader.layout(), reading, &env, models.first().and_then(Option::as_ref))?;
         let mut prepared = Vec::new();
         for (demo, model) in demos.iter().zip(&models) {
@@ -286,6 +287,18 @@ impl Interpreter {
         *last = model.clone().map(|model| (Arc::clone(text), model));
         Ok(model)
     }
+}
+
+/// The models of some demonstrations, each distinct one parsed once.
+fn parse_models(demos: &[Demo]) -> Result<Vec<Option<Arc<Model>>>, Hdf5Fault> {
+    let first = |demo: &Demo| demos.iter().position(|other| other.model == demo.model);
+    let parsed: Vec<_> = demos
+        .par_iter()
+        .enumerate()
+        .map(|(place, demo)| (first(demo) == Some(place)).then(|| parse_model(demo)).transpose())
+        .collect::<Result<_, _>>()?;
+    let model = |demo: &Demo| first(demo).and_then(|place| parsed[place].clone().flatten());
+    Ok(demos.iter().map(model).collect())
 }
 
 fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {

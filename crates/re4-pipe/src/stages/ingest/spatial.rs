@@ -8,8 +8,9 @@ use anyhow::{Context as _, Result, anyhow};
 use re4_artifact::{Columns, TableWriter, Writer, tables};
 use re4_ingest::robomimic::{Convention, Demo, DemoName, Interpreted, Matrix};
 
-/// Rows that are gathered before they are handed to a table.
-const ROWS: usize = 32_768;
+/// Rows that are gathered before they are handed to a table, which are also those of its row groups: a group is encoded while
+/// the next one is read.
+const ROWS: usize = 4_096;
 
 /// Demonstrations that wait for a table.
 const WAITING: usize = 8;
@@ -272,7 +273,7 @@ impl Frames {
 }
 
 fn write_frames(writer: &Writer, demos: &Receiver<(u32, Demo, Interpreted)>) -> Result<()> {
-    let mut table = writer.table(&tables::SPATIAL_FRAMES)?;
+    let mut table = writer.table_in_groups(&tables::SPATIAL_FRAMES, ROWS)?;
     let mut gathered = Frames::default();
     for (episode, demo, columns) in demos {
         gathered.gather(episode, &demo, &columns);
@@ -292,7 +293,7 @@ fn begun<'a>(
     spec: &'static re4_artifact::TableSpec,
 ) -> Result<&'a mut TableWriter> {
     if table.is_none() {
-        *table = Some(writer.table(spec)?);
+        *table = Some(writer.table_in_groups(spec, ROWS)?);
     }
     table.as_mut().context("no table")
 }
