@@ -5,6 +5,7 @@
 //! only finds odd is a [`Warning`] that travels with the data.
 
 mod bitplanes;
+mod compression;
 mod error;
 pub mod pusht;
 mod selection;

@@ -1,7 +1,7 @@
 //! Where the store lies: a folder, or a zip file unpacked to a temporary folder.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -210,12 +210,14 @@ fn unpack(path: &Path, target: &Path) -> Result<(), Fault> {
         }
         let mut output = File::create(&inside).map_err(|error| Fault::io("write", &inside, error))?;
         let expected = entry.size();
-        let written = io::copy(&mut entry, &mut output).map_err(|error| match error.kind() {
-            // The disk's faults; everything else comes from the archive.
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
-                Fault::io("write", &inside, error)
+        let written = io::copy(&mut (&mut entry).take(expected.saturating_add(1)), &mut output).map_err(|error| {
+            match error.kind() {
+                // The disk's faults; everything else comes from the archive.
+                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
+                    Fault::io("write", &inside, error)
+                }
+                _ => unreadable(error.to_string()),
             }
-            _ => unreadable(error.to_string()),
         })?;
         if written != expected {
             return Err(unreadable(format!("{written} bytes instead of {expected}")));

@@ -1,0 +1,11 @@
+//! The reader of pipeline files.
+#![no_main]
+
+#[path = "../harness/memory.rs"]
+mod memory;
+#[path = "../harness/pipeline.rs"]
+mod pipeline;
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    let _ = pipeline::run(input);
+});
