@@ -72,6 +72,31 @@ fn pipelines() {
     replay("pipeline", pipeline::run);
 }
 
+/// Longer than fuzzers make their inputs: tables inside of tables are walked recursively, by the library too.
+#[test]
+fn pipelines_of_great_depth() {
+    let deep = 60_000;
+    let demo = std::fs::read_to_string(repository().join("pipelines/demo.toml")).unwrap();
+    let key = vec!["a"; deep].join(".");
+    let refused = |text: &str, set: &[String]| re4_pipe::fuzzing::pipeline(text, set).unwrap_err();
+    assert_eq!(
+        refused(&demo, &[format!("{key}=1")]),
+        "cannot apply --set: the key has 60000 parts, and no setting has more than 16; write stage.key=value"
+    );
+    for text in [
+        format!("{key} = 1"),
+        format!("[{key}]"),
+        format!("[[{key}]]"),
+        format!("a = {}", "[".repeat(deep)),
+        format!("a = {}", "{a=".repeat(deep)),
+        "[[a]]\n[a.b]\n".repeat(deep),
+    ] {
+        assert!(!refused(&text, &[]).is_empty());
+        let _ = re4_pipe::fuzzing::pipeline(&demo, &[text]);
+    }
+    assert!(re4_pipe::fuzzing::pipeline(&demo, &[]).is_ok());
+}
+
 #[test]
 fn the_corpus_is_small() {
     let files = zarr::files_below(&repository().join("fuzz/corpus"));

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use re4_artifact::{
-    Artifact, ColumnKind, Columns, Facts, MANIFEST_NAME, Recipe, Stage, Store, TableSpec, canonical_json,
+    Artifact, ColumnKind, ColumnSpec, Columns, Facts, MANIFEST_NAME, Recipe, Stage, Store, TableSpec, canonical_json,
     canonical_text, col_binary, col_f64_list, col_text, tables, verify,
 };
 use serde_json::{Map, Value, json};
@@ -18,7 +18,23 @@ use crate::edits::{Input, edit};
 
 const MOST_EDITS: usize = 6;
 const ROWS: u32 = 5;
-const ROWS_OF_A_GROUP: usize = 2;
+const ROWS_OF_A_GROUP: usize = 3;
+
+/// A table that no stage makes, with a column of every kind; read by its name, as programs do that show any artifact.
+const EVERY_KIND: TableSpec = TableSpec {
+    name: "every_kind",
+    version: 1,
+    description: "One row an example.",
+    columns: &[
+        ColumnSpec::new("u32", ColumnKind::U32, "An id."),
+        ColumnSpec::new("i64", ColumnKind::I64, "An offset."),
+        ColumnSpec::new("f64", ColumnKind::F64, "A number that may be absent.").nullable(),
+        ColumnSpec::new("bool", ColumnKind::Bool, "A flag."),
+        ColumnSpec::new("category", ColumnKind::Category, "A category."),
+        ColumnSpec::new("binary", ColumnKind::Binary, "Bytes."),
+        ColumnSpec::new("list", ColumnKind::F64List, "A list."),
+    ],
+};
 
 /// Flags: the lengths and hashes of tables, the key, the manifest's own hash.
 const MEND_TABLES: u8 = 1;
@@ -33,7 +49,7 @@ pub(crate) struct Sample {
 }
 
 impl Sample {
-    /// Publishes an artifact of some rows, with a column of every kind.
+    /// Publishes an artifact of two small tables: reading one takes about a millisecond.
     pub(crate) fn new() -> Self {
         let folder = tempfile::Builder::new().prefix("re4-fuzz-").tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
@@ -43,7 +59,7 @@ impl Sample {
             .input("raw", &re4_artifact::Key::from_bytes([7; 32]))
             .source(&[8; 32], json!({"format": "zarr"}));
         let writer = store.begin(&recipe).unwrap();
-        for spec in [&tables::SCALES, &tables::IMAGES, &tables::MODES, &tables::DECISIONS] {
+        for spec in [&tables::SCALES, &EVERY_KIND] {
             let mut table = writer.table_in_groups(spec, ROWS_OF_A_GROUP).unwrap();
             table.write_columns(rows(spec)).unwrap();
             table.finish().unwrap();
@@ -171,8 +187,6 @@ fn read(path: &Path) -> Result<(), String> {
             }
         }
         let _ = table.read_rows(rows / 2..rows);
-        let _ = table.read_rows(rows / 3..rows / 2);
-        let _ = table.read_row_group(0);
         let _ = table.read_row_group(table.row_groups().saturating_sub(1));
         if let Some(field) = table.schema().fields().last() {
             let _ = table.read_columns(&[field.name()]);

@@ -63,6 +63,12 @@ pub enum Fault {
         /// Name of the entry.
         entry: String,
     },
+    /// A link in a folder store that leads back to a folder that holds it.
+    #[error("{link} is a link to a folder that it lies in; remove the link")]
+    CircularLink {
+        /// Path of the link within the store.
+        link: String,
+    },
     /// A zip without a store.
     #[error(
         "the zip file holds no zarr store (no .zgroup at its root or up to two folders down); pack the folder of the store"

@@ -172,12 +172,23 @@ fn list_files(folder: &Path, prefix: &str, files: &mut Vec<String>) -> Result<()
         let Some(name) = entry.file_name() else { continue };
         let name = format!("{prefix}{}", name.to_string_lossy());
         if entry.is_dir() {
+            // A link to a folder that it lies in would be followed for ever, or as often as the system allows.
+            if entry.is_symlink() && leads_up(&entry).map_err(|error| Fault::io("read", &entry, error))? {
+                return Err(Fault::CircularLink { link: name });
+            }
             list_files(&entry, &format!("{name}/"), files)?;
         } else {
             files.push(name);
         }
     }
     Ok(())
+}
+
+/// Whether a link leads to a folder that it lies in.
+fn leads_up(link: &Path) -> io::Result<bool> {
+    let target = link.canonicalize()?;
+    let folder = link.parent().unwrap_or(link).canonicalize()?;
+    Ok(folder.starts_with(target))
 }
 
 /// Unpacks a zip file. Nothing is written outside of `target`, and no links are made.

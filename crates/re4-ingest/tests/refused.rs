@@ -250,6 +250,29 @@ fn chunks_that_are_missing_or_broken() {
     insta::assert_snapshot!(sentences.join("\n"));
 }
 
+/// Each would be followed as often as the system allows, and two of them two to the power of that.
+#[cfg(unix)]
+#[test]
+fn links_that_lead_up() {
+    let copy = Copy::of("minimal");
+    for (name, target) in [("data/up", ".."), ("data/here", ".")] {
+        std::os::unix::fs::symlink(target, copy.path().join(name)).unwrap();
+    }
+    let reader = PushtReader::open(&copy.path()).unwrap();
+    assert_eq!(
+        reader.source_hash().unwrap_err().fault.to_string(),
+        "data/here is a link to a folder that it lies in; remove the link"
+    );
+    fs::remove_file(copy.path().join("data/here")).unwrap();
+    assert!(reader.source_hash().is_err());
+    fs::remove_file(copy.path().join("data/up")).unwrap();
+    // A link elsewhere is as good as what it leads to.
+    let whole = reader.source_hash().unwrap();
+    fs::rename(copy.path().join("meta"), copy.path().with_extension("meta")).unwrap();
+    std::os::unix::fs::symlink("../store.meta", copy.path().join("meta")).unwrap();
+    assert_eq!(reader.source_hash().unwrap(), whole);
+}
+
 /// A few bytes that ask for more memory than there is.
 #[test]
 fn claims_that_are_not_believed() {
