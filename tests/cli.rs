@@ -11,9 +11,10 @@ mod support;
 use insta::assert_snapshot;
 use support::Place;
 
-const COMMANDS: [&str; 14] = [
+const COMMANDS: [&str; 15] = [
     "ingest",
     "segment",
+    "audit",
     "train-pose",
     "index",
     "scenes",

@@ -17,6 +17,8 @@ pub enum Stage {
     Ingest,
     /// `episodes` to `modes`.
     Segment,
+    /// `episodes` and `modes` to the findings of an `audit`.
+    Audit,
     /// `episodes` and `modes` to `poses`.
     TrainPose,
     /// `episodes`, `modes` and perhaps `poses` to `index`.
@@ -31,9 +33,10 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Ingest,
         Self::Segment,
+        Self::Audit,
         Self::TrainPose,
         Self::Index,
         Self::Scenes,
@@ -46,6 +49,7 @@ impl Stage {
         match self {
             Self::Ingest => "ingest",
             Self::Segment => "segment",
+            Self::Audit => "audit",
             Self::TrainPose => "train-pose",
             Self::Index => "index",
             Self::Scenes => "scenes",
@@ -59,6 +63,7 @@ impl Stage {
         match self {
             Self::Ingest => "episodes",
             Self::Segment => "modes",
+            Self::Audit => "audit",
             Self::TrainPose => "poses",
             Self::Index => "index",
             Self::Scenes => "scenes",

@@ -1,11 +1,15 @@
 //! The vocabulary: tasks, modes, frames, episodes and segments. No input or output.
 
+mod spatial;
+
 use std::fmt;
 use std::ops::Range;
 
 use re4_geometry::{Point2, Pose2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use spatial::{SpatialEpisode, SpatialFrame};
 
 /// Manipulation mode of a frame (paper, section "Manipulation Modes").
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::robomimic::Hdf5Fault;
 use crate::selection::SelectionError;
 
 /// A raw dataset that cannot be ingested.
@@ -324,6 +325,9 @@ pub enum Fault {
     /// A selection that does not fit.
     #[error(transparent)]
     Selection(#[from] SelectionError),
+    /// An HDF5 file that is not as it has to be.
+    #[error(transparent)]
+    Hdf5(#[from] Hdf5Fault),
 }
 
 impl Fault {

@@ -3,7 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::seeds::Seeds;
 
@@ -27,6 +27,8 @@ pub(crate) enum Command {
     Ingest(StageArguments),
     /// Label manipulation modes: the `modes` artifact
     Segment(StageArguments),
+    /// Look for what is wrong with the demonstrations and their modes: the `audit` artifact
+    Audit(AuditArguments),
     /// Calibrate the pose estimator and estimate poses from the pictures: the `poses` artifact
     TrainPose(StageArguments),
     /// Build what Retrieve searches: the `index` artifact
@@ -85,6 +87,29 @@ pub(crate) struct StageArguments {
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,
+}
+
+/// Arguments of `audit`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct AuditArguments {
+    /// What all stages share.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// End with exit code 1 when there is a finding of this severity or worse
+    #[arg(long, value_name = "SEVERITY")]
+    pub(crate) fail_on: Option<FailOn>,
+    /// Also write the HTML page of the audit
+    #[arg(long, value_name = "OUT.html")]
+    pub(crate) html: Option<PathBuf>,
+}
+
+/// From which severity on a finding fails the command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FailOn {
+    /// Errors alone.
+    Error,
+    /// Errors and warnings.
+    Warning,
 }
 
 /// Arguments of `rollout` and `run`.

@@ -35,10 +35,12 @@ pub fn main() -> ExitCode {
     let outcome = match arguments.command {
         Command::Ingest(arguments) => commands::run::ingest(&arguments),
         Command::Segment(arguments) => commands::run::segment(&arguments),
+        Command::Audit(arguments) => commands::audit::audit(&arguments),
         Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
         Command::Index(arguments) => commands::run::index(&arguments),
         Command::Scenes(arguments) => commands::run::scenes(&arguments),
-        Command::Rollout(arguments) | Command::Run(arguments) => commands::run::rollout(&arguments),
+        Command::Rollout(arguments) => commands::run::rollout(&arguments),
+        Command::Run(arguments) => commands::run::run(&arguments),
         Command::Replay(arguments) => commands::run::replay(&arguments),
         Command::Film(arguments) => commands::film::film(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),

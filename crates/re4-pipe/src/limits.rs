@@ -4,16 +4,25 @@ use anyhow::{Result, bail, ensure};
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
 
-use crate::pipeline::{Pipeline, PoseSource, Variant};
+use crate::pipeline::{Pipeline, PoseSection, PoseSource, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
 /// # Errors
 /// The first such setting, with the values that it can have.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
-    let rollout = &pipeline.rollout;
+    if !pipeline.task.is_planar() {
+        return check_robosuite(pipeline);
+    }
+    check_planar(pipeline)?;
+    let Some(rollout) = &pipeline.rollout else {
+        ensure!(
+            pipeline.scenes.is_none(),
+            "there is a table [scenes] and none [rollout] that would start from it; leave it out"
+        );
+        return Ok(());
+    };
     let (retrieve, replan, replay) = (&rollout.retrieve, &rollout.replan, &rollout.replay);
-    at_least_one("index.longest_chunk", u64::from(pipeline.index.longest_chunk))?;
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
     at_least_one("rollout.retrieve.candidates", retrieve.candidates as u64)?;
     at_least_one("rollout.replan.iterations", u64::from(replan.iterations))?;
@@ -34,7 +43,6 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         (0.0..=1.0).contains(&bias),
         "rollout.replan.goal_bias is {bias}; it is a share, from 0 to 1"
     );
-    check_variant(pipeline)?;
     match (&pipeline.scenes, &rollout.seeds) {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
@@ -47,9 +55,52 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     }
 }
 
+/// The tables of robosuite's tasks end at the audit.
+fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
+    let later = [
+        ("pose", pipeline.pose.is_some()),
+        ("index", pipeline.index.is_some()),
+        ("scenes", pipeline.scenes.is_some()),
+        ("rollout", pipeline.rollout.is_some()),
+    ];
+    if let Some((table, _)) = later.iter().find(|(_, there)| *there) {
+        bail!(
+            "robosuite's tasks are ingested, segmented and audited, no more in this version; leave the table [{table}] out"
+        );
+    }
+    ensure!(
+        pipeline.ingest.render.is_empty(),
+        "ingest.render draws Push-T's pictures; leave it out for robosuite's tasks"
+    );
+    Ok(())
+}
+
+/// What Push-T needs, and what it does not have.
+fn check_planar(pipeline: &Pipeline) -> Result<()> {
+    ensure!(
+        pipeline.ingest.filter.is_none() && pipeline.ingest.object.is_none(),
+        "ingest.filter and ingest.object belong to robosuite's tasks; leave them out, and choose episodes by ingest.select"
+    );
+    if let Some(index) = &pipeline.index {
+        at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
+    }
+    if pipeline.rollout.is_some() {
+        pipeline.index()?;
+        pipeline.pose()?;
+        ensure!(
+            pipeline.variant.is_some(),
+            "nothing says what the policy observes; give variant = \"state\" or variant = \"image\""
+        );
+    }
+    match (&pipeline.pose, pipeline.variant) {
+        (Some(pose), Some(variant)) => check_variant(pipeline, pose, variant),
+        _ => Ok(()),
+    }
+}
+
 /// What the policy sees and what is indexed have to come from the same source.
-fn check_variant(pipeline: &Pipeline) -> Result<()> {
-    let (pose, ingest) = (&pipeline.pose, &pipeline.ingest);
+fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> Result<()> {
+    let ingest = &pipeline.ingest;
     ensure!(
         ingest.render.len() <= 1,
         "ingest.render names a camera twice; name each once"
@@ -58,7 +109,7 @@ fn check_variant(pipeline: &Pipeline) -> Result<()> {
         ingest.images || ingest.render.is_empty(),
         "ingest.images is false and ingest.render names a camera; leave one of the two out"
     );
-    match (pipeline.variant, pose.source) {
+    match (variant, pose.source) {
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {
             ensure!(

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use re4_audit::AuditConfig;
 use re4_geometry::Pose2;
 use re4_ingest::Selection;
 use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
@@ -23,20 +24,57 @@ pub(crate) struct Pipeline {
     /// Task of the experiment.
     pub(crate) task: TaskName,
     /// What the policy observes.
-    pub(crate) variant: Variant,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) variant: Option<Variant>,
     /// Raw dataset to `episodes`.
     pub(crate) ingest: IngestSection,
     /// `episodes` to `modes`.
     pub(crate) segment: SegmentConfig,
+    /// `episodes` and `modes` to `audit`.
+    #[serde(default)]
+    pub(crate) audit: AuditConfig,
     /// Where object poses come from.
-    pub(crate) pose: PoseSection,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) pose: Option<PoseSection>,
     /// `episodes` and `modes` to `index`.
-    pub(crate) index: IndexSection,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) index: Option<IndexSection>,
     /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) scenes: Option<ScenesConfig>,
     /// `index` to `rollouts`.
-    pub(crate) rollout: RolloutSection,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) rollout: Option<RolloutSection>,
+}
+
+impl Pipeline {
+    /// Where object poses come from.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[pose]`.
+    pub(crate) fn pose(&self) -> Result<&PoseSection> {
+        self.pose.as_ref().context(missing("pose"))
+    }
+
+    /// How the index is made.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[index]`.
+    pub(crate) fn index(&self) -> Result<&IndexSection> {
+        self.index.as_ref().context(missing("index"))
+    }
+
+    /// How the policy is rolled out.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[rollout]`.
+    pub(crate) fn rollout(&self) -> Result<&RolloutSection> {
+        self.rollout.as_ref().context(missing("rollout"))
+    }
+}
+
+fn missing(table: &str) -> String {
+    format!("the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage")
 }
 
 /// Tasks that this version knows.
@@ -45,6 +83,21 @@ pub(crate) struct Pipeline {
 pub(crate) enum TaskName {
     /// Push-T: a disc pushes a T-shaped block onto a goal pose in the plane.
     PushT,
+    /// robosuite's `Lift`: a Panda lifts a cube.
+    Lift,
+    /// robosuite's `PickPlaceCan`: a Panda carries a can from one bin to another.
+    Can,
+    /// robosuite's `NutAssemblySquare`: a Panda puts a square nut onto a peg.
+    Square,
+    /// Any other robosuite environment of one arm with a two-finger gripper; `ingest.object` names the manipulated object.
+    Robosuite,
+}
+
+impl TaskName {
+    /// Whether it takes place in the plane.
+    pub(crate) fn is_planar(self) -> bool {
+        self == Self::PushT
+    }
 }
 
 /// What the policy observes.
@@ -61,9 +114,15 @@ pub(crate) enum Variant {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct IngestSection {
-    /// Folder or zip file of the Push-T zarr store: absolute, or looked for below `RE4_DATA`, below `data` and in the current
-    /// folder.
+    /// Folder or zip file of the Push-T zarr store, or HDF5 file of the robosuite tasks: absolute, or looked for below
+    /// `RE4_DATA`, below `data` and in the current folder.
     pub(crate) source: PathBuf,
+    /// robosuite tasks: name of the filter key below `/mask` whose demonstrations are taken, such as `train`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) filter: Option<String>,
+    /// robosuite tasks: body of the manipulated object, where the task does not say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) object: Option<String>,
     /// Whether the pictures are ingested too.
     #[serde(default = "yes")]
     pub(crate) images: bool,
@@ -248,6 +307,7 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     let schema = schema();
     refuse_unknown(&schema, &schema, &document, "")
         .with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    complete_segment(&mut document)?;
     complete_policy(&mut document).with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
     let pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
         let place = match error.path().to_string().as_str() {
@@ -324,6 +384,22 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
         at = map.entry(key).or_insert(Value::Null);
     }
     *at = parsed;
+    Ok(())
+}
+
+/// Gives robosuite's tasks, which are in metres, their own defaults of `[segment]` for what the file leaves out.
+fn complete_segment(document: &mut Value) -> Result<()> {
+    if document.get("task").and_then(Value::as_str) == Some("pusht") {
+        return Ok(());
+    }
+    let Some(section) = document.get_mut("segment").and_then(Value::as_object_mut) else {
+        return Ok(());
+    };
+    if let Value::Object(defaults) = serde_json::to_value(SegmentConfig::spatial())? {
+        for (key, value) in defaults {
+            section.entry(key).or_insert(value);
+        }
+    }
     Ok(())
 }
 

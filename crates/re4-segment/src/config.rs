@@ -26,6 +26,43 @@ pub struct SegmentConfig {
     pub minimum_turn: f64,
     /// `rigid_motion`: where the object's distance is measured that is compared with the end effector's.
     pub object_distance: ObjectDistance,
+    /// What is read from the gripper; robosuite's tasks only, which get the defaults where it is left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gripper: Option<GripperConfig>,
+}
+
+/// What is read from the gripper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GripperConfig {
+    /// `gripper_command`: the action whose command gives the mode of a frame.
+    pub command: Command,
+    /// Fingers nearer to each other than this, in m, hold nothing. The paper's figure for a failed grasp.
+    pub closed: f64,
+    /// Fingers whose distance changes by less than this, in m per step, have stopped.
+    pub still: f64,
+}
+
+impl Default for GripperConfig {
+    fn default() -> Self {
+        Self {
+            command: Command::Last,
+            closed: 0.01,
+            still: 0.0005,
+        }
+    }
+}
+
+/// The action whose gripper command gives the mode of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// The one before the frame, which led to it: the paper's words ("when the last action's gripper state is set"). The first
+    /// frame is transit.
+    #[default]
+    Last,
+    /// The one taken at the frame.
+    Current,
 }
 
 /// The rule that gives the modes.
@@ -38,6 +75,8 @@ pub enum Rule {
     /// The paper's general definition (section "Manipulation Modes"): transfer where object and end effector move by the
     /// same distance, with their relative pose fixed.
     RigidMotion,
+    /// The paper's words for robomimic's tasks: transfer where the gripper's command closes, transit elsewhere.
+    GripperCommand,
 }
 
 /// Where the distance |o, o'| that the object moves is measured, in | |x, x'| - |o, o'| | < epsilon.
@@ -63,11 +102,26 @@ impl Default for SegmentConfig {
             // What moves a point of the block, 60 px from its centre, by about the distance above.
             minimum_turn: 0.002,
             object_distance: ObjectDistance::AtEef,
+            gripper: None,
         }
     }
 }
 
 impl SegmentConfig {
+    /// Defaults for demonstrations in space, in metres: the rule by the gripper's command.
+    pub fn spatial() -> Self {
+        Self {
+            rule: Rule::GripperCommand,
+            // An object in the fingers slips by a tenth of a millimetre a step; a hand that is under way moves by a hundred.
+            translation_epsilon: 0.001,
+            rotation_epsilon: 0.02,
+            minimum_motion: 0.0005,
+            minimum_turn: 0.005,
+            object_distance: ObjectDistance::AtEef,
+            gripper: Some(GripperConfig::default()),
+        }
+    }
+
     /// Checks the ranges of all thresholds.
     ///
     /// # Errors
@@ -85,9 +139,12 @@ impl SegmentConfig {
                 });
             }
         }
+        let gripper = self.gripper.clone().unwrap_or_default();
         for (field, value) in [
             ("minimum_motion", self.minimum_motion),
             ("minimum_turn", self.minimum_turn),
+            ("gripper.closed", gripper.closed),
+            ("gripper.still", gripper.still),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(SegmentError::Config {

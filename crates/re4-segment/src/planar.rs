@@ -70,9 +70,13 @@ pub struct SegmentFacts {
 ///
 /// # Errors
 /// [`SegmentError::Config`] when a threshold is out of range, [`SegmentError::Empty`] when there is no frame,
+/// [`SegmentError::NoGripper`] when the rule asks for a gripper,
 /// [`SegmentError::NotFinite`] when a coordinate of a pose is not a finite number.
 pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result<SegmentedEpisode, SegmentError> {
     config.check()?;
+    if config.rule == Rule::GripperCommand {
+        return Err(SegmentError::NoGripper);
+    }
     let frames = &episode.frames;
     if frames.is_empty() {
         return Err(SegmentError::Empty {
@@ -86,7 +90,7 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
         .map(|(now, next)| now.step_to(next))
         .collect();
     let modes = match config.rule {
-        Rule::AlwaysTransit => vec![Mode::Transit; frames.len()],
+        Rule::AlwaysTransit | Rule::GripperCommand => vec![Mode::Transit; frames.len()],
         Rule::RigidMotion => rigid_motion_modes(frames, config),
     };
     let evidence = frames

@@ -1,5 +1,6 @@
 //! The subcommands: one file each, or one for those that run stages.
 
+pub(crate) mod audit;
 pub(crate) mod fetch;
 pub(crate) mod film;
 pub(crate) mod inspect;

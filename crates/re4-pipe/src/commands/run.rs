@@ -34,7 +34,7 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     anyhow::ensure!(
-        runner.pipeline.pose.source != PoseSource::Recorded,
+        runner.pipeline.pose()?.source != PoseSource::Recorded,
         "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"log_polar\"",
         arguments.pipeline.display()
     );
@@ -64,9 +64,31 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     answer(&runner, &built)
 }
 
-/// `re4-pipe rollout` and `re4-pipe run`.
+/// `re4-pipe rollout`.
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
-    let start = Instant::now();
+    let runner = runner(arguments)?;
+    runner.pipeline.rollout()?;
+    roll_out(&runner, arguments)
+}
+
+/// `re4-pipe run`: up to the last stage that the pipeline has a table for.
+pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
+    let runner = runner(arguments)?;
+    if runner.pipeline.rollout.is_some() {
+        return roll_out(&runner, arguments);
+    }
+    anyhow::ensure!(
+        arguments.report.is_none() && arguments.record.is_none(),
+        "no rollouts to report or to record: {} has no table [rollout]; leave --report and --record out",
+        arguments.stage.pipeline.display()
+    );
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let built = runner.audit(&episodes, &modes)?;
+    answer(&runner, &built)
+}
+
+fn runner(arguments: &RolloutArguments) -> Result<Runner> {
     let mut overrides = Vec::new();
     let text = |value: &String| format!("\"{}\"", value.replace(['"', '\\'], ""));
     overrides.extend(
@@ -82,7 +104,11 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
             .map(|policy| format!("rollout.policy={}", text(policy))),
     );
     overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
-    let runner = Runner::new(&arguments.stage, &overrides)?;
+    Runner::new(&arguments.stage, &overrides)
+}
+
+fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
+    let start = Instant::now();
     if let Some(path) = &arguments.record {
         anyhow::ensure!(
             !path.exists(),
@@ -108,7 +134,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let scenes = runner.scenes(&episodes)?;
     let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
     if let Some(path) = &arguments.record {
-        record(&runner, &built, path)?;
+        record(runner, &built, path)?;
     }
     if let (Some(path), Some(page)) = (&arguments.report, &page) {
         let written = report::write(
@@ -123,7 +149,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
             .note(&format!("{:>10}  {}  {}", "report", path.display(), written.headline()));
     }
     let metrics = metrics(&built.artifact);
-    let section = &runner.pipeline.rollout;
+    let section = runner.pipeline.rollout()?;
     let rollouts = built.artifact.table(&tables::RESULTS)?.rows();
     // The curve over budgets is what scenes are rolled out for; elsewhere the table in the artifact is enough.
     let budgets = scenes.is_some().then(|| budgets(&built)).transpose()?;

@@ -23,10 +23,11 @@ const CODE_VERSION: u32 = 2;
 impl Runner {
     /// The `index` artifact, over the poses of the `poses` artifact where there is one, over the recorded ones otherwise.
     pub(crate) fn index(&self, episodes: &Built, modes: &Built, poses: Option<&Built>) -> Result<Built> {
+        let longest_chunk = self.pipeline.index()?.longest_chunk;
         let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
             .config(&json!({
-                "longest_chunk": self.pipeline.index.longest_chunk,
-                "pose": { "source": self.pipeline.pose.source },
+                "longest_chunk": longest_chunk,
+                "pose": { "source": self.pipeline.pose()?.source },
             }))?
             .input("episodes", episodes.artifact.key())
             .input("modes", modes.artifact.key());
@@ -40,7 +41,7 @@ impl Runner {
             // The ranges do not depend on how angles are compared; the policy chooses that when it opens the index.
             let normalization = Normalization::over(&frames, AngleMetric::default());
             write_index(&demos, &frames, &blanks, &normalization, writer)?;
-            let mut chunks = collect_chunks(&demos, self.pipeline.index.longest_chunk as usize);
+            let mut chunks = collect_chunks(&demos, longest_chunk as usize);
             chunks.retain(|chunk| {
                 blanks
                     .range((chunk.demo, chunk.start)..=(chunk.demo, chunk.end))

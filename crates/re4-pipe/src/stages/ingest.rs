@@ -1,5 +1,7 @@
 //! Ingest: raw dataset to `episodes`.
 
+mod robosuite;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
@@ -24,6 +26,9 @@ const PICTURES_IN_GROUP: usize = 256;
 impl Runner {
     /// The `episodes` artifact.
     pub(crate) fn ingest(&self) -> Result<Built> {
+        if !self.pipeline.task.is_planar() {
+            return self.ingest_robosuite();
+        }
         let section = &self.pipeline.ingest;
         let path = find_source(&section.source)?;
         let reader = PushtReader::open(&path)?;

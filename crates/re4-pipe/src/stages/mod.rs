@@ -1,12 +1,15 @@
 //! The stages: which artifacts go in, which come out.
 
+mod audit;
 mod budgets;
+mod demos;
 mod index;
 mod ingest;
 mod replay;
 mod rollout;
 mod scenes;
 mod segment;
+mod spatial_modes;
 mod train_pose;
 
 use std::path::PathBuf;

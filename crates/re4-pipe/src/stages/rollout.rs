@@ -36,7 +36,7 @@ impl Runner {
         index: &Built,
         scenes: Option<&Built>,
     ) -> Result<Built> {
-        let section = &self.pipeline.rollout;
+        let section = self.pipeline.rollout()?;
         let policy = section.policy_config();
         let mut config = json!({
             "task": self.pipeline.task,
@@ -45,7 +45,7 @@ impl Runner {
             "policy": policy,
             "max_steps": section.max_steps,
         });
-        extend(&mut config, self.starts_config());
+        extend(&mut config, self.starts_config()?);
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
             .config(&config)?
             .input("index", index.artifact.key());
@@ -64,7 +64,7 @@ impl Runner {
                 1e3 * opening.elapsed().as_secs_f64()
             ));
             let perception = match poses {
-                Some(poses) => Perception::Pictures(Arc::new(open_estimator(&poses.artifact, &self.pipeline.pose)?)),
+                Some(poses) => Perception::Pictures(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
                 None => Perception::State,
             };
             let starts = self.starts(scenes)?;
@@ -89,7 +89,7 @@ impl Runner {
             table.write_columns(budgets.columns())?;
             table.finish()?;
             Ok(Facts {
-                summary: self.summary(&outcomes, &episodes.artifact),
+                summary: self.summary(&outcomes, &episodes.artifact)?,
                 warnings: Vec::new(),
             })
         })
@@ -99,23 +99,23 @@ impl Runner {
         if let Some(scenes) = scenes {
             return read_starts(&scenes.artifact);
         }
-        let section = &self.pipeline.rollout;
+        let section = self.pipeline.rollout()?;
         let seeds = section.seeds.as_ref().context("no seeds and no scenes to start from")?;
         let start = |&seed: &u32| Start::from_seed(section.seed_scheme, section.reset, seed);
         Ok(seeds.as_slice().iter().map(start).collect())
     }
 
     /// What the starts follow from, beside the `scenes` artifact.
-    fn starts_config(&self) -> Value {
-        let section = &self.pipeline.rollout;
-        match &self.pipeline.scenes {
+    fn starts_config(&self) -> Result<Value> {
+        let section = self.pipeline.rollout()?;
+        Ok(match &self.pipeline.scenes {
             Some(scenes) => json!({ "scenes": scenes, "reset": ResetOrder::PoseIsPose }),
             None => json!({ "seeds": section.seeds, "seed_scheme": section.seed_scheme, "reset": section.reset }),
-        }
+        })
     }
 
-    fn summary(&self, outcomes: &Outcomes, episodes: &Artifact) -> Value {
-        let section = &self.pipeline.rollout;
+    fn summary(&self, outcomes: &Outcomes, episodes: &Artifact) -> Result<Value> {
+        let section = self.pipeline.rollout()?;
         let mut protocol = json!({
             "dataset": episodes.manifest().source,
             "dataset_blake3": episodes.manifest().source_blake3,
@@ -132,8 +132,8 @@ impl Runner {
             "physics_time_step_s": TIME_STEP,
             "physics": format!("Chipmunk {}", chipmunk_version()),
         });
-        extend(&mut protocol, self.starts_config());
-        json!({
+        extend(&mut protocol, self.starts_config()?);
+        Ok(json!({
             "rollouts": outcomes.score.len(),
             "metrics": outcomes.metrics(),
             "medians": {
@@ -143,7 +143,7 @@ impl Runner {
                 "steps": median(&outcomes.steps),
             },
             "protocol": protocol,
-        })
+        }))
     }
 }
 

@@ -7,7 +7,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_segment::{Evidence, SegmentFacts, SegmentedEpisode, segment_planar};
 use serde_json::json;
 
-use super::{Built, Runner};
+use super::{Built, Runner, spatial_modes};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
@@ -18,6 +18,9 @@ impl Runner {
         let recipe = Recipe::new(Stage::Segment, CODE_VERSION)
             .config(&self.pipeline.segment)?
             .input("episodes", episodes.artifact.key());
+        if !self.pipeline.task.is_planar() {
+            return self.build(&recipe, |writer| spatial_modes::write(self, &episodes.artifact, writer));
+        }
         self.build(&recipe, |writer| {
             let episodes = read_episodes(&episodes.artifact)?;
             let segmented = episodes

@@ -30,7 +30,7 @@ const FLIP: f64 = 90.0;
 impl Runner {
     /// The `poses` artifact, where poses come from pictures.
     pub(crate) fn train_pose(&self, episodes: &Built) -> Result<Option<Built>> {
-        match self.pipeline.pose.source {
+        match self.pipeline.pose()?.source {
             PoseSource::Recorded => Ok(None),
             PoseSource::LogPolar => self.estimate_poses(&episodes.artifact).map(Some),
         }
@@ -38,13 +38,13 @@ impl Runner {
 
     fn estimate_poses(&self, episodes: &Artifact) -> Result<Built> {
         let recipe = Recipe::new(Stage::TrainPose, CODE_VERSION)
-            .config(&json!({ "pose": self.pipeline.pose }))?
+            .config(&json!({ "pose": self.pipeline.pose()? }))?
             .input("episodes", episodes.key());
         self.build(&recipe, |writer| {
             let pictures = Pictures::open(episodes)?;
             let anchor = self.calibrate(&pictures)?;
             write_anchor(&anchor, writer)?;
-            let estimator = LogPolarEstimator::new(&anchor, outline(), self.pipeline.pose.refine);
+            let estimator = LogPolarEstimator::new(&anchor, outline(), self.pipeline.pose()?.refine);
             let estimates = self.estimate_all(&estimator, &pictures, writer)?;
             // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
             let evaluation = evaluate(&estimates, episodes)?;
@@ -79,7 +79,7 @@ impl Runner {
                 builder.add(&Picture::new(pixels, SIDE, SIDE)?);
             }
         }
-        let goal = self.pipeline.pose.goal();
+        let goal = self.pipeline.pose()?.goal();
         builder
             .finish(goal, &outline())
             .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))

@@ -3,9 +3,15 @@
 //! Push-T: the world frame is the simulator's 512 x 512 plane, x to the right and y downwards in pictures, in pixels; a
 //! growing angle turns clockwise on the screen. Angles are radians. Frames are control steps of 0.1 s.
 
+mod audit;
+mod spatial;
+
 use crate::key::Stage;
 use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
+
+pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
+pub use spatial::{CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_SEGMENTS, STATES};
 
 const fn id(name: &'static str, description: &'static str) -> ColumnSpec {
     ColumnSpec::new(name, U32, description)
@@ -607,8 +613,19 @@ pub const SCENES: TableSpec = TableSpec {
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
     match stage {
-        Stage::Ingest => &[&EPISODES, &FRAMES, &IMAGES],
-        Stage::Segment => &[&MODES, &SEGMENTS],
+        Stage::Ingest => &[
+            &EPISODES,
+            &FRAMES,
+            &IMAGES,
+            &SPATIAL_FRAMES,
+            &DEMOS,
+            &CONVENTIONS,
+            &STATES,
+            &MODELS,
+            &CAMERA_IMAGES,
+        ],
+        Stage::Segment => &[&MODES, &SEGMENTS, &SPATIAL_MODES, &SPATIAL_SEGMENTS],
+        Stage::Audit => &[&FINDINGS, &CHECKS, &AUDITED_EPISODES, &GRASPS],
         Stage::Index => &[&INDEX, &SCALES, &CHUNKS],
         Stage::Scenes => &[&SCENES],
         Stage::Rollout => &[&RESULTS, &STEPS, &DECISIONS, &BUDGETS],
@@ -658,6 +675,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 17);
+        assert_eq!(names.len(), 29);
     }
 }

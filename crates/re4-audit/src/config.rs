@@ -1,0 +1,128 @@
+//! Thresholds that are set rather than derived.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::checks::CHECKS;
+
+/// Thresholds of the audit that replace those derived from the data or built in, by the code of their check. Units are those
+/// of the check.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct AuditConfig {
+    /// Threshold of the check `command_fingers_disagree`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub command_fingers_disagree: Option<f64>,
+    /// Threshold of the check `contact_without_motion`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contact_without_motion: Option<f64>,
+    /// Threshold of the check `discontinuity_eef`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub discontinuity_eef: Option<f64>,
+    /// Threshold of the check `discontinuity_object`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub discontinuity_object: Option<f64>,
+    /// Threshold of the check `discontinuity_turn`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub discontinuity_turn: Option<f64>,
+    /// Threshold of the check `dropped`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dropped: Option<f64>,
+    /// Threshold of the check `early_release`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub early_release: Option<f64>,
+    /// Threshold of the check `ends_before_success`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ends_before_success: Option<f64>,
+    /// Threshold of the check `flicker`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flicker: Option<f64>,
+    /// Threshold of the check `frozen`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frozen: Option<f64>,
+    /// Threshold of the check `idle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub idle: Option<f64>,
+    /// Threshold of the check `lost_grasp`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost_grasp: Option<f64>,
+    /// Threshold of the check `missed_grasp`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub missed_grasp: Option<f64>,
+    /// Threshold of the check `motion_without_contact`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion_without_contact: Option<f64>,
+    /// Threshold of the check `non_rigid_rotation`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub non_rigid_rotation: Option<f64>,
+    /// Threshold of the check `non_rigid_transfer`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub non_rigid_transfer: Option<f64>,
+    /// Threshold of the check `outlier_length`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outlier_length: Option<f64>,
+    /// Threshold of the check `pushed_in_transit`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pushed_in_transit: Option<f64>,
+    /// Threshold of the check `regrasp`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub regrasp: Option<f64>,
+    /// Threshold of the check `saturated`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub saturated: Option<f64>,
+}
+
+impl AuditConfig {
+    /// The threshold that is set for a check.
+    pub fn threshold(&self, code: &str) -> Option<f64> {
+        match code {
+            "command_fingers_disagree" => self.command_fingers_disagree,
+            "contact_without_motion" => self.contact_without_motion,
+            "discontinuity_eef" => self.discontinuity_eef,
+            "discontinuity_object" => self.discontinuity_object,
+            "discontinuity_turn" => self.discontinuity_turn,
+            "dropped" => self.dropped,
+            "early_release" => self.early_release,
+            "ends_before_success" => self.ends_before_success,
+            "flicker" => self.flicker,
+            "frozen" => self.frozen,
+            "idle" => self.idle,
+            "lost_grasp" => self.lost_grasp,
+            "missed_grasp" => self.missed_grasp,
+            "motion_without_contact" => self.motion_without_contact,
+            "non_rigid_rotation" => self.non_rigid_rotation,
+            "non_rigid_transfer" => self.non_rigid_transfer,
+            "outlier_length" => self.outlier_length,
+            "pushed_in_transit" => self.pushed_in_transit,
+            "regrasp" => self.regrasp,
+            "saturated" => self.saturated,
+            _ => None,
+        }
+    }
+
+    /// Checks the ranges of all thresholds.
+    ///
+    /// # Errors
+    /// [`AuditError`] naming the first that is not a number of at least 0.
+    pub fn check(&self) -> Result<(), AuditError> {
+        for check in CHECKS {
+            if let Some(value) = self.threshold(check.code)
+                && !(value.is_finite() && value >= 0.0)
+            {
+                return Err(AuditError {
+                    code: check.code,
+                    value,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A threshold that is out of range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("cannot audit: audit.{code} is {value}; set it to a finite number of at least 0, or leave it out")]
+pub struct AuditError {
+    code: &'static str,
+    value: f64,
+}

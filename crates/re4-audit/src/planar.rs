@@ -1,0 +1,154 @@
+//! The audit of one demonstration of Push-T.
+
+use nalgebra::Vector3;
+use re4_episode::{PlanarEpisode, PlanarFrame};
+use re4_segment::{Evidence, SegmentedEpisode};
+
+use crate::common::{Sink, hash, lengths_and_flicker};
+use crate::finding::Finding;
+use crate::runs::{longest, runs};
+use crate::thresholds::{Observation, Thresholds};
+
+/// A demonstration and its segmentation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanarDemo {
+    /// Number in the artifact, from 0.
+    pub number: u32,
+    /// The demonstration.
+    pub episode: PlanarEpisode,
+    /// Its modes, evidence and segments.
+    pub segmented: SegmentedEpisode,
+    /// Coverage of the goal at every frame.
+    pub coverage: Vec<f64>,
+}
+
+/// The first look: what thresholds are derived from.
+pub fn observe_planar(demo: &PlanarDemo) -> Observation {
+    let frames = &demo.episode.frames;
+    let steps = demo.segmented.evidence.iter().filter_map(|e| e.eef_step);
+    Observation {
+        episode: demo.number,
+        frames: frames.len() as u32,
+        values: vec![
+            ("discontinuity_eef", steps.fold(0.0, f64::max)),
+            ("idle", longest(waits(frames)) as f64),
+        ],
+        last_object: frames
+            .last()
+            .map_or_else(Vector3::zeros, |f| Vector3::new(f.object.x, f.object.y, f.object.theta)),
+        rewarded: None,
+        recording: hash(frames.iter().flat_map(|f| state(f).into_iter().chain([f.action.x, f.action.y]))),
+        actions: hash(frames.iter().flat_map(|f| [f.action.x, f.action.y])),
+    }
+}
+
+/// The second look: everything that exceeds its threshold.
+pub fn audit_planar(demo: &PlanarDemo, thresholds: &Thresholds) -> Vec<Finding> {
+    let frames = &demo.episode.frames;
+    let mut sink = Sink::new(demo.number, thresholds);
+    let segments: Vec<_> = demo.segmented.segments.iter().map(|s| s.segment.clone()).collect();
+    lengths_and_flicker(&mut sink, &segments, frames.len());
+    check_contacts(&demo.segmented.evidence, &mut sink);
+    for (frame, evidence) in demo.segmented.evidence.iter().enumerate() {
+        if let (Some(eef), Some(object)) = (evidence.eef_step, evidence.object_step) {
+            sink.exceeding("discontinuity_eef", frame..frame + 2, eef, |value| {
+                format!("the pusher jumps by {value:.0} px in one step")
+            });
+            sink.exceeding("discontinuity_object", frame..frame + 2, object, |value| {
+                format!("the block jumps by {value:.0} px in one step")
+            });
+        }
+    }
+    check_stretches(frames, &mut sink);
+    let needed = thresholds.over("ends_before_success");
+    let best = demo.coverage.iter().copied().reduce(f64::max);
+    if let (Some(&last), Some(best)) = (demo.coverage.last(), best)
+        && last <= needed
+    {
+        let end = frames.len();
+        sink.add(
+            "ends_before_success",
+            end.saturating_sub(1)..end,
+            Some(last),
+            format!("the last frame covers {last:.3} of the goal, the best one {best:.3}"),
+        );
+    }
+    let wraps: Vec<usize> = frames
+        .iter()
+        .zip(frames.iter().skip(1))
+        .enumerate()
+        .filter(|(_, (now, next))| (next.object.theta - now.object.theta).abs() > std::f64::consts::PI)
+        .map(|(frame, _)| frame)
+        .collect();
+    sink.seam("the block's angle wraps around", &wraps);
+    sink.findings
+}
+
+/// Contact and motion of the same control step, one a step: contacts are counted on the way to a frame, motion is that to the
+/// next one. None where contacts were not recorded.
+pub fn contact_and_motion(evidence: &[Evidence]) -> Vec<Option<(bool, bool)>> {
+    evidence
+        .iter()
+        .zip(evidence.iter().skip(1))
+        .map(|(now, next)| Some((next.contact?, now.object_moving?)))
+        .collect()
+}
+
+fn check_contacts(evidence: &[Evidence], sink: &mut Sink<'_>) {
+    let steps = contact_and_motion(evidence);
+    for (code, pattern, message) in [
+        ("contact_without_motion", (true, false), "contact, and the block rests"),
+        ("motion_without_contact", (false, true), "no contact, and the block moves"),
+    ] {
+        let least = sink.thresholds.over(code);
+        for run in runs(steps.iter().map(|step| *step == Some(pattern)), 1) {
+            let length = run.len();
+            if length as f64 >= least {
+                sink.add(
+                    code,
+                    run,
+                    Some(length as f64),
+                    format!("{message}, in {length} steps in a row"),
+                );
+            }
+        }
+    }
+}
+
+fn check_stretches(frames: &[PlanarFrame], sink: &mut Sink<'_>) {
+    for run in runs(waits(frames), 1) {
+        sink.exceeding("idle", run.start..run.end + 1, run.len() as f64, |value| {
+            format!("the same target in {} frames in a row", value + 1.0)
+        });
+    }
+    let least = sink.thresholds.over("frozen");
+    let same = frames
+        .iter()
+        .zip(frames.iter().skip(1))
+        .map(|(now, next)| state(now) == state(next));
+    for run in runs(same, 1) {
+        let stretch = run.start..run.end + 1;
+        let length = stretch.len();
+        if length as f64 >= least {
+            sink.add(
+                "frozen",
+                stretch,
+                Some(length as f64),
+                format!("the very same state in {length} frames in a row"),
+            );
+        }
+    }
+}
+
+/// Whether the target of a frame is that of the next.
+fn waits(frames: &[PlanarFrame]) -> impl Iterator<Item = bool> {
+    frames
+        .iter()
+        .zip(frames.iter().skip(1))
+        .map(|(now, next)| now.action == next.action)
+}
+
+fn state(frame: &PlanarFrame) -> [f64; 5] {
+    let (eef, object) = (frame.eef, frame.object);
+    [eef.x, eef.y, object.x, object.y, object.theta]
+}

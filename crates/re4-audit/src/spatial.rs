@@ -1,0 +1,415 @@
+//! The audit of one demonstration with a gripper.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use nalgebra::Vector3;
+use re4_episode::{Mode, SpatialEpisode, SpatialFrame};
+use re4_segment::SegmentedSpatial;
+
+use crate::common::{Sink, hash, lengths_and_flicker};
+use crate::finding::Finding;
+use crate::grasps::{GraspLimits, GraspOutcome, JudgedGrasp, judge, release, rest};
+use crate::runs::{longest, runs};
+use crate::thresholds::{Observation, Thresholds};
+
+/// A demonstration and its segmentation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpatialDemo {
+    /// Number in the artifact, from 0.
+    pub number: u32,
+    /// The demonstration.
+    pub episode: SpatialEpisode,
+    /// Its modes, evidence and segments.
+    pub segmented: SegmentedSpatial,
+}
+
+/// What the audit says of one demonstration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpatialAudit {
+    /// Findings, in no order.
+    pub findings: Vec<Finding>,
+    /// Its transfer segments.
+    pub grasps: Vec<JudgedGrasp>,
+}
+
+/// A control counts as at its limit from here on.
+const LIMIT: f64 = 1.0 - 1e-9;
+
+/// How much the distance between the fingers has to change to say that they moved, in m.
+const FINGERS_MOVED: f64 = 0.002;
+
+/// Fingers wider apart than this, in m, are open: the gripper opens to 0.08.
+const OPEN: f64 = 0.07;
+
+/// The first look: what thresholds are derived from.
+pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation {
+    let frames = &demo.episode.frames;
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    let evidence = &demo.segmented.evidence;
+    let grasps = judge(demo, limits);
+    let mut values = vec![
+        (
+            "discontinuity_eef",
+            largest(&mut evidence.iter().filter_map(|e| e.eef_step)),
+        ),
+        (
+            "discontinuity_turn",
+            largest(&mut evidence.iter().filter_map(|e| e.eef_turn)),
+        ),
+        ("idle", longest(frames.iter().map(is_idle)) as f64),
+        ("saturated", saturated_share(frames)),
+        ("regrasp", transfers(&grasps) as f64),
+    ];
+    for grasp in grasps.iter().filter(|grasp| grasp.outcome == GraspOutcome::Held) {
+        values.push(("non_rigid_transfer", grasp.residual));
+        values.push(("non_rigid_rotation", grasp.residual_rotation));
+        if let Some(release) = release(demo, grasp) {
+            values.push(("dropped", release.fall));
+        }
+    }
+    let rewards: Vec<f64> = frames.iter().filter_map(|frame| frame.reward).collect();
+    Observation {
+        episode: demo.number,
+        frames: frames.len() as u32,
+        values,
+        last_object: frames.last().map_or_else(Vector3::zeros, |f| f.object.translation.vector),
+        rewarded: (!rewards.is_empty()).then(|| rewards.iter().any(|reward| *reward > 0.0)),
+        recording: hash(frames.iter().flat_map(|f| state(f).into_iter().chain(action(f)))),
+        actions: hash(frames.iter().flat_map(action)),
+    }
+}
+
+/// The second look: everything that exceeds its threshold.
+pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &GraspLimits) -> SpatialAudit {
+    let mut sink = Sink::new(demo.number, thresholds);
+    let grasps = judge(demo, limits);
+    lengths_and_flicker(
+        &mut sink,
+        &demo
+            .segmented
+            .segments
+            .iter()
+            .map(|facts| facts.segment.clone())
+            .collect::<Vec<_>>(),
+        demo.episode.frames.len(),
+    );
+    check_grasps(demo, &grasps, &mut sink);
+    check_transit(demo, &mut sink);
+    check_fingers(demo, &mut sink);
+    check_motion(demo, &mut sink);
+    check_actions(&demo.episode.frames, &mut sink);
+    check_success(&demo.episode.frames, &mut sink);
+    check_seams(&demo.episode.frames, &mut sink);
+    SpatialAudit {
+        findings: sink.findings,
+        grasps,
+    }
+}
+
+/// Transfer segments, those that go on across a flicker counted once, those too short to tell not at all.
+fn transfers(grasps: &[JudgedGrasp]) -> usize {
+    grasps
+        .iter()
+        .filter(|grasp| !grasp.continues && grasp.outcome != GraspOutcome::Brief)
+        .count()
+}
+
+fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>) {
+    let all = 0..demo.episode.frames.len();
+    if demo.segmented.grasp_frame.is_none() {
+        sink.add(
+            "no_transfer",
+            all.clone(),
+            Some(0.0),
+            "no frame is in transfer: there is no grasp and no anchor".to_owned(),
+        );
+    }
+    for (place, grasp) in grasps.iter().enumerate() {
+        match grasp.outcome {
+            GraspOutcome::Missed => sink.add(
+                "missed_grasp",
+                grasp.frames.clone(),
+                Some(grasp.narrowest),
+                why_missed(demo, grasp, sink.thresholds.over("missed_grasp")),
+            ),
+            GraspOutcome::Lost(frame) => sink.add(
+                "lost_grasp",
+                frame..grasp.frames.end,
+                strayed(demo, grasp, frame),
+                format!(
+                    "the object leaves the hand at frame {frame}, and the command to close goes on to frame {}",
+                    grasp.frames.end
+                ),
+            ),
+            GraspOutcome::Held => {
+                sink.exceeding("non_rigid_transfer", grasp.frames.clone(), grasp.residual, |value| {
+                    format!("the object moves in the hand by {:.1} mm", 1e3 * value)
+                });
+                sink.exceeding(
+                    "non_rigid_rotation",
+                    grasp.frames.clone(),
+                    grasp.residual_rotation,
+                    |value| format!("the object turns in the hand by {:.1} degrees", value.to_degrees()),
+                );
+                let goes_on = grasps.get(place + 1).is_some_and(|next| next.continues);
+                if !goes_on {
+                    check_release(demo, grasp, sink);
+                }
+            }
+            GraspOutcome::Brief => {}
+        }
+    }
+    let count = transfers(grasps);
+    let second = grasps
+        .iter()
+        .filter(|grasp| !grasp.continues && grasp.outcome != GraspOutcome::Brief)
+        .nth(1);
+    if let Some(second) = second {
+        sink.exceeding("regrasp", second.frames.start..all.end, count as f64, |value| {
+            format!("{value} transfer segments; the second one begins here")
+        });
+    }
+}
+
+fn why_missed(demo: &SpatialDemo, grasp: &JudgedGrasp, closed: f64) -> String {
+    let stopped = demo
+        .segmented
+        .segments
+        .get(grasp.segment)
+        .is_some_and(|facts| facts.settled_frame.is_some());
+    let apart = 1e3 * grasp.narrowest;
+    if grasp.narrowest < closed {
+        format!("the fingers close to {apart:.1} mm with nothing between them")
+    } else if stopped {
+        format!("the fingers stop at {apart:.1} mm on something that does not follow the hand")
+    } else {
+        format!("the fingers are told to open again, {apart:.1} mm apart, before anything has stopped them")
+    }
+}
+
+/// How far the end effector is, in the object's frame, from where it was in the grasp.
+fn strayed(demo: &SpatialDemo, grasp: &JudgedGrasp, frame: usize) -> Option<f64> {
+    let seen = |frame: usize| {
+        let frame = demo.episode.frames.get(frame)?;
+        Some(frame.object.inv_mul(&frame.eef).translation.vector)
+    };
+    // Over the rest of the segment: the first frame may only have shown the fingers to be shut.
+    let held = seen(grasp.settled)?;
+    (frame..grasp.frames.end)
+        .filter_map(seen)
+        .map(|at| (at - held).norm())
+        .reduce(f64::max)
+}
+
+fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, sink: &mut Sink<'_>) {
+    let Some(release) = release(demo, grasp) else { return };
+    let frames = release.frame..(release.rest + 1).min(demo.episode.frames.len());
+    sink.exceeding("dropped", frames.clone(), release.fall, |value| {
+        format!("the object falls {:.0} mm when it is let go", 1e3 * value)
+    });
+    if let Some(end) = sink.thresholds.usual_end {
+        sink.exceeding("early_release", frames, (release.place - end).norm(), |value| {
+            format!(
+                "the object is let go {:.0} mm from where the demonstrations leave it",
+                1e3 * value
+            )
+        });
+    }
+}
+
+fn check_transit(demo: &SpatialDemo, sink: &mut Sink<'_>) {
+    let frames = &demo.episode.frames;
+    let evidence = &demo.segmented.evidence;
+    for facts in &demo.segmented.segments {
+        let range = facts.segment.frames.clone();
+        if facts.segment.mode != Mode::Transit || range.len() < 2 {
+            continue;
+        }
+        let start = rest(evidence, settle_from(demo, &range), range.end);
+        let Some(rested) = frames.get(start) else { continue };
+        let window = frames.get(start..range.end).unwrap_or_default();
+        let away = |frame: &SpatialFrame| (frame.object.translation.vector - rested.object.translation.vector).norm();
+        let farthest = window.iter().map(away).fold(0.0, f64::max);
+        // From the first frame that is a tenth of the way to the first that is nearly there.
+        let first = window.iter().position(|f| away(f) > 0.1 * farthest).unwrap_or(0);
+        let last = window.iter().position(|f| away(f) > 0.9 * farthest).unwrap_or(0);
+        sink.exceeding("pushed_in_transit", start + first..start + last + 1, farthest, |value| {
+            format!("the object is moved by {:.0} mm without a grasp", 1e3 * value)
+        });
+    }
+}
+
+/// From where on the object of a transit segment has to come to rest: the frame at which the fingers are open, after a
+/// transfer, the start of the demonstration before any.
+fn settle_from(demo: &SpatialDemo, range: &Range<usize>) -> usize {
+    let evidence = &demo.segmented.evidence;
+    let Some(before) = range.start.checked_sub(1).and_then(|frame| evidence.get(frame)) else {
+        return range.start;
+    };
+    let gripped = before.finger_separation;
+    range
+        .clone()
+        .find(|&frame| {
+            evidence
+                .get(frame)
+                .is_some_and(|e| e.finger_separation > gripped + FINGERS_MOVED)
+        })
+        .unwrap_or(range.end)
+}
+
+fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
+    let evidence = &demo.segmented.evidence;
+    let lag = sink.thresholds.over("command_fingers_disagree");
+    let closed = sink.thresholds.over("missed_grasp");
+    for closes in [true, false] {
+        for run in runs(evidence.iter().map(|e| e.command_closes == closes), 1) {
+            // The first command of a run shows at the frame after it.
+            if run.len() as f64 <= lag {
+                continue;
+            }
+            let late = run.start + lag as usize;
+            let (Some(start), Some(then)) = (evidence.get(run.start), evidence.get(late)) else {
+                continue;
+            };
+            let change = then.finger_separation - start.finger_separation;
+            let stuck = if closes {
+                // Fingers that hold something need not move.
+                let holding = evidence.get(run.clone()).unwrap_or_default().iter().any(|e| e.holds);
+                change > -FINGERS_MOVED && then.finger_separation > closed && (then.finger_separation > OPEN || !holding)
+            } else {
+                change < FINGERS_MOVED && then.finger_separation < OPEN
+            };
+            if stuck {
+                sink.add(
+                    "command_fingers_disagree",
+                    run.start..run.end,
+                    Some(lag),
+                    format!(
+                        "told to {} at frame {}, the fingers are {:.0} mm apart and have not moved {lag} frames later",
+                        if closes { "close" } else { "open" },
+                        run.start,
+                        1e3 * then.finger_separation
+                    ),
+                );
+            }
+        }
+    }
+}
+
+fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
+    let frames = &demo.episode.frames;
+    let evidence = &demo.segmented.evidence;
+    for (frame, evidence) in evidence.iter().enumerate() {
+        let (Some(eef), Some(object), Some(turn)) = (evidence.eef_step, evidence.object_step, evidence.eef_turn) else {
+            continue;
+        };
+        let around = frame..frame + 2;
+        sink.exceeding("discontinuity_eef", around.clone(), eef, |value| {
+            format!("the end effector jumps by {:.0} mm in one step", 1e3 * value)
+        });
+        sink.exceeding("discontinuity_object", around.clone(), object, |value| {
+            format!("the object jumps by {:.0} mm in one step", 1e3 * value)
+        });
+        sink.exceeding("discontinuity_turn", around, turn, |value| {
+            format!("the end effector turns by {:.0} degrees in one step", value.to_degrees())
+        });
+    }
+    let same = frames
+        .iter()
+        .zip(frames.iter().skip(1))
+        .map(|(now, next)| state(now) == state(next));
+    let least = sink.thresholds.over("frozen");
+    for run in runs(same, 1) {
+        // A run of steps touches one frame more.
+        let stretch = run.start..run.end + 1;
+        if stretch.len() as f64 >= least {
+            let length = stretch.len();
+            sink.add(
+                "frozen",
+                stretch,
+                Some(length as f64),
+                format!("the very same state in {length} frames in a row"),
+            );
+        }
+    }
+}
+
+fn check_actions(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
+    for run in runs(frames.iter().map(is_idle), 1) {
+        sink.exceeding("idle", run.clone(), run.len() as f64, |value| {
+            format!("no arm action in {value} frames in a row")
+        });
+    }
+    sink.exceeding("saturated", 0..frames.len(), saturated_share(frames), |value| {
+        format!("a control is at its limit in {:.0} % of the frames", 1e2 * value)
+    });
+}
+
+fn check_success(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
+    let best = frames.iter().filter_map(|frame| frame.reward).reduce(f64::max);
+    let needed = sink.thresholds.over("ends_before_success");
+    if let Some(best) = best.filter(|best| sink.thresholds.rewards && *best <= needed) {
+        let end = frames.len();
+        sink.add(
+            "ends_before_success",
+            end.saturating_sub(1)..end,
+            Some(best),
+            "no frame has a reward, and those of other demonstrations have".to_owned(),
+        );
+    }
+}
+
+fn check_seams(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
+    let pairs = || frames.iter().zip(frames.iter().skip(1));
+    let flips = |attitude: fn(&SpatialFrame) -> &nalgebra::UnitQuaternion<f64>| -> Vec<usize> {
+        pairs()
+            .enumerate()
+            .filter(|(_, (now, next))| attitude(now).coords.dot(&attitude(next).coords) < 0.0)
+            .map(|(frame, _)| frame)
+            .collect()
+    };
+    let goal = |frame: &SpatialFrame| Vector3::new(frame.goal[3], frame.goal[4], frame.goal[5]);
+    // A goal turns by less than pi in a step: when its rotation vector moves by more, it has passed the seam.
+    let passes = pairs()
+        .enumerate()
+        .filter(|(_, (now, next))| (goal(next) - goal(now)).norm() > PI)
+        .map(|(frame, _)| frame)
+        .collect();
+    for (what, crossings) in [
+        ("the quaternion of the end effector changes its sign", flips(|f| &f.eef.rotation)),
+        ("the quaternion of the object changes its sign", flips(|f| &f.object.rotation)),
+        ("the rotation vector of the goal passes pi", passes),
+    ] {
+        sink.seam(what, &crossings);
+    }
+}
+
+fn is_idle(frame: &SpatialFrame) -> bool {
+    frame.delta.iter().all(|part| *part == 0.0)
+}
+
+fn saturated_share(frames: &[SpatialFrame]) -> f64 {
+    let at_limit = |frame: &&SpatialFrame| frame.delta.iter().any(|part| part.abs() >= LIMIT);
+    frames.iter().filter(at_limit).count() as f64 / frames.len().max(1) as f64
+}
+
+/// Poses and fingers.
+fn state(frame: &SpatialFrame) -> [f64; 16] {
+    let mut values = [0.0; 16];
+    let pose = |pose: &nalgebra::Isometry3<f64>| {
+        let (t, q) = (pose.translation.vector, pose.rotation.coords);
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+    };
+    values[..7].copy_from_slice(&pose(&frame.eef));
+    values[7..14].copy_from_slice(&pose(&frame.object));
+    values[14..].copy_from_slice(&frame.fingers);
+    values
+}
+
+fn action(frame: &SpatialFrame) -> [f64; 7] {
+    let mut values = [0.0; 7];
+    values[..6].copy_from_slice(&frame.delta);
+    values[6] = frame.gripper;
+    values
+}

@@ -1,0 +1,168 @@
+//! What is wrong with an HDF5 file of demonstrations. Objects are named by their full path in the file.
+
+use thiserror::Error;
+
+/// What is wrong with an HDF5 file, the object that it is about, and the mend.
+#[derive(Debug, Error)]
+pub enum Hdf5Fault {
+    /// The library cannot open the file.
+    #[error("it is no readable HDF5 file ({why}); it may be cut off or damaged, so copy or download it again")]
+    Unreadable {
+        /// The library's words.
+        why: String,
+    },
+    /// An object of the file cannot be read.
+    #[error("{object} cannot be read ({why}); the file is damaged or cut off, so copy or download it again")]
+    Damaged {
+        /// Object within the file.
+        object: String,
+        /// The library's or the system's words.
+        why: String,
+    },
+    /// No demonstrations.
+    #[error("it has no group /data with demonstrations; give an HDF5 file in robomimic's or robosuite's layout")]
+    NoData,
+    /// A group of a demonstration that holds nothing.
+    #[error("group /data/{demo} is empty; remove that group, or leave the demonstration out by a filter key")]
+    EmptyDemo {
+        /// The demonstration.
+        demo: String,
+    },
+    /// A demonstration without frames.
+    #[error("dataset {object} has no rows; remove that demonstration, or leave it out by a filter key")]
+    NoFrames {
+        /// Dataset within the file.
+        object: String,
+    },
+    /// A dataset that is needed is not there.
+    #[error("dataset {object} is missing; {mend}")]
+    Missing {
+        /// Dataset within the file.
+        object: String,
+        /// What to do.
+        mend: &'static str,
+    },
+    /// A dataset of a type that is not read.
+    #[error("dataset {object} holds {found}, but {expected} is expected; convert it")]
+    Dtype {
+        /// Dataset within the file.
+        object: String,
+        /// Type in words.
+        found: String,
+        /// Types that are read.
+        expected: &'static str,
+    },
+    /// A dataset of another shape.
+    #[error("dataset {object} has shape {found:?}, but {expected} is expected; {mend}")]
+    Shape {
+        /// Dataset within the file.
+        object: String,
+        /// Its shape.
+        found: Vec<usize>,
+        /// Shape in words.
+        expected: String,
+        /// What to do.
+        mend: &'static str,
+    },
+    /// Datasets of different lengths.
+    #[error(
+        "dataset {object} has {found} rows and {other} has {expected}; every dataset of a demonstration has one row a frame, so restore or cut the odd one, or leave the demonstration out"
+    )]
+    Length {
+        /// Dataset within the file.
+        object: String,
+        /// Its rows.
+        found: usize,
+        /// Dataset that it is compared with.
+        other: String,
+        /// Rows of that.
+        expected: usize,
+    },
+    /// An attribute that counts wrongly.
+    #[error(
+        "attribute {attribute} of {object} is {found}, but there are {expected} {what}; correct the attribute, or restore the missing ones"
+    )]
+    Count {
+        /// Group within the file.
+        object: String,
+        /// Name of the attribute.
+        attribute: &'static str,
+        /// Its value.
+        found: i64,
+        /// What was counted.
+        expected: usize,
+        /// Rows of what.
+        what: String,
+    },
+    /// A NaN or an infinity.
+    #[error(
+        "dataset {object} has {value} in row {row}, column {column}; repair that row, or leave the demonstration out by a filter key or ingest.select"
+    )]
+    NotFinite {
+        /// Dataset within the file.
+        object: String,
+        /// Row, from 0.
+        row: usize,
+        /// Column, from 0.
+        column: usize,
+        /// The value.
+        value: f64,
+    },
+    /// A flag that is neither 0 nor 1.
+    #[error("dataset {object} has {value} in row {row}, which is no flag; it holds 0 or 1 a frame, so repair that row")]
+    NotAFlag {
+        /// Dataset within the file.
+        object: String,
+        /// Row, from 0.
+        row: usize,
+        /// The value.
+        value: f64,
+    },
+    /// An attribute that is needed is not there, or is no text.
+    #[error("attribute {attribute} of {object} {why}; {mend}")]
+    Attribute {
+        /// Group within the file.
+        object: String,
+        /// Name of the attribute.
+        attribute: &'static str,
+        /// What is wrong with it.
+        why: String,
+        /// What to do.
+        mend: String,
+    },
+    /// A filter key that is not there.
+    #[error("there is no filter key {filter:?} below /mask; {}", known_filters(known))]
+    UnknownFilter {
+        /// The filter key asked for.
+        filter: String,
+        /// Those there are.
+        known: Vec<String>,
+    },
+    /// A filter key that names demonstrations which are not there.
+    #[error(
+        "filter key /mask/{filter} names {demo:?}, and there is no group /data/{demo}; correct the filter key, or use another one"
+    )]
+    FilterNames {
+        /// The filter key.
+        filter: String,
+        /// The name.
+        demo: String,
+    },
+    /// A filter key without names.
+    #[error("filter key /mask/{filter} names no demonstration; use another one")]
+    EmptyFilter {
+        /// The filter key.
+        filter: String,
+    },
+    /// Something that is refused in words of its own.
+    #[error("{0}")]
+    Other(String),
+}
+
+fn known_filters(known: &[String]) -> String {
+    if known.is_empty() {
+        "the file has none, so leave ingest.filter out".to_owned()
+    } else {
+        format!("it has {}", known.join(", "))
+    }
+}

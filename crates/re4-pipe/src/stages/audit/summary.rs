@@ -1,0 +1,149 @@
+//! The dataset as a whole, in figures: what the manifest of an `audit` says.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix4, Quaternion, SymmetricEigen, UnitQuaternion};
+use re4_audit::{GraspOutcome, Severity, median, quantile};
+use re4_episode::Mode;
+use serde_json::{Map, Value, json};
+
+use super::{Audited, ListedGrasp, by_code};
+
+/// Steps of Push-T by contact and motion of the block.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Contacts {
+    both: u64,
+    contact_alone: u64,
+    motion_alone: u64,
+    neither: u64,
+}
+
+impl FromIterator<(bool, bool)> for Contacts {
+    fn from_iter<T: IntoIterator<Item = (bool, bool)>>(steps: T) -> Self {
+        let mut counts = Self::default();
+        for step in steps {
+            match step {
+                (true, true) => counts.both += 1,
+                (true, false) => counts.contact_alone += 1,
+                (false, true) => counts.motion_alone += 1,
+                (false, false) => counts.neither += 1,
+            }
+        }
+        counts
+    }
+}
+
+impl Contacts {
+    fn to_json(self) -> Value {
+        let either = self.both + self.contact_alone + self.motion_alone;
+        let overlap = (either > 0).then(|| self.both as f64 / either as f64);
+        json!({
+            "contact_and_motion": self.both,
+            "contact_alone": self.contact_alone,
+            "motion_alone": self.motion_alone,
+            "neither": self.neither,
+            "jaccard": overlap,
+        })
+    }
+}
+
+pub(super) fn summary(audited: &Audited) -> Value {
+    let found = |severity| audited.findings.iter().filter(|f| f.severity == severity).count();
+    let mut faulty: Vec<u32> = audited
+        .findings
+        .iter()
+        .filter(|f| f.severity == Severity::Error)
+        .map(|f| f.episode)
+        .collect();
+    faulty.dedup();
+    let frames: usize = audited.listed.iter().map(|l| l.frames).sum();
+    let mut modes = Map::new();
+    for mode in Mode::ALL {
+        let own: usize = audited.listed.iter().map(|l| l.frames_in(mode)).sum();
+        let lengths: Vec<f64> = audited
+            .listed
+            .iter()
+            .flat_map(|l| &l.segments)
+            .filter(|s| s.mode == mode)
+            .map(|s| s.frames.len() as f64)
+            .collect();
+        modes.insert(
+            mode.as_str().to_owned(),
+            json!({
+                "frames": own,
+                "share": if frames > 0 { own as f64 / frames as f64 } else { 0.0 },
+                "segments": lengths.len(),
+                "segment_frames": quartiles(&lengths),
+            }),
+        );
+    }
+    let codes: BTreeMap<&str, u32> = by_code(&audited.findings)
+        .into_iter()
+        .map(|(code, (found, _))| (code, found))
+        .collect();
+    let lengths: Vec<f64> = audited.listed.iter().map(|l| l.frames as f64).collect();
+    let mut answer = json!({
+        "episodes": audited.listed.len(),
+        "frames": frames,
+        "findings": audited.findings.len(),
+        "errors": found(Severity::Error),
+        "warnings": found(Severity::Warning),
+        "notes": found(Severity::Note),
+        "episodes_with_errors": faulty.len(),
+        "by_code": codes,
+        "episode_frames": quartiles(&lengths),
+        "modes": modes,
+    });
+    if let Some(contacts) = audited.contacts {
+        answer["contacts"] = contacts.to_json();
+    } else {
+        answer["grasps"] = grasps(&audited.grasps);
+    }
+    answer
+}
+
+/// Least, quartiles and greatest; null where there is nothing.
+fn quartiles(values: &[f64]) -> Value {
+    let part = |share| quantile(values, share);
+    json!({ "min": part(0.0), "q1": part(0.25), "median": part(0.5), "q3": part(0.75), "max": part(1.0) })
+}
+
+/// Outcomes, and where in the object's frame it is held.
+fn grasps(grasps: &[ListedGrasp]) -> Value {
+    let mut outcomes: BTreeMap<&str, u32> = BTreeMap::new();
+    for grasp in grasps {
+        *outcomes.entry(grasp.judged.outcome.as_str()).or_default() += 1;
+    }
+    let held: Vec<&ListedGrasp> = grasps
+        .iter()
+        .filter(|grasp| grasp.judged.outcome == GraspOutcome::Held)
+        .collect();
+    let axis = |axis: usize| -> Vec<f64> { held.iter().map(|g| g.transform.translation.vector[axis]).collect() };
+    let column = |value: fn(&ListedGrasp) -> f64| held.iter().map(|g| value(g)).collect::<Vec<f64>>();
+    let attitudes: Vec<_> = held.iter().map(|g| g.transform.rotation).collect();
+    json!({
+        "outcomes": outcomes,
+        "held": {
+            "x_m": quartiles(&axis(0)),
+            "y_m": quartiles(&axis(1)),
+            "z_m": quartiles(&axis(2)),
+            "angle_from_mean_rad": quartiles(&angles_from_mean(&attitudes)),
+            "finger_separation_m": quartiles(&column(|g| g.separation)),
+            "rigidity_residual_m": quartiles(&column(|g| g.judged.residual)),
+            "median_rise_m": median(&column(|g| g.judged.rise)),
+        },
+    })
+}
+
+/// Angles of orientations from their mean, which is the eigenvector of the largest eigenvalue of the sum of q qᵀ: the same for
+/// q and -q.
+fn angles_from_mean(attitudes: &[UnitQuaternion<f64>]) -> Vec<f64> {
+    let sum = attitudes
+        .iter()
+        .fold(Matrix4::zeros(), |sum, q| sum + q.coords * q.coords.transpose());
+    let eigen = SymmetricEigen::new(sum);
+    let mean = UnitQuaternion::new_normalize(Quaternion::from_vector(
+        eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned(),
+    ));
+    attitudes.iter().map(|attitude| attitude.angle_to(&mean)).collect()
+}

@@ -1,0 +1,154 @@
+//! The arrays of one demo, borrowed.
+
+use super::{Contradiction, Task};
+use crate::actions::Action;
+use crate::kinematics::{Model, Observed};
+
+/// Rows of numbers, one after the other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rows<'a> {
+    values: &'a [f64],
+    columns: usize,
+}
+
+impl<'a> Rows<'a> {
+    /// Rows of `columns` numbers; none where the numbers do not fill whole rows.
+    #[must_use]
+    pub fn new(values: &'a [f64], columns: usize) -> Option<Self> {
+        (columns > 0 && values.len().is_multiple_of(columns)).then_some(Self { values, columns })
+    }
+
+    /// Numbers of a row.
+    #[must_use]
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Number of rows.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.values.len() / self.columns
+    }
+
+    /// Whether there is no row.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.values.is_empty()
+    }
+
+    /// A row.
+    #[must_use]
+    pub fn row(&self, index: usize) -> &'a [f64] {
+        &self.values[index * self.columns..(index + 1) * self.columns]
+    }
+
+    /// All rows.
+    pub fn rows(&self) -> impl Iterator<Item = &'a [f64]> + use<'a> {
+        self.values.chunks_exact(self.columns)
+    }
+}
+
+/// One demo's arrays, a row for each action.
+#[derive(Debug, Clone, Copy)]
+pub struct DemoArrays<'a> {
+    /// Name for messages, e.g. `demo_12`.
+    pub name: &'a str,
+    /// `obs/robot0_eef_pos`: metres, world.
+    pub eef_pos: &'a [[f64; 3]],
+    /// `obs/robot0_eef_quat`.
+    pub eef_quat: &'a [[f64; 4]],
+    /// `obs/object`.
+    pub object: Option<Rows<'a>>,
+    /// `obs/robot0_gripper_qpos`: metres.
+    pub gripper_qpos: &'a [[f64; 2]],
+    /// `actions`.
+    pub actions: &'a [Action],
+    /// `obs/robot0_eef_vel_ang`: radians a second, world.
+    pub eef_vel_ang: Option<&'a [[f64; 3]]>,
+    /// `states`, used where `model` is there too.
+    pub states: Option<Rows<'a>>,
+    /// The demo's `model_file`, used where `states` are there too.
+    pub model: Option<&'a Model>,
+}
+
+/// A demo whose arrays are known to be of one length and finite, with what its states say.
+pub(super) struct Sound<'a> {
+    pub(super) arrays: DemoArrays<'a>,
+    /// Empty without states or model.
+    pub(super) observed: Vec<Observed>,
+}
+
+impl<'a> Sound<'a> {
+    pub(super) fn new(arrays: &DemoArrays<'a>, task: Task) -> Result<Self, Contradiction> {
+        let need = arrays.actions.len();
+        let length = |dataset: &'static str, rows: usize| {
+            if rows == need {
+                return Ok(());
+            }
+            Err(Contradiction::Length {
+                demo: arrays.name.to_owned(),
+                dataset,
+                rows,
+                need,
+            })
+        };
+        length("obs/robot0_eef_pos", arrays.eef_pos.len())?;
+        length("obs/robot0_eef_quat", arrays.eef_quat.len())?;
+        length("obs/robot0_gripper_qpos", arrays.gripper_qpos.len())?;
+        finite(arrays.name, "actions", arrays.actions)?;
+        finite(arrays.name, "obs/robot0_eef_pos", arrays.eef_pos)?;
+        finite(arrays.name, "obs/robot0_eef_quat", arrays.eef_quat)?;
+        finite(arrays.name, "obs/robot0_gripper_qpos", arrays.gripper_qpos)?;
+        if let Some(velocities) = arrays.eef_vel_ang {
+            length("obs/robot0_eef_vel_ang", velocities.len())?;
+            finite(arrays.name, "obs/robot0_eef_vel_ang", velocities)?;
+        }
+        if let Some(object) = arrays.object {
+            length("obs/object", object.len())?;
+            finite(arrays.name, "obs/object", object.rows())?;
+            if let Some(need) = task.object_columns().filter(|need| *need != object.columns()) {
+                return Err(Contradiction::Columns {
+                    demo: arrays.name.to_owned(),
+                    dataset: "obs/object",
+                    columns: object.columns(),
+                    need,
+                });
+            }
+        }
+        let mut observed = Vec::new();
+        if let (Some(states), Some(model)) = (arrays.states, arrays.model) {
+            length("states", states.len())?;
+            finite(arrays.name, "states", states.rows())?;
+            observed = model
+                .observe(states.rows(), task.object())
+                .map_err(|source| Contradiction::Kinematics {
+                    demo: arrays.name.to_owned(),
+                    source,
+                })?;
+        }
+        Ok(Self {
+            arrays: *arrays,
+            observed,
+        })
+    }
+}
+
+fn finite<R: AsRef<[f64]>>(
+    demo: &str,
+    dataset: &'static str,
+    rows: impl IntoIterator<Item = R>,
+) -> Result<(), Contradiction> {
+    for (frame, row) in rows.into_iter().enumerate() {
+        let row = row.as_ref();
+        if let Some(column) = row.iter().position(|value| !value.is_finite()) {
+            return Err(Contradiction::NotFinite {
+                demo: demo.to_owned(),
+                dataset,
+                frame,
+                column,
+                value: row[column],
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,307 @@
+//! Holding a file's conventions against one demo after the other.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::demo::Sound;
+use super::detect::{EXACT, FINGER_TRAVEL, NOT_EXPLAINED, UNEXPLAINED};
+use super::residuals::{self, Relation};
+use super::{ActionKind, Conventions, DemoArrays, GripperSign, RelativeLag, part};
+use crate::kinematics::KinematicsError;
+
+/// How far the norm of a stored quaternion may be from 1.
+pub const QUATERNION_TOLERANCE: f64 = 1e-3;
+/// How far a delta command may be beyond 1 by rounding.
+const COMMAND_TOLERANCE: f64 = 1e-6;
+
+/// A demo that does not follow the conventions of its file.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Contradiction {
+    /// An array with another number of rows than there are actions.
+    #[error("{demo}: {dataset} has {rows} rows, but there are {need} actions")]
+    Length {
+        /// The demo.
+        demo: String,
+        /// The dataset.
+        dataset: &'static str,
+        /// Its rows.
+        rows: usize,
+        /// Number of actions.
+        need: usize,
+    },
+    /// An array with another number of columns than its task has.
+    #[error("{demo}: {dataset} has {columns} columns, but the task's has {need}")]
+    Columns {
+        /// The demo.
+        demo: String,
+        /// The dataset.
+        dataset: &'static str,
+        /// Its columns.
+        columns: usize,
+        /// Columns of the task.
+        need: usize,
+    },
+    /// A number that is NaN or infinite.
+    #[error("{demo}: {dataset}[{frame}, {column}] is {value}, not a finite number")]
+    NotFinite {
+        /// The demo.
+        demo: String,
+        /// The dataset.
+        dataset: &'static str,
+        /// Row.
+        frame: usize,
+        /// Column.
+        column: usize,
+        /// The number.
+        value: f64,
+    },
+    /// States and model do not give poses.
+    #[error("{demo}: no poses from states and model_file: {source}")]
+    Kinematics {
+        /// The demo.
+        demo: String,
+        /// Why.
+        source: KinematicsError,
+    },
+    /// A number further from what it should be than the threshold.
+    #[error("{demo}: {dataset}, row {frame}: {what} by {measured:.3e}, more than {threshold:e}")]
+    Residual {
+        /// The demo.
+        demo: String,
+        /// The dataset and its columns, e.g. `obs/object[3:7]`.
+        dataset: String,
+        /// The row with the greatest residual.
+        frame: usize,
+        /// What is off.
+        what: &'static str,
+        /// How far.
+        measured: f64,
+        /// What is allowed.
+        threshold: f64,
+    },
+    /// A whole demo against a convention.
+    #[error("{demo}: {dataset}: {what}: {measured:.2}, more than {threshold}, over {frames} frames")]
+    Whole {
+        /// The demo.
+        demo: String,
+        /// The dataset.
+        dataset: &'static str,
+        /// What is off.
+        what: &'static str,
+        /// The measured share.
+        measured: f64,
+        /// What is allowed.
+        threshold: f64,
+        /// Frames that tell something.
+        frames: usize,
+    },
+}
+
+/// How well a demo follows the conventions: greatest residuals over its rows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct DemoResiduals {
+    /// Rows.
+    pub frames: usize,
+    /// Distance of the norm of `obs/robot0_eef_quat` from 1.
+    pub eef_quaternion_norm: f64,
+    /// Distance of the norms of the quaternions in `obs/object` from 1; none where they are not known.
+    pub object_quaternion_norm: Option<f64>,
+    /// Relative part of `obs/object` against the poses (metres or radians).
+    pub relative: Option<f64>,
+    /// End-effector pose against states and model (metres or radians).
+    pub eef_kinematics: Option<f64>,
+    /// Object pose against states and model (metres or radians).
+    pub object_kinematics: Option<f64>,
+    /// Finger joints against states and model (metres).
+    pub gripper_kinematics: Option<f64>,
+    /// How far the greatest delta action is beyond [-1, 1]; none for absolute actions.
+    pub beyond_range: Option<f64>,
+    /// Share of the finger travel against the gripper command; none where the fingers hardly move.
+    pub fingers_against: Option<f64>,
+    /// Share of the hand's motion that the actions leave unexplained; none where it hardly moves.
+    pub motion_unexplained: Option<f64>,
+}
+
+/// The greatest value and its row.
+fn greatest(values: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {
+    values.reduce(|best, next| if next.1.total_cmp(&best.1).is_gt() { next } else { best })
+}
+
+impl Conventions {
+    /// Holds these conventions against a demo, row by row.
+    ///
+    /// # Errors
+    /// The first dataset that is off, with the row where it is most off.
+    pub fn check(&self, demo: &DemoArrays<'_>) -> Result<DemoResiduals, Contradiction> {
+        let sound = Sound::new(demo, self.task)?;
+        let frames = demo.actions.len();
+        let within = |dataset: &str, what: &'static str, threshold: f64, worst: Option<(usize, f64)>| match worst {
+            Some((frame, measured)) if measured.is_nan() || measured > threshold => Err(Contradiction::Residual {
+                demo: demo.name.to_owned(),
+                dataset: dataset.to_owned(),
+                frame,
+                what,
+                measured,
+                threshold,
+            }),
+            other => Ok(other.map(|(_, measured)| measured)),
+        };
+        let mut result = DemoResiduals {
+            frames,
+            ..DemoResiduals::default()
+        };
+
+        let norms = demo.eef_quat.iter().map(norm_error).enumerate();
+        let what = "the norm of a quaternion differs from 1";
+        result.eef_quaternion_norm =
+            within("obs/robot0_eef_quat", what, QUATERNION_TOLERANCE, greatest(norms))?.unwrap_or_default();
+        for start in self.object_quaternions() {
+            let Some(rows) = demo.object else { continue };
+            let norms = (0..frames).filter_map(|t| Some((t, norm_error(&self.stored(rows.row(t), start, t)?))));
+            let dataset = format!("obs/object[{start}:{}]", start + 4);
+            let worst = within(&dataset, what, QUATERNION_TOLERANCE, greatest(norms))?;
+            result.object_quaternion_norm = larger(result.object_quaternion_norm, worst);
+        }
+        if self.action_kind == ActionKind::Delta {
+            let commands = demo.actions.iter().enumerate();
+            let beyond =
+                commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
+            let worst = greatest(beyond);
+            result.beyond_range = worst.map(|(_, beyond)| beyond.max(0.0));
+            if !self.allow_actions_beyond_range {
+                let what = "a delta action leaves [-1, 1] (allow_actions_beyond_range accepts it)";
+                within("actions", what, COMMAND_TOLERANCE, worst)?;
+            }
+        }
+        self.check_exact(&sound, &mut result, &within)?;
+        self.check_motion(&sound, &mut result)?;
+        Ok(result)
+    }
+
+    /// First columns of the quaternions in `obs/object`.
+    fn object_quaternions(self) -> impl Iterator<Item = usize> {
+        self.object_layout.into_iter().flat_map(|layout| {
+            let relative = (layout.columns() == 14).then(|| layout.relative_start() + 3);
+            [Some(layout.pose_start() + 3), relative].into_iter().flatten()
+        })
+    }
+
+    /// A stored quaternion; none for a relative one that robosuite 1.5 has not yet computed.
+    fn stored(self, row: &[f64], start: usize, frame: usize) -> Option<[f64; 4]> {
+        let layout = self.object_layout?;
+        let relative = layout.relative_start() + 3 == start;
+        if relative && layout.pending(row, frame) {
+            return None;
+        }
+        part(row, start)
+    }
+
+    /// Relations that hold to rounding.
+    fn check_exact(
+        self,
+        demo: &Sound<'_>,
+        result: &mut DemoResiduals,
+        within: &impl Fn(&str, &'static str, f64, Option<(usize, f64)>) -> Result<Option<f64>, Contradiction>,
+    ) -> Result<(), Contradiction> {
+        // What only a setting says is measured, but refuses nothing.
+        let exact = |proven: bool| if proven { EXACT } else { f64::INFINITY };
+        let each = |residual: &dyn Fn(usize) -> Option<f64>| {
+            greatest((0..demo.arrays.actions.len()).filter_map(|t| Some((t, residual(t)?))))
+        };
+        let worst = each(&|t| residuals::eef_kinematics(demo, t, self.eef_quaternion, self.eef_orientation));
+        let what = "the pose differs from the one that states and model_file give";
+        result.eef_kinematics = within(
+            "obs/robot0_eef_pos and robot0_eef_quat",
+            what,
+            exact(self.eef_proven),
+            worst,
+        )?;
+        let worst = each(&|t| {
+            let known = demo.observed.get(t)?.gripper_qpos?;
+            let stored = demo.arrays.gripper_qpos[t];
+            Some((known[0] - stored[0]).abs().max((known[1] - stored[1]).abs()))
+        });
+        let what = "the finger joints differ from those in states";
+        result.gripper_kinematics = within("obs/robot0_gripper_qpos", what, EXACT, worst)?;
+
+        let (Some(layout), Some(object)) = (self.object_layout, self.object_quaternion) else {
+            return Ok(());
+        };
+        let worst = each(&|t| residuals::object_kinematics(demo, t, layout, object));
+        let columns = |start: usize, end: usize| format!("obs/object[{start}:{end}]");
+        let start = layout.pose_start();
+        let what = "the object pose differs from the one that states and model_file give";
+        result.object_kinematics = within(&columns(start, start + 7), what, exact(self.object_proven), worst)?;
+        let relation = |lag: RelativeLag| Relation {
+            layout,
+            object,
+            eef: self.eef_quaternion,
+            frame: self.eef_orientation,
+            lag,
+        };
+        let (late, current) = (relation(self.relative_lag), relation(RelativeLag::Current));
+        let worst = each(&|t| {
+            let late = residuals::relative(demo, t, late)?;
+            // A late part is current again after a second look at the same state.
+            let current = residuals::relative(demo, t, current)?;
+            Some(late.min(current))
+        });
+        let start = layout.relative_start();
+        let end = if layout.columns() == 14 { start + 7 } else { start + 3 };
+        let what = "the relative part differs from what object and end-effector pose give";
+        result.relative = within(&columns(start, end), what, exact(self.object_proven), worst)?;
+        Ok(())
+    }
+
+    /// Shares over the whole demo.
+    fn check_motion(self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
+        let refuse = |dataset: &'static str, what: &'static str, measured: f64, threshold: f64, frames: usize| {
+            Err(Contradiction::Whole {
+                demo: demo.arrays.name.to_owned(),
+                dataset,
+                what,
+                measured,
+                threshold,
+                frames,
+            })
+        };
+        let mut fingers = residuals::finger_travel(demo);
+        if self.gripper_sign == GripperSign::PositiveOpens {
+            fingers = fingers.complement();
+        }
+        if fingers.total() >= FINGER_TRAVEL {
+            let against = fingers.value();
+            result.fingers_against = Some(against);
+            if against > 0.5 {
+                let what = "the fingers move against the gripper command, as a share of their travel";
+                return refuse("actions[:, 6]", what, against, 0.5, fingers.frames);
+            }
+        }
+        let kinds = residuals::motion(demo);
+        let other = match self.action_kind {
+            ActionKind::Delta => ActionKind::Absolute,
+            ActionKind::Absolute => ActionKind::Delta,
+        };
+        if kinds.frames() >= 20 {
+            let own = kinds.unexplained(self.action_kind);
+            result.motion_unexplained = Some(own);
+            if own > NOT_EXPLAINED && kinds.unexplained(other) <= UNEXPLAINED {
+                let what = "the actions are of the other kind (delta or absolute): motion left unexplained, as a share";
+                return refuse("actions[:, 0:6]", what, own, NOT_EXPLAINED, kinds.frames());
+            }
+        }
+        Ok(())
+    }
+}
+
+fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.max(b)),
+        (a, b) => a.or(b),
+    }
+}
+
+fn norm_error(quaternion: &[f64; 4]) -> f64 {
+    (quaternion.iter().map(|value| value * value).sum::<f64>().sqrt() - 1.0).abs()
+}

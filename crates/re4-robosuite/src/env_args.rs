@@ -1,0 +1,222 @@
+//! Attributes that say how demonstrations were recorded.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use thiserror::Error;
+
+use crate::conventions::ActionKind;
+
+/// Why an attribute cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum EnvArgsError {
+    /// The text is not JSON.
+    #[error("the attribute {attribute} is not readable as JSON: {reason}")]
+    Json {
+        /// `env_args` or `env_info`.
+        attribute: &'static str,
+        /// The parser's own words.
+        reason: String,
+    },
+    /// The JSON lacks the environment's name.
+    #[error("the attribute {attribute} has no env_name, so the task is unknown")]
+    NoName {
+        /// `env_args` or `env_info`.
+        attribute: &'static str,
+    },
+    /// An entry is not what it should be.
+    #[error("the attribute {attribute} has {entry} = {found}, not {need}")]
+    Entry {
+        /// `env_args` or `env_info`.
+        attribute: &'static str,
+        /// The entry.
+        entry: &'static str,
+        /// What is there.
+        found: String,
+        /// What should be.
+        need: &'static str,
+    },
+}
+
+/// The arm's controller as the file declares it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Controller {
+    /// `OSC_POSE`, `JOINT_POSITION`, ...
+    pub kind: Option<String>,
+    /// Least command of each axis (3 translations, 3 rotations).
+    pub input_min: [f64; 6],
+    /// Greatest command of each axis.
+    pub input_max: [f64; 6],
+    /// What the least command means, in metres and radians a step; none where it is not declared.
+    pub output_min: Option<[f64; 6]>,
+    /// What the greatest command means, in metres and radians a step; none where it is not declared.
+    pub output_max: Option<[f64; 6]>,
+    /// Delta or absolute, by `control_delta` (1.4) or `input_type` (1.5). Converted files keep it as it was: a declaration,
+    /// no proof.
+    pub declared: Option<ActionKind>,
+    /// `world` or `base` (1.5 only).
+    pub input_ref_frame: Option<String>,
+}
+
+/// What a file says of itself. Everything but the name of the environment may be missing.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct EnvArgs {
+    /// robosuite's name of the environment, e.g. `PickPlaceCan`.
+    pub env_name: String,
+    /// robosuite's version, e.g. `1.4.1`.
+    pub env_version: Option<String>,
+    /// Robots, e.g. `Panda`.
+    pub robots: Vec<String>,
+    /// Actions per second.
+    pub control_freq: Option<f64>,
+    /// The first arm's controller.
+    pub controller: Option<Controller>,
+}
+
+impl EnvArgs {
+    /// Reads robomimic's attribute `env_args` of `/data`.
+    ///
+    /// # Errors
+    /// When it is no JSON, lacks `env_name`, or an entry that is read has another type than it should.
+    pub fn parse(json: &str) -> Result<Self, EnvArgsError> {
+        let attribute = "env_args";
+        let value = read(attribute, json)?;
+        let version = string(&value["env_version"]);
+        Self::from_parts(attribute, string(&value["env_name"]), version, &value["env_kwargs"])
+    }
+
+    /// Reads the attributes of a raw robosuite file: `env`, `env_info` and `repository_version` of `/data`.
+    ///
+    /// # Errors
+    /// As [`EnvArgs::parse`].
+    pub fn parse_raw(
+        env: Option<&str>,
+        env_info: Option<&str>,
+        repository_version: Option<&str>,
+    ) -> Result<Self, EnvArgsError> {
+        let attribute = "env_info";
+        let value = env_info.map_or(Ok(Value::Null), |json| read(attribute, json))?;
+        let name = env.map(str::to_owned).or_else(|| string(&value["env_name"]));
+        Self::from_parts(attribute, name, repository_version.map(str::to_owned), &value)
+    }
+
+    fn from_parts(
+        attribute: &'static str,
+        name: Option<String>,
+        env_version: Option<String>,
+        kwargs: &Value,
+    ) -> Result<Self, EnvArgsError> {
+        let env_name = name
+            .filter(|name| !name.is_empty())
+            .ok_or(EnvArgsError::NoName { attribute })?;
+        let robots = match &kwargs["robots"] {
+            Value::String(robot) => vec![robot.clone()],
+            Value::Array(robots) => robots.iter().filter_map(string).collect(),
+            _ => Vec::new(),
+        };
+        let control_freq = match &kwargs["control_freq"] {
+            Value::Null => None,
+            value => match value.as_f64().filter(|freq| freq.is_finite() && *freq > 0.0) {
+                Some(freq) => Some(freq),
+                None => return entry(attribute, "control_freq", value, "a number above zero"),
+            },
+        };
+        let configs = match &kwargs["controller_configs"] {
+            Value::Array(configs) => configs.first().unwrap_or(&Value::Null),
+            value => value,
+        };
+        let controller = match configs {
+            Value::Object(_) => Some(controller(attribute, configs)?),
+            _ => None,
+        };
+        Ok(Self {
+            env_name,
+            env_version,
+            robots,
+            control_freq,
+            controller,
+        })
+    }
+
+    /// Major and minor number of the declared robosuite version.
+    #[must_use]
+    pub fn version(&self) -> Option<(u32, u32)> {
+        let mut parts = self.env_version.as_deref()?.trim_start_matches('v').split('.');
+        Some((parts.next()?.parse().ok()?, parts.next()?.parse().ok()?))
+    }
+}
+
+fn read(attribute: &'static str, json: &str) -> Result<Value, EnvArgsError> {
+    serde_json::from_str(json).map_err(|error| EnvArgsError::Json {
+        attribute,
+        reason: error.to_string(),
+    })
+}
+
+fn string(value: &Value) -> Option<String> {
+    value.as_str().map(str::to_owned)
+}
+
+fn entry<T>(
+    attribute: &'static str,
+    entry: &'static str,
+    found: &Value,
+    need: &'static str,
+) -> Result<T, EnvArgsError> {
+    let mut found = found.to_string();
+    if found.chars().count() > 60 {
+        found = found.chars().take(60).chain("...".chars()).collect();
+    }
+    Err(EnvArgsError::Entry {
+        attribute,
+        entry,
+        found,
+        need,
+    })
+}
+
+/// The controller's table: flat in robosuite 1.4, below `body_parts.right` (or the only part) in 1.5.
+fn controller(attribute: &'static str, configs: &Value) -> Result<Controller, EnvArgsError> {
+    let parts = &configs["body_parts"];
+    let arm = match parts {
+        Value::Object(table) => [parts.get("right"), parts.get("arms").and_then(|arms| arms.get("right"))]
+            .into_iter()
+            .flatten()
+            .next()
+            .or_else(|| table.values().next())
+            .unwrap_or(configs),
+        _ => configs,
+    };
+    let kind = string(&arm["type"]);
+    let limit = |name: &'static str| six(attribute, name, &arm[name]);
+    let declared = match (arm["control_delta"].as_bool(), arm["input_type"].as_str()) {
+        (_, Some("absolute")) | (Some(false), None) => Some(ActionKind::Absolute),
+        (_, Some("delta")) | (Some(true), None) => Some(ActionKind::Delta),
+        _ => None,
+    };
+    Ok(Controller {
+        kind,
+        input_min: limit("input_min")?.unwrap_or([-1.0; 6]),
+        input_max: limit("input_max")?.unwrap_or([1.0; 6]),
+        output_min: limit("output_min")?,
+        output_max: limit("output_max")?,
+        declared,
+        input_ref_frame: string(&arm["input_ref_frame"]),
+    })
+}
+
+/// Six finite numbers, or one for all; none where nothing is declared or the controller has another number of axes.
+fn six(attribute: &'static str, name: &'static str, value: &Value) -> Result<Option<[f64; 6]>, EnvArgsError> {
+    match value {
+        Value::Null => Ok(None),
+        Value::Number(number) => Ok(number.as_f64().map(|number| [number; 6])),
+        Value::Array(values) => {
+            let numbers: Option<Vec<f64>> = values.iter().map(Value::as_f64).collect();
+            match numbers {
+                Some(numbers) => Ok(numbers.try_into().ok()),
+                None => entry(attribute, name, value, "numbers"),
+            }
+        }
+        _ => entry(attribute, name, value, "a number or six of them"),
+    }
+}

@@ -1,0 +1,135 @@
+//! Finding the robot and the objects in models of different robosuite versions.
+//!
+//! | robosuite | grip site | hand body | finger joints | cube |
+//! |---|---|---|---|---|
+//! | 1.0.1 | `gripper0_grip_site` | `robot0_right_hand` | `gripper0_finger_joint1`, `2` | `cube` |
+//! | 1.4.1 | `gripper0_grip_site` | `robot0_right_hand` | `gripper0_finger_joint1`, `2` | `cube_main` |
+//! | 1.5.1 | `gripper0_right_grip_site` | `robot0_right_hand` | `gripper0_right_finger_joint1`, `2` | `cube_main` |
+
+use super::{BodyId, JointKind, KinematicsError, Model, SiteId};
+
+/// Where a robot's hand is in a model.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Robot {
+    /// The site whose position is `robot0_eef_pos` and whose pose the controller steers.
+    pub grip_site: SiteId,
+    /// The body whose orientation is `robot0_eef_quat`.
+    pub hand: BodyId,
+    /// Indices in `qpos` of the two finger joints, in the order of `robot0_gripper_qpos`; none for hands with other than two
+    /// sliding fingers.
+    pub fingers: Option<[usize; 2]>,
+}
+
+impl Robot {
+    /// The numbers that `robot0_gripper_qpos` holds, in metres; none for hands with other than two sliding fingers.
+    #[must_use]
+    pub fn gripper_qpos(&self, qpos: &[f64]) -> Option<[f64; 2]> {
+        let [first, second] = self.fingers?;
+        Some([*qpos.get(first)?, *qpos.get(second)?])
+    }
+}
+
+/// The index of the only name among `names` that is one of `exact`, else of the only one that ends with `suffix`.
+fn find<'a>(
+    what: &str,
+    names: impl Iterator<Item = &'a str> + Clone,
+    exact: &[String],
+    suffix: &str,
+) -> Result<usize, KinematicsError> {
+    for name in exact {
+        if let Some(index) = names.clone().position(|candidate| candidate == name) {
+            return Ok(index);
+        }
+    }
+    let ending: Vec<usize> = names
+        .clone()
+        .enumerate()
+        .filter(|(_, name)| name.ends_with(suffix))
+        .map(|(index, _)| index)
+        .collect();
+    if let [index] = ending[..] {
+        return Ok(index);
+    }
+    Err(KinematicsError::Missing {
+        what: what.to_owned(),
+        sought: format!("{} and for the only name that ends with {suffix}", exact.join(", ")),
+        present: listed(names),
+    })
+}
+
+/// Names for an error message, at most twelve.
+pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.filter(|name| !name.is_empty()).collect();
+    match names.len() {
+        0 => "none with a name".to_owned(),
+        1..=12 => names.join(", "),
+        more => format!("{} and {} more", names[..12].join(", "), more - 12),
+    }
+}
+
+impl Model {
+    /// The robot with this number, 0 for the only one.
+    ///
+    /// # Errors
+    /// When the grip site or the hand is under no known name, or under several.
+    pub fn robot(&self, number: usize) -> Result<Robot, KinematicsError> {
+        let sites = self.sites.iter().map(|site| site.name.as_str());
+        let bodies = self.bodies.iter().map(|body| body.name.as_str());
+        let grip_site = find(
+            &format!("grip site of robot {number}"),
+            sites,
+            &[
+                format!("gripper{number}_grip_site"),
+                format!("gripper{number}_right_grip_site"),
+            ],
+            "grip_site",
+        )?;
+        let hand = find(
+            &format!("hand body of robot {number}"),
+            bodies,
+            &[format!("robot{number}_right_hand")],
+            "right_hand",
+        )?;
+        // Fingers hang below the hand, whatever their names.
+        let below = |mut body: usize| {
+            while body > hand {
+                body = self.bodies[body].parent;
+            }
+            body == hand
+        };
+        let bodies = self.bodies.iter().enumerate();
+        let joints: Vec<_> = bodies
+            .filter(|(index, _)| *index != hand && below(*index))
+            .flat_map(|(_, body)| &body.joints)
+            .collect();
+        let fingers = match joints[..] {
+            [first, second] if first.kind == JointKind::Slide && second.kind == JointKind::Slide => {
+                Some([first.address, second.address])
+            }
+            _ => None,
+        };
+        Ok(Robot {
+            grip_site: SiteId(grip_site),
+            hand: BodyId(hand),
+            fingers,
+        })
+    }
+
+    /// The free body of an object by the name that its observations have: `cube`, `Can`, `SquareNut`.
+    ///
+    /// # Errors
+    /// When no free body has the name, with or without robosuite's endings `_main` and `0`.
+    pub fn object(&self, name: &str) -> Result<BodyId, KinematicsError> {
+        for ending in ["_main", "", "0"] {
+            let wanted = format!("{name}{ending}");
+            if let Some((body, _)) = self.free_bodies().find(|(_, body)| *body == wanted) {
+                return Ok(body);
+            }
+        }
+        Err(KinematicsError::Missing {
+            what: format!("free body of the object {name}"),
+            sought: format!("{name}_main, {name} and {name}0"),
+            present: listed(self.free_bodies().map(|(_, name)| name)),
+        })
+    }
+}

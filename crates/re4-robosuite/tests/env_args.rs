@@ -1,0 +1,103 @@
+//! What files say of themselves, in the forms of different versions.
+#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+
+use re4_robosuite::actions::Osc;
+use re4_robosuite::conventions::ActionKind;
+use re4_robosuite::env_args::EnvArgs;
+
+#[test]
+fn the_flat_controller_of_1_4() {
+    let env = EnvArgs::parse(
+        r#"{"env_name": "PickPlaceCan", "env_version": "1.4.1", "type": 1, "env_kwargs": {"control_freq": 20,
+            "robots": ["Panda"], "controller_configs": {"type": "OSC_POSE", "input_max": 1, "input_min": -1,
+            "output_max": [0.05, 0.05, 0.05, 0.5, 0.5, 0.5], "output_min": [-0.05, -0.05, -0.05, -0.5, -0.5, -0.5],
+            "control_delta": true}}}"#,
+    )
+    .unwrap();
+    assert_eq!(env.version(), Some((1, 4)));
+    assert_eq!(
+        (env.env_name.as_str(), env.robots.as_slice(), env.control_freq),
+        ("PickPlaceCan", &["Panda".to_owned()][..], Some(20.0))
+    );
+    let controller = env.controller.clone().unwrap();
+    assert_eq!(controller.declared, Some(ActionKind::Delta));
+    assert_eq!(controller.output_max, Some([0.05, 0.05, 0.05, 0.5, 0.5, 0.5]));
+    assert_eq!(Osc::from_env(&env).unwrap(), Osc::symmetric(0.05, 0.5).unwrap());
+}
+
+#[test]
+fn the_nested_controller_of_1_5() {
+    let text = |input: &str| {
+        format!(
+            r#"{{"env_name": "Lift", "env_version": "1.5.1", "env_kwargs": {{"robots": "Panda", "controller_configs":
+            {{"type": "BASIC", "body_parts": {{"left": {{"type": "OSC_POSE", "output_max": 9}}, "right": {{"type": "OSC_POSE",
+            "input_max": 1, "input_min": -1, "output_max": [0.05, 0.05, 0.05, 0.5, 0.5, 0.5],
+            "output_min": [-0.05, -0.05, -0.05, -0.5, -0.5, -0.5], "input_type": "{input}", "input_ref_frame": "base",
+            "gripper": {{"type": "GRIP"}}}}}}}}}}}}"#
+        )
+    };
+    for (input, kind) in [("delta", ActionKind::Delta), ("absolute", ActionKind::Absolute)] {
+        let env = EnvArgs::parse(&text(input)).unwrap();
+        assert_eq!(env.robots, ["Panda"]);
+        assert_eq!(env.version(), Some((1, 5)));
+        let controller = env.controller.clone().unwrap();
+        assert_eq!(
+            (controller.declared, controller.input_ref_frame.as_deref()),
+            (Some(kind), Some("base"))
+        );
+        assert_eq!(Osc::from_env(&env).unwrap(), Osc::symmetric(0.05, 0.5).unwrap());
+    }
+}
+
+#[test]
+fn the_attributes_of_raw_files() {
+    let info = r#"{"env_name": "Lift", "robots": "Panda", "controller_configs": {"type": "OSC_POSE", "output_max": 0.05,
+        "control_delta": false}}"#;
+    let env = EnvArgs::parse_raw(Some("Lift"), Some(info), Some("1.0.0")).unwrap();
+    assert_eq!(
+        (env.env_name.as_str(), env.version(), env.control_freq),
+        ("Lift", Some((1, 0)), None)
+    );
+    assert_eq!(env.controller.unwrap().declared, Some(ActionKind::Absolute));
+    let bare = EnvArgs::parse_raw(Some("Door"), None, None).unwrap();
+    assert_eq!(
+        (bare.env_name.as_str(), bare.version(), bare.controller),
+        ("Door", None, None)
+    );
+    assert_eq!(EnvArgs::parse_raw(None, Some(info), None).unwrap().env_name, "Lift");
+    assert!(EnvArgs::parse_raw(None, None, None).is_err());
+}
+
+#[test]
+fn what_is_missing_is_missing_and_what_is_wrong_is_said() {
+    let env = EnvArgs::parse(r#"{"env_name": "ToolHang"}"#).unwrap();
+    assert_eq!((env.env_version, env.controller, env.robots.len()), (None, None, 0));
+    // Six axes of another controller are not those of a pose.
+    let joints =
+        EnvArgs::parse(r#"{"env_name": "A", "env_kwargs": {"controller_configs": {"output_max": [1, 2]}}}"#).unwrap();
+    assert_eq!(joints.controller.unwrap().output_max, None);
+    for (text, part) in [
+        ("", "not readable as JSON"),
+        ("[]", "no env_name"),
+        (r#"{"env_name": 3}"#, "no env_name"),
+        (
+            r#"{"env_name": "A", "env_kwargs": {"control_freq": 0}}"#,
+            "control_freq = 0, not a number above zero",
+        ),
+        (
+            r#"{"env_name": "A", "env_kwargs": {"controller_configs": {"output_max": "big"}}}"#,
+            "output_max = \"big\"",
+        ),
+        (
+            r#"{"env_name": "A", "env_kwargs": {"controller_configs": {"input_min": [1, null]}}}"#,
+            "input_min = [1,null]",
+        ),
+    ] {
+        let error = EnvArgs::parse(text).unwrap_err().to_string();
+        assert!(error.contains(part), "{error:?} has not {part:?}");
+    }
+    for version in ["", "1", "one.two", "v"] {
+        let env = EnvArgs::parse_raw(Some("A"), None, Some(version)).unwrap();
+        assert_eq!(env.version(), None);
+    }
+}

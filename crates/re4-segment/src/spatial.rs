@@ -1,0 +1,298 @@
+//! Segmentation of demonstrations of an arm with a two-finger gripper.
+
+use nalgebra::Isometry3;
+use re4_episode::{Mode, Segment, SpatialEpisode, SpatialFrame, segments};
+
+use crate::config::{Command, GripperConfig, Rule, SegmentConfig};
+use crate::error::SegmentError;
+use crate::motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
+
+/// Modes, evidence and segments of one demonstration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SegmentedSpatial {
+    /// Mode of every frame.
+    pub modes: Vec<Mode>,
+    /// Evidence for or against it, one a frame, whichever rule gave the modes.
+    pub evidence: Vec<SpatialEvidence>,
+    /// Maximal runs of one mode, in the order of time.
+    pub segments: Vec<SpatialSegment>,
+    /// The grasp frame g(d): the first transfer frame, if there is one (paper, appendix, "Anchors").
+    pub grasp_frame: Option<usize>,
+}
+
+/// What can be measured at one frame. Steps, turns and speeds lead to the next frame; they are absent at the last one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpatialEvidence {
+    /// Whether the gripper command of the action at this frame closes.
+    pub command_closes: bool,
+    /// Distance between the fingers, in m.
+    pub finger_separation: f64,
+    /// Change of that distance, below 0 while closing.
+    pub finger_speed: Option<f64>,
+    /// Distance that the end effector moves.
+    pub eef_step: Option<f64>,
+    /// Angle that the end effector turns, geodesic.
+    pub eef_turn: Option<f64>,
+    /// Distance that the object's origin moves.
+    pub object_step: Option<f64>,
+    /// Angle that the object turns, geodesic.
+    pub object_turn: Option<f64>,
+    /// Distance that the end effector moves as seen from the object.
+    pub relative_translation: Option<f64>,
+    /// Angle that the end effector turns as seen from the object.
+    pub relative_rotation: Option<f64>,
+    /// Distance from the grip site to the object's origin.
+    pub eef_object_distance: f64,
+    /// Whether the object moves or turns further than the configured thresholds.
+    pub object_moving: Option<bool>,
+    /// Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is
+    /// fixed to the end effector.
+    pub holds: bool,
+}
+
+/// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
+/// one, or to the last of the episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpatialSegment {
+    /// Mode and frames.
+    pub segment: Segment,
+    /// Anchor p*_d of the demonstration, world frame: the end effector at the grasp frame. Absent in segments after the first
+    /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
+    pub anchor: Option<Isometry3<f64>>,
+    /// First frame of a transfer segment at which the fingers have stopped closing.
+    pub settled_frame: Option<usize>,
+    /// What a transfer segment should preserve; absent in transit.
+    pub grasp: Option<Grasp>,
+    /// Distance from where the object's origin was at the start of the segment to where it is at its end.
+    pub object_displacement: f64,
+    /// Height of the object's origin at the end of the segment over that at its start.
+    pub object_rise: f64,
+    /// Angle between the object's orientations at the start and at the end, in [0, pi].
+    pub object_rotation: f64,
+    /// Sum of the object's steps over the segment.
+    pub object_path: f64,
+}
+
+/// The end effector in the object's frame, and how far it strays from there within a transfer segment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grasp {
+    /// The end effector in the object's frame at the settled frame, or at the first one where the fingers never stop.
+    pub transform: Isometry3<f64>,
+    /// Distance between the fingers there.
+    pub finger_separation: f64,
+    /// Largest distance from the transform, from there to the end of the segment.
+    pub residual: f64,
+    /// Largest angle, likewise.
+    pub residual_rotation: f64,
+}
+
+/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the facts of every segment.
+/// Lengths are in metres, angles in radians; but for the anchor and the rise, nothing depends on the choice of the world frame.
+///
+/// # Errors
+/// [`SegmentError::Config`] when a threshold is out of range, [`SegmentError::Empty`] when there is no frame,
+/// [`SegmentError::NotFinite`] when a coordinate of a pose or a finger is not a finite number.
+pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Result<SegmentedSpatial, SegmentError> {
+    config.check()?;
+    let frames = &episode.frames;
+    if frames.is_empty() {
+        return Err(SegmentError::Empty {
+            episode: episode.source,
+        });
+    }
+    check_finite(episode)?;
+    let gripper = config.gripper.clone().unwrap_or_default();
+    let pairs: Vec<SpatialPair> = frames.iter().map(pair).collect();
+    let steps: Vec<StepMotion> = pairs
+        .iter()
+        .zip(pairs.iter().skip(1))
+        .map(|(now, next)| now.step_to(next))
+        .collect();
+    let modes = match config.rule {
+        Rule::AlwaysTransit => vec![Mode::Transit; frames.len()],
+        Rule::RigidMotion => rigid_motion_modes(&pairs, config),
+        Rule::GripperCommand => command_modes(frames, gripper.command),
+    };
+    let evidence = evidence(frames, &steps, config, &gripper);
+    let grasp_frame = modes.iter().position(|&mode| mode == Mode::Transfer);
+    let segments = segments(&modes)
+        .into_iter()
+        .map(|segment| {
+            let anchor = grasp_frame
+                .filter(|&grasp| segment.frames.start <= grasp)
+                .and_then(|grasp| frames.get(grasp))
+                .map(|frame| frame.eef);
+            facts(segment, frames, &steps, &evidence, anchor, gripper.still)
+        })
+        .collect();
+    Ok(SegmentedSpatial {
+        modes,
+        evidence,
+        segments,
+        grasp_frame,
+    })
+}
+
+fn pair(frame: &SpatialFrame) -> SpatialPair {
+    SpatialPair {
+        eef: frame.eef,
+        object: frame.object,
+    }
+}
+
+fn command_modes(frames: &[SpatialFrame], command: Command) -> Vec<Mode> {
+    let closes = frames.iter().map(|frame| frame.closes);
+    let commands: Vec<bool> = match command {
+        Command::Current => closes.collect(),
+        Command::Last => std::iter::once(false).chain(closes).take(frames.len()).collect(),
+    };
+    commands
+        .into_iter()
+        .map(|closes| if closes { Mode::Transfer } else { Mode::Transit })
+        .collect()
+}
+
+fn check_finite(episode: &SpatialEpisode) -> Result<(), SegmentError> {
+    for (i, frame) in episode.frames.iter().enumerate() {
+        let (eef, object) = (&frame.eef, &frame.object);
+        for (column, value) in [
+            ("eef position", eef.translation.vector.sum()),
+            ("eef orientation", eef.rotation.coords.sum()),
+            ("object position", object.translation.vector.sum()),
+            ("object orientation", object.rotation.coords.sum()),
+            ("finger position", frame.finger_separation()),
+        ] {
+            if !value.is_finite() {
+                return Err(SegmentError::NotFinite {
+                    episode: episode.source,
+                    frame: i,
+                    column,
+                    value,
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn evidence(
+    frames: &[SpatialFrame],
+    steps: &[StepMotion],
+    config: &SegmentConfig,
+    gripper: &GripperConfig,
+) -> Vec<SpatialEvidence> {
+    let separations: Vec<f64> = frames.iter().map(SpatialFrame::finger_separation).collect();
+    let speeds: Vec<f64> = separations
+        .iter()
+        .zip(separations.iter().skip(1))
+        .map(|(now, next)| next - now)
+        .collect();
+    let told_to_close = command_modes(frames, Command::Last);
+    frames
+        .iter()
+        .enumerate()
+        .map(|(i, frame)| {
+            // At the last frame, what the step before says still stands.
+            let around = i.min(steps.len().saturating_sub(1));
+            let stopped = speeds.get(around).is_none_or(|speed| speed.abs() < gripper.still);
+            let fixed = steps.get(around).is_none_or(|step| {
+                step.relative_translation < config.translation_epsilon
+                    && step
+                        .relative_rotation
+                        .is_none_or(|angle| angle < config.rotation_epsilon)
+            });
+            SpatialEvidence {
+                command_closes: frame.closes,
+                finger_separation: separations[i],
+                finger_speed: speeds.get(i).copied(),
+                eef_step: steps.get(i).map(|step| step.eef_translation),
+                eef_turn: frames.get(i + 1).map(|next| frame.eef.rotation.angle_to(&next.eef.rotation)),
+                object_step: steps.get(i).map(|step| step.object_translation),
+                object_turn: steps.get(i).map(|step| step.object_rotation),
+                relative_translation: steps.get(i).map(|step| step.relative_translation),
+                relative_rotation: steps.get(i).and_then(|step| step.relative_rotation),
+                eef_object_distance: (frame.eef.translation.vector - frame.object.translation.vector).norm(),
+                object_moving: steps.get(i).map(|step| step.object_moves(config)),
+                holds: told_to_close[i] == Mode::Transfer && separations[i] > gripper.closed && stopped && fixed,
+            }
+        })
+        .collect()
+}
+
+/// Frames that the fingers are given to start after the command.
+const START_OF_FINGERS: usize = 3;
+
+/// First frame of a transfer segment from which on the fingers do not close any further: they have moved before, or have had
+/// the time to.
+fn settled(evidence: &[SpatialEvidence], segment: &Segment, still: f64) -> Option<usize> {
+    let mut closing_seen = false;
+    for i in segment.frames.clone() {
+        match evidence.get(i).and_then(|e| e.finger_speed) {
+            // Nothing follows on the last frame.
+            None => return None,
+            Some(speed) if speed <= -still => closing_seen = true,
+            Some(_) if closing_seen || i >= segment.frames.start + START_OF_FINGERS => return Some(i),
+            Some(_) => {}
+        }
+    }
+    None
+}
+
+fn facts(
+    segment: Segment,
+    frames: &[SpatialFrame],
+    steps: &[StepMotion],
+    evidence: &[SpatialEvidence],
+    anchor: Option<Isometry3<f64>>,
+    still: f64,
+) -> SpatialSegment {
+    let range = segment.frames.clone();
+    // The step of its last frame leads to the frame after it, and belongs to the segment too.
+    let reached: Vec<&SpatialFrame> = frames.iter().skip(range.start).take(range.len() + 1).collect();
+    let transfer = segment.mode == Mode::Transfer;
+    let settled_frame = transfer.then(|| settled(evidence, &segment, still)).flatten();
+    let held = settled_frame.unwrap_or(range.start) - range.start;
+    let grasp = reached.get(held).filter(|_| transfer).map(|frame| {
+        let transform = seen(frame);
+        let strayed: Vec<Isometry3<f64>> = reached.iter().skip(held).map(|frame| seen(frame)).collect();
+        Grasp {
+            transform,
+            finger_separation: frame.finger_separation(),
+            residual: strayed
+                .iter()
+                .map(|seen| (seen.translation.vector - transform.translation.vector).norm())
+                .fold(0.0, f64::max),
+            residual_rotation: strayed
+                .iter()
+                .map(|seen| seen.rotation.angle_to(&transform.rotation))
+                .fold(0.0, f64::max),
+        }
+    });
+    let (displacement, rotation) = match (reached.first(), reached.last()) {
+        (Some(first), Some(last)) => (
+            last.object.translation.vector - first.object.translation.vector,
+            first.object.rotation.angle_to(&last.object.rotation),
+        ),
+        _ => (nalgebra::Vector3::zeros(), 0.0),
+    };
+    SpatialSegment {
+        anchor,
+        settled_frame,
+        grasp,
+        object_displacement: displacement.norm(),
+        object_rise: displacement.z,
+        object_rotation: rotation,
+        object_path: steps
+            .iter()
+            .skip(range.start)
+            .take(range.len())
+            .map(|step| step.object_translation)
+            .sum(),
+        segment,
+    }
+}
+
+/// The end effector in the object's frame.
+fn seen(frame: &SpatialFrame) -> Isometry3<f64> {
+    frame.object.inv_mul(&frame.eef)
+}
