@@ -38,7 +38,7 @@ for target in "$@"; do
         new="fuzz/target/merged/$target"
         rm -rf "$new"
         mkdir -p "$new"
-        cargo fuzz run --sanitizer none "$target" "$new" "$kept" "$found" -- -merge=1 -timeout=10 -rss_limit_mb=2048
+        cargo fuzz run --sanitizer none "$target" "$new" "$kept" "$found" -- -set_cover_merge=1 -use_counters=0 -timeout=10 -rss_limit_mb=2048
         rm -rf "$kept"
         mv "$new" "$kept"
         continue

@@ -12,9 +12,9 @@ use arrow::compute::concat_batches;
 use arrow::datatypes::{Schema, SchemaRef};
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder, RowSelection,
-    RowSelector,
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder,
 };
+use parquet::errors::ParquetError;
 
 use crate::contained::contained;
 use crate::disk::hash_file;
@@ -280,7 +280,7 @@ impl Table {
     /// # Errors
     /// As all reads: [`ArtifactError::Io`] and [`ArtifactError::Parquet`].
     pub fn read_all(&self) -> Result<RecordBatch, ArtifactError> {
-        self.collect(self.reader(None)?, &self.schema())
+        self.collect(self.reader(None)?, &self.schema(), None)
     }
 
     /// All rows of some columns, as one batch with the columns in the order asked for.
@@ -305,7 +305,7 @@ impl Table {
         let file_columns = self.metadata.schema().fields();
         let chosen = (0..file_columns.len()).filter(|&i| columns.contains(&file_columns[i].name().as_str()));
         let mask = ProjectionMask::roots(self.metadata.parquet_schema(), chosen);
-        self.collect(self.reader(None)?.with_projection(mask), &schema)
+        self.collect(self.reader(None)?.with_projection(mask), &schema, None)
     }
 
     /// The rows of one row group.
@@ -318,7 +318,7 @@ impl Table {
             let first = (group as u64).saturating_mul(size);
             return Err(self.out_of_range(&(first..first.saturating_add(size))));
         }
-        self.collect(self.reader(Some(vec![group]))?, &self.schema())
+        self.collect(self.reader(Some(vec![group]))?, &self.schema(), None)
     }
 
     /// Some rows; only the row groups that hold them are touched.
@@ -337,12 +337,11 @@ impl Table {
             .map(|g| g as usize)
             .collect();
         let before = (rows.start % size) as usize;
-        let selection = RowSelection::from(vec![
-            RowSelector::skip(before),
-            RowSelector::select((rows.end - rows.start) as usize),
-        ]);
-        let reader = self.reader(Some(groups))?.with_row_selection(selection);
-        self.collect(reader, &self.schema())
+        let wanted = before..before + (rows.end - rows.start) as usize;
+        // No larger than needed: a few rows at the start of many pictures are a few pictures.
+        let size = wanted.end.min(ROWS_PER_BATCH);
+        let reader = self.reader(Some(groups))?.with_batch_size(size);
+        self.collect(reader, &self.schema(), Some(wanted))
     }
 
     /// The rows in order, in batches of bounded size, so that a table need not fit in memory.
@@ -380,13 +379,15 @@ impl Table {
         })
     }
 
+    /// Decodes; of the row groups of the reader these rows, or all.
     fn collect(
         &self,
         builder: ParquetRecordBatchReaderBuilder<File>,
         schema: &SchemaRef,
+        rows: Option<Range<usize>>,
     ) -> Result<RecordBatch, ArtifactError> {
         let refuse = |error| ArtifactError::parquet("read", &self.path)(error);
-        let read = || Ok(builder.build()?.collect::<Result<Vec<_>, _>>()?);
+        let read = || cut(builder.build()?, rows);
         let batches = contained(read).map_err(refuse)?;
         let batches = batches
             .iter()
@@ -409,6 +410,33 @@ impl Table {
         RecordBatch::try_new(Arc::clone(schema), columns)
             .map_err(|error| ArtifactError::parquet("read", &self.path)(error.into()))
     }
+}
+
+/// These rows of those that a reader gives, or all. Batches are decoded and cut: the decoder's own way to skip rows does not
+/// come to an end on some pages that are no valid Parquet.
+fn cut(reader: ParquetRecordBatchReader, rows: Option<Range<usize>>) -> Result<Vec<RecordBatch>, ParquetError> {
+    let Some(rows) = rows else {
+        return Ok(reader.collect::<Result<_, _>>()?);
+    };
+    let (mut before, mut left) = (rows.start, rows.len());
+    let mut batches = Vec::new();
+    for batch in reader {
+        let batch = batch?;
+        let skipped = before.min(batch.num_rows());
+        let taken = left.min(batch.num_rows() - skipped);
+        if taken > 0 {
+            batches.push(batch.slice(skipped, taken));
+        }
+        before -= skipped;
+        left -= taken;
+        if left == 0 {
+            break;
+        }
+    }
+    if left > 0 {
+        return Err(ParquetError::EOF(format!("it lacks {left} of its rows")));
+    }
+    Ok(batches)
 }
 
 /// The rows of a table in order, batch by batch.
