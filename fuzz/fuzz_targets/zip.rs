@@ -13,6 +13,9 @@ mod zip;
 
 use std::sync::LazyLock;
 
+/// Chunks of arrays may have 128 MiB, and their numbers twice as much.
+const LARGEST: usize = 300 << 20;
+
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
     static ZIP: LazyLock<zip::Zip> = LazyLock::new(zip::Zip::new);
     let _ = ZIP.run(input);

@@ -4,10 +4,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Largest single allocation. Chunks of arrays may have 128 MiB, and their numbers twice as much.
-const LARGEST: usize = 300 << 20;
-
-/// Most bytes at once.
+/// Most bytes at once, beside one allocation of the largest size.
 const MOST: usize = 1 << 30;
 
 static LIVE: AtomicUsize = AtomicUsize::new(0);
@@ -19,7 +16,7 @@ static ALLOCATOR: Limited = Limited;
 
 fn take(bytes: usize) {
     let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
-    if bytes > LARGEST || live > MOST {
+    if bytes > crate::LARGEST || live > crate::LARGEST + MOST {
         // Printing may allocate.
         LIVE.store(0, Ordering::Relaxed);
         eprintln!("allocation of {bytes} bytes, {live} in use");
