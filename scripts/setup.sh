@@ -1,5 +1,6 @@
 #!/bin/sh
-# Installs what the build needs and this machine lacks: a C toolchain and the physics library Chipmunk, from Debian.
+# Installs what the build needs and this machine lacks: a C toolchain, the physics library Chipmunk and the HDF5 library, from
+# Debian.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -11,6 +12,9 @@ fi
 missing=""
 command -v cc >/dev/null 2>&1 || missing="$missing gcc libc6-dev"
 [ -e /usr/include/chipmunk/chipmunk.h ] || missing="$missing libchipmunk-dev"
+# The build finds HDF5 by pkg-config.
+command -v pkg-config >/dev/null 2>&1 || missing="$missing pkg-config"
+pkg-config --exists hdf5 2>/dev/null || missing="$missing libhdf5-dev"
 [ -n "$missing" ] || exit 0
 # shellcheck disable=SC2086 # a list of package names
 exec scripts/install-debian.sh setup $missing

@@ -17,8 +17,8 @@ use std::process::Command;
 use serde_json::{Value, json};
 use support::{Answer, Place, folders_in, repository};
 
-fn notebook() -> PathBuf {
-    repository().join("notebooks/pusht.ipynb")
+fn notebook(name: &str) -> PathBuf {
+    repository().join("notebooks").join(name)
 }
 
 /// The interpreter; says that the test is skipped where none is named.
@@ -48,10 +48,10 @@ fn demo() -> Place {
     place
 }
 
-fn execute(python: &Path, place: &Place) -> Answer {
+fn execute(python: &Path, place: &Place, name: &str) -> Answer {
     let output = Command::new(python)
         .arg(repository().join("tests/run_notebook.py"))
-        .arg(notebook())
+        .arg(notebook(name))
         .arg(place.path().join("executed.ipynb"))
         .env("RE4_ARTIFACTS", place.artifacts())
         .output()
@@ -64,37 +64,71 @@ fn cells(path: &Path) -> Vec<Value> {
     notebook["cells"].as_array().unwrap().clone()
 }
 
+/// Pictures in the notebook as it was executed.
+fn pictures(place: &Place) -> usize {
+    cells(&place.path().join("executed.ipynb"))
+        .iter()
+        .filter_map(|cell| cell["outputs"].as_array())
+        .flatten()
+        .filter(|output| output["data"]["image/png"].is_string())
+        .count()
+}
+
 #[test]
-fn the_notebook_is_kept_without_outputs() {
-    let cells = cells(&notebook());
-    let code: Vec<&Value> = cells.iter().filter(|cell| cell["cell_type"] == "code").collect();
-    assert!(code.len() >= 5 && code.len() < cells.len(), "code, and words about it");
-    for cell in &cells {
-        assert_eq!(cell["metadata"], json!({}), "{}", cell["id"]);
+fn the_notebooks_are_kept_without_outputs() {
+    for name in ["pusht.ipynb", "audit.ipynb"] {
+        let cells = cells(&notebook(name));
+        let code: Vec<&Value> = cells.iter().filter(|cell| cell["cell_type"] == "code").collect();
+        assert!(code.len() >= 5 && code.len() < cells.len(), "code, and words about it");
+        for cell in &cells {
+            assert_eq!(cell["metadata"], json!({}), "{name} {}", cell["id"]);
+        }
+        for cell in code {
+            assert_eq!(cell["outputs"], json!([]), "{name} {} has outputs", cell["id"]);
+            assert_eq!(
+                cell["execution_count"],
+                Value::Null,
+                "{name} {} was saved after a run",
+                cell["id"]
+            );
+        }
     }
-    for cell in code {
-        assert_eq!(cell["outputs"], json!([]), "{} has outputs", cell["id"]);
-        assert_eq!(
-            cell["execution_count"],
-            Value::Null,
-            "{} was saved after a run",
-            cell["id"]
-        );
-    }
+}
+
+#[test]
+fn the_notebook_of_an_audit_runs_and_draws_and_holds_the_manifest_to_its_tables() {
+    let Some(python) = python() else { return };
+    let place = Place::empty();
+    let output = place
+        .command()
+        .env("RE4_DATA", repository().join("data"))
+        .args(["audit", "--quiet"])
+        .arg(repository().join("pipelines/can-sample-audit.toml"))
+        .output()
+        .unwrap();
+    Answer::new(&output, place.path()).done();
+    execute(&python, &place, "audit.ipynb").done();
+    assert_eq!(pictures(&place), 4, "modes, findings, evidence, grasps");
+
+    let path = folders_in(&place.artifacts().join("audit"))[0].join("manifest.json");
+    let mut manifest: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    manifest["summary"]["warnings"] = json!(manifest["summary"]["warnings"].as_u64().unwrap() + 1);
+    fs::write(&path, manifest.to_string()).unwrap();
+    let answer = execute(&python, &place, "audit.ipynb");
+    assert_eq!(answer.code, Some(1), "{}", answer.stderr);
+    assert!(
+        answer.stderr.contains("severity warning, the manifest states"),
+        "{}",
+        answer.stderr
+    );
 }
 
 #[test]
 fn the_notebook_runs_and_draws_and_holds_the_manifest_to_its_tables() {
     let Some(python) = python() else { return };
     let place = demo();
-    execute(&python, &place).done();
-    let pictures = cells(&place.path().join("executed.ipynb"))
-        .iter()
-        .filter_map(|cell| cell["outputs"].as_array())
-        .flatten()
-        .filter(|output| output["data"]["image/png"].is_string())
-        .count();
-    assert_eq!(pictures, 4, "scores, budgets, decisions, demonstrations");
+    execute(&python, &place, "pusht.ipynb").done();
+    assert_eq!(pictures(&place), 4, "scores, budgets, decisions, demonstrations");
 
     // One end of one interval, off in the sixth digit.
     let artifacts = folders_in(&place.artifacts().join("rollouts"));
@@ -106,7 +140,7 @@ fn the_notebook_runs_and_draws_and_holds_the_manifest_to_its_tables() {
         let low = &mut manifest["summary"]["metrics"]["coverage_raw_mean"]["low"];
         *low = json!(low.as_f64().unwrap() + 1e-6);
         fs::write(&path, manifest.to_string()).unwrap();
-        let answer = execute(&python, &place);
+        let answer = execute(&python, &place, "pusht.ipynb");
         assert_eq!(answer.code, Some(1), "{}", answer.stderr);
         assert!(
             answer.stderr.contains("AssertionError") && answer.stderr.contains("coverage_raw_mean is"),

@@ -10,6 +10,7 @@ use re4_artifact::{Artifact, Stage};
 use tempfile::TempDir;
 
 pub(crate) mod dataset;
+pub(crate) mod invented;
 
 /// The program that is tested.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_re4-pipe");

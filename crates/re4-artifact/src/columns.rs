@@ -124,6 +124,16 @@ impl Columns {
         self.array(name, Arc::new(list))
     }
 
+    /// A column of lists of floats, all of the same length, given one after the other.
+    #[must_use]
+    pub fn f64_rows(self, name: &str, values: Vec<f64>, columns: usize) -> Self {
+        let field = Arc::new(Field::new("element", DataType::Float64, false));
+        let rows = values.len().checked_div(columns).unwrap_or(0);
+        let offsets = OffsetBuffer::from_lengths(std::iter::repeat_n(columns, rows));
+        let values = Float64Array::from(values).slice(0, rows * columns);
+        self.array(name, Arc::new(ListArray::new(field, offsets, Arc::new(values), None)))
+    }
+
     /// A column that is an Arrow array already.
     #[must_use]
     pub fn array(mut self, name: &str, values: ArrayRef) -> Self {

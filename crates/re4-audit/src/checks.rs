@@ -241,8 +241,8 @@ pub const CHECKS: &[Check] = &[
         ..check("lost_grasp", Severity::Error, Applies::Gripper)
     },
     Check {
-        meaning: "A command to close without a grasp: the fingers closed on nothing, or on something that does not follow the hand. The frames are labelled transfer and are not, and where it is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out.",
-        measure: "Distance between the fingers at their narrowest",
+        meaning: "A command to close without a grasp of the object: the fingers closed on nothing, or on something else, so that the object does not follow the hand. The frames are labelled transfer and are not transfer of this object, and where it is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out, or, where another object is carried, audit that one (ingest.object).",
+        measure: "Distance between the fingers at their narrowest, and whether the object follows the hand",
         unit: "m",
         basis: Basis::ClosedFingers,
         ..check("missed_grasp", Severity::Error, Applies::Gripper)
@@ -424,7 +424,8 @@ fn with_unit(value: f64, unit: &str) -> String {
 
 /// The checks as a table in Markdown, for the documentation.
 pub fn markdown() -> String {
-    let mut text = "| code | severity | on | what it means | measure | threshold |\n|---|---|---|---|---|---|\n".to_owned();
+    let mut text =
+        "| code | severity | on | what it means | measure | threshold |\n|---|---|---|---|---|---|\n".to_owned();
     for check in CHECKS {
         let on = match check.applies {
             Applies::Everywhere => "all",
@@ -452,7 +453,11 @@ mod tests {
     fn checks_are_sorted_complete_and_unlike() {
         assert!(CHECKS.windows(2).all(|pair| pair[0].code < pair[1].code));
         for check in CHECKS {
-            assert!(check.meaning.ends_with('.') && !check.measure.is_empty(), "{}", check.code);
+            assert!(
+                check.meaning.ends_with('.') && !check.measure.is_empty(),
+                "{}",
+                check.code
+            );
         }
     }
 }

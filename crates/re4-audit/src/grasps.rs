@@ -91,7 +91,7 @@ pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits) -> Vec<JudgedGrasp
         let mut grasp = judge_one(number, facts, frames, limits);
         if let Some(before) = judged.last()
             && facts.segment.frames.start - before.frames.end < limits.flicker
-            && before.outcome == GraspOutcome::Held
+            && (before.outcome == GraspOutcome::Held || before.continues)
             && let (Some(then), Some(now)) = (frames.get(before.settled), frames.get(grasp.settled))
         {
             let strayed = in_object(now) - in_object(then);
@@ -115,7 +115,10 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
         .map(SpatialFrame::finger_separation)
         .fold(f64::INFINITY, f64::min);
     let low = within.first().map_or(0.0, |frame| frame.object.translation.z);
-    let rise = within.iter().map(|frame| frame.object.translation.z - low).fold(0.0, f64::max);
+    let rise = within
+        .iter()
+        .map(|frame| frame.object.translation.z - low)
+        .fold(0.0, f64::max);
     let mut grasp = JudgedGrasp {
         segment: number,
         frames: range.clone(),
@@ -127,10 +130,18 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
         rise,
         continues: false,
     };
+    if range.len() < limits.flicker {
+        grasp.outcome = GraspOutcome::Brief;
+        return grasp;
+    }
     let Some(settled) = facts.settled_frame else {
+        // The end of the recording may have cut it off.
         let cut_off = range.end == frames.len();
-        let brief = range.len() < limits.flicker || cut_off;
-        grasp.outcome = if brief { GraspOutcome::Brief } else { GraspOutcome::Missed };
+        grasp.outcome = if cut_off {
+            GraspOutcome::Brief
+        } else {
+            GraspOutcome::Missed
+        };
         return grasp;
     };
     let Some(start) = frames.get(settled) else { return grasp };
@@ -197,8 +208,11 @@ pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp) -> Option<Release
         .get(grasp.segment + 1)
         .map_or(frames.len(), |next| next.segment.frames.end);
     let gripped = frames.get(grasp.settled)?.finger_separation();
-    let free = (grasp.frames.end..end)
-        .find(|&frame| frames.get(frame).is_some_and(|f| f.finger_separation() > gripped + LET_GO))?;
+    let free = (grasp.frames.end..end).find(|&frame| {
+        frames
+            .get(frame)
+            .is_some_and(|f| f.finger_separation() > gripped + LET_GO)
+    })?;
     let rest = rest(evidence, free, end).min(frames.len() - 1);
     let place = frames.get(rest)?.object.translation.vector;
     Some(Release {

@@ -6,8 +6,7 @@ use std::ops::Range;
 pub(crate) fn runs(flags: impl IntoIterator<Item = bool>, least: usize) -> Vec<Range<usize>> {
     let mut found: Vec<Range<usize>> = Vec::new();
     let mut start = None;
-    let mut frame = 0;
-    for flag in flags.into_iter().chain([false]) {
+    for (frame, flag) in flags.into_iter().chain([false]).enumerate() {
         match (flag, start) {
             (true, None) => start = Some(frame),
             (false, Some(first)) => {
@@ -18,7 +17,6 @@ pub(crate) fn runs(flags: impl IntoIterator<Item = bool>, least: usize) -> Vec<R
             }
             _ => {}
         }
-        frame += 1;
     }
     found
 }

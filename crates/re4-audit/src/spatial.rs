@@ -73,7 +73,9 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
         episode: demo.number,
         frames: frames.len() as u32,
         values,
-        last_object: frames.last().map_or_else(Vector3::zeros, |f| f.object.translation.vector),
+        last_object: frames
+            .last()
+            .map_or_else(Vector3::zeros, |f| f.object.translation.vector),
         rewarded: (!rewards.is_empty()).then(|| rewards.iter().any(|reward| *reward > 0.0)),
         recording: hash(frames.iter().flat_map(|f| state(f).into_iter().chain(action(f)))),
         actions: hash(frames.iter().flat_map(action)),
@@ -234,9 +236,12 @@ fn check_transit(demo: &SpatialDemo, sink: &mut Sink<'_>) {
         // From the first frame that is a tenth of the way to the first that is nearly there.
         let first = window.iter().position(|f| away(f) > 0.1 * farthest).unwrap_or(0);
         let last = window.iter().position(|f| away(f) > 0.9 * farthest).unwrap_or(0);
-        sink.exceeding("pushed_in_transit", start + first..start + last + 1, farthest, |value| {
-            format!("the object is moved by {:.0} mm without a grasp", 1e3 * value)
-        });
+        sink.exceeding(
+            "pushed_in_transit",
+            start + first..start + last + 1,
+            farthest,
+            |value| format!("the object is moved by {:.0} mm without a grasp", 1e3 * value),
+        );
     }
 }
 
@@ -276,7 +281,9 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
             let stuck = if closes {
                 // Fingers that hold something need not move.
                 let holding = evidence.get(run.clone()).unwrap_or_default().iter().any(|e| e.holds);
-                change > -FINGERS_MOVED && then.finger_separation > closed && (then.finger_separation > OPEN || !holding)
+                change > -FINGERS_MOVED
+                    && then.finger_separation > closed
+                    && (then.finger_separation > OPEN || !holding)
             } else {
                 change < FINGERS_MOVED && then.finger_separation < OPEN
             };
@@ -312,7 +319,10 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
             format!("the object jumps by {:.0} mm in one step", 1e3 * value)
         });
         sink.exceeding("discontinuity_turn", around, turn, |value| {
-            format!("the end effector turns by {:.0} degrees in one step", value.to_degrees())
+            format!(
+                "the end effector turns by {:.0} degrees in one step",
+                value.to_degrees()
+            )
         });
     }
     let same = frames
@@ -377,8 +387,14 @@ fn check_seams(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
         .map(|(frame, _)| frame)
         .collect();
     for (what, crossings) in [
-        ("the quaternion of the end effector changes its sign", flips(|f| &f.eef.rotation)),
-        ("the quaternion of the object changes its sign", flips(|f| &f.object.rotation)),
+        (
+            "the quaternion of the end effector changes its sign",
+            flips(|f| &f.eef.rotation),
+        ),
+        (
+            "the quaternion of the object changes its sign",
+            flips(|f| &f.object.rotation),
+        ),
         ("the rotation vector of the goal passes pi", passes),
     ] {
         sink.seam(what, &crossings);

@@ -216,7 +216,10 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
                 }
                 Some(middle) => constant(
                     Some(least),
-                    format!("the least one; {factor} times the median of {count} {of} is {:.4}", factor * middle),
+                    format!(
+                        "the least one; {factor} times the median of {count} {of} is {:.4}",
+                        factor * middle
+                    ),
                 ),
                 None => {
                     let wide = if factor == 1.0 { least } else { 2.0 * least };

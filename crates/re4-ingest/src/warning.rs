@@ -22,6 +22,14 @@ pub enum WarningCode {
     NoKeypoints,
     /// The dataset has no `data/img`.
     NoImages,
+    /// Numbers in single precision where double precision is usual; they are widened.
+    SinglePrecision,
+    /// Datasets of the file that are not ingested.
+    SkippedDatasets,
+    /// What should be known of a convention although it is settled.
+    Convention,
+    /// Demonstrations that the file to compare with lacks.
+    NotCompared,
 }
 
 impl WarningCode {
@@ -35,6 +43,10 @@ impl WarningCode {
             Self::NoContacts => "no_contacts",
             Self::NoKeypoints => "no_keypoints",
             Self::NoImages => "no_images",
+            Self::SinglePrecision => "single_precision",
+            Self::SkippedDatasets => "skipped_datasets",
+            Self::Convention => "convention",
+            Self::NotCompared => "not_compared",
         }
     }
 }

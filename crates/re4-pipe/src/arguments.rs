@@ -53,6 +53,9 @@ pub(crate) enum Command {
     Fetch(FetchArguments),
     /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
     Schemas(SchemasArguments),
+    /// Read HDF5 for another process of this program
+    #[command(name = crate::stages::INGEST_WORKER, hide = true)]
+    IngestWorker,
 }
 
 /// What all commands share.

@@ -76,6 +76,15 @@ impl Console {
     }
 }
 
+/// One line of JSON for the process that started this one.
+pub(crate) fn tell(word: &impl serde::Serialize) {
+    if let Ok(text) = serde_json::to_string(word) {
+        let mut output = std::io::stdout().lock();
+        // Where nobody listens any more, this process is about to stop, too.
+        let _ = writeln!(output, "{text}").and_then(|()| output.flush());
+    }
+}
+
 /// A reader that has read enough (`| head`) ends the printing, not the work.
 fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
     match result {

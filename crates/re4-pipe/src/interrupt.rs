@@ -19,6 +19,11 @@ impl Interrupt {
         interrupt
     }
 
+    /// Asks to stop, as Ctrl-C does.
+    pub(crate) fn request(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
     /// Whether the user asked to stop.
     pub(crate) fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)

@@ -48,6 +48,7 @@ pub fn main() -> ExitCode {
         Command::Report(arguments) => commands::report::report(&arguments),
         Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
         Command::Schemas(arguments) => commands::schemas::schemas(&arguments),
+        Command::IngestWorker => stages::serve_ingest().map(|()| commands::Outcome::Done),
     };
     match outcome {
         Ok(commands::Outcome::Done) => ExitCode::SUCCESS,

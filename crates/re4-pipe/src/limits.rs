@@ -1,6 +1,7 @@
 //! Values that fit their type and still make no sense.
 
 use anyhow::{Result, bail, ensure};
+use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
 
@@ -11,6 +12,7 @@ use crate::pipeline::{Pipeline, PoseSection, PoseSource, Variant};
 /// # Errors
 /// The first such setting, with the values that it can have.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
+    pipeline.audit.check()?;
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
     }
@@ -78,9 +80,21 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
 /// What Push-T needs, and what it does not have.
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ensure!(
-        pipeline.ingest.filter.is_none() && pipeline.ingest.object.is_none(),
-        "ingest.filter and ingest.object belong to robosuite's tasks; leave them out, and choose episodes by ingest.select"
+        pipeline.segment.rule != Rule::GripperCommand && pipeline.segment.gripper.is_none(),
+        "Push-T has no gripper; set segment.rule to \"always_transit\" or \"rigid_motion\", and leave segment.gripper out"
     );
+    let ingest = &pipeline.ingest;
+    let foreign = [
+        ("filter", ingest.filter.is_some()),
+        ("object", ingest.object.is_some()),
+        ("env_args", ingest.env_args.is_some()),
+        ("compare", ingest.compare.is_some()),
+        ("cameras", ingest.cameras.is_some()),
+        ("conventions", ingest.conventions != Conventions::default()),
+    ];
+    if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
+        bail!("ingest.{key} belongs to robosuite's tasks; leave it out");
+    }
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
     }

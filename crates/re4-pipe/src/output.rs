@@ -55,6 +55,11 @@ impl Output {
         Ok(output)
     }
 
+    /// The path as the user named it.
+    pub(crate) fn named(&self) -> &Path {
+        &self.named
+    }
+
     /// A file beside the place, which [`Output::keep`] moves there.
     pub(crate) fn temporary(&self) -> Result<NamedTempFile> {
         tempfile::Builder::new()

@@ -7,6 +7,7 @@ use re4_audit::AuditConfig;
 use re4_geometry::Pose2;
 use re4_ingest::Selection;
 use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
+use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
 use re4_sim::{GOAL, ResetOrder, SeedScheme};
@@ -123,6 +124,19 @@ pub(crate) struct IngestSection {
     /// robosuite tasks: body of the manipulated object, where the task does not say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) object: Option<String>,
+    /// robosuite tasks: JSON text that stands for the file's attribute `env_args`, where it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) env_args: Option<String>,
+    /// robosuite tasks: another file of the same demonstrations whose actions are of the other kind (delta or absolute);
+    /// converted actions are compared with them. Looked for as the source is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) compare: Option<PathBuf>,
+    /// robosuite tasks: cameras whose pictures are taken, such as `["agentview"]`; all of the file by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) cameras: Option<Vec<String>>,
+    /// robosuite tasks: conventions of the file that are stated, because its data cannot prove them.
+    #[serde(default)]
+    pub(crate) conventions: Conventions,
     /// Whether the pictures are ingested too.
     #[serde(default = "yes")]
     pub(crate) images: bool,

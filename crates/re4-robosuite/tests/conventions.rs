@@ -335,6 +335,36 @@ fn arrays_that_do_not_fit_together_are_refused() {
     assert!(matches!(nothing, Unproven::Undecided { .. }), "{nothing}");
 }
 
+/// Keyboards give commands far beyond the range; the controller cuts them, and so does the proof.
+#[test]
+fn commands_beyond_the_range_count_as_the_greatest() {
+    let mut cut = demo(&standard(), 0.5);
+    for action in &mut cut.actions {
+        action[..3]
+            .iter_mut()
+            .for_each(|command| *command = (4.0 * *command).clamp(-1.0, 1.0));
+    }
+    let mut beyond = cut.clone();
+    for (index, action) in beyond.actions.iter_mut().enumerate() {
+        let factor = if index.is_multiple_of(5) { 40.0 } else { 1.0 };
+        let greatest = action[..3].iter_mut().filter(|command| command.abs() == 1.0);
+        greatest.for_each(|command| *command *= factor);
+    }
+    let (cut, beyond) = (cut.arrays(14), beyond.arrays(14));
+    let allowed = Conventions {
+        allow_actions_beyond_range: true,
+        ..standard()
+    };
+    let residuals = allowed.check(&beyond).unwrap();
+    assert_eq!(
+        residuals.motion_unexplained,
+        allowed.check(&cut).unwrap().motion_unexplained
+    );
+    assert_eq!(residuals.beyond_range, Some(39.0));
+    let error = standard().check(&beyond).unwrap_err().to_string();
+    assert!(error.contains("allow_actions_beyond_range"), "{error}");
+}
+
 /// Half of the demos of one layout, half of the other: no layout of the file.
 #[test]
 fn a_mixture_is_no_convention() {

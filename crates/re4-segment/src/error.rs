@@ -15,7 +15,9 @@ pub enum SegmentError {
         range: &'static str,
     },
     /// A rule that asks for a gripper where there is none.
-    #[error("cannot segment by the gripper's command: Push-T has no gripper; set segment.rule to always_transit or rigid_motion")]
+    #[error(
+        "cannot segment by the gripper's command: Push-T has no gripper; set segment.rule to always_transit or rigid_motion"
+    )]
     NoGripper,
     /// An episode without frames.
     #[error("cannot segment episode {episode} of the dataset: it has no frames; leave it out of the selection")]

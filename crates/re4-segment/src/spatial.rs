@@ -206,7 +206,9 @@ fn evidence(
                 finger_separation: separations[i],
                 finger_speed: speeds.get(i).copied(),
                 eef_step: steps.get(i).map(|step| step.eef_translation),
-                eef_turn: frames.get(i + 1).map(|next| frame.eef.rotation.angle_to(&next.eef.rotation)),
+                eef_turn: frames
+                    .get(i + 1)
+                    .map(|next| frame.eef.rotation.angle_to(&next.eef.rotation)),
                 object_step: steps.get(i).map(|step| step.object_translation),
                 object_turn: steps.get(i).map(|step| step.object_rotation),
                 relative_translation: steps.get(i).map(|step| step.relative_translation),

@@ -42,7 +42,7 @@ const FRAME: ColumnSpec = id(
 pub const SPATIAL_FRAMES: TableSpec = TableSpec {
     name: "spatial_frames",
     version: 1,
-    description: "One row a frame of every demonstration of a robosuite task: the object-augmented state, the action in both conventions, and what was recorded beside it. Values that the dataset holds are copied bit for bit; which of the two action conventions it holds says row action of table conventions, the other one is converted. Sorted by episode and frame.",
+    description: "One row a frame of every demonstration of a robosuite task: the object-augmented state, the action in both conventions, and what was recorded beside it. Values that the dataset holds are copied bit for bit; which of the two action conventions it holds says row action_kind of table conventions, the other one is converted. Sorted by episode and frame.",
     columns: &[
         EPISODE,
         FRAME,
@@ -99,7 +99,7 @@ pub const SPATIAL_FRAMES: TableSpec = TableSpec {
         .frame("world"),
         number(
             "gripper",
-            "Gripper command as recorded; what its sign means says row gripper of table conventions (robosuite: below 0 opens, above 0 closes).",
+            "Gripper command as recorded; what its sign means says row gripper_sign of table conventions (robosuite: below 0 opens, above 0 closes).",
         ),
         number("reward", "Reward of the step; null where it was not recorded.").nullable(),
         flag(
@@ -133,7 +133,7 @@ pub const CONVENTIONS: TableSpec = TableSpec {
     columns: &[
         category(
             "convention",
-            "What it is about: object_layout, eef_orientation, quaternion_order, action, gripper, ...",
+            "What it is about: object_layout, eef_orientation, eef_quaternion, action_kind, gripper_sign, ...",
         ),
         category("value", "How it is in this dataset."),
         category(

@@ -154,6 +154,9 @@ pub enum Hdf5Fault {
         /// The filter key.
         filter: String,
     },
+    /// A folder.
+    #[error("it is a folder, and robosuite's tasks are read from one HDF5 file; give the path of that file")]
+    Folder,
     /// Something that is refused in words of its own.
     #[error("{0}")]
     Other(String),

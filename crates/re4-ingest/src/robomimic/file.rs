@@ -4,12 +4,13 @@
 //! The library takes one lock for everything. So it only says where a contiguous dataset lies ([`File::locate`]); its bytes
 //! are read from the file itself, in any thread. Chunked and compressed datasets are decoded by the library.
 
+use std::ops::Range;
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 
 use hdf5::datatype::ByteOrder;
 use hdf5::types::{FixedAscii, FixedUnicode, FloatSize, IntSize, TypeDescriptor, VarLenAscii, VarLenUnicode};
-use hdf5::{Container, Dataset, Datatype, Location};
+use hdf5::{Container, Dataset, Datatype, Hyperslab, SliceOrIndex};
 
 use super::fault::Hdf5Fault;
 use crate::error::Fault;
@@ -34,8 +35,17 @@ pub(crate) enum Element {
     F64,
     /// Single precision.
     F32,
-    /// Another type that the library converts to double precision without loss of what is meant: integers, truth values.
+    /// Bytes, as pictures have.
+    U8,
+    /// Another type that the library converts to double precision: integers, truth values, the other byte order.
     Whole,
+}
+
+impl Element {
+    /// Bytes in memory once read: pictures stay bytes, all other numbers become double precision.
+    fn size(self) -> u64 {
+        if self == Self::U8 { 1 } else { 8 }
+    }
 }
 
 /// A dataset of numbers that was found and not yet read.
@@ -64,11 +74,7 @@ impl File {
             _ => Fault::io("read", path, error),
         })?;
         if metadata.is_dir() {
-            return Err(Hdf5Fault::Other(
-                "it is a folder, and robosuite's tasks are read from one HDF5 file; give the path of that file"
-                    .to_owned(),
-            )
-            .into());
+            return Err(Hdf5Fault::Folder.into());
         }
         let bytes = std::fs::File::open(path).map_err(|error| Fault::io("read", path, error))?;
         let hdf5 = hdf5::File::open(path).map_err(|error| Hdf5Fault::Unreadable { why: words(&error) })?;
@@ -79,19 +85,21 @@ impl File {
         })
     }
 
-    /// Names of the members of a group, in the byte order of the names; `None` where there is no such group.
-    pub(crate) fn members(&self, group: &str) -> Result<Option<Vec<String>>, Hdf5Fault> {
-        if !self.exists(group) {
-            return Ok(None);
-        }
-        let damaged = damaged(group);
-        let mut names = self
-            .hdf5
-            .group(group)
-            .and_then(|group| group.member_names())
-            .map_err(damaged)?;
+    /// Names of the members of a group that is there, in their byte order.
+    pub(crate) fn members(&self, group: &str) -> Result<Vec<String>, Hdf5Fault> {
+        let names = self.hdf5.group(group).and_then(|group| group.member_names());
+        let mut names = names.map_err(damaged(&format!("group /{group}")))?;
         names.sort_unstable();
-        Ok(Some(names))
+        Ok(names)
+    }
+
+    /// Names of the members of a group, none where there is no such group.
+    pub(crate) fn members_or_none(&self, group: &str) -> Result<Vec<String>, Hdf5Fault> {
+        if self.exists(group) {
+            self.members(group)
+        } else {
+            Ok(Vec::new())
+        }
     }
 
     /// Whether there is an object at this path, link by link.
@@ -101,21 +109,16 @@ impl File {
         ends.all(|end| self.hdf5.link_exists(&path[..end]))
     }
 
-    /// Text of an attribute of a group; `None` where it has none of this name.
-    pub(crate) fn text_attribute(&self, group: &str, name: &'static str) -> Result<Option<String>, Hdf5Fault> {
-        let group_of_file = self.hdf5.group(group).map_err(damaged(group))?;
-        text_attribute(&group_of_file, group, name)
-    }
-
-    /// An attribute of a group that counts; `None` where it has none of this name.
-    pub(crate) fn count_attribute(&self, group: &str, name: &'static str) -> Result<Option<i64>, Hdf5Fault> {
-        let location = self.hdf5.group(group).map_err(damaged(group))?;
-        if !has_attribute(&location, group, name)? {
-            return Ok(None);
-        }
-        let object = || format!("attribute {name} of {group}");
-        let attribute = location.attr(name).map_err(damaged(&object()))?;
-        attribute.read_scalar::<i64>().map(Some).map_err(damaged(&object()))
+    /// Attributes of a group that is there.
+    pub(crate) fn attributes(&self, group: &str) -> Result<Attributes, Hdf5Fault> {
+        let object = format!("group /{group}");
+        let location = self.hdf5.group(group).map_err(damaged(&object))?;
+        let names = location.attr_names().map_err(damaged(&object))?;
+        Ok(Attributes {
+            group: location,
+            path: group.to_owned(),
+            names,
+        })
     }
 
     /// Names in a dataset of texts.
@@ -130,27 +133,23 @@ impl File {
         texts(&dataset, path)
     }
 
-    /// Finds a dataset of numbers; `None` where there is none at this path.
-    pub(crate) fn locate(&self, path: &str) -> Result<Option<Located>, Hdf5Fault> {
-        if !self.exists(path) {
-            return Ok(None);
-        }
-        let dataset = self.hdf5.dataset(path).map_err(damaged(path))?;
-        let shape = dataset.get_shape().map_err(damaged(path))?;
-        let dtype = dataset.dtype().map_err(damaged(path))?;
+    /// Finds a dataset of numbers that is there.
+    pub(crate) fn locate(&self, path: &str) -> Result<Located, Hdf5Fault> {
+        let object = format!("dataset {path}");
+        let damaged = || damaged(&object);
+        let dataset = self.hdf5.dataset(path).map_err(damaged())?;
+        let shape = dataset.get_shape().map_err(damaged())?;
+        let dtype = dataset.dtype().map_err(damaged())?;
         let element = element(&dtype, path)?;
         let values = shape
             .iter()
             .try_fold(1_u64, |size, &side| size.checked_mul(side as u64));
-        let bytes = values
-            .and_then(|values| values.checked_mul(8))
-            .filter(|bytes| *bytes <= MOST_BYTES);
-        let Some(bytes) = bytes else {
-            return Err(damaged(path)(hdf5::Error::Internal(format!(
-                "it claims the shape {shape:?}"
-            ))));
+        let bytes = values.and_then(|values| values.checked_mul(element.size()));
+        let Some(bytes) = bytes.filter(|bytes| *bytes <= MOST_BYTES || element == Element::U8) else {
+            return Err(damaged()(internal(format!("it claims the shape {shape:?}"))));
         };
-        let offset = (element == Element::F64).then(|| dataset.offset()).flatten();
+        let direct = matches!(element, Element::F64 | Element::U8);
+        let offset = direct.then(|| dataset.offset()).flatten();
         let place = match offset {
             Some(offset) if offset.checked_add(bytes).is_none_or(|end| end > self.length) => {
                 return Err(Hdf5Fault::Damaged {
@@ -161,25 +160,63 @@ impl File {
             Some(offset) => Place::Offset(offset),
             None => Place::Library(dataset),
         };
-        Ok(Some(Located {
+        Ok(Located {
             name: path.to_owned(),
             shape,
             element,
             place,
-        }))
+        })
+    }
+
+    /// Whole pictures of a dataset of bytes with these rows, one after the other.
+    pub(crate) fn read_bytes(&self, located: &Located, rows: Range<usize>) -> Result<Vec<u8>, Hdf5Fault> {
+        let damaged = damaged(&format!("dataset {}", located.name));
+        let row: usize = located.shape.iter().skip(1).product();
+        match &located.place {
+            Place::Offset(offset) => {
+                let mut bytes = vec![0; rows.len() * row];
+                self.bytes
+                    .read_exact_at(&mut bytes, offset + (rows.start * row) as u64)
+                    .map_err(|error| damaged(internal(error.to_string())))?;
+                Ok(bytes)
+            }
+            Place::Library(dataset) => {
+                let whole = located.shape.iter().skip(1).map(|&side| SliceOrIndex::from(0..side));
+                let slices: Vec<SliceOrIndex> = std::iter::once(SliceOrIndex::from(rows)).chain(whole).collect();
+                let pixels = dataset.read_slice::<u8, _, ndarray::IxDyn>(Hyperslab::from(slices));
+                Ok(pixels.map_err(damaged)?.into_raw_vec_and_offset().0)
+            }
+        }
+    }
+
+    /// Rows that have to be decoded together: those of a chunk.
+    pub(crate) fn chunk_rows(located: &Located) -> usize {
+        let rows = located.shape.first().copied().unwrap_or(0);
+        match &located.place {
+            Place::Offset(_) => 1,
+            Place::Library(dataset) => dataset.chunk().and_then(|chunk| chunk.first().copied()).unwrap_or(rows),
+        }
     }
 
     /// The numbers of a dataset, row by row.
     pub(crate) fn read(&self, located: &Located) -> Result<Vec<f64>, Hdf5Fault> {
         let damaged = damaged(&format!("dataset {}", located.name));
+        let values = located.shape.iter().map(|&side| side as u64).product::<u64>();
+        if values > MOST_BYTES / 8 {
+            return Err(damaged(internal(format!("it claims the shape {:?}", located.shape))));
+        }
         match &located.place {
             Place::Library(dataset) => dataset.read_raw::<f64>().map_err(damaged),
+            Place::Offset(_) if located.element == Element::U8 => {
+                let rows = located.shape.first().copied().unwrap_or(0);
+                Ok(self.read_bytes(located, 0..rows)?.into_iter().map(f64::from).collect())
+            }
             Place::Offset(offset) => {
                 let values: usize = located.shape.iter().product();
                 let mut bytes = vec![0; values * 8];
                 self.bytes
                     .read_exact_at(&mut bytes, *offset)
-                    .map_err(|error| damaged(hdf5::Error::Internal(error.to_string())))?;
+                    .map_err(|error| damaged(internal(error.to_string())))?;
                 let (numbers, _) = bytes.as_chunks::<8>();
                 Ok(numbers.iter().map(|number| f64::from_le_bytes(*number)).collect())
             }
@@ -187,19 +224,44 @@ impl File {
     }
 }
 
-fn has_attribute(location: &Location, object: &str, name: &str) -> Result<bool, Hdf5Fault> {
-    let names = location.attr_names().map_err(damaged(object))?;
-    Ok(names.iter().any(|there| there == name))
+/// A group and the names of its attributes.
+pub(crate) struct Attributes {
+    group: hdf5::Group,
+    path: String,
+    names: Vec<String>,
 }
 
-fn text_attribute(location: &Location, object: &str, name: &'static str) -> Result<Option<String>, Hdf5Fault> {
-    if !has_attribute(location, object, name)? {
-        return Ok(None);
+impl Attributes {
+    fn attribute(&self, name: &str) -> Result<Option<(hdf5::Attribute, String)>, Hdf5Fault> {
+        if self.names.iter().all(|there| there != name) {
+            return Ok(None);
+        }
+        let object = format!("attribute {name} of /{}", self.path);
+        let attribute = self.group.attr(name).map_err(damaged(&object))?;
+        Ok(Some((attribute, object)))
     }
-    let object = format!("attribute {name} of {object}");
-    let attribute = location.attr(name).map_err(damaged(&object))?;
-    let mut texts = texts(&attribute, &object)?;
-    Ok((texts.len() == 1).then(|| texts.pop()).flatten())
+
+    /// A text; `None` where there is no attribute of this name.
+    pub(crate) fn text(&self, name: &str) -> Result<Option<String>, Hdf5Fault> {
+        let Some((attribute, object)) = self.attribute(name)? else {
+            return Ok(None);
+        };
+        if attribute.size() != 1 {
+            return Err(damaged(&object)(internal(format!(
+                "it holds {} texts",
+                attribute.size()
+            ))));
+        }
+        Ok(texts(&attribute, &object)?.pop())
+    }
+
+    /// A whole number; `None` where there is no attribute of this name.
+    pub(crate) fn count(&self, name: &str) -> Result<Option<i64>, Hdf5Fault> {
+        let Some((attribute, object)) = self.attribute(name)? else {
+            return Ok(None);
+        };
+        attribute.read_scalar::<i64>().map(Some).map_err(damaged(&object))
+    }
 }
 
 /// All texts of an attribute or dataset, of whatever kind.
@@ -272,11 +334,12 @@ fn element(dtype: &Datatype, path: &str) -> Result<Element, Hdf5Fault> {
     let descriptor = dtype.to_descriptor().map_err(damaged(path))?;
     match descriptor {
         TypeDescriptor::Float(FloatSize::U8) if dtype.byte_order() == ByteOrder::LittleEndian => Ok(Element::F64),
-        TypeDescriptor::Float(FloatSize::U8) => Ok(Element::Whole),
         TypeDescriptor::Float(FloatSize::U4) => Ok(Element::F32),
+        TypeDescriptor::Unsigned(IntSize::U1) => Ok(Element::U8),
         TypeDescriptor::Integer(IntSize::U1 | IntSize::U2 | IntSize::U4 | IntSize::U8)
         | TypeDescriptor::Unsigned(_)
-        | TypeDescriptor::Boolean => Ok(Element::Whole),
+        | TypeDescriptor::Boolean
+        | TypeDescriptor::Float(FloatSize::U8) => Ok(Element::Whole),
         other => Err(Hdf5Fault::Dtype {
             object: path.to_owned(),
             found: match other {
@@ -289,6 +352,10 @@ fn element(dtype: &Datatype, path: &str) -> Result<Element, Hdf5Fault> {
             expected: "float64 or float32",
         }),
     }
+}
+
+fn internal(text: String) -> hdf5::Error {
+    hdf5::Error::Internal(text)
 }
 
 fn damaged(object: &str) -> impl Fn(hdf5::Error) -> Hdf5Fault + use<> {

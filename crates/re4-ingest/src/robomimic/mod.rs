@@ -1,15 +1,19 @@
 //! Demonstrations of robosuite's tasks in HDF5: robomimic's layout, with observations, and robosuite's own raw one.
 //!
 //! A file has a group `/data` with one group a demonstration (`demo_0`, `demo_1`, ...), and perhaps `/mask` with lists of
-//! their names. Values are handed on bit for bit.
+//! their names. Values are handed on bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
 
-mod assumed;
 mod demo;
 mod fault;
 mod file;
+mod images;
+mod interpret;
 mod reader;
+mod summary;
 
-pub use assumed::{Interpreted, interpret};
 pub use demo::{Demo, Matrix};
 pub use fault::Hdf5Fault;
-pub use reader::{DemoChoice, DemoName, RobomimicReader};
+pub use images::CameraBlock;
+pub use interpret::{Convention, Interpreted, Interpreter, Reading};
+pub use reader::{DemoChoice, DemoName, Layout, MODELS_FOLDER, RobomimicReader};
+pub use summary::{Comparison, GoalErrors, source_hash};

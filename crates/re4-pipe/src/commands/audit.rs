@@ -2,16 +2,35 @@
 
 use anyhow::Result;
 
-use super::Outcome;
-use crate::arguments::AuditArguments;
+use super::{Outcome, audit_page, audit_text};
+use crate::arguments::{AuditArguments, FailOn};
+use crate::output::Output;
 use crate::stages::Runner;
 
 /// `re4-pipe audit`.
 pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
+    // Where it cannot be written, that is said before any work.
+    let page = arguments
+        .html
+        .as_deref()
+        .map(|path| Output::at(path, "page"))
+        .transpose()?;
     let runner = Runner::new(&arguments.stage, &[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let built = runner.audit(&episodes, &modes)?;
-    runner.console.answer(&built.to_json())?;
-    Ok(Outcome::Done)
+    if let Some(output) = &page {
+        let sources = audit_page::Sources::of(&runner, &arguments.stage, [&episodes, &modes, &built]);
+        audit_page::write(&sources, output, runner.console)?;
+    }
+    let told = audit_text::Told::read(&built.artifact)?;
+    runner.console.answer(&told.to_json(built.to_json()))?;
+    runner.console.say(&told.text()?)?;
+    // The gate comes last: whatever it says, everything is written and told.
+    let failed = match arguments.fail_on {
+        None => false,
+        Some(FailOn::Error) => told.count("error") > 0,
+        Some(FailOn::Warning) => told.count("error") + told.count("warning") > 0,
+    };
+    Ok(if failed { Outcome::GateFailed } else { Outcome::Done })
 }

@@ -1,6 +1,8 @@
 //! The subcommands: one file each, or one for those that run stages.
 
 pub(crate) mod audit;
+mod audit_page;
+mod audit_text;
 pub(crate) mod fetch;
 pub(crate) mod film;
 pub(crate) mod inspect;

@@ -239,14 +239,19 @@ fn read_demonstrations(index: &Artifact, needed: &BTreeSet<u32>) -> Result<BTree
 
 /// Push-T's plane. The walls' inner edges are where gym-pusht draws them, 5 px inside.
 fn world() -> World {
-    let [bar, stem] = re4_sim::tee_rectangles();
-    let corners = [bar[0], bar[1], bar[2], stem[1], stem[2], stem[3], stem[0], bar[3]];
     World {
         side: 512.0,
         wall: 5.0,
         goal: [re4_sim::GOAL.x, re4_sim::GOAL.y, re4_sim::GOAL.theta],
-        outline: corners.iter().map(|corner| [corner.x, corner.y]).collect(),
+        outline: block_outline(),
         pusher_radius: re4_sim::AGENT_RADIUS,
         success_coverage: re4_sim::SUCCESS_COVERAGE,
     }
+}
+
+/// Corners of Push-T's block in its own frame, in order.
+pub(super) fn block_outline() -> Vec<[f64; 2]> {
+    let [bar, stem] = re4_sim::tee_rectangles();
+    let corners = [bar[0], bar[1], bar[2], stem[1], stem[2], stem[3], stem[0], bar[3]];
+    corners.iter().map(|corner| [corner.x, corner.y]).collect()
 }

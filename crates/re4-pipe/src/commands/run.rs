@@ -5,11 +5,12 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{col_f64, col_u32, tables};
+use re4_artifact::{col_f64, col_f64_or_null, col_text, col_u32, tables};
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::divergence_plot;
 use serde_json::{Value, json};
 
+use super::audit_text::Told;
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::output::Output;
@@ -26,8 +27,16 @@ pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe segment`.
 pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
-    let built = runner.segment(&runner.ingest()?)?;
-    answer(&runner, &built)
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let audit = runner.audit(&episodes, &modes)?;
+    let told = Told::read(&audit.artifact)?;
+    let mut both = modes.to_json();
+    both["audit"] = audit.to_json();
+    runner.console.answer(&both)?;
+    let text = format!("{}\naudit: {}; see re4-pipe audit", described(&modes)?, told.headline());
+    runner.console.say(&text)?;
+    Ok(Outcome::Done)
 }
 
 /// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
@@ -209,17 +218,75 @@ fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
 
 fn answer(runner: &Runner, built: &Built) -> Result<Outcome> {
     runner.console.answer(&built.to_json())?;
+    runner.console.say(&described(built)?)?;
+    Ok(Outcome::Done)
+}
+
+/// An artifact with its tables and warnings.
+fn described(built: &Built) -> Result<String> {
     let manifest = built.artifact.manifest();
     let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
     for (name, table) in &manifest.tables {
         write!(text, "\n  {name:<12} {:>9} rows  {:>11} bytes", table.rows, table.bytes)?;
     }
+    text += &conventions(built)?;
+    if let Some(errors) = manifest.summary.get("goal_error") {
+        text += &goal_error(errors)?;
+    }
     for warning in &manifest.warnings {
         let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
         write!(text, "\n  warning {}: {}", word("code"), word("message"))?;
     }
-    runner.console.say(&text)?;
-    Ok(Outcome::Done)
+    Ok(text)
+}
+
+/// The conventions of a dataset, each with the reason why it is believed.
+fn conventions(built: &Built) -> Result<String> {
+    let mut text = String::new();
+    if !built.artifact.manifest().tables.contains_key(tables::CONVENTIONS.name) {
+        return Ok(text);
+    }
+    let rows = built.artifact.table(&tables::CONVENTIONS)?.read_all()?;
+    let words = ["convention", "value", "basis", "evidence", "unit"].map(|name| col_text(&rows, name));
+    let [names, values, bases, evidence, units] = words;
+    let (names, values, bases, evidence, units) = (names?, values?, bases?, evidence?, units?);
+    let residuals = col_f64_or_null(&rows, "residual")?;
+    let rivals = col_f64_or_null(&rows, "runner_up")?;
+    for row in 0..rows.num_rows() {
+        let word = |column: &[Option<&str>]| column[row].unwrap_or_default().to_owned();
+        write!(
+            text,
+            "\n  {:<18} {:<18} {}: {}",
+            word(&names),
+            word(&values),
+            word(&bases),
+            word(&evidence)
+        )?;
+        if let Some(residual) = residuals[row] {
+            write!(text, ", {residual:.2e} {}", word(&units))?;
+        }
+        if let Some(rival) = rivals[row] {
+            write!(text, " (next best {rival:.2e})")?;
+        }
+    }
+    Ok(text)
+}
+
+/// How far converted actions are from recorded ones.
+fn goal_error(errors: &Value) -> Result<String> {
+    let part = |name: &str, factor: f64| -> Vec<String> {
+        let values = errors[name].as_array().into_iter().flatten().filter_map(Value::as_f64);
+        values.map(|value| format!("{:.1e}", value * factor)).collect()
+    };
+    let mut text = String::new();
+    write!(
+        text,
+        "\n  goals from deltas against recorded goals, {} steps beyond the first of a demonstration; median, 90 %, 99 %, greatest: {} mm, {} deg",
+        errors["steps"],
+        part("position_m", 1e3).join(" "),
+        part("rotation_rad", 1.0_f64.to_degrees()).join(" "),
+    )?;
+    Ok(text)
 }
 
 /// Value before bounds; manifests sort their keys.

@@ -60,7 +60,6 @@ struct Audited {
 impl Runner {
     /// The `audit` artifact.
     pub(crate) fn audit(&self, episodes: &Built, modes: &Built) -> Result<Built> {
-        self.pipeline.audit.check()?;
         let recipe = Recipe::new(Stage::Audit, CODE_VERSION)
             .config(&self.audit_config())?
             .input("episodes", episodes.artifact.key())
@@ -142,7 +141,11 @@ impl Runner {
             .enumerate()
             .map(|(number, episode)| {
                 let segmented = segment_planar(&episode, &self.pipeline.segment)?;
-                let coverage = episode.frames.iter().map(|frame| coverage(frame.object, GOAL)).collect();
+                let coverage = episode
+                    .frames
+                    .iter()
+                    .map(|frame| coverage(frame.object, GOAL))
+                    .collect();
                 Ok(PlanarDemo {
                     number: number as u32,
                     episode,
@@ -156,7 +159,9 @@ impl Runner {
         let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, true, 0.0);
         let mut findings = audit_copies(&observations, &thresholds);
         findings.extend(demos.iter().flat_map(|demo| audit_planar(demo, &thresholds)));
-        let contacts = demos.iter().flat_map(|demo| contact_and_motion(&demo.segmented.evidence));
+        let contacts = demos
+            .iter()
+            .flat_map(|demo| contact_and_motion(&demo.segmented.evidence));
         Ok(Audited {
             thresholds,
             contacts: Some(contacts.flatten().collect()),

@@ -1,6 +1,6 @@
 //! Spatial demonstrations out of artifacts, one after the other, so that a dataset need not fit in memory.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use arrow::array::{Array as _, BooleanArray, RecordBatch};
 use arrow::compute::concat_batches;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
@@ -71,20 +71,20 @@ impl Iterator for ByEpisode {
     }
 }
 
-/// Whether a command above 0 closes the gripper, by table `conventions`; robosuite's own way where it says nothing.
+/// Whether a command above 0 closes the gripper, by table `conventions`.
 fn positive_closes(artifact: &Artifact) -> Result<bool> {
-    if !artifact.manifest().tables.contains_key(tables::CONVENTIONS.name) {
-        return Ok(true);
-    }
     let conventions = artifact.table(&tables::CONVENTIONS)?.read_all()?;
     let (names, values) = (col_text(&conventions, "convention")?, col_text(&conventions, "value")?);
-    let row = names.iter().position(|name| *name == Some("gripper"));
-    let value = row.and_then(|row| values.get(row).copied().flatten());
-    Ok(value != Some(NEGATIVE_CLOSES))
+    let row = names.iter().position(|name| *name == Some("gripper_sign"));
+    match row.and_then(|row| values.get(row).copied().flatten()) {
+        Some("positive_closes") => Ok(true),
+        Some("positive_opens") => Ok(false),
+        _ => bail!(
+            "cannot tell what a gripper command means: table conventions of {} does not say it; ingest the dataset anew",
+            artifact.path().display()
+        ),
+    }
 }
-
-/// Value of the convention under which a command below 0 closes.
-const NEGATIVE_CLOSES: &str = "negative_closes";
 
 fn pose(batch: &RecordBatch, prefix: &str) -> Result<Vec<Isometry3<f64>>> {
     let part = |name: &str| col_f64(batch, &format!("{prefix}_{name}"));
@@ -128,7 +128,11 @@ fn spatial_episode(source: u32, rows: &RecordBatch, positive_closes: bool) -> Re
             delta: delta[i],
             goal: goal[i],
             gripper: gripper[i],
-            closes: if positive_closes { gripper[i] > 0.0 } else { gripper[i] < 0.0 },
+            closes: if positive_closes {
+                gripper[i] > 0.0
+            } else {
+                gripper[i] < 0.0
+            },
             reward: reward[i],
         })
         .collect();
@@ -145,7 +149,9 @@ fn segmented(modes: &RecordBatch, segments: &RecordBatch) -> Result<SegmentedSpa
     let modes = read_modes(modes)?;
     let segments = read_segments(segments)?;
     ensure!(
-        segments.last().is_some_and(|last| last.segment.frames.end == modes.len()),
+        segments
+            .last()
+            .is_some_and(|last| last.segment.frames.end == modes.len()),
         "table spatial_segments does not end where spatial_modes does; segment the dataset anew"
     );
     Ok(SegmentedSpatial {

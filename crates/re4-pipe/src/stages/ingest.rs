@@ -1,6 +1,8 @@
 //! Ingest: raw dataset to `episodes`.
 
 mod robosuite;
+mod spatial;
+mod worker;
 
 use std::path::{Path, PathBuf};
 
@@ -16,6 +18,9 @@ use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::json;
 
 use super::{Built, Runner, data_folders};
+
+pub(crate) use robosuite::serve_ingest;
+pub(crate) use worker::SUBCOMMAND as INGEST_WORKER;
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;

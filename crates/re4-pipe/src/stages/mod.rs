@@ -25,6 +25,7 @@ use crate::interrupt::Interrupt;
 use crate::pipeline::{Pipeline, load};
 
 pub(crate) use budgets::BUDGET_MEASURES;
+pub(crate) use ingest::{INGEST_WORKER, serve_ingest};
 pub(crate) use rollout::{metrics, read_rollouts};
 
 /// A pipeline with all that its stages need.
@@ -94,32 +95,43 @@ impl Runner {
 
     /// Makes an artifact unless it is there.
     fn build(&self, recipe: &Recipe, make: impl FnOnce(&Writer) -> Result<Facts>) -> Result<Built> {
-        let stage = recipe.stage();
         let start = Instant::now();
-        let key = recipe.key();
-        if let Some(artifact) = self.store.lookup(stage, &key)? {
-            let built = Built {
-                stage,
-                artifact,
-                skipped: true,
-                wall: start.elapsed(),
-            };
-            self.console.note(&format!(
-                "{:>10}  {}  unchanged, skipped",
-                stage.as_str(),
-                built.artifact.path().display()
-            ));
+        if let Some(built) = self.unchanged(recipe, start)? {
             return Ok(built);
         }
         let writer = self.store.begin(recipe)?;
         let facts = make(&writer)?;
-        self.interrupt.check(stage.as_str())?;
-        let artifact = writer.publish(facts)?;
+        self.interrupt.check(recipe.stage().as_str())?;
+        self.made(writer.publish(facts)?, recipe, start)
+    }
+
+    /// The artifact of a recipe, if it is there.
+    fn unchanged(&self, recipe: &Recipe, start: Instant) -> Result<Option<Built>> {
+        let stage = recipe.stage();
+        let Some(artifact) = self.store.lookup(stage, &recipe.key())? else {
+            return Ok(None);
+        };
+        self.console.note(&format!(
+            "{:>10}  {}  unchanged, skipped",
+            stage.as_str(),
+            artifact.path().display()
+        ));
+        Ok(Some(Built {
+            stage,
+            artifact,
+            skipped: true,
+            wall: start.elapsed(),
+        }))
+    }
+
+    /// Records the run that made an artifact, and says so.
+    fn made(&self, artifact: Artifact, recipe: &Recipe, start: Instant) -> Result<Built> {
+        let stage = recipe.stage();
         let wall = start.elapsed();
         // Facts of the run itself stand beside the artifact, outside of every hash.
         self.store.record_run(
             stage,
-            &key,
+            &recipe.key(),
             &json!({ "wall_s": wall.as_secs_f64(), "threads": rayon::current_num_threads() }),
         )?;
         let manifest = artifact.manifest();

@@ -65,7 +65,11 @@ impl Counts {
         self.segments += segmented.segments.len();
         self.transfer += transfer;
         self.transit += segmented.modes.len() - transfer;
-        self.moving += segmented.evidence.iter().filter(|e| e.object_moving == Some(true)).count();
+        self.moving += segmented
+            .evidence
+            .iter()
+            .filter(|e| e.object_moving == Some(true))
+            .count();
         self.held += segmented.evidence.iter().filter(|e| e.holds).count();
     }
 }
@@ -114,7 +118,10 @@ fn write_segments(number: u32, segments: &[SpatialSegment], table: &mut TableWri
         )
         .u32_or_null(
             "settled_frame",
-            segments.iter().map(|s| s.settled_frame.map(|frame| frame as u32)).collect(),
+            segments
+                .iter()
+                .map(|s| s.settled_frame.map(|frame| frame as u32))
+                .collect(),
         )
         .f64_or_null("finger_separation", grasp(|g| g.finger_separation))
         .f64_or_null("rigidity_residual", grasp(|g| g.residual))
@@ -124,7 +131,11 @@ fn write_segments(number: u32, segments: &[SpatialSegment], table: &mut TableWri
         .f64("object_rotation", column(|s| s.object_rotation))
         .f64("object_path", column(|s| s.object_path));
     let columns = pose_columns(columns, "anchor", segments.iter().map(|s| s.anchor).collect());
-    let columns = pose_columns(columns, "grasp", segments.iter().map(|s| s.grasp.map(|g| g.transform)).collect());
+    let columns = pose_columns(
+        columns,
+        "grasp",
+        segments.iter().map(|s| s.grasp.map(|g| g.transform)).collect(),
+    );
     table.write_columns(columns)?;
     Ok(())
 }
@@ -135,7 +146,10 @@ fn pose_columns(columns: Columns, prefix: &str, poses: Vec<Option<Isometry3<f64>
         .iter()
         .enumerate()
         .fold(columns, |columns, (place, part)| {
-            let values = poses.iter().map(|pose| pose.as_ref().map(|pose| parts(pose)[place])).collect();
+            let values = poses
+                .iter()
+                .map(|pose| pose.as_ref().map(|pose| parts(pose)[place]))
+                .collect();
             columns.f64_or_null(&format!("{prefix}_{part}"), values)
         })
 }

@@ -5,15 +5,14 @@
 
 use std::collections::BTreeSet;
 
-use base64::Engine as _;
-use base64::prelude::BASE64_STANDARD;
 use serde_json::{Map, Value, json};
 
+use super::common::{f32s, f64s, u8s, u32s};
 use super::facts::{Curve, Facts};
 use super::{DecisionTrace, Demonstration, Report, Rollout, Rollouts, StepTrace};
 
-/// The JSON, safe inside of a script element.
-pub(super) fn json(report: &Report, facts: &Facts) -> String {
+/// The JSON.
+pub(super) fn json(report: &Report, facts: &Facts) -> Value {
     let world = &report.world;
     let artifacts: Vec<Value> = report
         .artifacts
@@ -27,7 +26,7 @@ pub(super) fn json(report: &Report, facts: &Facts) -> String {
         .iter()
         .map(|(key, demos)| (key.clone(), demonstrations_json(demos.iter())))
         .collect();
-    let value = json!({
+    json!({
         "world": {
             "side": world.side,
             "wall": world.wall,
@@ -38,9 +37,7 @@ pub(super) fn json(report: &Report, facts: &Facts) -> String {
         },
         "artifacts": artifacts,
         "demonstrations": demonstrations,
-    });
-    // Inside of a script element only "<" can end it or open a comment; in JSON it occurs in texts alone.
-    value.to_string().replace('<', "\\u003c")
+    })
 }
 
 fn artifact_json(artifact: &Rollouts, label: &str, curve: &Curve) -> Value {
@@ -86,7 +83,7 @@ fn steps_json(steps: &[&StepTrace]) -> Value {
         "object": f32s(steps.iter().flat_map(|s| s.object)),
         "coverage": f64s(steps.iter().map(|s| s.coverage)),
         "decision": u32s(steps.iter().map(|s| s.decision)),
-        "replay": pack("u8", &steps.iter().map(|s| u8::from(s.replay)).collect::<Vec<_>>()),
+        "replay": u8s(&steps.iter().map(|s| u8::from(s.replay)).collect::<Vec<_>>()),
     });
     if steps.iter().any(|s| s.observed.is_some()) {
         columns["observed"] = f32s(steps.iter().flat_map(|s| s.observed.unwrap_or([f64::NAN; 3])));
@@ -99,7 +96,7 @@ fn steps_json(steps: &[&StepTrace]) -> Value {
         let words: Vec<&str> = [""].into_iter().chain(words).collect();
         let code = |flag: &str| words.iter().position(|word| *word == flag).unwrap_or(0) as u8;
         let codes: Vec<u8> = steps.iter().map(|s| code(s.flag.as_deref().unwrap_or(""))).collect();
-        columns["flag"] = pack("u8", &codes);
+        columns["flag"] = u8s(&codes);
         columns["flag_words"] = json!(words);
     }
     columns
@@ -117,7 +114,7 @@ fn decisions_json(decisions: &[&DecisionTrace]) -> Value {
         "plan_steps": number(|d| d.plan_steps),
         "plan_nodes": number(|d| d.plan_nodes),
         "replay_steps": number(|d| d.replay_steps),
-        "transfer": pack("u8", &decisions.iter().map(|d| u8::from(d.transfer)).collect::<Vec<_>>()),
+        "transfer": u8s(&decisions.iter().map(|d| u8::from(d.transfer)).collect::<Vec<_>>()),
         "d_q": of(|d| d.d_q.unwrap_or(f64::NAN)),
         "d_o": of(|d| d.d_o.unwrap_or(f64::NAN)),
         "predicted_coverage": of(|d| d.predicted_coverage),
@@ -139,23 +136,4 @@ fn demonstrations_json<'a>(demos: impl Iterator<Item = (&'a u32, &'a Demonstrati
         "length": demos.clone().map(|(_, frames)| frames.len()).collect::<Vec<_>>(),
         "frames": f32s(demos.flat_map(|(_, frames)| frames.iter().flatten().copied())),
     })
-}
-
-fn f32s(values: impl Iterator<Item = f64>) -> Value {
-    pack(
-        "f32",
-        &values.flat_map(|v| (v as f32).to_le_bytes()).collect::<Vec<_>>(),
-    )
-}
-
-fn f64s(values: impl Iterator<Item = f64>) -> Value {
-    pack("f64", &values.flat_map(f64::to_le_bytes).collect::<Vec<_>>())
-}
-
-fn u32s(values: impl Iterator<Item = u32>) -> Value {
-    pack("u32", &values.flat_map(u32::to_le_bytes).collect::<Vec<_>>())
-}
-
-fn pack(kind: &str, bytes: &[u8]) -> Value {
-    json!({ "type": kind, "data": BASE64_STANDARD.encode(bytes) })
 }

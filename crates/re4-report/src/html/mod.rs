@@ -4,6 +4,8 @@
 //! The page loads nothing: style, script and data are inside of it, and a content security policy forbids the rest. Its
 //! bytes follow from [`Report`] alone.
 
+pub mod audit;
+mod common;
 mod data;
 mod facts;
 mod paper;
@@ -11,12 +13,10 @@ mod sections;
 
 use std::collections::BTreeMap;
 
-use base64::Engine as _;
-use base64::prelude::BASE64_STANDARD;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 use serde_json::Value;
-use sha2::{Digest as _, Sha256};
 
+use self::common::Document;
 use crate::Interval;
 
 /// What the page shows.
@@ -225,12 +225,9 @@ pub struct DecisionTrace {
 /// Frames of a demonstration: pusher x, y, block x, y, angle.
 pub type Demonstration = Vec<[f64; 5]>;
 
-const STYLE: &str = include_str!("page.css");
-
-/// The script, part by part, in one scope.
-const SCRIPT: [&str; 8] = [
+/// The script, part by part, after what all pages share.
+const SCRIPT: [&str; 7] = [
     include_str!("script/data.js"),
-    include_str!("script/draw.js"),
     include_str!("script/selection.js"),
     include_str!("script/charts.js"),
     include_str!("script/seeds.js"),
@@ -242,55 +239,30 @@ const SCRIPT: [&str; 8] = [
 /// The page.
 pub fn page(report: &Report) -> String {
     let facts = facts::Facts::of(report);
-    let script = script();
-    let data = data::json(report, &facts);
-    document(report, &facts, &script, &data).into_string()
-}
-
-fn document(report: &Report, facts: &facts::Facts, script: &str, data: &str) -> Markup {
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta http-equiv="Content-Security-Policy" content=(policy(script));
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                meta name="generator" content={ "re4-pipe " (report.tool_version) };
-                title { "Push-T rollouts: " (facts.labels.join(", ")) }
-                // Without it browsers ask the server for an icon.
-                link rel="icon" href="data:,";
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                a.skip href="#viewer" { "Skip to the rollout viewer" }
-                (sections::header(report, facts))
-                main {
-                    (sections::scores(report, facts))
-                    (sections::plots(facts))
-                    (sections::viewer(report, facts))
-                    (sections::seeds(facts))
-                    (sections::protocol(report, facts))
-                }
-                (sections::footer(report, facts))
-                script #report-data type="application/json" { (PreEscaped(data)) }
-                script { (PreEscaped(script)) }
-            }
-        }
+    Document {
+        tool_version: &report.tool_version,
+        title: format!("Push-T rollouts: {}", facts.labels.join(", ")),
+        style: include_str!("page.css"),
+        script: &SCRIPT,
+        data: &data::json(report, &facts),
+        body: body(report, &facts),
     }
+    .render()
 }
 
-/// The script in a scope of its own.
-fn script() -> String {
-    format!("(() => {{\n\"use strict\";\n{}}})();\n", SCRIPT.concat())
-}
-
-/// Nothing is loaded and nothing runs but the page's own script.
-fn policy(script: &str) -> String {
-    let hash = BASE64_STANDARD.encode(Sha256::digest(script.as_bytes()));
-    format!(
-        "default-src 'none'; script-src 'sha256-{hash}'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
-    )
+fn body(report: &Report, facts: &facts::Facts) -> Markup {
+    html! {
+        a.skip href="#viewer" { "Skip to the rollout viewer" }
+        (sections::header(report, facts))
+        main {
+            (sections::scores(report, facts))
+            (sections::plots(facts))
+            (sections::viewer(report, facts))
+            (sections::seeds(facts))
+            (sections::protocol(report, facts))
+        }
+        (sections::footer(report, facts))
+    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 
+use super::common::{choice, exact, plural, short};
 use super::facts::{Curve, Facts, Row};
 use super::paper::{self, Demonstrations};
 use super::{Report, Rollouts, Starts, Taken};
@@ -13,30 +14,12 @@ const MARKS: usize = 8;
 /// The page's first sentence names this many artifacts at most.
 const MOST_NAMED: usize = 4;
 
-/// How the page shows a number.
-fn short(value: f64) -> String {
-    if value.is_finite() {
-        format!("{value:.3}")
-    } else {
-        "–".to_owned()
-    }
-}
-
-/// All digits, for programs.
-fn exact(value: f64) -> String {
-    value.to_string()
-}
-
 fn mark(artifact: usize) -> Markup {
     html! {
         svg class={ "mark series-" (artifact % MARKS) } viewBox="-6 -6 12 12" width="12" height="12" aria-hidden="true" {
             path data-mark=(artifact % MARKS) {}
         }
     }
-}
-
-fn plural(count: usize, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
 }
 
 /// The title, and what the page is about.
@@ -242,17 +225,6 @@ pub(super) fn plots(facts: &Facts) -> Markup {
                     div.plot #budget-plot {}
                     p.hint { "Mean of the running maximum; a rollout that succeeded keeps its own. Bars are 95 % intervals." }
                 }
-            }
-        }
-    }
-}
-
-fn choice(name: &str, label: &str, options: &[(&str, &str)]) -> Markup {
-    html! {
-        fieldset.choice {
-            legend.hidden { (label) }
-            @for (i, (value, words)) in options.iter().enumerate() {
-                label { input type="radio" name=(name) value=(value) checked[i == 0]; span { (words) } }
             }
         }
     }

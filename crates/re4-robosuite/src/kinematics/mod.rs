@@ -249,6 +249,19 @@ impl Model {
     /// # Errors
     /// When `qpos` has another length than the model's or holds a number that is not finite.
     pub fn forward(&self, qpos: &[f64]) -> Result<Poses, KinematicsError> {
+        let mut bodies = vec![Isometry3::identity(); self.bodies.len()];
+        self.place(qpos, 0..self.bodies.len(), &mut bodies)?;
+        let sites = self.sites.iter().map(|site| bodies[site.body] * site.pose).collect();
+        Ok(Poses { bodies, sites })
+    }
+
+    /// World poses of some bodies, ancestors before their descendants and none left out.
+    fn place(
+        &self,
+        qpos: &[f64],
+        indices: impl Iterator<Item = usize>,
+        poses: &mut [Isometry3<f64>],
+    ) -> Result<(), KinematicsError> {
         if qpos.len() != self.positions {
             return Err(KinematicsError::Width {
                 what: "qpos",
@@ -262,20 +275,30 @@ impl Model {
                 value: qpos[index],
             });
         }
-        let mut bodies: Vec<Isometry3<f64>> = Vec::with_capacity(self.bodies.len());
-        for (index, body) in self.bodies.iter().enumerate() {
-            let mut pose = if index == 0 {
+        for index in indices {
+            let body = &self.bodies[index];
+            let drawn = if index == 0 {
                 body.pose
             } else {
-                bodies[body.parent] * body.pose
+                poses[body.parent] * body.pose
             };
-            for joint in &body.joints {
-                pose = joint.apply(pose, &qpos[joint.address..joint.address + joint.kind.positions()]);
-            }
-            bodies.push(pose);
+            poses[index] = body.joints.iter().fold(drawn, |pose, joint| {
+                joint.apply(pose, &qpos[joint.address..joint.address + joint.kind.positions()])
+            });
         }
-        let sites = self.sites.iter().map(|site| bodies[site.body] * site.pose).collect();
-        Ok(Poses { bodies, sites })
+        Ok(())
+    }
+
+    /// Bodies and all their ancestors, in the order of [`Model::place`].
+    fn with_ancestors(&self, bodies: impl Iterator<Item = usize>) -> Vec<usize> {
+        let mut needed = vec![false; self.bodies.len()];
+        for mut index in bodies {
+            while !needed[index] {
+                needed[index] = true;
+                index = self.bodies[index].parent;
+            }
+        }
+        (0..needed.len()).filter(|index| needed[*index]).collect()
     }
 }
 

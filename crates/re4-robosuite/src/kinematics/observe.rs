@@ -63,16 +63,21 @@ impl Model {
     ) -> Result<Vec<Observed>, KinematicsError> {
         let robot = self.robot(0)?;
         let object = object.map(|name| self.object(name)).transpose()?;
+        // Most bodies of a scene are neither.
+        let site = &self.sites[robot.grip_site.0];
+        let asked = [robot.hand.0, site.body].into_iter().chain(object.map(|body| body.0));
+        let needed = self.with_ancestors(asked);
+        let mut poses = vec![Isometry3::identity(); self.bodies.len()];
         states
             .map(|state| {
                 let state = self.split(state)?;
-                let poses = self.forward(state.qpos)?;
+                self.place(state.qpos, needed.iter().copied(), &mut poses)?;
                 Ok(Observed {
                     time: state.time,
-                    site: *poses.site(robot.grip_site),
-                    hand: *poses.body(robot.hand),
+                    site: poses[site.body] * site.pose,
+                    hand: poses[robot.hand.0],
                     gripper_qpos: robot.gripper_qpos(state.qpos),
-                    object: object.map(|body| *poses.body(body)),
+                    object: object.map(|body| poses[body.0]),
                 })
             })
             .collect()

@@ -9,7 +9,6 @@
 
 use std::path::{Path, PathBuf};
 
-use hdf5_metno as hdf5;
 use nalgebra::{Isometry3, Translation3};
 use re4_robosuite::conventions::{DemoArrays, EefOrientation, QuaternionOrder, Rows};
 use re4_robosuite::env_args::EnvArgs;

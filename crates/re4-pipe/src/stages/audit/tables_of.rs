@@ -40,12 +40,21 @@ pub(super) fn checks(audited: &Audited, writer: &Writer) -> Result<()> {
             .text("severity", checks.iter().map(|(check, _)| check.severity.as_str()))
             .text("meaning", checks.iter().map(|(check, _)| check.meaning))
             .text("measure", checks.iter().map(|(check, _)| check.measure))
-            .f64_or_null("threshold", checks.iter().map(|(_, threshold)| threshold.value).collect())
+            .f64_or_null(
+                "threshold",
+                checks.iter().map(|(_, threshold)| threshold.value).collect(),
+            )
             .text("unit", checks.iter().map(|(check, _)| check.unit_of(planar)))
             .text("origin", checks.iter().map(|(_, threshold)| threshold.origin.as_str()))
             .text("derivation", checks.iter().map(|(_, threshold)| &threshold.derivation))
-            .u32("findings", checks.iter().map(|(check, _)| count(check.code).0).collect())
-            .u32("episodes", checks.iter().map(|(check, _)| count(check.code).1).collect()),
+            .u32(
+                "findings",
+                checks.iter().map(|(check, _)| count(check.code).0).collect(),
+            )
+            .u32(
+                "episodes",
+                checks.iter().map(|(check, _)| count(check.code).1).collect(),
+            ),
     )?;
     table.finish()?;
     Ok(())

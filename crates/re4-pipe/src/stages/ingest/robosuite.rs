@@ -1,179 +1,311 @@
-//! Ingest of robosuite's tasks: an HDF5 file to `episodes`.
+//! Ingest of robosuite's tasks: an HDF5 file to `episodes`, made in a process of its own.
 
-use std::path::Path;
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::time::{Duration, Instant};
 
-use anyhow::Result;
-use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
-use re4_ingest::robomimic::{Demo, DemoChoice, Interpreted, RobomimicReader, interpret};
-use serde_json::json;
+use anyhow::{Context as _, Result};
+use nix::sys::resource::{Resource, setrlimit};
+use rayon::prelude::*;
+use re4_artifact::{Columns, Facts, Key, Recipe, Stage, Store, Writer, tables};
+use re4_ingest::robomimic::{
+    Comparison, DemoChoice, GoalErrors, Interpreter, Layout, Reading, RobomimicReader, source_hash,
+};
+use re4_ingest::{Warning, WarningCode};
+use re4_robosuite::conventions::{ActionKind, Task};
+use serde_json::{Value, json};
 
 use super::super::{Built, Runner};
-use super::find_source;
+use super::spatial::{Row, Written, write_conventions, write_tables};
+use super::worker::{self, Order, Word};
+use super::{PICTURES_IN_GROUP, encode_png, find_source};
+use crate::console::{sentence, tell};
+use crate::interrupt::Interrupt;
+use crate::pipeline::{IngestSection, Pipeline, TaskName};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
 
+/// How long a worker that lost its parent may take to stop by itself.
+const GRACE: Duration = Duration::from_secs(5);
+
+/// Longest order that a worker reads.
+const LONGEST_ORDER: u64 = 16 << 20;
+
 impl Runner {
-    /// The `episodes` artifact of a robosuite task.
+    /// The `episodes` artifact of a robosuite task. This process does not touch the file with the HDF5 library.
     pub(super) fn ingest_robosuite(&self) -> Result<Built> {
+        let start = Instant::now();
         let section = &self.pipeline.ingest;
-        let path = find_source(&section.source)?;
-        let hash = hash(&path)?;
-        let config = json!({
-            "task": self.pipeline.task,
-            "filter": section.filter,
-            "images": section.images,
-            "object": section.object,
-            "select": section.select,
-        });
-        let recipe = Recipe::new(Stage::Ingest, CODE_VERSION)
-            .config(&config)?
-            .source(&hash, json!({ "format": "hdf5, robomimic" }));
-        self.build(&recipe, |writer| self.ingest_hdf5(&path, writer))
-    }
-
-    fn ingest_hdf5(&self, path: &Path, writer: &Writer) -> Result<Facts> {
-        let section = &self.pipeline.ingest;
-        let choice = DemoChoice {
-            filter: section.filter.clone(),
-            select: section.select.clone(),
+        let source = find_source(&section.source)?;
+        let compare = section.compare.as_deref().map(find_source).transpose()?;
+        let order = Order {
+            hash: Key::from_bytes(source_hash(&source)?),
+            compare_hash: compare.as_deref().map(source_hash).transpose()?.map(Key::from_bytes),
+            source,
+            compare,
+            pipeline: self.pipeline.clone(),
+            artifacts: self.store.root().to_path_buf(),
+            threads: rayon::current_num_threads(),
         };
-        let reader = RobomimicReader::open(path, &choice)?;
-        let mut episodes = Columns::new(&tables::EPISODES);
-        let numbers: Vec<u32> = (0..reader.demos().len() as u32).collect();
-        let mut lengths = Vec::new();
-        let mut frames = writer.table(&tables::SPATIAL_FRAMES)?;
-        let mut states = writer.table(&tables::STATES)?;
-        let mut models: Vec<String> = Vec::new();
-        let mut rows = Vec::new();
-        for (episode, name) in (0..).zip(reader.demos()) {
-            self.interrupt.check("ingest")?;
-            let demo = reader.read(name)?;
-            let interpreted =
-                interpret(&demo).map_err(|fault| anyhow::anyhow!("cannot ingest {}: {fault}", path.display()))?;
-            frames.write_columns(frame_columns(episode, &demo, &interpreted))?;
-            if let Some(matrix) = &demo.states {
-                states.write_columns(
-                    Columns::new(&tables::STATES)
-                        .u32("episode", vec![episode; demo.frames])
-                        .u32("frame", (0..demo.frames as u32).collect())
-                        .f64_list("state", matrix.values.chunks_exact(matrix.columns)),
-                )?;
-            }
-            let model = demo.model.map(|text| {
-                let place = models.iter().position(|model| *model == text);
-                place.unwrap_or_else(|| {
-                    models.push(text);
-                    models.len() - 1
-                }) as u32
-            });
-            rows.push((name.name.clone(), name.filter_keys.join(","), model));
-            lengths.push(demo.frames as u32);
+        let recipe = recipe(&order, Value::Null)?;
+        if let Some(built) = self.unchanged(&recipe, start)? {
+            return Ok(built);
         }
-        frames.finish()?;
-        states.finish()?;
-        let total: u64 = lengths.iter().map(|&length| u64::from(length)).sum();
-        episodes = episodes
-            .u32("episode", numbers.clone())
-            .u32(
-                "source_episode",
-                reader.demos().iter().map(|demo| demo.number).collect(),
+        let bar = self.console.progress(0, "ingest");
+        let ended = worker::run(&order, &self.interrupt, &bar);
+        if ended.is_err() {
+            // What a worker that fell over had begun is removed when the store is opened.
+            Store::open(self.store.root())?;
+        }
+        ended?;
+        let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
+        let artifact = artifact.with_context(|| {
+            format!(
+                "cannot ingest {}: its artifact is gone; another process may have removed it, so run again",
+                order.source.display()
             )
-            .u32("frames", lengths);
-        let mut table = writer.table(&tables::EPISODES)?;
-        table.write_columns(episodes)?;
-        table.finish()?;
-        let mut table = writer.table(&tables::DEMOS)?;
-        let nothing = || vec![None; rows.len()];
-        table.write_columns(
-            Columns::new(&tables::DEMOS)
-                .u32("episode", numbers)
-                .text("demo", rows.iter().map(|row| &row.0))
-                .text("filter_keys", rows.iter().map(|row| &row.1))
-                .u32_or_null("model", rows.iter().map(|row| row.2).collect())
-                .f64_or_null("goal_error_position", nothing())
-                .f64_or_null("goal_error_rotation", nothing()),
-        )?;
-        table.finish()?;
-        let mut table = writer.table(&tables::MODELS)?;
-        table.write_columns(
-            Columns::new(&tables::MODELS)
-                .u32("model", (0..models.len() as u32).collect())
-                .text("mjcf", &models),
-        )?;
-        table.finish()?;
-        Ok(Facts {
-            summary: json!({ "episodes": rows.len(), "frames": total }),
-            warnings: Vec::new(),
-        })
+        })?;
+        self.made(artifact, &recipe, start)
     }
 }
 
-/// Rows of table `spatial_frames`.
-fn frame_columns(episode: u32, demo: &Demo, interpreted: &Interpreted) -> Columns {
-    fn column<const N: usize>(rows: &[[f64; N]], i: usize) -> Vec<f64> {
-        rows.iter().map(|row| row[i]).collect()
-    }
-    let frames = demo.frames;
-    let mut columns = Columns::new(&tables::SPATIAL_FRAMES)
-        .u32("episode", vec![episode; frames])
-        .u32("frame", (0..frames as u32).collect());
-    for (i, name) in ["eef_x", "eef_y", "eef_z"].into_iter().enumerate() {
-        columns = columns.f64(name, column(&demo.eef_position, i));
-    }
-    for (i, name) in ["eef_qx", "eef_qy", "eef_qz", "eef_qw"].into_iter().enumerate() {
-        columns = columns.f64(name, column(&demo.eef_quaternion, i));
-    }
-    let object = [
-        "object_x",
-        "object_y",
-        "object_z",
-        "object_qx",
-        "object_qy",
-        "object_qz",
-        "object_qw",
-    ];
-    for (i, name) in object.into_iter().enumerate() {
-        columns = columns.f64(name, column(&interpreted.object, i));
-    }
-    for (i, name) in ["finger_0", "finger_1"].into_iter().enumerate() {
-        columns = columns.f64(name, column(&demo.fingers, i));
-    }
-    for (i, name) in ["delta_x", "delta_y", "delta_z", "delta_rx", "delta_ry", "delta_rz"]
-        .into_iter()
-        .enumerate()
-    {
-        columns = columns.f64(name, column(&interpreted.delta, i));
-    }
-    for (i, name) in ["goal_x", "goal_y", "goal_z", "goal_rx", "goal_ry", "goal_rz"]
-        .into_iter()
-        .enumerate()
-    {
-        columns = columns.f64(name, column(&interpreted.goal, i));
-    }
-    let optional = |values: &Option<Vec<f64>>| {
-        values.as_ref().map_or_else(
-            || vec![None; frames],
-            |values| values.iter().copied().map(Some).collect(),
-        )
+/// Everything that decides the bytes of the artifact.
+fn recipe(order: &Order, facts: Value) -> Result<Recipe> {
+    let section = &order.pipeline.ingest;
+    let config = json!({
+        "cameras": section.cameras,
+        "compare_blake3": order.compare_hash,
+        "conventions": section.conventions,
+        "env_args": section.env_args,
+        "filter": section.filter,
+        "images": section.images,
+        "object": section.object,
+        "select": section.select,
+        "task": order.pipeline.task,
+    });
+    Ok(Recipe::new(Stage::Ingest, CODE_VERSION)
+        .config(&config)?
+        .source(order.hash.as_bytes(), facts))
+}
+
+/// The worker: reads its order, makes and publishes the artifact, and tells how it went.
+pub(crate) fn serve_ingest() -> Result<()> {
+    let mut input = BufReader::new(std::io::stdin());
+    let mut line = String::new();
+    input
+        .by_ref()
+        .take(LONGEST_ORDER)
+        .read_line(&mut line)
+        .context("cannot read the order")?;
+    let order: Order =
+        serde_json::from_str(&line).context("ingest-worker is started by re4-pipe itself; use re4-pipe ingest")?;
+    // A process may always lower its own limits; where the system refuses, the file's sizes are checked all the same.
+    let _ = setrlimit(Resource::RLIMIT_DATA, worker::MEMORY, worker::MEMORY);
+    let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
+    let interrupt = Interrupt::listen();
+    let stop = interrupt.clone();
+    std::thread::spawn(move || {
+        let _ = std::io::copy(&mut input, &mut std::io::sink());
+        stop.request();
+        std::thread::sleep(GRACE);
+        #[allow(
+            clippy::exit,
+            reason = "nobody waits for this process any more, and its thread is stuck in C code"
+        )]
+        std::process::exit(2);
+    });
+    let word = match make(&order, interrupt) {
+        Ok(()) => Word::Done,
+        Err(error) => Word::Failed(sentence(&error)),
     };
-    columns
-        .f64("gripper", column(&demo.actions, 6))
-        .f64_or_null("reward", optional(&demo.rewards))
-        .bool_or_null(
-            "done",
-            demo.dones.as_ref().map_or_else(
-                || vec![None; frames],
-                |values| values.iter().copied().map(Some).collect(),
-            ),
-        )
+    tell(&word);
+    Ok(())
 }
 
-/// BLAKE3 of the file, which is mapped and hashed by all threads.
-fn hash(path: &Path) -> Result<[u8; 32]> {
-    let mut hasher = blake3::Hasher::new();
-    hasher
-        .update_mmap_rayon(path)
-        .map_err(|error| anyhow::anyhow!("cannot ingest {}: {error}; check the path", path.display()))?;
-    Ok(*hasher.finalize().as_bytes())
+fn make(order: &Order, interrupt: Interrupt) -> Result<()> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(order.threads)
+        .build_global()
+        .with_context(|| format!("cannot start {} worker threads; give a smaller --jobs", order.threads))?;
+    let ingest = Ingest {
+        order,
+        interrupt,
+        reader: RobomimicReader::open(&order.source, &choice(&order.pipeline))?,
+    };
+    let interpreter = Interpreter::learn(&ingest.reader, &reading(&order.pipeline))?;
+    let env = interpreter.env();
+    let facts = json!({
+        "format": match ingest.reader.layout() {
+            Layout::Observed => "hdf5, robomimic",
+            Layout::Raw => "hdf5, robosuite raw",
+        },
+        "environment": env.env_name,
+        "robosuite_version": env.env_version,
+        "file": order.source.file_name().map(|name| name.to_string_lossy()),
+    });
+    let recipe = recipe(order, facts)?;
+    let writer = Store::open(&order.artifacts)?.begin(&recipe)?;
+    let facts = ingest.write(&interpreter, &writer)?;
+    ingest.interrupt.check("ingest")?;
+    writer.publish(facts)?;
+    Ok(())
+}
+
+fn choice(pipeline: &Pipeline) -> DemoChoice {
+    DemoChoice {
+        filter: pipeline.ingest.filter.clone(),
+        select: pipeline.ingest.select.clone(),
+    }
+}
+
+fn reading(pipeline: &Pipeline) -> Reading {
+    let section = &pipeline.ingest;
+    Reading {
+        task: match pipeline.task {
+            TaskName::Lift => Task::Lift,
+            TaskName::Can => Task::Can,
+            TaskName::Square => Task::Square,
+            TaskName::PushT | TaskName::Robosuite => Task::Other,
+        },
+        object: section.object.clone(),
+        env_args: section.env_args.clone(),
+        conventions: section.conventions,
+    }
+}
+
+/// A worker at work.
+struct Ingest<'a> {
+    order: &'a Order,
+    interrupt: Interrupt,
+    reader: RobomimicReader,
+}
+
+impl Ingest<'_> {
+    fn section(&self) -> &IngestSection {
+        &self.order.pipeline.ingest
+    }
+
+    fn write(&self, interpreter: &Interpreter, writer: &Writer) -> Result<Facts> {
+        let comparison = self.order.compare.as_deref().map(Comparison::open).transpose()?;
+        let cameras = if self.section().images {
+            self.reader.cameras(self.section().cameras.as_deref())?
+        } else {
+            Vec::new()
+        };
+        write_conventions(writer, interpreter.conventions())?;
+        let demos = self.reader.demos();
+        let written = write_tables(writer, demos, |take| {
+            self.reader.for_each(
+                |episode, demo| {
+                    let other = match &comparison {
+                        Some(comparison) => comparison.actions(&demo.name, demo.frames)?,
+                        None => None,
+                    };
+                    let columns = interpreter.interpret(&self.reader, &demo, other.as_deref())?;
+                    anyhow::Ok(Row {
+                        episode: episode as u32,
+                        demo,
+                        columns,
+                    })
+                },
+                |episode, row| {
+                    self.interrupt.check("ingest")?;
+                    tell(&Word::Progress(episode as u64 + 1, demos.len() as u64));
+                    take(row)
+                },
+            )
+        })?;
+        anyhow::ensure!(
+            comparison.is_none() || !written.goal_errors.is_empty(),
+            "cannot compare with {}: it holds none of the demonstrations of {}; leave ingest.compare out, or give the file of the same demonstrations",
+            self.order.compare.as_deref().unwrap_or(&self.order.source).display(),
+            self.order.source.display()
+        );
+        let pictures = self.write_pictures(&cameras, &written.lengths, writer)?;
+        let warnings = self.warnings(interpreter, &cameras, &written, comparison.is_some())?;
+        let mut summary = json!({
+            "episodes": demos.len(),
+            "frames": written.frames,
+            "images": pictures,
+            "cameras": cameras,
+            "actions": match interpreter.action_kind() {
+                ActionKind::Delta => "delta",
+                ActionKind::Absolute => "absolute",
+            },
+        });
+        if let Some(errors) = GoalErrors::of(&written.goal_errors) {
+            summary["goal_error"] = json!(errors);
+        }
+        Ok(Facts { summary, warnings })
+    }
+
+    fn write_pictures(&self, cameras: &[String], lengths: &[usize], writer: &Writer) -> Result<usize> {
+        if cameras.is_empty() {
+            return Ok(0);
+        }
+        let all = (lengths.iter().sum::<usize>() * cameras.len()) as u64;
+        let mut table = writer.table_in_groups(&tables::CAMERA_IMAGES, PICTURES_IN_GROUP)?;
+        let mut written = 0;
+        for camera in cameras {
+            self.reader.for_each_block(camera, lengths, |block| {
+                self.interrupt.check("ingest")?;
+                let (height, width) = (block.height as u32, block.width as u32);
+                let encoded = block
+                    .bytes
+                    .par_chunks_exact(block.height * block.width * 3)
+                    .map(|pixels| encode_png(pixels, width, height))
+                    .collect::<Result<Vec<_>>>()?;
+                let pictures = encoded.len();
+                table.write_columns(
+                    Columns::new(&tables::CAMERA_IMAGES)
+                        .text("camera", vec![camera; pictures])
+                        .u32("episode", vec![block.episode as u32; pictures])
+                        .u32("frame", block.frames.map(|frame| frame as u32).collect())
+                        .binary("image", encoded),
+                )?;
+                written += pictures;
+                tell(&Word::Progress(written as u64, all));
+                anyhow::Ok(())
+            })?;
+        }
+        table.finish()?;
+        Ok(written)
+    }
+
+    fn warnings(
+        &self,
+        interpreter: &Interpreter,
+        cameras: &[String],
+        written: &Written,
+        compared: bool,
+    ) -> Result<Vec<Value>> {
+        let warning = |code, message, count| Warning {
+            code,
+            message,
+            episode: None,
+            frame: None,
+            count,
+        };
+        let mut warnings = Vec::new();
+        if let Some((demo, dataset)) = written.single_precision.first() {
+            let message = format!("single precision in {demo}/{dataset}, widened to double precision");
+            warnings.push(warning(
+                WarningCode::SinglePrecision,
+                message,
+                written.single_precision.len() as u64,
+            ));
+        }
+        let conventions = interpreter.warnings().iter();
+        warnings.extend(conventions.map(|text| warning(WarningCode::Convention, text.clone(), 1)));
+        if let (true, Some(first)) = (compared, written.not_compared.first()) {
+            let message = format!("not in the file to compare with: {first}");
+            warnings.push(warning(
+                WarningCode::NotCompared,
+                message,
+                written.not_compared.len() as u64,
+            ));
+        }
+        warnings.extend(self.reader.skipped_warning(cameras)?);
+        Ok(warnings.iter().map(serde_json::to_value).collect::<Result<_, _>>()?)
+    }
 }

@@ -29,8 +29,6 @@ const carry = ([x, y, angle], [u, v]) => {
   return [x + c * u - s * v, y + s * u + c * v];
 };
 
-const blockAt = (pose) => `${line(WORLD.outline.map((corner) => carry(pose, corner)))}Z`;
-
 // The shapes that tell artifacts apart where colour does not.
 const MARKS = [
   "M-4 0A4 4 0 1 0 4 0A4 4 0 1 0 -4 0Z",

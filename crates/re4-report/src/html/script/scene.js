@@ -1,3 +1,5 @@
+const blockAt = (pose) => `${line(WORLD.outline.map((corner) => carry(pose, corner)))}Z`;
+
 // The plane as a picture: floor, walls and goal, with named layers above that are filled for each state.
 const plane = (name, layers) => {
   const { side, wall } = WORLD;

@@ -1,0 +1,354 @@
+//! Every check on motions that were built to have one fault, and on ones that have none.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
+
+use std::collections::BTreeSet;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use re4_audit::{
+    AuditConfig, CHECKS, Finding, GraspLimits, GraspOutcome, Observation, Origin, PlanarDemo, SpatialDemo, Thresholds,
+    audit_copies, audit_planar, audit_spatial, observe_planar, observe_spatial,
+};
+use re4_episode::{PlanarEpisode, PlanarFrame, SpatialEpisode, SpatialFrame};
+use re4_geometry::{Point2, Pose2};
+use re4_segment::{SegmentConfig, segment_planar, segment_spatial};
+
+const LIMITS: GraspLimits = GraspLimits {
+    closed: 0.01,
+    lost: 0.02,
+    flicker: 5,
+};
+
+/// A flawless demonstration: reach for 10 frames, close in 8, carry for 20, open in 8, leave for 6. `number` makes it unlike the
+/// others.
+fn flawless(number: u32) -> Vec<SpatialFrame> {
+    let mut frames = Vec::new();
+    let own = 1e-4 * f64::from(number);
+    let mut eef = Vector3::new(0.2 + own, 0.0, 0.9);
+    let mut object = Vector3::new(0.2 + own, 0.0, 0.8);
+    for t in 0..52 {
+        let closes = (9..37).contains(&t);
+        let separation = match t {
+            0..10 => 0.08,
+            10..18 => (0.08 - 0.005 * f64::from(t - 9)).max(0.05),
+            18..38 => 0.05,
+            _ => (0.05 + 0.005 * f64::from(t - 37)).min(0.08),
+        };
+        frames.push(SpatialFrame {
+            eef: Isometry3::new(eef, Vector3::new(3.0, 0.0, 0.0)),
+            object: Isometry3::translation(object.x, object.y, object.z),
+            fingers: [separation / 2.0, -separation / 2.0],
+            delta: [0.1 + own, 0.0, 0.1, 0.0, 0.0, 0.0],
+            goal: [eef.x, eef.y, eef.z, 2.0, 0.0, 0.0],
+            gripper: if closes { 1.0 } else { -1.0 },
+            closes,
+            reward: Some(if t > 45 { 1.0 } else { 0.0 }),
+        });
+        let step = match t {
+            0..9 => Vector3::new(0.0, 0.0, -0.01),
+            18..38 => Vector3::new(0.0, 0.01, 0.0),
+            46.. => Vector3::new(0.0, 0.0, 0.01),
+            _ => Vector3::new(1e-6, 0.0, 0.0),
+        };
+        eef += step;
+        if (18..38).contains(&t) {
+            object += step;
+        }
+    }
+    frames
+}
+
+fn demo(number: u32, frames: Vec<SpatialFrame>) -> SpatialDemo {
+    let episode = SpatialEpisode { source: number, frames };
+    SpatialDemo {
+        number,
+        segmented: segment_spatial(&episode, &SegmentConfig::spatial()).unwrap(),
+        episode,
+    }
+}
+
+fn audit(faulty: Vec<SpatialFrame>, config: &AuditConfig) -> (Vec<Finding>, Vec<GraspOutcome>) {
+    let mut demos: Vec<SpatialDemo> = (0..10).map(|number| demo(number, flawless(number))).collect();
+    demos.push(demo(10, faulty));
+    let observations: Vec<Observation> = demos.iter().map(|demo| observe_spatial(demo, &LIMITS)).collect();
+    let thresholds = Thresholds::derive(&observations, config, false, LIMITS.closed);
+    let mut findings = audit_copies(&observations, &thresholds);
+    let mut outcomes = Vec::new();
+    for demo in &demos {
+        let audit = audit_spatial(demo, &thresholds, &LIMITS);
+        if demo.number < 10 {
+            assert_eq!(audit.findings, [], "a flawless demonstration");
+        } else {
+            outcomes = audit.grasps.iter().map(|grasp| grasp.outcome).collect();
+        }
+        findings.extend(audit.findings);
+    }
+    (findings, outcomes)
+}
+
+fn codes(findings: &[Finding]) -> BTreeSet<&'static str> {
+    findings.iter().map(|finding| finding.code).collect()
+}
+
+/// Codes found on a flawless demonstration after a change to it.
+fn found(change: impl FnOnce(&mut Vec<SpatialFrame>)) -> BTreeSet<&'static str> {
+    let mut frames = flawless(10);
+    change(&mut frames);
+    codes(&audit(frames, &AuditConfig::default()).0)
+}
+
+#[test]
+fn nothing_is_wrong_with_the_flawless() {
+    let (findings, outcomes) = audit(flawless(10), &AuditConfig::default());
+    assert_eq!(findings, []);
+    assert_eq!(outcomes, [GraspOutcome::Held]);
+}
+
+#[test]
+fn fingers_that_do_not_move_disagree_with_the_command() {
+    let stuck = found(|frames| {
+        for frame in frames {
+            frame.fingers = [0.04, -0.04];
+        }
+    });
+    assert!(stuck.contains("command_fingers_disagree"), "{stuck:?}");
+    let shut = found(|frames| {
+        for frame in &mut frames[38..] {
+            frame.fingers = [0.025, -0.025];
+        }
+    });
+    assert_eq!(shut, BTreeSet::from(["command_fingers_disagree"]));
+}
+
+#[test]
+fn a_thing_between_the_fingers_that_is_not_the_object_is_no_grasp() {
+    let mut faulty = flawless(10);
+    let rests = faulty[0].object;
+    for frame in &mut faulty {
+        frame.object = rests;
+    }
+    let (findings, outcomes) = audit(faulty, &AuditConfig::default());
+    assert_eq!(outcomes, [GraspOutcome::Missed]);
+    let missed = findings.iter().find(|finding| finding.code == "missed_grasp").unwrap();
+    assert!(missed.message.contains("does not follow"), "{}", missed.message);
+    assert_eq!(missed.frames, 10..38);
+}
+
+#[test]
+fn an_object_that_leaves_the_hand_is_lost_from_there() {
+    let mut faulty = flawless(10);
+    let left = Isometry3::translation(0.0, -0.005, 0.0) * faulty[28].object;
+    for frame in &mut faulty[28..] {
+        frame.object = left;
+    }
+    let (findings, outcomes) = audit(faulty, &AuditConfig::default());
+    // Half a centimetre and two steps of one are beyond two centimetres.
+    assert_eq!(outcomes, [GraspOutcome::Lost(30)]);
+    let lost = findings.iter().find(|finding| finding.code == "lost_grasp").unwrap();
+    assert_eq!((lost.frames.clone(), lost.threshold), (30..38, Some(0.02)));
+}
+
+#[test]
+fn a_grasp_goes_on_across_flickers_of_the_command() {
+    let mut faulty = flawless(10);
+    for t in [24, 27] {
+        (faulty[t].closes, faulty[t].gripper) = (false, -1.0);
+    }
+    let (findings, outcomes) = audit(faulty, &AuditConfig::default());
+    assert_eq!(outcomes, [GraspOutcome::Held, GraspOutcome::Brief, GraspOutcome::Held]);
+    let frames: Vec<_> = findings
+        .iter()
+        .map(|finding| (finding.code, finding.frames.clone()))
+        .collect();
+    assert_eq!(frames, [("flicker", 25..26), ("flicker", 26..28), ("flicker", 28..29)]);
+}
+
+#[test]
+fn slipping_and_turning_in_the_hand_are_told_apart() {
+    let slips = found(|frames| {
+        for frame in &mut frames[28..] {
+            frame.object = Isometry3::translation(0.008, 0.0, 0.0) * frame.object;
+        }
+    });
+    assert_eq!(slips, BTreeSet::from(["non_rigid_transfer"]));
+    let turns = found(|frames| {
+        for (t, frame) in frames.iter_mut().enumerate().skip(20) {
+            // About the vertical through the grip site, so that the object's place in the hand stays.
+            frame.object.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.01 * (t.min(38) - 20) as f64);
+        }
+    });
+    assert_eq!(turns, BTreeSet::from(["non_rigid_rotation"]));
+}
+
+#[test]
+fn jumps_of_object_and_hand_are_discontinuities() {
+    let jump = found(|frames| {
+        for frame in &mut frames[4..] {
+            frame.object = Isometry3::translation(0.3, 0.0, 0.0) * frame.object;
+            frame.eef = Isometry3::translation(0.3, 0.0, 0.0) * frame.eef;
+        }
+    });
+    assert!(
+        jump.is_superset(&BTreeSet::from(["discontinuity_eef", "discontinuity_object"])),
+        "{jump:?}"
+    );
+    let spin = found(|frames| {
+        frames[5].eef.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7) * frames[5].eef.rotation;
+    });
+    assert_eq!(spin, BTreeSet::from(["discontinuity_turn"]));
+}
+
+#[test]
+fn idleness_and_sign_flips_are_worth_a_note() {
+    let idle = found(|frames| frames[20..33].iter_mut().for_each(|frame| frame.delta = [0.0; 6]));
+    assert_eq!(idle, BTreeSet::from(["idle"]));
+    let flip = found(|frames| {
+        for frame in &mut frames[20..] {
+            frame.eef.rotation = UnitQuaternion::new_unchecked(-frame.eef.rotation.into_inner());
+        }
+    });
+    assert_eq!(flip, BTreeSet::from(["seam"]));
+}
+
+#[test]
+fn copies_are_found_by_their_bits() {
+    assert_eq!(found(|frames| *frames = flawless(3)), BTreeSet::from(["duplicate"]));
+    let moved = found(|frames| {
+        *frames = flawless(3);
+        for frame in frames {
+            let shift = Isometry3::translation(0.001, 0.0, 0.0);
+            (frame.eef, frame.object) = (shift * frame.eef, shift * frame.object);
+        }
+    });
+    assert_eq!(moved, BTreeSet::from(["same_actions"]));
+}
+
+#[test]
+fn an_object_may_fall_before_it_is_touched() {
+    let settles = found(|frames| {
+        for (t, height) in [(0, 0.05), (1, 0.03), (2, 0.01)] {
+            frames[t].object = Isometry3::translation(0.0, 0.0, height) * frames[t].object;
+        }
+    });
+    assert_eq!(settles, BTreeSet::new());
+}
+
+#[test]
+fn a_set_threshold_replaces_the_derived_one() {
+    let config = AuditConfig {
+        idle: Some(3.0),
+        ..AuditConfig::default()
+    };
+    let mut frames = flawless(10);
+    for frame in &mut frames[20..25] {
+        frame.delta = [0.0; 6];
+    }
+    let (findings, _) = audit(frames, &config);
+    assert_eq!(findings.len(), 1);
+    assert_eq!(
+        (findings[0].code, findings[0].threshold, findings[0].value),
+        ("idle", Some(3.0), Some(5.0))
+    );
+    let error = AuditConfig {
+        idle: Some(f64::NAN),
+        ..AuditConfig::default()
+    };
+    assert!(error.check().unwrap_err().to_string().contains("audit.idle is NaN"));
+}
+
+#[test]
+fn thresholds_say_where_they_come_from() {
+    let observations: Vec<Observation> = (0..10)
+        .map(|n| observe_spatial(&demo(n, flawless(n)), &LIMITS))
+        .collect();
+    let all = Thresholds::derive(&observations, &AuditConfig::default(), false, 0.01);
+    let few = Thresholds::derive(&observations[..3], &AuditConfig::default(), false, 0.01);
+    let of = |thresholds: &Thresholds, code: &str| {
+        let (_, threshold) = thresholds.iter().find(|(check, _)| check.code == code).unwrap();
+        threshold.clone()
+    };
+    assert_eq!(all.iter().count() + 2, CHECKS.len(), "all but the two of Push-T");
+    let step = of(&all, "discontinuity_eef").value.unwrap();
+    assert!((step - 0.03).abs() < 1e-9, "three steps of a centimetre: {step}");
+    assert_eq!(of(&few, "discontinuity_eef").value, Some(0.06));
+    assert_eq!(of(&all, "missed_grasp").origin, Origin::Setting);
+    let early = of(&few, "early_release");
+    assert!(!early.made && early.value.is_none() && early.derivation.starts_with("not made"));
+    assert!(of(&all, "early_release").made);
+}
+
+fn push(number: u32) -> Vec<PlanarFrame> {
+    (0..60)
+        .map(|t| {
+            let x = 100.0 + 5.0 * f64::from(t) + 0.01 * f64::from(number);
+            let pushed = (f64::from(t) - 20.0).max(0.0);
+            PlanarFrame {
+                eef: Point2::new(x, 200.0),
+                object: Pose2::new(215.0 + 5.0 * pushed, 200.0, 0.5),
+                action: Point2::new(x + 5.0, 200.0),
+                contacts: if t >= 20 { 1.0 } else { 0.0 },
+            }
+        })
+        .collect()
+}
+
+/// Codes found on a flawless push after a change to it and to the coverage of its frames.
+fn found_planar(change: impl FnOnce(&mut Vec<PlanarFrame>, &mut Vec<f64>)) -> BTreeSet<&'static str> {
+    let mut demos: Vec<(Vec<PlanarFrame>, Vec<f64>)> = (0..10).map(|n| (push(n), vec![0.99; 60])).collect();
+    let (frames, coverage) = demos.last_mut().unwrap();
+    change(frames, coverage);
+    let demos: Vec<PlanarDemo> = demos
+        .into_iter()
+        .zip(0..)
+        .map(|((frames, coverage), number)| {
+            let episode = PlanarEpisode { source: number, frames };
+            PlanarDemo {
+                number,
+                segmented: segment_planar(&episode, &SegmentConfig::default()).unwrap(),
+                episode,
+                coverage,
+            }
+        })
+        .collect();
+    let observations: Vec<Observation> = demos.iter().map(observe_planar).collect();
+    let thresholds = Thresholds::derive(&observations, &AuditConfig::default(), true, 0.0);
+    let mut findings = audit_copies(&observations, &thresholds);
+    findings.extend(demos.iter().flat_map(|demo| audit_planar(demo, &thresholds)));
+    assert!(findings.iter().all(|finding| finding.episode == 9), "{findings:?}");
+    codes(&findings)
+}
+
+#[test]
+fn pushes_are_audited_too() {
+    let only = |code| BTreeSet::from([code]);
+    assert_eq!(found_planar(|_, _| ()), BTreeSet::new());
+    assert_eq!(found_planar(|_, c| c[59] = 0.8), only("ends_before_success"));
+    assert_eq!(
+        found_planar(|f, _| f[2..12].iter_mut().for_each(|f| f.contacts = 1.0)),
+        only("contact_without_motion")
+    );
+    assert_eq!(
+        found_planar(|f, _| f[30..34].iter_mut().for_each(|f| f.contacts = 0.0)),
+        only("motion_without_contact")
+    );
+    assert_eq!(
+        found_planar(|f, _| f[40..].iter_mut().for_each(|f| f.object.theta += 6.0)),
+        only("seam")
+    );
+    assert_eq!(found_planar(|f, _| f[5].eef.y += 90.0), only("discontinuity_eef"));
+    assert_eq!(
+        found_planar(|f, _| f[25..].iter_mut().for_each(|f| f.object.y += 200.0)),
+        only("discontinuity_object")
+    );
+    let waits = found_planar(|f, _| {
+        let held = f[10].action;
+        f[10..30].iter_mut().for_each(|f| f.action = held);
+    });
+    assert_eq!(waits, only("idle"));
+    let frozen = found_planar(|f, _| {
+        let still = f[30];
+        for frame in &mut f[30..37] {
+            (frame.eef, frame.object) = (still.eef, still.object);
+        }
+    });
+    assert!(frozen.contains("frozen"), "{frozen:?}");
+}

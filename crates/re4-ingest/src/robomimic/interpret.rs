@@ -1,0 +1,554 @@
+//! What the rows of a file mean: conventions proven on its first demonstrations, held against every one, and the columns that
+//! follow from them.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use nalgebra::Isometry3;
+use re4_robosuite::actions::{Action, Osc, distance};
+use re4_robosuite::conventions::{
+    ActionKind, Basis, Conventions, DemoArrays, Proof, QuaternionOrder, Rows, Settings, Task,
+};
+use re4_robosuite::env_args::EnvArgs;
+use re4_robosuite::kinematics::{Model, Observed, PANDA_RESET};
+
+use super::demo::Demo;
+use super::fault::Hdf5Fault;
+use super::reader::{Layout, RobomimicReader};
+use crate::error::{Fault, IngestError};
+
+/// Demonstrations that conventions are proven on.
+const PROVEN_ON: usize = 10;
+
+/// What the user says of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// The task; [`Task::Other`] for any environment of one arm.
+    pub task: Task,
+    /// The manipulated object's body, where the task does not say it.
+    pub object: Option<String>,
+    /// Text that stands for the attribute `env_args`.
+    pub env_args: Option<String>,
+    /// Conventions that are stated.
+    pub conventions: Settings,
+}
+
+/// A convention of the file, as it is reported.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Convention {
+    /// What it is about.
+    pub name: String,
+    /// How it is.
+    pub value: String,
+    /// `proven`, `setting` or `declared`.
+    pub basis: &'static str,
+    /// The test, in words.
+    pub evidence: String,
+    /// What the test measured for the value, for the next best one, and what it has to be below; none without a test.
+    pub measured: Option<[f64; 3]>,
+    /// Whether there is a next best value.
+    pub rival: bool,
+    /// Unit of the three.
+    pub unit: String,
+    /// Frames that the test was made on.
+    pub frames: usize,
+}
+
+/// Columns of a demonstration that follow from its arrays and the conventions.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Interpreted {
+    /// Position of the grip site.
+    pub eef_position: Vec<[f64; 3]>,
+    /// Orientation of the end effector, x, y, z, w.
+    pub eef_quaternion: Vec<[f64; 4]>,
+    /// Joint positions of the fingers.
+    pub fingers: Vec<[f64; 2]>,
+    /// Position of the object, then its quaternion x, y, z, w.
+    pub object: Vec<[f64; 7]>,
+    /// Delta actions, the gripper's command last.
+    pub delta: Vec<Action>,
+    /// Absolute actions, the gripper's command last.
+    pub goal: Vec<Action>,
+    /// Distances (metres, radians) of recorded absolute actions from those that follow from recorded delta actions, beyond
+    /// the first step; none where only one kind is recorded.
+    pub goal_errors: Option<Vec<(f64, f64)>>,
+}
+
+/// The meaning of a file's rows.
+pub struct Interpreter {
+    env: EnvArgs,
+    conventions: Conventions,
+    rows: Vec<Convention>,
+    warnings: Vec<String>,
+    osc: Osc,
+    initial: Option<Isometry3<f64>>,
+    from_states: FromStates,
+    /// The last model that was parsed: demonstrations of one scene share it.
+    model: Mutex<Option<(Arc<str>, Arc<Model>)>>,
+}
+
+/// What is computed from states and model instead of read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum FromStates {
+    Nothing,
+    /// The pose of this object.
+    Object(String),
+    /// Everything that observations would hold, with the pose of this object.
+    All(String),
+}
+
+impl Interpreter {
+    /// Proves the conventions of a file.
+    ///
+    /// # Errors
+    /// A file of another task, of two arms, without what is needed; a convention that is not proven and not set.
+    pub fn learn(reader: &RobomimicReader, reading: &Reading) -> Result<Self, IngestError> {
+        Self::learn_checked(reader, reading).map_err(|fault| Fault::from(fault).of(&reader.path))
+    }
+
+    fn learn_checked(reader: &RobomimicReader, reading: &Reading) -> Result<Self, Hdf5Fault> {
+        let env = reader.environment(reading.env_args.as_deref())?;
+        check_task(&env, reading.task)?;
+        let demos = reader.demos().iter().take(PROVEN_ON);
+        let demos = demos.map(|demo| reader.read(demo)).collect::<Result<Vec<_>, _>>()?;
+        let models = demos.iter().map(parse_model).collect::<Result<Vec<_>, _>>()?;
+        let from_states = from_states(reader.layout(), reading, &env, models.first().and_then(Option::as_ref))?;
+        let mut prepared = Vec::new();
+        for (demo, model) in demos.iter().zip(&models) {
+            check_object_columns(demo, reading.task)?;
+            if from_states == FromStates::Nothing && demo.object.is_none() {
+                return Err(no_object(demo));
+            }
+            prepared.push(from_states.complete(demo, model.as_deref())?);
+        }
+        let complete: Vec<DemoArrays<'_>> = prepared
+            .iter()
+            .zip(&demos)
+            .zip(&models)
+            .map(|((columns, demo), model)| arrays(demo, columns, model.as_deref()))
+            .collect();
+        let settled = Conventions::detect(&complete, &env, &reading.conventions);
+        let (conventions, proofs) = settled
+            .map_err(|error| Hdf5Fault::Other(format!("{error} (settings are keys of [ingest.conventions])")))?;
+        let osc = Osc::from_env(&env).map_err(|error| {
+            Hdf5Fault::Other(format!(
+                "{error}; restore what attribute env_args lacks, or give it as ingest.env_args"
+            ))
+        })?;
+        // Raw files were recorded live, and the controller knew where the hand was; robomimic replayed states into a robot
+        // that had just been reset.
+        let initial = match (reader.layout(), models.first()) {
+            (Layout::Observed, Some(Some(model))) => model.site_at(&PANDA_RESET).ok(),
+            _ => None,
+        };
+        let mut rows: Vec<Convention> = proofs.iter().map(convention).collect();
+        rows.extend(stated(reader.layout(), reading, &env, &from_states));
+        Ok(Self {
+            env,
+            conventions,
+            rows,
+            warnings: proofs.into_iter().filter_map(|proof| proof.warning).collect(),
+            osc,
+            initial,
+            from_states,
+            model: Mutex::default(),
+        })
+    }
+
+    /// What the file says of how it was recorded.
+    pub fn env(&self) -> &EnvArgs {
+        &self.env
+    }
+
+    /// Kind of the recorded actions.
+    pub fn action_kind(&self) -> ActionKind {
+        self.conventions.action_kind
+    }
+
+    /// The conventions, each with its evidence.
+    pub fn conventions(&self) -> &[Convention] {
+        &self.rows
+    }
+
+    /// What should be known of them.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// The columns of a demonstration. `other` are actions of the other kind, recorded in another file.
+    ///
+    /// # Errors
+    /// A demonstration that does not follow the conventions.
+    pub fn interpret(
+        &self,
+        reader: &RobomimicReader,
+        demo: &Demo,
+        other: Option<&[Action]>,
+    ) -> Result<Interpreted, IngestError> {
+        self.interpret_checked(demo, other)
+            .map_err(|fault| Fault::from(fault).of(&reader.path))
+    }
+
+    fn interpret_checked(&self, demo: &Demo, other: Option<&[Action]>) -> Result<Interpreted, Hdf5Fault> {
+        check_object_columns(demo, self.conventions.task)?;
+        let model = match self.from_states {
+            FromStates::Nothing => None,
+            _ => self.model(demo)?,
+        };
+        let mut columns = self.from_states.complete(demo, model.as_deref())?;
+        let plain = arrays(demo, &columns, None);
+        self.conventions.check(&plain).map_err(|contradiction| {
+            let why = contradiction.to_string().replace(
+                "allow_actions_beyond_range accepts it",
+                "ingest.conventions.allow_actions_beyond_range = true accepts it",
+            );
+            Hdf5Fault::Other(format!(
+                "{why}; repair that demonstration, or leave it out by a filter key or ingest.select"
+            ))
+        })?;
+        let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
+        let sites = columns
+            .eef_position
+            .iter()
+            .zip(&columns.eef_quaternion)
+            .map(|(position, quaternion)| self.conventions.site_pose(*position, *quaternion))
+            .collect::<Option<Vec<_>>>()
+            .ok_or_else(|| unknown("obs/robot0_eef_quat holds a quaternion without direction; repair that row"))?;
+        if columns.object.is_empty() {
+            columns.object = self.objects(demo).ok_or_else(|| no_object(demo))?;
+        }
+        let initial = self.initial.as_ref();
+        let refuse = |error: re4_robosuite::actions::ActionError| unknown(&error.to_string());
+        let actions = &demo.actions;
+        let pairs = |goals: &[Action], known: &[Action]| -> Vec<(f64, f64)> {
+            goals
+                .iter()
+                .zip(known)
+                .skip(1)
+                .map(|(goal, known)| distance(goal, known))
+                .collect()
+        };
+        match self.conventions.action_kind {
+            ActionKind::Delta => {
+                columns.goal = self.osc.to_absolute(actions, &sites, initial).map_err(refuse)?;
+                columns.delta.clone_from(actions);
+                let beside = demo.other_goals.as_ref().map(|goals| {
+                    let join = |(goal, action): (&[f64; 6], &Action)| {
+                        let [x, y, z, rx, ry, rz] = *goal;
+                        [x, y, z, rx, ry, rz, action[6]]
+                    };
+                    goals.iter().zip(actions).map(join).collect::<Vec<Action>>()
+                });
+                let known = other.map(<[Action]>::to_vec).or(beside);
+                columns.goal_errors = known.map(|known| pairs(&columns.goal, &known));
+            }
+            ActionKind::Absolute => {
+                columns.delta = self.osc.to_delta(actions, &sites, initial).map_err(refuse)?;
+                columns.goal.clone_from(actions);
+                let goals = other
+                    .map(|deltas| self.osc.to_absolute(deltas, &sites, initial))
+                    .transpose();
+                columns.goal_errors = goals.map_err(refuse)?.map(|goals| pairs(&goals, actions));
+            }
+        }
+        // What is handed on has the scalar part last, whatever the file has.
+        if self.conventions.eef_quaternion == QuaternionOrder::Wxyz {
+            for quaternion in &mut columns.eef_quaternion {
+                quaternion.rotate_left(1);
+            }
+        }
+        Ok(columns)
+    }
+
+    /// Object poses from `obs/object`, bit for bit.
+    fn objects(&self, demo: &Demo) -> Option<Vec<[f64; 7]>> {
+        let matrix = demo.object.as_ref()?;
+        let start = self.conventions.object_layout?.pose_start();
+        let order = self.conventions.object_quaternion?;
+        let pose = |row: &[f64]| {
+            let mut pose: [f64; 7] = row.get(start..start + 7)?.try_into().ok()?;
+            if order == QuaternionOrder::Wxyz {
+                pose[3..].rotate_left(1);
+            }
+            Some(pose)
+        };
+        matrix.values.chunks_exact(matrix.columns).map(pose).collect()
+    }
+
+    fn model(&self, demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
+        let Some(text) = &demo.model else { return Ok(None) };
+        let mut last = self.model.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((known, model)) = &*last
+            && known == text
+        {
+            return Ok(Some(Arc::clone(model)));
+        }
+        let model = parse_model(demo)?;
+        *last = model.clone().map(|model| (Arc::clone(text), model));
+        Ok(model)
+    }
+}
+
+fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
+    let parse = |text: &Arc<str>| {
+        Model::parse(text).map(Arc::new).map_err(|error| Hdf5Fault::Attribute {
+            object: format!("/data/{}", demo.name),
+            attribute: "model_file",
+            why: format!("gives no poses: {error}"),
+            mend: "restore it, or leave the demonstration out by a filter key or ingest.select".to_owned(),
+        })
+    };
+    demo.model.as_ref().map(parse).transpose()
+}
+
+/// The file has to be of the task that the pipeline names.
+fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
+    if env.robots.len() > 1 {
+        return Err(Hdf5Fault::Other(format!(
+            "it is of environment {} with {} robots, and this version reads tasks of one arm with a two-finger gripper; give such a file",
+            env.env_name,
+            env.robots.len()
+        )));
+    }
+    let own = Task::of(&env.env_name);
+    if task != Task::Other && own != task {
+        let wanted = match task {
+            Task::Lift => "Lift",
+            Task::Can => "PickPlaceCan",
+            _ => "NutAssemblySquare",
+        };
+        return Err(Hdf5Fault::Other(format!(
+            "it is of environment {}, and the pipeline's task needs {wanted}; give the task of the file, or task = \"robosuite\" and ingest.object",
+            env.env_name
+        )));
+    }
+    Ok(())
+}
+
+fn no_object(demo: &Demo) -> Hdf5Fault {
+    Hdf5Fault::Missing {
+        object: format!("data/{}/obs/object", demo.name),
+        mend: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
+    }
+}
+
+fn check_object_columns(demo: &Demo, task: Task) -> Result<(), Hdf5Fault> {
+    match (&demo.object, task.object_columns()) {
+        (Some(object), Some(columns)) if object.columns != columns => Err(Hdf5Fault::Shape {
+            object: format!("data/{}/obs/object", demo.name),
+            found: vec![object.rows(), object.columns],
+            expected: format!("(N, {columns})"),
+            mend: "restore its columns, or give a file of the pipeline's task",
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// What has to come from states, and which body the object is.
+fn from_states(
+    layout: Layout,
+    reading: &Reading,
+    env: &EnvArgs,
+    model: Option<&Arc<Model>>,
+) -> Result<FromStates, Hdf5Fault> {
+    if layout == Layout::Observed && reading.task != Task::Other {
+        return Ok(FromStates::Nothing);
+    }
+    let environment = &env.env_name;
+    let Some(model) = model else {
+        return Err(Hdf5Fault::Other(format!(
+            "poses of environment {environment} have to come from the states, and the demonstrations have no attribute model_file; give a file with models"
+        )));
+    };
+    let robot = model
+        .robot(0)
+        .map_err(|error| Hdf5Fault::Other(format!("{error}; give a file of one arm with a two-finger gripper")))?;
+    if robot.fingers.is_none() {
+        return Err(Hdf5Fault::Other(format!(
+            "the robot of environment {environment} has no gripper of two sliding fingers, and this version reads no other; give such a file"
+        )));
+    }
+    let named = reading
+        .object
+        .clone()
+        .or_else(|| reading.task.object().map(str::to_owned));
+    let candidates: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
+    let object = named.ok_or_else(|| {
+        Hdf5Fault::Other(if candidates.is_empty() {
+            format!("the model of environment {environment} has no free body that could be the manipulated object; give a file of a task that has one")
+        } else {
+            format!(
+                "nothing says which body of environment {environment} is the manipulated object; set ingest.object to one of {}",
+                candidates.join(", ")
+            )
+        })
+    })?;
+    model.object(&object).map_err(|error| {
+        Hdf5Fault::Other(if candidates.is_empty() {
+            format!("the model of environment {environment} has no free body, so none is the object {object:?}; give a file of a task that has one")
+        } else {
+            format!("{error}; correct ingest.object")
+        })
+    })?;
+    Ok(match layout {
+        Layout::Observed => FromStates::Object(object),
+        Layout::Raw => FromStates::All(object),
+    })
+}
+
+impl FromStates {
+    /// The observations of a demonstration, with the poses of its object where they come from the states.
+    fn complete(&self, demo: &Demo, model: Option<&Model>) -> Result<Interpreted, Hdf5Fault> {
+        let mut columns = Interpreted {
+            eef_position: demo.eef_position.clone(),
+            eef_quaternion: demo.eef_quaternion.clone(),
+            fingers: demo.fingers.clone(),
+            ..Interpreted::default()
+        };
+        let name = match self {
+            Self::Nothing => return Ok(columns),
+            Self::Object(name) | Self::All(name) => name,
+        };
+        let refuse =
+            |why: String| Hdf5Fault::Other(format!("{}: no poses from states and model_file: {why}", demo.name));
+        let (Some(model), Some(states)) = (model, &demo.states) else {
+            return Err(refuse(
+                "one of the two is missing; restore it, or leave the demonstration out".to_owned(),
+            ));
+        };
+        let rows = states.values.chunks_exact(states.columns);
+        let observed: Vec<Observed> = model.observe(rows, Some(name)).map_err(|error| {
+            refuse(format!(
+                "{error}; restore what is wrong, or leave the demonstration out"
+            ))
+        })?;
+        if *self == Self::All(name.clone()) {
+            columns.eef_position = observed
+                .iter()
+                .map(|seen| seen.site.translation.vector.into())
+                .collect();
+            columns.eef_quaternion = observed.iter().map(|seen| seen.hand.rotation.coords.into()).collect();
+            let fingers = observed
+                .iter()
+                .map(|seen| seen.gripper_qpos)
+                .collect::<Option<Vec<_>>>();
+            columns.fingers = fingers.ok_or_else(|| refuse("the gripper has not two sliding fingers".to_owned()))?;
+        }
+        let pose = |seen: &Observed| {
+            let pose = seen.object?;
+            let [x, y, z]: [f64; 3] = pose.translation.vector.into();
+            let [qx, qy, qz, qw]: [f64; 4] = pose.rotation.coords.into();
+            Some([x, y, z, qx, qy, qz, qw])
+        };
+        columns.object = observed.iter().filter_map(pose).collect();
+        Ok(columns)
+    }
+}
+
+fn arrays<'a>(demo: &'a Demo, columns: &'a Interpreted, model: Option<&'a Model>) -> DemoArrays<'a> {
+    let rows = |matrix: &'a super::demo::Matrix| Rows::new(&matrix.values, matrix.columns);
+    DemoArrays {
+        name: &demo.name,
+        eef_pos: &columns.eef_position,
+        eef_quat: &columns.eef_quaternion,
+        object: demo.object.as_ref().and_then(rows),
+        gripper_qpos: &columns.fingers,
+        actions: &demo.actions,
+        eef_vel_ang: demo.angular_velocity.as_deref(),
+        states: demo.states.as_ref().and_then(rows),
+        model,
+    }
+}
+
+/// A proof as a row.
+fn convention(proof: &Proof) -> Convention {
+    let candidates = &proof.evidence.candidates;
+    let own = candidates.iter().find(|candidate| candidate.value == proof.value);
+    let rival = candidates.iter().filter(|candidate| candidate.value != proof.value);
+    let rival = rival.map(|candidate| candidate.median).min_by(f64::total_cmp);
+    Convention {
+        name: proof.convention.clone(),
+        value: proof.value.clone(),
+        basis: match proof.basis {
+            Basis::Data => "proven",
+            Basis::Setting => "setting",
+        },
+        evidence: proof.evidence.test.clone(),
+        measured: own
+            .filter(|own| own.residual.is_finite())
+            .map(|own| [own.residual, rival.unwrap_or_default(), proof.evidence.threshold]),
+        rival: rival.is_some_and(f64::is_finite),
+        unit: proof.evidence.unit.clone(),
+        frames: proof.evidence.frames,
+    }
+}
+
+/// Conventions that rest on words: settings, and what the file says of itself.
+fn stated(layout: Layout, reading: &Reading, env: &EnvArgs, from_states: &FromStates) -> Vec<Convention> {
+    let row = |name: &str, value: String, basis: &'static str, evidence: &str| Convention {
+        name: name.to_owned(),
+        value,
+        basis,
+        evidence: evidence.to_owned(),
+        measured: None,
+        rival: false,
+        unit: String::new(),
+        frames: 0,
+    };
+    let (layout, poses) = match layout {
+        Layout::Observed => ("robomimic", "the demonstrations have a group obs"),
+        Layout::Raw => ("raw", "the demonstrations have states and actions, and no group obs"),
+    };
+    let mut rows = vec![row("layout", layout.to_owned(), "declared", poses)];
+    rows.push(row(
+        "environment",
+        env.env_name.clone(),
+        "declared",
+        "attribute env_args or env of /data",
+    ));
+    if let Some(version) = &env.env_version {
+        rows.push(row(
+            "robosuite_version",
+            version.clone(),
+            "declared",
+            "attribute env_args or repository_version of /data",
+        ));
+    }
+    let (source, evidence) = match from_states {
+        FromStates::Nothing => ("observations", "eef, fingers and object pose are copied from obs"),
+        FromStates::Object(_) => (
+            "states",
+            "the object's pose is computed from states and model_file by forward kinematics",
+        ),
+        FromStates::All(_) => (
+            "states",
+            "eef, fingers and object pose are computed from states and model_file by forward kinematics",
+        ),
+    };
+    rows.push(row("poses", source.to_owned(), "declared", evidence));
+    if let FromStates::Object(object) | FromStates::All(object) = from_states {
+        let basis = if reading.object.is_some() {
+            "setting"
+        } else {
+            "declared"
+        };
+        rows.push(row(
+            "object",
+            object.clone(),
+            basis,
+            "the body of the manipulated object",
+        ));
+    }
+    if reading.env_args.is_some() {
+        rows.push(row(
+            "env_args",
+            "given".to_owned(),
+            "setting",
+            "ingest.env_args stands for the file's own",
+        ));
+    }
+    if reading.conventions.allow_actions_beyond_range {
+        let evidence = "ingest.conventions.allow_actions_beyond_range; the controller cuts them at its limits";
+        rows.push(row("actions_beyond_range", "accepted".to_owned(), "setting", evidence));
+    }
+    rows
+}

@@ -1,0 +1,169 @@
+//! What is said of a file as a whole: its hash, warnings, errors of converted actions.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::fault::Hdf5Fault;
+use super::reader::{DemoChoice, MODELS_FOLDER, RobomimicReader};
+use crate::error::{Fault, IngestError};
+use crate::warning::{Warning, WarningCode};
+
+/// Datasets that are ingested, beside the pictures of cameras.
+const TAKEN: [&str; 10] = [
+    "actions",
+    "action_dict",
+    "actions_abs",
+    "dones",
+    "obs/object",
+    "obs/robot0_eef_pos",
+    "obs/robot0_eef_quat",
+    "obs/robot0_gripper_qpos",
+    "rewards",
+    "states",
+];
+
+/// BLAKE3 of an HDF5 file. Where models lie beside it in a folder `models`, BLAKE3 over that hash and, for each file of the
+/// folder in the byte order of the names, the length of its name as little-endian u64, its name and the BLAKE3 of its bytes.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn source_hash(path: &Path) -> Result<[u8; 32], IngestError> {
+    hash_checked(path).map_err(|fault| fault.of(path))
+}
+
+fn hash_checked(path: &Path) -> Result<[u8; 32], Fault> {
+    let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Fault::MissingPath,
+        _ => Fault::io("read", path, error),
+    })?;
+    if metadata.is_dir() {
+        return Err(Hdf5Fault::Folder.into());
+    }
+    let own = hash_file(path)?;
+    let folder = path.parent().unwrap_or(Path::new(".")).join(MODELS_FOLDER);
+    let Ok(entries) = std::fs::read_dir(&folder) else {
+        return Ok(own);
+    };
+    let mut files: Vec<PathBuf> = entries
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| path.is_file())
+        .collect();
+    files.sort_unstable();
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&own);
+    for file in files {
+        let name = file.file_name().unwrap_or_default().as_encoded_bytes();
+        hasher
+            .update(&(name.len() as u64).to_le_bytes())
+            .update(name)
+            .update(&hash_file(&file)?);
+    }
+    Ok(*hasher.finalize().as_bytes())
+}
+
+fn hash_file(path: &Path) -> Result<[u8; 32], Fault> {
+    let mut hasher = blake3::Hasher::new();
+    hasher
+        .update_mmap_rayon(path)
+        .map_err(|error| Fault::io("read", path, error))?;
+    Ok(*hasher.finalize().as_bytes())
+}
+
+/// Another file of the same demonstrations, whose actions are of the other kind.
+pub struct Comparison {
+    reader: RobomimicReader,
+}
+
+impl Comparison {
+    /// Opens the file.
+    ///
+    /// # Errors
+    /// As [`RobomimicReader::open`].
+    pub fn open(path: &Path) -> Result<Self, IngestError> {
+        RobomimicReader::open(path, &DemoChoice::default()).map(|reader| Self { reader })
+    }
+
+    /// Actions of the demonstration of this name and length; none where there is no such demonstration.
+    ///
+    /// # Errors
+    /// Actions that cannot be read, or are of another length.
+    pub fn actions(&self, demo: &str, frames: usize) -> Result<Option<Vec<[f64; 7]>>, IngestError> {
+        let refuse = |fault: Hdf5Fault| Fault::from(fault).of(&self.reader.path);
+        let actions = self.reader.actions(demo).map_err(refuse)?;
+        match actions {
+            Some(actions) if actions.len() != frames => Err(refuse(Hdf5Fault::Length {
+                object: format!("data/{demo}/actions"),
+                found: actions.len(),
+                other: "the demonstration of that name in ingest.source".to_owned(),
+                expected: frames,
+            })),
+            actions => Ok(actions),
+        }
+    }
+}
+
+/// Distribution of the distances between recorded absolute actions and those that follow from delta actions, beyond the first
+/// step of a demonstration.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GoalErrors {
+    /// Steps compared.
+    pub steps: u64,
+    /// Distances of positions in metres: median, 90 %, 99 %, greatest.
+    pub position_m: [f64; 4],
+    /// Angles between orientations in radians, likewise.
+    pub rotation_rad: [f64; 4],
+}
+
+impl GoalErrors {
+    /// The distribution; none of no steps.
+    pub fn of(errors: &[(f64, f64)]) -> Option<Self> {
+        let quantiles = |value: fn(&(f64, f64)) -> f64| {
+            let mut values: Vec<f64> = errors.iter().map(value).collect();
+            values.sort_unstable_by(f64::total_cmp);
+            let rank = |share: f64| ((share * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1;
+            [0.5, 0.9, 0.99, 1.0].map(|share| values[rank(share)])
+        };
+        (!errors.is_empty()).then(|| Self {
+            steps: errors.len() as u64,
+            position_m: quantiles(|error| error.0),
+            rotation_rad: quantiles(|error| error.1),
+        })
+    }
+}
+
+impl RobomimicReader {
+    /// What is not ingested of the first demonstration, as a warning; `cameras` are those that are.
+    ///
+    /// # Errors
+    /// Groups that cannot be read.
+    pub fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
+        let taken = |name: &str| {
+            let camera = name.strip_prefix("obs/").and_then(|name| name.strip_suffix("_image"));
+            TAKEN.contains(&name) || camera.is_some_and(|camera| cameras.iter().any(|taken| taken == camera))
+        };
+        let skipped = self.skipped(taken).map_err(|fault| Fault::from(fault).of(&self.path))?;
+        Ok((!skipped.is_empty()).then(|| Warning {
+            code: WarningCode::SkippedDatasets,
+            message: format!("not ingested: {}", skipped.join(", ")),
+            episode: None,
+            frame: None,
+            count: skipped.len() as u64,
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_values_that_occur() {
+        let errors: Vec<(f64, f64)> = (1..=100).map(|i| (f64::from(i), 0.0)).collect();
+        let found = GoalErrors::of(&errors).unwrap();
+        assert_eq!(found.position_m, [50.0, 90.0, 99.0, 100.0]);
+        assert_eq!(GoalErrors::of(&[]), None);
+        assert_eq!(GoalErrors::of(&[(2.0, 1.0)]).unwrap().position_m, [2.0; 4]);
+    }
+}

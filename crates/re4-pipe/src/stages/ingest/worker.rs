@@ -1,0 +1,222 @@
+//! Reading HDF5 in a process of its own.
+//!
+//! The HDF5 library is written in C and can fall over on a damaged file. So the program runs itself once more, with a hidden
+//! subcommand: that process makes and publishes the artifact, and tells how far it is, or why it stopped, in JSON lines on its
+//! standard output. Its standard input stays open as long as this process lives; when it closes, the worker stops. Whatever
+//! happens to the worker, the user gets one sentence, and what it had begun is removed.
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::PathBuf;
+use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use indicatif::ProgressBar;
+use re4_artifact::Key;
+use serde::{Deserialize, Serialize};
+
+use crate::interrupt::Interrupt;
+use crate::pipeline::Pipeline;
+
+/// Name of the hidden subcommand.
+pub(crate) const SUBCOMMAND: &str = "ingest-worker";
+
+/// How long a worker may be silent. It tells of every demonstration and every block of pictures.
+const PATIENCE: Duration = Duration::from_mins(3);
+
+/// Replaces [`PATIENCE`], in seconds, for tests.
+const PATIENCE_VARIABLE: &str = "RE4_WORKER_PATIENCE";
+
+/// How long a worker that was asked to stop may take to clear up.
+const CLEARING: Duration = Duration::from_secs(5);
+
+/// Most memory that a worker may write to, in bytes. Sizes in a damaged file can be anything.
+pub(super) const MEMORY: u64 = 4 << 30;
+
+/// Most that is kept of what a worker prints on its standard error.
+const LAST_WORDS: u64 = 1 << 16;
+
+/// What a worker is to do.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Order {
+    /// The pipeline, overrides applied.
+    pub(crate) pipeline: Pipeline,
+    /// The HDF5 file.
+    pub(crate) source: PathBuf,
+    /// Hash of the source.
+    pub(crate) hash: Key,
+    /// Another file of the same demonstrations.
+    pub(crate) compare: Option<PathBuf>,
+    /// Hash of that.
+    pub(crate) compare_hash: Option<Key>,
+    /// The artifacts folder.
+    pub(crate) artifacts: PathBuf,
+    /// Threads.
+    pub(crate) threads: usize,
+}
+
+/// What a worker tells, one JSON object a line.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Word {
+    /// Demonstrations, or pictures, that are done, and how many there are.
+    Progress(u64, u64),
+    /// The artifact is published.
+    Done,
+    /// Why it stopped, in one sentence.
+    Failed(String),
+}
+
+/// Runs a worker to its end.
+pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
+    let refuse = |why: String| anyhow!("cannot ingest {}: {why}", order.source.display());
+    let program =
+        std::env::current_exe().context("cannot find this program's own file to read HDF5 in another process")?;
+    let mut child = Command::new(program)
+        .arg(SUBCOMMAND)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .context("cannot start another process to read HDF5 in; end other programs and run again")?;
+    let mut line = serde_json::to_vec(order)?;
+    line.push(b'\n');
+    let mut stdin = child.stdin.take();
+    if let Some(stdin) = &mut stdin {
+        // A worker that is gone already says why below.
+        let _ = stdin.write_all(&line).and_then(|()| stdin.flush());
+    }
+    let stderr = child.stderr.take();
+    let last_words = std::thread::spawn(move || last_words(stderr));
+    let words = listen(&mut child);
+    let patience = std::env::var(PATIENCE_VARIABLE)
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .map_or(PATIENCE, Duration::from_secs);
+    let ended = attend(&words, interrupt, bar, patience);
+    bar.finish_and_clear();
+    // The worker stops once its standard input is closed, and is ended where it does not.
+    drop(stdin);
+    let status = match &ended {
+        Ended::Silent => end(&mut child),
+        _ => wait(&mut child, CLEARING),
+    };
+    let status = status.context("cannot learn how the process that reads HDF5 ended")?;
+    match ended {
+        Ended::Word(Word::Done) if status.success() => return Ok(()),
+        Ended::Word(Word::Failed(sentence)) => bail!(sentence),
+        Ended::Interrupted => interrupt.check("ingest")?,
+        Ended::Silent => bail!(refuse(format!(
+            "the HDF5 library made no headway for {} s, so the file may be damaged or its disk may not answer; copy the file to a local disk or download it again",
+            patience.as_secs()
+        ))),
+        Ended::Word(_) | Ended::Gone => {}
+    }
+    let last_words = last_words.join().unwrap_or_default();
+    Err(refuse(how_it_ended(status, &last_words)))
+}
+
+/// Why the parent no longer listens.
+enum Ended {
+    /// The last word of the worker.
+    Word(Word),
+    /// The worker closed its standard output without one.
+    Gone,
+    /// Ctrl-C.
+    Interrupted,
+    /// The worker was silent for too long.
+    Silent,
+}
+
+/// Listens until the worker has said its last word.
+fn attend(words: &Receiver<Word>, interrupt: &Interrupt, bar: &ProgressBar, patience: Duration) -> Ended {
+    let mut heard = Instant::now();
+    loop {
+        match words.recv_timeout(Duration::from_millis(50)) {
+            Ok(Word::Progress(done, all)) => {
+                bar.set_length(all);
+                bar.set_position(done);
+                heard = Instant::now();
+            }
+            Ok(word) => return Ended::Word(word),
+            Err(RecvTimeoutError::Disconnected) => return Ended::Gone,
+            Err(RecvTimeoutError::Timeout) if interrupt.requested() => return Ended::Interrupted,
+            Err(RecvTimeoutError::Timeout) if heard.elapsed() > patience => return Ended::Silent,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+}
+
+/// Words of the worker as they come. Lines that are none (the C library may print, too) are left out.
+fn listen(child: &mut Child) -> Receiver<Word> {
+    let (sender, receiver) = channel();
+    if let Some(stdout) = child.stdout.take() {
+        std::thread::spawn(move || {
+            for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+                if let Ok(word) = serde_json::from_str(&line)
+                    && sender.send(word).is_err()
+                {
+                    break;
+                }
+            }
+        });
+    }
+    receiver
+}
+
+fn last_words(stderr: Option<ChildStderr>) -> String {
+    let mut bytes = Vec::new();
+    if let Some(mut stderr) = stderr {
+        let _ = stderr.by_ref().take(LAST_WORDS).read_to_end(&mut bytes);
+        // The rest has to be taken, too, or the worker would wait for ever.
+        let _ = std::io::copy(&mut stderr, &mut std::io::sink());
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Waits for the worker to end, and ends it where it takes longer than that.
+fn wait(child: &mut Child, patience: Duration) -> std::io::Result<ExitStatus> {
+    let start = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status);
+        }
+        if start.elapsed() > patience {
+            return end(child);
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn end(child: &mut Child) -> std::io::Result<ExitStatus> {
+    child.kill()?;
+    child.wait()
+}
+
+/// What is said of a worker that ended without a word of its own.
+fn how_it_ended(status: ExitStatus, last_words: &str) -> String {
+    if last_words.contains("memory allocation of") {
+        return format!(
+            "reading it takes more than {} GiB of memory, so it is damaged or far larger than robomimic's files; copy or download it again, or ingest fewer demonstrations with ingest.select",
+            MEMORY >> 30
+        );
+    }
+    match (status.signal(), status.code()) {
+        (Some(9), _) => "the process that read it was ended from outside (signal 9), perhaps for lack of memory; free some memory and run again".to_owned(),
+        (Some(signal @ (2 | 15)), _) => {
+            format!("the process that read it was ended from outside (signal {signal}); run again")
+        }
+        (Some(signal), _) => format!(
+            "the HDF5 library fell over (signal {signal}), so the file is damaged; copy or download it again"
+        ),
+        (None, code) => {
+            let said = last_words.lines().find(|line| !line.trim().is_empty()).unwrap_or("nothing");
+            format!(
+                "the process that read it stopped with exit code {} and said: {said}; run again, and report it where that does not help",
+                code.unwrap_or_default()
+            )
+        }
+    }
+}

@@ -1,0 +1,433 @@
+//! The parts of the page.
+
+use maud::{Markup, html};
+
+use super::{Audit, Check, Contacts, Convention, Severity};
+use crate::html::common::{choice, exact, plural};
+use crate::statistics::median;
+
+/// The shape that tells a severity apart where colour does not; the script draws it.
+fn glyph(severity: Severity) -> Markup {
+    html! {
+        svg class={ "glyph sev-" (severity.as_str()) } viewBox="-7 -7 14 14" width="14" height="14" aria-hidden="true" {
+            path data-glyph=(severity.as_str()) {}
+        }
+    }
+}
+
+fn words(code: &str) -> String {
+    code.replace(['_', '-'], " ")
+}
+
+/// A number as it is, without needless digits.
+fn number(value: f64) -> String {
+    let rounded = format!("{value:.4e}").parse::<f64>().unwrap_or(value);
+    let magnitude = rounded.abs();
+    if rounded != 0.0 && !(1e-4..1e7).contains(&magnitude) {
+        format!("{rounded:e}")
+    } else {
+        rounded.to_string()
+    }
+}
+
+fn measured(value: Option<f64>, unit: &str) -> Markup {
+    html! {
+        @match value {
+            Some(value) => span data-value=(exact(value)) { (number(value)) @if !unit.is_empty() { " " (unit) } },
+            None => "–",
+        }
+    }
+}
+
+fn thousands(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// The title, what was audited, and what share of it is which mode.
+pub(super) fn header(audit: &Audit) -> Markup {
+    let frames: u64 = audit.demos.iter().map(|d| u64::from(d.frames)).sum();
+    let transit: u64 = audit.demos.iter().map(|d| u64::from(d.transit_frames)).sum();
+    let transfer: u64 = audit.demos.iter().map(|d| u64::from(d.transfer_frames)).sum();
+    let share = |part: u64| {
+        if frames == 0 {
+            0.0
+        } else {
+            100.0 * part as f64 / frames as f64
+        }
+    };
+    let clean = audit.demos.iter().filter(|d| d.errors + d.warnings == 0).count();
+    html! {
+        header.page {
+            p.eyebrow { "re4-pipe · audit" }
+            h1 { (audit.dataset) }
+            p.lead {
+                strong { (audit.task) } ": "
+                strong data-fact="demos" data-value=(audit.demos.len()) { (plural(audit.demos.len(), "demonstration", "demonstrations")) }
+                ", "
+                strong data-fact="frames" data-value=(frames) { (thousands(frames)) " frames" }
+                ". "
+                span data-fact="clean" data-value=(clean) {
+                    @if audit.demos.is_empty() {}
+                    @else if clean == audit.demos.len() { "None of them has an error or a warning." }
+                    @else if clean == 0 { "Each of them has an error or a warning." }
+                    @else { (clean) " of them have neither error nor warning." }
+                }
+            }
+            div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % transfer", share(transit), share(transfer))) {
+                @for (mode, part) in [("transit", transit), ("transfer", transfer)].into_iter().filter(|(_, part)| *part > 0) {
+                    div class={ "mode " (mode) } style=(format!("flex-grow: {part}")) {}
+                }
+            }
+            ul.legend.modes {
+                @for (mode, part) in [("transit", transit), ("transfer", transfer)] {
+                    li data-fact={ (mode) "_frames" } data-value=(part) {
+                        span class={ "swatch " (mode) } {}
+                        (mode) " " b { (format!("{:.1} %", share(part))) } " · " (thousands(part)) " frames"
+                    }
+                }
+            }
+            noscript { p.notice { "The timelines and plots need JavaScript; the tables of checks and conventions do not." } }
+            p.notice.gone #address-notice role="alert" {}
+        }
+    }
+}
+
+/// What was found, by severity and by kind; buttons that filter.
+pub(super) fn findings(audit: &Audit) -> Markup {
+    let silent: Vec<&Check> = audit.checks.iter().filter(|check| check.findings == 0).collect();
+    html! {
+        section #found aria-labelledby="found-title" {
+            div.heading {
+                h2 #found-title { "What was found" }
+                button.link.gone #clear-filters type="button" { "Show all demonstrations" }
+            }
+            div.kinds {
+                @for severity in Severity::ALL {
+                    @let count = audit.findings.iter().filter(|f| f.severity == severity).count();
+                    @let checks = sorted_checks(audit, severity);
+                    div.card.kind {
+                        button.severity type="button" aria-pressed="false" data-severity=(severity.as_str())
+                            data-count=(count) disabled[count == 0] title={ "Show demonstrations with a finding of severity " (severity.as_str()) } {
+                            (glyph(severity))
+                            b { (count) } " "
+                            (if count == 1 { severity.as_str().to_owned() } else { format!("{}s", severity.as_str()) })
+                        }
+                        p.hint { (meaning(severity)) }
+                        @if !checks.is_empty() {
+                            div.chips {
+                                @for check in checks {
+                                    button.chip type="button" aria-pressed="false" data-code=(check.code) data-findings=(check.findings)
+                                        data-episodes=(check.episodes) title=(check.meaning) {
+                                        span { (words(&check.code)) }
+                                        b { (check.findings) }
+                                        small { " in " (check.episodes) }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+            p.hint {
+                "Numbers on a kind: findings, and in how many demonstrations. Press one to see only those demonstrations. "
+                @if !silent.is_empty() {
+                    "Looked for and not found: "
+                    @for (i, check) in silent.iter().enumerate() {
+                        @if i > 0 { ", " }
+                        span title=(check.meaning) data-silent=(check.code) { (words(&check.code)) }
+                    }
+                    "."
+                }
+            }
+        }
+    }
+}
+
+fn meaning(severity: Severity) -> &'static str {
+    match severity {
+        Severity::Error => "The segmentation or the data is wrong there.",
+        Severity::Warning => "Probably not what the demonstrator wanted, or a trap for a learner.",
+        Severity::Note => "Worth knowing.",
+    }
+}
+
+/// Checks of a severity that found something, the most frequent first.
+fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&Check> {
+    let mut checks: Vec<&Check> = audit
+        .checks
+        .iter()
+        .filter(|check| check.severity == severity && check.findings > 0)
+        .collect();
+    checks.sort_by(|a, b| b.findings.cmp(&a.findings).then_with(|| a.code.cmp(&b.code)));
+    checks
+}
+
+/// All timelines, and the evidence of the chosen demonstration beside them.
+pub(super) fn workbench(audit: &Audit) -> Markup {
+    html! {
+        div.workbench {
+            section #timelines aria-labelledby="timelines-title" {
+                div.card.rows {
+                    div.heading {
+                        h2 #timelines-title { "Every demonstration" }
+                        output #shown-count {}
+                    }
+                    div.controls {
+                        label { span { "Sort by" } select #sort {
+                            option value="worst" selected { "findings, worst first" }
+                            option value="number" { "number" }
+                            option value="length" { "length" }
+                            option value="share" { "share of transfer" }
+                            option value="grasp" { "first grasp" }
+                        } }
+                        button #reverse type="button" aria-pressed="false" title="Reverse the order" aria-label="Reverse the order" { "⇅" }
+                        label.grow { span.hidden { "Filter by text" } input #filter-text type="search" placeholder="Name or words" title="Shows demonstrations by their name or by words of their findings" autocomplete="off"; }
+                        (choice("scale", "Scale of the timelines", &[("frames", "Frames"), ("share", "Whole length")]))
+                    }
+                    div.plot #timeline-axis aria-hidden="true" {}
+                    div #timeline-rows tabindex="0" role="listbox" aria-label="Demonstrations; up and down choose one" aria-activedescendant="timeline-choice" {
+                        canvas #timeline-canvas {}
+                        div.hidden #timeline-choice role="option" aria-selected="true" {}
+                        div #timeline-spacer {}
+                    }
+                    p.none.gone #no-rows { "No demonstration fits the filter." }
+                    ul.legend {
+                        li { span.swatch.transit {} "transit" }
+                        li { span.swatch.transfer {} "transfer" }
+                        @for severity in Severity::ALL { li { (glyph(severity)) (severity.as_str()) } }
+                    }
+                    div #timeline-tip role="tooltip" {}
+                }
+            }
+            section #evidence aria-labelledby="evidence-title" tabindex="-1" {
+                div.card {
+                    div.heading {
+                        div {
+                            h2 #evidence-title {}
+                            p.detail #evidence-facts {}
+                        }
+                        div.pair {
+                            button #previous-demo type="button" aria-label="Previous demonstration" title="Previous demonstration (↑)" { "‹" }
+                            button #next-demo type="button" aria-label="Next demonstration" title="Next demonstration (↓)" { "›" }
+                        }
+                    }
+                    ul #evidence-findings aria-label="Findings of this demonstration" {}
+                    div.row {
+                        p.hint #readout aria-live="off" {}
+                        button #whole type="button" disabled { "Whole length" }
+                    }
+                    div #evidence-plots tabindex="0" role="group" aria-label="Evidence over frames; left and right move the frame, Escape shows the whole length" {}
+                    p.hint {
+                        "Background: the mode. Drag over the plots to look closer. "
+                        @if audit.panels.is_empty() { "This audit has no evidence by frame." }
+                        @else { "Curves are the artifact’s own values, every frame of them, as 32-bit floats." }
+                    }
+                    h3.above { "Segments" }
+                    div.scroll tabindex="0" role="region" aria-label="Segments of this demonstration" {
+                        table.plain #segments {
+                            thead { tr { th scope="col" { "Mode" } @for name in segment_columns(audit) { th.figure scope="col" { (name) } } } }
+                            tbody {}
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn segment_columns(audit: &Audit) -> Vec<String> {
+    let unit = &audit.length.unit;
+    let mut columns = vec!["Frames".to_owned(), "Length".to_owned()];
+    if audit.outline.is_none() {
+        columns.extend(["Settled".to_owned(), format!("Fingers, {unit}")]);
+    }
+    columns.push(format!("Residual, {unit}"));
+    if audit.outline.is_none() {
+        columns.push("Residual, °".to_owned());
+    }
+    columns.push(format!("Object moved, {unit}"));
+    if audit.outline.is_none() {
+        columns.extend([format!("Rise, {unit}"), "Grasp".to_owned()]);
+    }
+    columns
+}
+
+/// Grasps of all demonstrations, and lengths of segments.
+pub(super) fn dataset(audit: &Audit) -> Markup {
+    let planar = audit.outline.is_some();
+    let views: &[(&str, &str)] = if planar {
+        &[("xy", "The object’s plane")]
+    } else {
+        &[("xy", "From above"), ("xz", "From the side"), ("yz", "From the front")]
+    };
+    html! {
+        section #dataset aria-labelledby="dataset-title" {
+            div.heading {
+                h2 #dataset-title { @if planar { "Where contact begins" } @else { "Where the object is grasped" } }
+                ul.legend #grasp-legend {}
+            }
+            p.note {
+                @if audit.grasps.is_empty() {
+                    @if planar { "No contact is recorded to begin in any demonstration, so there is nothing to show." }
+                    @else { "No demonstration of this audit has a transfer segment, so there is nothing to show." }
+                } @else if planar {
+                    "The pusher’s centre in the block’s frame, at each frame from which on contact was counted and before which it was not. A pusher has no grasp that could be missed or lost, so there are no outcomes."
+                } @else {
+                    "The end effector in the object’s frame, one mark a transfer segment, at the frame where the fingers have settled. The cross is the object’s origin; lengths in " (audit.length.unit) "."
+                }
+            }
+            @if !audit.grasps.is_empty() {
+                div.views.planar[planar] {
+                    @for (axes, name) in views {
+                        figure.card {
+                            figcaption { h3 { (name) } p.grasp-words {} }
+                            canvas.grasps data-axes=(axes) tabindex="0" role="img" aria-label={ (name) ": positions in the object’s frame. Left and right choose one; click one to see its demonstration." } {}
+                        }
+                    }
+                }
+            }
+            @if let Some(contacts) = &audit.contacts { (contact_words(*contacts)) }
+            h2.above { "How long segments are" }
+            div.columns.even {
+                @for (transfer, mode) in [(false, "transit"), (true, "transfer")] {
+                    @let lengths = lengths(audit, transfer);
+                    figure.card {
+                        figcaption {
+                            h3 { span class={ "swatch " (mode) } {} " " (mode) }
+                            p data-fact={ (mode) "_segments" } data-value=(lengths.len()) {
+                                (plural(lengths.len(), "segment", "segments"))
+                                @if !lengths.is_empty() { ", median " (number(median(&lengths))) " frames" }
+                            }
+                        }
+                        div.plot.histogram data-mode=(mode) {}
+                    }
+                }
+            }
+            p.hint { "Triangles under the axis are the segments of the chosen demonstration." }
+        }
+    }
+}
+
+/// Whether contact and motion of the object say the same.
+fn contact_words(contacts: Contacts) -> Markup {
+    html! {
+        h2.above { "Contact against motion" }
+        p.note {
+            "The block moves and is touched in "
+            b data-contacts="both" data-value=(contacts.both) { (thousands(contacts.both)) }
+            " steps; it is touched and rests in "
+            b data-contacts="contact_alone" data-value=(contacts.contact_alone) { (thousands(contacts.contact_alone)) }
+            "; it moves untouched in "
+            b data-contacts="motion_alone" data-value=(contacts.motion_alone) { (thousands(contacts.motion_alone)) }
+            "; neither in "
+            b data-contacts="neither" data-value=(contacts.neither) { (thousands(contacts.neither)) }
+            "."
+            @if let Some(jaccard) = contacts.jaccard {
+                " Both over either: " b data-contacts="jaccard" data-value=(exact(jaccard)) { (format!("{jaccard:.3}")) } "."
+            }
+        }
+    }
+}
+
+fn lengths(audit: &Audit, transfer: bool) -> Vec<f64> {
+    let segments = audit.segments.iter().filter(|segment| segment.transfer == transfer);
+    segments
+        .map(|s| f64::from(s.end_frame) - f64::from(s.first_frame))
+        .collect()
+}
+
+/// Every check with its threshold.
+pub(super) fn checks(audit: &Audit) -> Markup {
+    html! {
+        section #checks aria-labelledby="checks-title" {
+            h2 #checks-title { "Checks and their thresholds" }
+            p.note { "A threshold is derived from this dataset (data), set in the pipeline file (setting), or built in (default)." }
+            div.card.scroll tabindex="0" role="region" aria-label="Checks" {
+                table.plain.wide {
+                    thead { tr {
+                        th scope="col" { "Check" }
+                        th.figure scope="col" { "Findings" }
+                        th.figure scope="col" { "Demos" }
+                        th.figure scope="col" { "Threshold" }
+                        th scope="col" { "Origin" }
+                        th scope="col" { "What is measured, what a finding means" }
+                    } }
+                    tbody {
+                        @for check in &audit.checks {
+                            tr data-check=(check.code) {
+                                th scope="row" { span.name { (glyph(check.severity)) (words(&check.code)) } }
+                                td.figure { (check.findings) }
+                                td.figure { (check.episodes) }
+                                td.figure { (measured(check.threshold, &check.unit)) }
+                                td { (check.origin) }
+                                td.text { p { (check.measure) } p.soft { (check.meaning) } @if !check.derivation.is_empty() { p.soft { "Threshold: " (check.derivation) } } }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// How the dataset's values are meant, and why that is believed.
+pub(super) fn conventions(audit: &Audit) -> Markup {
+    html! {
+        @if !audit.conventions.is_empty() {
+            section #conventions aria-labelledby="conventions-title" {
+                h2 #conventions-title { "Conventions of the dataset" }
+                p.note { "What its numbers mean, each with why that is believed." }
+                div.card.scroll tabindex="0" role="region" aria-label="Conventions" {
+                    table.plain.wide {
+                        thead { tr {
+                            th scope="col" { "Convention" }
+                            th scope="col" { "Here" }
+                            th scope="col" { "Basis" }
+                            th.figure scope="col" { "Residual" }
+                            th.figure scope="col" { "Limit" }
+                            th.figure scope="col" { "Next best" }
+                            th scope="col" { "Evidence" }
+                        } }
+                        tbody { @for convention in &audit.conventions { (convention_row(convention)) } }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn convention_row(convention: &Convention) -> Markup {
+    html! {
+        tr data-convention=(convention.name) {
+            th scope="row" { (words(&convention.name)) }
+            td { b { (convention.value) } }
+            td { span.badge.good[convention.basis == "proven"] { (convention.basis) } }
+            td.figure { (measured(convention.residual, &convention.unit)) }
+            td.figure { (measured(convention.threshold, &convention.unit)) }
+            td.figure { (measured(convention.runner_up, &convention.unit)) }
+            td.text { p { (convention.evidence) } @if convention.frames > 0 { p.soft { "On " (thousands(u64::from(convention.frames))) " frames." } } }
+        }
+    }
+}
+
+/// Where the page is from.
+pub(super) fn footer(audit: &Audit) -> Markup {
+    html! {
+        footer.page {
+            p { "Made by re4-pipe " (audit.tool_version) " with " code { (audit.command) } "; the same artifacts give the same page." }
+            ul {
+                @for (kind, key) in &audit.artifacts {
+                    li { code { (kind) "/" (key.get(..16).unwrap_or(key)) } }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
+use serde_json::Value;
+
+use super::*;
+
+fn demo(number: u32, frames: u32) -> Demo {
+    Demo {
+        number,
+        name: format!("demo_{number}"),
+        frames,
+        transit_frames: frames - 1,
+        transfer_frames: 1,
+        segments: 2,
+        transfers: 1,
+        grasp_frame: Some(frames - 1),
+        object_displacement: 0.25,
+        errors: 1,
+        warnings: 0,
+        notes: 0,
+    }
+}
+
+fn audit() -> Audit {
+    Audit {
+        tool_version: "1.2.3".to_owned(),
+        dataset: "can/<b>.hdf5".to_owned(),
+        task: "Can".to_owned(),
+        command: "re4-pipe audit can.toml".to_owned(),
+        artifacts: vec![("audit".to_owned(), "a".repeat(64))],
+        frame_seconds: 0.05,
+        length: Measure {
+            unit: "mm".to_owned(),
+            factor: 1000.0,
+        },
+        demos: vec![demo(0, 2), demo(7, 3)],
+        checks: vec![
+            check("grasp_lost", Severity::Error, 2),
+            check("idle", Severity::Note, 0),
+        ],
+        findings: vec![finding(0), finding(1)],
+        segments: Vec::new(),
+        grasps: Vec::new(),
+        outline: None,
+        contacts: None,
+        conventions: Vec::new(),
+        flags: vec![Flag {
+            label: "holds".to_owned(),
+            values: vec![Some(true), None, Some(false), Some(true), None],
+        }],
+        panels: vec![Panel {
+            title: "Speed".to_owned(),
+            measure: Measure {
+                unit: "mm/frame".to_owned(),
+                factor: 1000.0,
+            },
+            series: vec![Series {
+                label: String::new(),
+                values: vec![0.5, f64::NAN, 0.1, 0.2, f64::NAN],
+            }],
+        }],
+    }
+}
+
+fn check(code: &str, severity: Severity, findings: u32) -> Check {
+    Check {
+        code: code.to_owned(),
+        severity,
+        meaning: "what it means".to_owned(),
+        measure: "what is measured".to_owned(),
+        threshold: Some(0.000_012_345),
+        unit: "m".to_owned(),
+        origin: "data".to_owned(),
+        derivation: "three times the median".to_owned(),
+        findings,
+        episodes: findings,
+    }
+}
+
+fn finding(demo: usize) -> Finding {
+    Finding {
+        severity: Severity::Error,
+        code: "grasp_lost".to_owned(),
+        demo,
+        first_frame: 0,
+        end_frame: 1,
+        value: Some(0.1 + 0.2),
+        threshold: None,
+        unit: "m".to_owned(),
+        message: "it </script> slipped".to_owned(),
+    }
+}
+
+fn data_of(page: &str) -> Value {
+    let (_, rest) = page.split_once("type=\"application/json\">").unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+fn bytes(packed: &Value) -> Vec<u8> {
+    BASE64_STANDARD.decode(packed["data"].as_str().unwrap()).unwrap()
+}
+
+#[test]
+fn columns_by_frame_are_packed_whole() {
+    let data = data_of(&page(&audit()));
+    let values: Vec<f32> = bytes(&data["panels"][0]["series"][0]["values"])
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+        .collect();
+    assert_eq!((values[0], values[2], values[3]), (0.5, 0.1, 0.2));
+    assert!(values[1].is_nan() && values[4].is_nan() && values.len() == 5);
+    assert_eq!(bytes(&data["flags"][0]["values"]), [1, 2, 0, 1, 2]);
+}
+
+#[test]
+fn findings_keep_all_digits_and_end_no_script() {
+    let text = page(&audit());
+    let data = data_of(&text);
+    assert_eq!(data["findings"]["value"][0], 0.1 + 0.2);
+    assert_eq!(data["findings"]["threshold"][0], Value::Null);
+    assert_eq!(data["findings"]["message"][1], "it </script> slipped");
+    assert_eq!(data["findings"]["severity"], serde_json::json!([0, 0]));
+    assert!(text.contains("can/&lt;b&gt;.hdf5"));
+}
+
+#[test]
+fn words_are_there_without_the_script() {
+    let text = page(&audit());
+    assert!(text.contains("data-fact=\"frames\" data-value=\"5\""));
+    assert!(text.contains("data-code=\"grasp_lost\" data-findings=\"2\" data-episodes=\"2\""));
+    // A check that found nothing is no button, and is named all the same.
+    assert!(!text.contains("data-code=\"idle\""));
+    assert!(text.contains("data-silent=\"idle\""));
+    assert!(
+        text.contains("data-value=\"0.000012345\">1.2345e-5 m<"),
+        "a threshold with its digits"
+    );
+    assert!(text.contains("three times the median"));
+    assert!(text.contains("No demonstration of this audit has a transfer segment"));
+    assert!(!text.contains("id=\"conventions\""));
+}
+
+#[test]
+fn an_empty_audit_is_a_page() {
+    let nothing = Audit {
+        demos: Vec::new(),
+        checks: Vec::new(),
+        findings: Vec::new(),
+        flags: Vec::new(),
+        panels: Vec::new(),
+        ..audit()
+    };
+    let text = page(&nothing);
+    assert!(text.contains("0 demonstrations") && !text.contains("NaN"));
+}
+
+#[test]
+fn severities_are_read_back() {
+    for severity in Severity::ALL {
+        assert_eq!(Severity::from_name(severity.as_str()), Some(severity));
+    }
+    assert_eq!(Severity::from_name("fatal"), None);
+}

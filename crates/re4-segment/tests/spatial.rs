@@ -1,0 +1,323 @@
+//! Segmentation of motions of a hand and an object whose measures are known because they were built from them.
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
+
+use std::f64::consts::PI;
+
+use Mode::{Transfer, Transit};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use proptest::prelude::*;
+use re4_episode::{Mode, SpatialEpisode, SpatialFrame};
+use re4_segment::{Command, GripperConfig, Rule, SegmentConfig, SegmentError, SegmentedSpatial, segment_spatial};
+
+/// Width of the object between the fingers.
+const WIDTH: f64 = 0.05;
+
+/// A hand that is driven frame by frame; the object comes along while `carried`.
+#[derive(Debug)]
+struct Scene {
+    frames: Vec<SpatialFrame>,
+    carried: bool,
+}
+
+impl Scene {
+    fn new(eef: Isometry3<f64>, object: Isometry3<f64>) -> Self {
+        let frame = SpatialFrame {
+            eef,
+            object,
+            fingers: [0.04, -0.04],
+            delta: [0.0; 6],
+            goal: [0.0; 6],
+            gripper: -1.0,
+            closes: false,
+            reward: None,
+        };
+        Self {
+            frames: vec![frame],
+            carried: false,
+        }
+    }
+
+    /// The command at the last frame, and the frame that it leads to.
+    fn step(&mut self, closes: bool, motion: Isometry3<f64>, separation: f64) -> &mut Self {
+        let last = self.frames.last_mut().unwrap();
+        last.closes = closes;
+        last.gripper = if closes { 1.0 } else { -1.0 };
+        let mut next = *last;
+        next.eef = motion * last.eef;
+        if self.carried {
+            next.object = motion * last.object;
+        }
+        next.fingers = [separation / 2.0, -separation / 2.0];
+        self.frames.push(next);
+        self
+    }
+
+    fn episode(&self) -> SpatialEpisode {
+        SpatialEpisode {
+            source: 7,
+            frames: self.frames.clone(),
+        }
+    }
+}
+
+fn moved(x: f64, y: f64, z: f64) -> Isometry3<f64> {
+    Isometry3::translation(x, y, z)
+}
+
+fn turned(angle: f64) -> Isometry3<f64> {
+    Isometry3::rotation(Vector3::z() * angle)
+}
+
+/// Reaches down (3 frames), closes (3), lifts by 0.02 with a turn (4), opens (3) and goes up (2).
+fn pick_and_place() -> Scene {
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    let object = Isometry3::from_parts(
+        Translation3::new(0.3, 0.1, 0.8),
+        UnitQuaternion::from_euler_angles(0.0, 0.0, 0.4),
+    );
+    let eef = Isometry3::from_parts(Translation3::new(0.3, 0.1, 0.86), down);
+    let mut scene = Scene::new(eef, object);
+    for _ in 0..3 {
+        scene.step(false, moved(0.0, 0.0, -0.015), 0.08);
+    }
+    for separation in [0.07, 0.06, WIDTH] {
+        scene.step(true, Isometry3::identity(), separation);
+    }
+    scene.carried = true;
+    for _ in 0..4 {
+        scene.step(true, moved(0.003, 0.0, 0.005) * turned(0.01), WIDTH);
+    }
+    scene.carried = false;
+    for separation in [0.06, 0.07, 0.08] {
+        scene.step(false, Isometry3::identity(), separation);
+    }
+    for _ in 0..2 {
+        scene.step(false, moved(0.0, 0.0, 0.02), 0.08);
+    }
+    scene
+}
+
+fn segmented(scene: &Scene, config: &SegmentConfig) -> SegmentedSpatial {
+    segment_spatial(&scene.episode(), config).unwrap()
+}
+
+fn near(a: f64, b: f64) {
+    assert!((a - b).abs() < 1e-12, "{a} is not {b}");
+}
+
+#[test]
+fn a_frame_has_the_mode_of_the_command_before_it() {
+    let segmented = segmented(&pick_and_place(), &SegmentConfig::spatial());
+    let mut expected = vec![Transit; 4];
+    expected.extend([Transfer; 7]);
+    expected.extend([Transit; 5]);
+    assert_eq!(segmented.modes, expected);
+    assert_eq!(segmented.grasp_frame, Some(4));
+}
+
+#[test]
+fn the_current_command_is_one_frame_ahead() {
+    let mut config = SegmentConfig::spatial();
+    config.gripper = Some(GripperConfig {
+        command: Command::Current,
+        ..GripperConfig::default()
+    });
+    let scene = pick_and_place();
+    let current = segmented(&scene, &config).modes;
+    let last = segmented(&scene, &SegmentConfig::spatial()).modes;
+    assert_eq!(current[..current.len() - 1], last[1..]);
+}
+
+#[test]
+fn measures_are_those_that_the_motion_was_built_from() {
+    let scene = pick_and_place();
+    let segmented = segmented(&scene, &SegmentConfig::spatial());
+    let evidence = &segmented.evidence;
+    near(evidence[0].eef_step.unwrap(), 0.015);
+    near(evidence[0].relative_translation.unwrap(), 0.015);
+    near(evidence[0].object_step.unwrap(), 0.0);
+    near(evidence[0].eef_object_distance, 0.06);
+    near(evidence[3].finger_speed.unwrap(), -0.01);
+    near(evidence[7].relative_translation.unwrap(), 0.0);
+    near(evidence[7].relative_rotation.unwrap(), 0.0);
+    near(evidence[7].eef_turn.unwrap(), 0.01);
+    near(evidence[7].object_turn.unwrap(), 0.01);
+    assert_eq!(evidence.last().unwrap().eef_step, None);
+    let holds: Vec<usize> = (0..evidence.len()).filter(|&i| evidence[i].holds).collect();
+    assert_eq!(
+        holds,
+        [6, 7, 8, 9],
+        "stopped by the object, until the fingers move again"
+    );
+
+    let [reach, transfer, leave] = segmented.segments.as_slice() else {
+        panic_on(&segmented)
+    };
+    assert_eq!(transfer.settled_frame, Some(6));
+    let grasp = transfer.grasp.unwrap();
+    near(grasp.finger_separation, WIDTH);
+    near(grasp.residual, 0.0);
+    near(grasp.residual_rotation, 0.0);
+    let expected = scene.frames[6].object.inv_mul(&scene.frames[6].eef);
+    assert!((grasp.transform.translation.vector - expected.translation.vector).norm() < 1e-15);
+    near(transfer.object_rise, 0.02);
+    near(transfer.object_rotation, 0.04);
+    let way = (scene.frames[10].object.translation.vector - scene.frames[6].object.translation.vector).norm();
+    near(transfer.object_displacement, way);
+    assert!(transfer.object_path >= way);
+    near(reach.object_path, 0.0);
+    assert_eq!(reach.anchor, Some(scene.frames[4].eef));
+    assert_eq!(transfer.anchor, reach.anchor);
+    assert_eq!((leave.anchor, leave.grasp), (None, None));
+}
+
+#[allow(clippy::panic, reason = "a test stops where it fails")]
+fn panic_on(segmented: &SegmentedSpatial) -> ! {
+    panic!("three segments, not {:?}", segmented.segments)
+}
+
+#[test]
+fn an_object_that_slips_shows_in_the_residual() {
+    let mut scene = pick_and_place();
+    for frame in &mut scene.frames[9..] {
+        frame.object = frame.object * moved(0.004, 0.0, 0.0);
+    }
+    let segmented = segmented(&scene, &SegmentConfig::spatial());
+    near(segmented.segments[1].grasp.unwrap().residual, 0.004);
+    assert!(!segmented.evidence[8].holds, "it slips in this step");
+}
+
+#[test]
+fn fingers_that_never_stop_have_no_settled_frame() {
+    let mut scene = Scene::new(Isometry3::identity(), Isometry3::translation(1.0, 0.0, 0.0));
+    for (closes, separation) in [(true, 0.07), (true, 0.06), (false, 0.05), (false, 0.06)] {
+        scene.step(closes, Isometry3::identity(), separation);
+    }
+    let segmented = segmented(&scene, &SegmentConfig::spatial());
+    assert_eq!(segmented.segments[1].settled_frame, None);
+    assert!(segmented.evidence.iter().all(|evidence| !evidence.holds));
+}
+
+#[test]
+fn rigid_motion_finds_the_carrying_alone() {
+    let config = SegmentConfig {
+        rule: Rule::RigidMotion,
+        ..SegmentConfig::spatial()
+    };
+    let modes = segmented(&pick_and_place(), &config).modes;
+    let carried: Vec<usize> = (0..modes.len()).filter(|&i| modes[i] == Transfer).collect();
+    assert_eq!(carried, [6, 7, 8, 9]);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused() {
+    let empty = SpatialEpisode {
+        source: 3,
+        frames: Vec::new(),
+    };
+    assert_eq!(
+        segment_spatial(&empty, &SegmentConfig::spatial()),
+        Err(SegmentError::Empty { episode: 3 })
+    );
+    let mut broken = pick_and_place().episode();
+    broken.frames[5].fingers[1] = f64::NAN;
+    assert!(matches!(
+        segment_spatial(&broken, &SegmentConfig::spatial()),
+        Err(SegmentError::NotFinite {
+            episode: 7,
+            frame: 5,
+            column: "finger position",
+            ..
+        })
+    ));
+}
+
+/// Any motion of a hand, with an object that is carried in some of its steps.
+fn motions() -> impl Strategy<Value = Scene> {
+    let part = -0.02..0.02f64;
+    let step = (
+        [part.clone(), part.clone(), part],
+        [-0.1..0.1f64, -0.1..0.1, -0.1..0.1],
+        any::<bool>(),
+        any::<bool>(),
+        0.0..0.08f64,
+    );
+    proptest::collection::vec(step, 1..30).prop_map(|steps| {
+        let mut scene = Scene::new(moved(0.1, 0.2, 0.9), moved(0.15, 0.2, 0.8) * turned(0.3));
+        for (by, turn, closes, carried, separation) in steps {
+            scene.carried = carried;
+            let about = scene.frames.last().unwrap().eef.translation;
+            let turn = about * Isometry3::rotation(Vector3::from(turn)) * about.inverse();
+            scene.step(closes, moved(by[0], by[1], by[2]) * turn, separation);
+        }
+        scene
+    })
+}
+
+fn close(a: Option<f64>, b: Option<f64>) -> bool {
+    match (a, b) {
+        (Some(a), Some(b)) => (a - b).abs() < 1e-6,
+        (a, b) => a == b,
+    }
+}
+
+proptest! {
+    /// Measures do not depend on where the world's origin is, nor on how it is turned; heights not on a turn about the
+    /// vertical.
+    #[test]
+    fn measures_do_not_depend_on_the_world_frame(
+        scene in motions(),
+        shift in [-2.0..2.0f64, -2.0..2.0, -2.0..2.0],
+        yaw in -3.0..3.0f64,
+        lean in -3.0..3.0f64,
+    ) {
+        let config = SegmentConfig::spatial();
+        let before = segmented(&scene, &config);
+        for lean in [0.0, lean] {
+            let world = moved(shift[0], shift[1], shift[2]) * turned(yaw) * Isometry3::rotation(Vector3::x() * lean);
+            let mut other = scene.episode();
+            for frame in &mut other.frames {
+                frame.eef = world * frame.eef;
+                frame.object = world * frame.object;
+            }
+            let after = segment_spatial(&other, &config).unwrap();
+            prop_assert_eq!(&before.modes, &after.modes);
+            for (a, b) in before.evidence.iter().zip(&after.evidence) {
+                prop_assert!(close(a.eef_step, b.eef_step) && close(a.eef_turn, b.eef_turn));
+                prop_assert!(close(a.object_step, b.object_step) && close(a.object_turn, b.object_turn));
+                prop_assert!(close(a.relative_translation, b.relative_translation));
+                prop_assert!(close(a.relative_rotation, b.relative_rotation));
+                prop_assert!(close(Some(a.eef_object_distance), Some(b.eef_object_distance)));
+                prop_assert_eq!((a.finger_separation, a.finger_speed), (b.finger_separation, b.finger_speed));
+            }
+            for (a, b) in before.segments.iter().zip(&after.segments) {
+                prop_assert_eq!(&a.segment, &b.segment);
+                prop_assert_eq!(a.settled_frame, b.settled_frame);
+                prop_assert!(close(Some(a.object_displacement), Some(b.object_displacement)));
+                prop_assert!(close(Some(a.object_path), Some(b.object_path)));
+                prop_assert!(close(Some(a.object_rotation), Some(b.object_rotation)));
+                prop_assert!(lean != 0.0 || close(Some(a.object_rise), Some(b.object_rise)));
+                let (a, b) = (a.grasp, b.grasp);
+                prop_assert_eq!(a.is_some(), b.is_some());
+                prop_assert!(close(a.map(|g| g.residual), b.map(|g| g.residual)));
+                prop_assert!(close(a.map(|g| g.residual_rotation), b.map(|g| g.residual_rotation)));
+                let place = |g: re4_segment::Grasp| g.transform.translation.vector;
+                if let (Some(a), Some(b)) = (a, b) {
+                    prop_assert!((place(a) - place(b)).norm() < 1e-6);
+                }
+            }
+        }
+    }
+
+    /// A segment's facts bound one another: no straight way is longer than the path.
+    #[test]
+    fn facts_fit_together(scene in motions()) {
+        let segmented = segmented(&scene, &SegmentConfig::spatial());
+        for facts in &segmented.segments {
+            prop_assert!(facts.object_displacement <= facts.object_path + 1e-9);
+            prop_assert!(facts.object_rise.abs() <= facts.object_displacement + 1e-9);
+            prop_assert_eq!(facts.grasp.is_some(), facts.segment.mode == Transfer);
+            prop_assert!(facts.settled_frame.is_none_or(|frame| facts.segment.frames.contains(&frame)));
+        }
+    }
+}

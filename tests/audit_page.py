@@ -1,0 +1,408 @@
+"""Looks at the page of an audit in headless Chromium and compares it with what it was made from.
+
+    python tests/audit_page.py PAGE.html EXPECTED.json [--many]
+
+EXPECTED.json holds the figures that the page has to show: frames by mode, findings by severity and by code, grasps by outcome,
+values at the third frame, and for every demonstration its number, name, frames and counts. With --many, the page has hundreds of
+demonstrations, and scrolling through all of them is measured. Needs selenium, and Debian's chromium and chromium-driver. Ends
+with exit code 1 and a sentence on the first thing that is not as it should be.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+CHROMIUM = os.environ.get("RE4_CHROMIUM", "/usr/bin/chromium")
+CHROMEDRIVER = os.environ.get("RE4_CHROMEDRIVER", "/usr/bin/chromedriver")
+SEVERITIES = ["error", "warning", "note"]
+
+# Scrolls from top to bottom, one step a frame of the screen, and notes times and how many rows were drawn.
+SCROLL = """
+const done = arguments[0];
+const host = document.getElementById("timeline-rows");
+const long = [];
+const observer = new PerformanceObserver((list) => long.push(...list.getEntries().map((entry) => entry.duration)));
+observer.observe({ type: "longtask" });
+const times = [], drawn = [];
+host.scrollTop = 0;
+const bottom = host.scrollHeight - host.clientHeight;
+const steps = 240;
+let step = 0, last;
+const tick = (now) => {
+  if (last !== undefined) times.push(now - last);
+  last = now;
+  drawn.push(Number(host.dataset.drawn));
+  step += 1;
+  host.scrollTop = bottom * step / steps;
+  if (step <= steps + 2) requestAnimationFrame(tick);
+  else setTimeout(() => done({ times, drawn, long, height: host.clientHeight, end: host.scrollTop, bottom,
+    last: Number(host.dataset.first) + Number(host.dataset.drawn) }), 300);
+};
+requestAnimationFrame(tick);
+"""
+
+
+def check(holds, what):
+    if not holds:
+        sys.exit(f"{what}")
+
+
+def equal(found, expected, what):
+    check(found == expected, f"{what}: the page has {found!r}, expected {expected!r}")
+
+
+class Page:
+    """The page in a browser."""
+
+    def __init__(self, path, profile):
+        options = Options()
+        options.binary_location = CHROMIUM
+        for argument in ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+                         "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}"]:
+            options.add_argument(argument)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(CHROMEDRIVER))
+        self.address = path.resolve().as_uri()
+        self.resize(1440)
+        self.open()
+
+    def open(self, place=""):
+        self.driver.get("about:blank")
+        self.driver.get(self.address + place)
+        WebDriverWait(self.driver, 20).until(lambda d: d.find_elements(By.CSS_SELECTOR, "html[data-ready]"))
+        self.settle()
+
+    def resize(self, width, dark=False, still=False):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"},
+                    {"name": "prefers-reduced-motion", "value": "reduce" if still else "no-preference"}]
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+    def run(self, script, *arguments):
+        return self.driver.execute_script(script, *arguments)
+
+    def settle(self):
+        """Waits until what was asked for is drawn."""
+        self.run("return new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
+
+    def one(self, selector):
+        return self.driver.find_element(By.CSS_SELECTOR, selector)
+
+    def all(self, selector):
+        return self.driver.find_elements(By.CSS_SELECTOR, selector)
+
+    def fact(self, name):
+        return int(self.one(f"[data-fact={name}]").get_attribute("data-value"))
+
+    def chosen(self):
+        return int(self.one("#evidence").get_attribute("data-demo"))
+
+    def shown(self):
+        return int(self.one("#shown-count").get_attribute("data-shown"))
+
+    def press(self, selector):
+        self.run("arguments[0].click()", self.one(selector))
+        self.settle()
+
+    def rows(self):
+        """Numbers of the demonstrations in the order of the rows: walks them with the keyboard."""
+        rows = self.one("#timeline-rows")
+        rows.send_keys(Keys.HOME)
+        numbers = [self.chosen()]
+        for _ in range(self.shown() - 1):
+            rows.send_keys(Keys.ARROW_DOWN)
+            numbers.append(self.chosen())
+        return numbers
+
+    def ends(self):
+        """The first and the last row."""
+        rows = self.one("#timeline-rows")
+        rows.send_keys(Keys.HOME)
+        first = self.chosen()
+        rows.send_keys(Keys.END)
+        return first, self.chosen()
+
+    def picture(self):
+        """What the timelines look like, as one number."""
+        return hash(self.run("return document.getElementById('timeline-canvas').toDataURL()"))
+
+
+def figures_are_the_audits(page, expected):
+    equal(page.fact("demos"), len(expected["demos"]), "demonstrations")
+    for name in ["frames", "transit_frames", "transfer_frames"]:
+        equal(page.fact(name), expected[name], name)
+    for severity in SEVERITIES:
+        found = int(page.one(f".severity[data-severity={severity}]").get_attribute("data-count"))
+        equal(found, expected["severities"][severity], f"findings of severity {severity}")
+        equal(page.one(f".severity[data-severity={severity}] b").text, str(found), f"{severity} in words")
+    for code, (findings, episodes) in expected["codes"].items():
+        if findings == 0:
+            check(page.all(f"[data-silent={code}]"), f"no word about the silent check {code}")
+            continue
+        chip = page.one(f".chip[data-code={code}]")
+        found = [int(chip.get_attribute(f"data-{name}")) for name in ["findings", "episodes"]]
+        equal(found, [findings, episodes], f"findings and demonstrations of {code}")
+        equal([chip.find_element(By.CSS_SELECTOR, tag).text for tag in ["b", "small"]], [str(findings), f"in {episodes}"], f"{code} in words")
+    equal(len(page.all("#checks tr[data-check]")), len(expected["codes"]), "rows of the table of checks")
+    for name, value in (expected.get("contacts") or {}).items():
+        name = "both" if name == "contact_and_motion" else name
+        equal(float(page.one(f"[data-contacts={name}]").get_attribute("data-value")), value, f"steps: {name}")
+
+
+def every_demonstration_has_its_own(page, expected):
+    """Choosing a demonstration shows its figures, findings and evidence."""
+    worst = sorted(expected["demos"], key=lambda d: [-d[s] for s in SEVERITIES] + [d["number"]])
+    pictures = set()
+    for demo in [*worst[:4], worst[-1]]:
+        page.open(f"#demo={demo['number']}")
+        equal(page.chosen(), demo["number"], "chosen demonstration")
+        equal(page.one("#evidence-title").text, demo["name"], "title of the evidence")
+        facts = page.one("#evidence-facts").text
+        check(f"{demo['frames']} frame" in facts, f"{demo['name']}: {facts}")
+        equal(len(page.all("#evidence-findings button")), sum(demo[s] for s in SEVERITIES), f"findings of {demo['name']}")
+        for severity in SEVERITIES:
+            equal(len(page.all(f"#evidence-findings .glyph.sev-{severity}")), demo[severity], f"{severity}s of {demo['name']}")
+        equal(len(page.all("#segments tbody tr")), demo["segments"], f"segments of {demo['name']}")
+        equal(page.one("#evidence-plots").get_attribute("data-end"), str(demo["frames"]), "frames in the plots")
+        pictures.add(page.run("return document.getElementById('evidence-plots').innerHTML"))
+        check(page.all(".panel .curve[d^=M]"), f"{demo['name']} has no curves")
+    check(len(pictures) == len({demo["number"] for demo in [*worst[:4], worst[-1]]}), "two demonstrations look the same")
+
+
+def orders_change_the_rows(page, expected):
+    """The first and the last row of every order are what they have to be."""
+    demos = expected["demos"]
+    page.open()
+    keys = {
+        "worst": lambda d: [-d[s] for s in SEVERITIES],
+        "number": lambda d: d["number"],
+        "length": lambda d: d["frames"],
+        "share": lambda d: d["transfer_frames"] / max(1, d["frames"]),
+        "grasp": lambda d: float("inf") if d["grasp_frame"] is None else d["grasp_frame"],
+    }
+    for name, key in keys.items():
+        Select(page.one("#sort")).select_by_value(name)
+        order = [d["number"] for d in sorted(demos, key=lambda d: (key(d), d["number"]))]
+        equal(page.ends(), (order[0], order[-1]), f"first and last row by {name}")
+        page.press("#reverse")
+        equal(page.ends(), (order[-1], order[0]), f"first and last row by {name}, reversed")
+        page.press("#reverse")
+    if len(demos) <= 40:
+        Select(page.one("#sort")).select_by_value("length")
+        equal(page.rows(), [d["number"] for d in sorted(demos, key=lambda d: (d["frames"], d["number"]))], "rows by length")
+    Select(page.one("#sort")).select_by_value("worst")
+
+
+def filters_change_the_rows(page, expected):
+    page.open()
+    equal(page.shown(), len(expected["demos"]), "rows without a filter")
+    whole = page.picture()
+    for code, (findings, episodes) in expected["codes"].items():
+        if findings == 0:
+            continue
+        page.press(f".chip[data-code={code}]")
+        equal(page.shown(), episodes, f"rows with {code}")
+        equal(page.one(f".chip[data-code={code}]").get_attribute("aria-pressed"), "true", f"the button of {code}")
+        page.press(f".chip[data-code={code}]")
+    for severity in SEVERITIES:
+        episodes = sum(d[severity] > 0 for d in expected["demos"])
+        if episodes == 0:
+            continue
+        page.press(f".severity[data-severity={severity}]")
+        equal(page.shown(), episodes, f"rows with a finding of severity {severity}")
+        page.press("#clear-filters")
+    equal(page.shown(), len(expected["demos"]), "rows after all filters were taken back")
+    text = page.one("#filter-text")
+    name = expected["demos"][-1]["name"]
+    text.send_keys(name)
+    page.settle()
+    equal(page.shown(), sum(name in d["name"] for d in expected["demos"]), f"rows with {name}")
+    text.send_keys("no such words")
+    page.settle()
+    equal(page.shown(), 0, "rows with words that do not occur")
+    check(page.one("#no-rows").is_displayed(), "no word about an empty list")
+    page.press("#clear-filters")
+    page.settle()
+    equal(page.picture(), whole, "timelines after all filters were taken back")
+    page.press("input[name=scale][value=share]")
+    lengths = {demo["frames"] for demo in expected["demos"]}
+    check((page.picture() != whole) == (len(lengths) > 1), "the scale changes rows if and only if lengths differ")
+    page.press("input[name=scale][value=frames]")
+
+
+def findings_lead_to_their_frames(page, expected):
+    demo = max(expected["demos"], key=lambda d: sum(d[s] for s in SEVERITIES))
+    page.open(f"#demo={demo['number']}")
+    if not page.all("#evidence-findings button"):
+        return
+    for button in page.all("#evidence-findings button"):
+        page.run("arguments[0].click()", button)
+        page.settle()
+        equal(button.get_attribute("aria-pressed"), "true", "the chosen finding")
+        first, end = (int(page.one("#evidence-plots").get_attribute(f"data-{name}")) for name in ["first", "end"])
+        words = button.find_element(By.CSS_SELECTOR, ".kind-line").text
+        if "whole demonstration" in words:
+            continue
+        numbers = words.split("frame")[1].lstrip("s ").split(" ")[0].split("–")
+        check(first <= int(numbers[0]) and int(numbers[-1]) < end, f"frames {first} to {end} are shown for a finding at {words}")
+    page.run("arguments[0].focus()", page.one("#evidence-plots"))
+    page.one("#evidence-plots").send_keys(Keys.ESCAPE)
+    page.settle()
+    equal(page.one("#evidence-plots").get_attribute("data-end"), str(demo["frames"]), "the whole length after Escape")
+
+
+def crosshair_reads_values(page, expected):
+    demo = expected["demos"][0]
+    page.open(f"#demo={demo['number']}")
+    plots = page.one("#evidence-plots")
+    page.run("arguments[0].focus()", plots)
+    plots.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    equal(page.one("#readout").get_attribute("data-frame"), "2", "frame after three times right")
+    check("Frame 2 (" in page.one("#readout").text, "the words of the frame")
+    for panel in expected["panels"]:
+        values = page.run("return [...document.querySelectorAll(`.panel[data-panel='${arguments[0]}'] .number`)].map(e => e.dataset.value)", panel["title"])
+        equal(len(values), len(panel["values"]), f"values of {panel['title']}")
+        for found, stated in zip(values, panel["values"]):
+            if stated is None:
+                check(found in ("", "NaN"), f"{panel['title']}: {found} where nothing was measured")
+            else:
+                check(abs(float(found) - stated) <= 1e-6 * max(abs(stated), 1e-30), f"{panel['title']}: {found} is not {stated}")
+
+
+def addresses_lead_to_places(page, expected):
+    first, last = expected["demos"][0], expected["demos"][-1]
+    page.open(f"#demo={last['number']}&frames=2-6")
+    equal(page.chosen(), last["number"], "demonstration of the address")
+    equal([page.one("#evidence-plots").get_attribute(f"data-{name}") for name in ["first", "end"]], ["2", "7"], "frames of the address")
+    check(not page.one("#address-notice").is_displayed(), "a warning about a good address")
+    page.open(f"#demo={first['name']}")
+    equal(page.chosen(), first["number"], "demonstration of an address with a name")
+    for dead, words in [("#demo=123456", "123456"), (f"#demo={last['number']}&frames=5-999999", "999999"), ("#nowhere", "#nowhere")]:
+        page.open(dead)
+        page.run("return new Promise(done => setTimeout(done, 400))")
+        notice = page.one("#address-notice")
+        check(notice.is_displayed() and words in notice.text, f"no word about the dead address {dead}: {notice.text!r}")
+        check(page.all("#evidence-plots .panel"), f"nothing is shown after the dead address {dead}")
+    page.one("#timeline-rows").send_keys(Keys.END)
+    page.one("#timeline-rows").send_keys(Keys.HOME)
+    check(not page.one("#address-notice").is_displayed(), "the warning stays after a choice")
+    WebDriverWait(page.driver, 5).until(lambda d: f"#demo={page.chosen()}" in d.current_url)
+
+
+def marks_can_be_clicked(page, expected):
+    """A click on a row chooses it, one on a grasp its demonstration."""
+    page.open()
+    rows = page.one("#timeline-rows")
+    before = page.chosen()
+    page.run("const b = arguments[0].getBoundingClientRect(); arguments[0].dispatchEvent(new MouseEvent('click',"
+             "{clientX: b.left + 30, clientY: b.top + 18 + 9, bubbles: true}))", rows)
+    page.settle()
+    if len(expected["demos"]) > 1:
+        check(page.chosen() != before, "a click on the second row does not choose it")
+    canvases = page.all("canvas.grasps")
+    check(canvases or not expected["grasps"], "no plots of grasps")
+    for canvas in canvases if expected["grasps"] is not None else []:
+        equal(int(canvas.get_attribute("data-marks")), expected["grasps"], "marks of grasps")
+    if canvases and len(expected["demos"]) > 1:
+        page.run("arguments[0].focus()", canvases[0])
+        seen = {page.chosen()}
+        for _ in range(8):
+            canvases[0].send_keys(Keys.ARROW_RIGHT)
+            seen.add(page.chosen())
+        check(len(seen) > 1, "arrow keys among the grasps choose nothing")
+    for outcome, count in expected["outcomes"].items():
+        equal(page.one(f"#grasp-legend [data-outcome='{outcome}']").get_attribute("data-count"), str(count), f"grasps {outcome}")
+
+
+def controls_have_names(page):
+    names = page.run("return [...document.querySelectorAll('button, select, input, [tabindex=\"0\"]')].filter(e => !("
+                     "e.ariaLabel || e.getAttribute('aria-label') || e.textContent.trim() || (e.labels && [...e.labels].some(l => l.textContent.trim()))"
+                     ")).map(e => e.outerHTML)")
+    check(not names, f"controls without a name: {names}")
+
+
+def widths_and_schemes_hold(page):
+    pictures = set()
+    for width in [1440, 1024, 768, 380]:
+        for dark in [False, True]:
+            page.resize(width, dark, still=True)
+            page.settle()
+            page.settle()
+            wide = page.run("return document.documentElement.scrollWidth")
+            check(wide <= width, f"at {width} px the page is {wide} px wide")
+            pictures.add(page.picture())
+    equal(len(pictures), 8, "different pictures in four widths and two schemes")
+    page.resize(1440)
+    page.settle()
+
+
+def it_prints(page, expected):
+    """On paper all rows are there, and the screen is as before afterwards."""
+    page.open()
+    drawn = page.run("window.dispatchEvent(new Event('beforeprint')); return document.getElementById('timeline-rows').dataset.drawn")
+    equal(int(drawn), len(expected["demos"]), "rows on paper")
+    page.run("window.dispatchEvent(new Event('afterprint'))")
+    check(int(page.one("#timeline-rows").get_attribute("data-drawn")) <= 80, "rows after printing")
+    check(len(page.driver.execute_cdp_cmd("Page.printToPDF", {})["data"]) > 10_000, "the printed page is empty")
+
+
+def scrolling_draws_few_rows(page, expected):
+    page.open()
+    page.driver.set_script_timeout(60)
+    measured = page.driver.execute_async_script(SCROLL)
+    times = sorted(measured["times"])
+    at = lambda part: times[min(len(times) - 1, int(part * len(times)))]
+    most = max(measured["drawn"])
+    print(f"scrolling through {len(expected['demos'])} demonstrations: frames p50 {at(0.5):.1f} ms, p99 {at(0.99):.1f} ms, "
+          f"at most {most} rows a frame, {len(measured['long'])} long tasks, longest {max(measured['long'], default=0):.0f} ms")
+    equal(measured["last"], len(expected["demos"]), "row after the last one in sight, at the bottom")
+    check(most <= measured["height"] / 18 + 2, f"{most} rows are drawn in a frame")
+    check(all(duration <= 200 for duration in measured["long"]), f"long tasks while scrolling: {measured['long']}")
+    elements = page.run("return document.querySelectorAll('*').length")
+    check(elements < 2500, f"the page has {elements} elements")
+
+
+def nothing_was_loaded(page):
+    entries = page.run("return performance.getEntriesByType('resource').map(entry => entry.name)")
+    check(all(name.startswith("data:") for name in entries), f"the page loaded {entries}")
+    log = page.driver.get_log("browser")
+    check(not log, f"the browser's log: {log}")
+
+
+def main():
+    path, facts, *more = sys.argv[1:]
+    expected = json.loads(Path(facts).read_text())
+    with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
+        page = Page(Path(path), profile)
+        try:
+            figures_are_the_audits(page, expected)
+            every_demonstration_has_its_own(page, expected)
+            orders_change_the_rows(page, expected)
+            filters_change_the_rows(page, expected)
+            findings_lead_to_their_frames(page, expected)
+            crosshair_reads_values(page, expected)
+            addresses_lead_to_places(page, expected)
+            marks_can_be_clicked(page, expected)
+            controls_have_names(page)
+            widths_and_schemes_hold(page)
+            it_prints(page, expected)
+            if "--many" in more:
+                scrolling_draws_few_rows(page, expected)
+            nothing_was_loaded(page)
+        finally:
+            page.driver.quit()
+    print(f"{Path(path).name}: the page shows what the audit of {len(expected['demos'])} demonstrations holds")
+
+
+if __name__ == "__main__":
+    main()

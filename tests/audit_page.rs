@@ -1,0 +1,287 @@
+//! The page of an audit: its figures are the artifact's, it needs nothing but itself, and it works in a browser.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
+use re4_report::html::audit::{Audit, Severity, page};
+use serde_json::{Map, Value, json};
+use support::{Place, invented, repository};
+
+/// The largest page for 600 demonstrations of a hundred and some frames.
+const LARGEST: usize = 8_000_000;
+
+/// What `tests/audit_page.py` compares the page with.
+fn expected(audit: &Audit) -> Value {
+    let of = |severity| audit.findings.iter().filter(|f| f.severity == severity).count();
+    let codes: Map<String, Value> = audit
+        .checks
+        .iter()
+        .map(|check| (check.code.clone(), json!([check.findings, check.episodes])))
+        .collect();
+    let mut outcomes = Map::new();
+    for grasp in &audit.grasps {
+        let count = outcomes.entry(grasp.outcome.clone()).or_insert(json!(0));
+        *count = json!(count.as_u64().unwrap() + 1);
+    }
+    let sum = |value: fn(&re4_report::html::audit::Demo) -> u32| audit.demos.iter().map(value).sum::<u32>();
+    json!({
+        "frames": sum(|d| d.frames),
+        "transit_frames": sum(|d| d.transit_frames),
+        "transfer_frames": sum(|d| d.transfer_frames),
+        "severities": Severity::ALL.map(|s| (s.as_str().to_owned(), of(s).into())).into_iter().collect::<Map<_, _>>(),
+        "codes": codes,
+        "grasps": audit.grasps.len(),
+        "outcomes": outcomes,
+        "demos": audit.demos.iter().map(|d| json!({
+            "number": d.number, "name": d.name, "frames": d.frames, "transfer_frames": d.transfer_frames,
+            "segments": d.segments, "grasp_frame": d.grasp_frame,
+            "error": d.errors, "warning": d.warnings, "note": d.notes,
+        })).collect::<Vec<_>>(),
+        "panels": audit.panels.iter().map(|panel| json!({
+            "title": panel.title,
+            "values": panel.series.iter().map(|s| Some(s.values[2]).filter(|v| v.is_finite())).collect::<Vec<_>>(),
+        })).collect::<Vec<_>>(),
+    })
+}
+
+fn python() -> Option<PathBuf> {
+    let python = std::env::var_os("RE4_PYTHON").map(PathBuf::from);
+    if python.is_none() {
+        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+    }
+    python
+}
+
+/// Looks at a page in the browser; what the script says.
+#[track_caller]
+fn look(python: &Path, page: &Path, expected: &Value, more: &[&str]) -> String {
+    let facts = page.with_extension("json");
+    fs::write(&facts, expected.to_string()).unwrap();
+    let output = Command::new(python)
+        .arg(repository().join("tests/audit_page.py"))
+        .args([page, &facts])
+        .args(more)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    println!("{said}");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    said
+}
+
+#[test]
+fn hundreds_of_demonstrations_work_in_a_browser() {
+    let audit = invented::audit(600);
+    let text = page(&audit);
+    println!("600 demonstrations: {} bytes", text.len());
+    assert!(text.len() < LARGEST, "{} bytes", text.len());
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("invented.html");
+    fs::write(&place, text).unwrap();
+    look(&python, &place, &expected(&audit), &["--many"]);
+}
+
+#[test]
+fn a_single_demonstration_works_in_a_browser() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("one.html");
+    let audit = invented::audit(1);
+    fs::write(&place, page(&audit)).unwrap();
+    look(&python, &place, &expected(&audit), &[]);
+}
+
+#[test]
+fn the_page_needs_nothing_but_itself() {
+    let text = page(&invented::audit(3));
+    let addresses: Vec<&str> = text
+        .match_indices("://")
+        .map(|(at, _)| text[..at].rsplit(['"', '\'', ' ', '(']).next().unwrap_or_default())
+        .collect();
+    // The name of the SVG language, which nothing loads.
+    assert_eq!(addresses, ["http"], "{addresses:?}");
+    assert!(text.contains("default-src 'none'"));
+    assert!(!text.contains(" src="));
+    // What a finding says cannot end the script that holds it: two scripts begin, two end.
+    assert_eq!(text.matches("</script>").count(), 2);
+}
+
+#[test]
+fn the_same_audit_gives_the_same_page() {
+    assert!(page(&invented::audit(5)) == page(&invented::audit(5)));
+    assert!(page(&invented::audit(5)) != page(&invented::audit(6)));
+}
+
+/// A place with the sample of pick-and-place demonstrations.
+fn can() -> Place {
+    let place = Place::empty();
+    fs::copy(
+        repository().join("data/can-sample.hdf5"),
+        place.path().join("data/can-sample.hdf5"),
+    )
+    .unwrap();
+    place.write(
+        "can.toml",
+        fs::read_to_string(repository().join("pipelines/can-sample-audit.toml")).unwrap(),
+    );
+    place
+}
+
+/// What the page of these artifacts has to show: counts as `audit --json` tells them, the rest from the tables.
+fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static TableSpec, &[&str])]) -> Value {
+    let summary = &answer["summary"];
+    let mut codes = Map::new();
+    for check in answer["checks"].as_array().unwrap() {
+        let code = check["code"].as_str().unwrap();
+        codes.insert(code.to_owned(), json!([check["findings"], check["episodes"]]));
+    }
+    let mut found: BTreeMap<(u64, String), u64> = BTreeMap::new();
+    for finding in answer["findings"].as_array().unwrap() {
+        let severity = finding["severity"].as_str().unwrap().to_owned();
+        *found
+            .entry((finding["episode"].as_u64().unwrap(), severity))
+            .or_default() += 1;
+    }
+    let rows = place
+        .artifact(Stage::Audit)
+        .table(&tables::AUDITED_EPISODES)
+        .unwrap()
+        .read_all()
+        .unwrap();
+    let number = |name| col_u32(&rows, name).unwrap();
+    let names = col_text(&rows, "demo").unwrap();
+    let grasps = col_u32_or_null(&rows, "grasp_frame").unwrap();
+    let demos: Vec<Value> = (0..rows.num_rows())
+        .map(|i| {
+            let episode = number("episode")[i];
+            let of = |severity: &str| {
+                found
+                    .get(&(u64::from(episode), severity.to_owned()))
+                    .copied()
+                    .unwrap_or(0)
+            };
+            json!({
+                "number": episode, "name": names[i].unwrap(), "frames": number("frames")[i],
+                "transfer_frames": number("transfer_frames")[i], "segments": number("segments")[i],
+                "grasp_frame": grasps[i],
+                "error": of("error"), "warning": of("warning"), "note": of("note"),
+            })
+        })
+        .collect();
+    let outcomes = summary["grasps"]["outcomes"].as_object().cloned().unwrap_or_default();
+    json!({
+        "frames": summary["frames"],
+        "transit_frames": summary["modes"]["transit"]["frames"],
+        "transfer_frames": summary["modes"]["transfer"]["frames"],
+        "severities": { "error": summary["errors"], "warning": summary["warnings"], "note": summary["notes"] },
+        "codes": codes,
+        "contacts": summary.get("contacts"),
+        "grasps": if outcomes.is_empty() { Value::Null } else { outcomes.values().map(|v| v.as_u64().unwrap()).sum::<u64>().into() },
+        "outcomes": outcomes,
+        "demos": demos,
+        "panels": panels.iter().map(|(title, stage, table, columns)| {
+            let rows = place.artifact(*stage).table(table).unwrap().read_all().unwrap();
+            let values: Vec<_> = columns.iter().map(|column| col_f64_or_null(&rows, column).unwrap()[2]).collect();
+            json!({ "title": title, "values": values })
+        }).collect::<Vec<_>>(),
+    })
+}
+
+#[test]
+fn figures_are_those_that_audit_prints() {
+    let place = can();
+    let answer = place.run("audit can.toml --html page.html --json").done().json();
+    let page = place.path().join("page.html");
+    let modes = (Stage::Segment, &tables::SPATIAL_MODES);
+    let of = |title, columns| (title, modes.0, modes.1, columns);
+    let expected = expected_of(
+        &place,
+        &answer,
+        &[
+            of("Fingers apart", &["finger_separation"][..]),
+            ("Height", Stage::Ingest, &tables::SPATIAL_FRAMES, &["eef_z", "object_z"]),
+            of("Speed", &["eef_step", "object_step"]),
+            of("Relative translation", &["relative_translation"]),
+            of("Relative rotation", &["relative_rotation"]),
+            of("Grip to object", &["eef_object_distance"]),
+        ],
+    );
+    // Something to see: findings of several kinds, and grasps that were missed.
+    assert!(expected["severities"]["error"].as_u64().unwrap() > 0, "{expected}");
+    assert!(expected["outcomes"]["missed"].as_u64().unwrap() > 0, "{expected}");
+    let text = fs::read_to_string(&page).unwrap();
+    assert!(text.contains("re4-pipe audit can.toml"));
+    for artifact in [Stage::Audit, Stage::Segment, Stage::Ingest].map(|stage| place.artifact(stage)) {
+        assert!(text.contains(&format!("{}/{}", artifact.manifest().artifact, artifact.key().short())));
+    }
+    for finding in answer["findings"].as_array().unwrap() {
+        let message = serde_json::to_string(&finding["message"]).unwrap();
+        assert!(text.contains(&message), "{message} is not on the page");
+    }
+    for check in answer["checks"].as_array().unwrap() {
+        if let Some(threshold) = check["threshold"].as_f64() {
+            assert!(text.contains(&format!("data-value=\"{threshold}\"")), "{check}");
+        }
+    }
+    let Some(python) = python() else { return };
+    look(&python, &page, &expected, &[]);
+}
+
+#[test]
+fn push_t_has_contacts_in_place_of_grasps() {
+    let place = Place::new();
+    let answer = place
+        .run("audit small.toml --no-images --html page.html --json")
+        .done()
+        .json();
+    let of = |title, columns| (title, Stage::Segment, &tables::MODES, columns);
+    let expected = expected_of(
+        &place,
+        &answer,
+        &[
+            of("Contact points", &["contacts"][..]),
+            of("Speed", &["eef_step", "object_step"]),
+            of("Block turns", &["object_turn"]),
+            of("Relative translation", &["relative_translation"]),
+            of("Pusher to block", &["eef_object_distance"]),
+        ],
+    );
+    assert!(expected["contacts"]["contact_and_motion"].as_u64().unwrap() > 0);
+    let text = fs::read_to_string(place.path().join("page.html")).unwrap();
+    assert!(text.contains("Where contact begins") && !text.contains("From above"));
+    let Some(python) = python() else { return };
+    look(&python, &place.path().join("page.html"), &expected, &[]);
+}
+
+#[test]
+fn the_page_is_there_whole_or_not_at_all() {
+    let place = can();
+    for path in ["nowhere/page.html", "data"] {
+        let refusal = place.run(&format!("audit can.toml --html {path}")).refused_at_once();
+        assert!(refusal.contains(&format!("cannot write the page {path}")), "{refusal}");
+        assert!(!place.artifacts().exists(), "work was done before the refusal");
+    }
+    let first = place.run("audit can.toml --html page.html --json").done();
+    let page = fs::read_to_string(place.path().join("page.html")).unwrap();
+    assert!(first.stderr.contains("page  page.html  "), "{}", first.stderr);
+    // The same bytes from artifacts that are there already, on one thread, over another file, by a gate that fails.
+    fs::write(place.path().join("other.html"), "old").unwrap();
+    let failed = place.run("audit can.toml --html other.html --jobs 1 --fail-on error");
+    assert_eq!(failed.code, Some(1), "{}", failed.stderr);
+    assert!(fs::read_to_string(place.path().join("other.html")).unwrap() == page);
+    assert!(!page.contains(place.path().to_str().unwrap()));
+    assert!(place.temporaries().is_empty());
+    assert!(Artifact::open(place.artifact(Stage::Audit).path()).is_ok());
+}

@@ -1,0 +1,346 @@
+//! An invented audit: pick-and-place demonstrations with faults, as the page of an audit takes them.
+
+use re4_report::html::audit::{
+    Audit, Check, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity,
+};
+
+/// A small generator of numbers, the same for the same seed.
+struct Draws(u64);
+
+impl Draws {
+    /// In [0, 1).
+    fn next(&mut self) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn about(&mut self, middle: f64, spread: f64) -> f64 {
+        middle + spread * (self.next() + self.next() + self.next() - 1.5)
+    }
+
+    fn frames(&mut self, low: u32, high: u32) -> u32 {
+        low + (self.next() * f64::from(high - low)) as u32
+    }
+}
+
+const KINDS: [(&str, Severity, &str, f64, &str); 7] = [
+    (
+        "grasp_missed",
+        Severity::Warning,
+        "the fingers closed on nothing",
+        0.004,
+        "m",
+    ),
+    (
+        "grasp_lost",
+        Severity::Error,
+        "the object slipped out before the command to open",
+        0.02,
+        "m",
+    ),
+    ("idle", Severity::Note, "neither arm nor fingers move", 12.0, "frames"),
+    (
+        "object_moves_in_transit",
+        Severity::Warning,
+        "the object moves though nothing holds it",
+        0.003,
+        "m/frame",
+    ),
+    (
+        "long_demonstration",
+        Severity::Note,
+        "the demonstration is longer than most",
+        190.0,
+        "frames",
+    ),
+    (
+        "flicker",
+        Severity::Error,
+        "the segment is too short to be a grasp",
+        3.0,
+        "frames",
+    ),
+    ("duplicate", Severity::Error, "it equals another demonstration", 0.0, ""),
+];
+
+/// As many demonstrations; every tenth misses its first grasp and tries again, some lose the object.
+pub(crate) fn audit(count: u32) -> Audit {
+    let mut draws = Draws(7);
+    let mut made = Invented::default();
+    for number in 0..count {
+        made.demo(number, &mut draws);
+    }
+    made.finish()
+}
+
+#[derive(Default)]
+struct Invented {
+    demos: Vec<Demo>,
+    findings: Vec<Finding>,
+    segments: Vec<Segment>,
+    grasps: Vec<Grasp>,
+    closes: Vec<Option<bool>>,
+    holds: Vec<Option<bool>>,
+    fingers: Vec<f64>,
+    height: [Vec<f64>; 2],
+    speed: [Vec<f64>; 2],
+    relative: Vec<f64>,
+    distance: Vec<f64>,
+}
+
+impl Invented {
+    fn demo(&mut self, number: u32, draws: &mut Draws) {
+        let place = number as usize;
+        let missed = number % 10 == 3;
+        let lost = number % 37 == 5;
+        let mut runs = vec![(false, draws.frames(35, 60))];
+        if missed {
+            runs.extend([(true, draws.frames(6, 14)), (false, draws.frames(12, 25))]);
+        }
+        runs.extend([(true, draws.frames(40, 90)), (false, draws.frames(6, 18))]);
+        let frames: u32 = runs.iter().map(|(_, length)| length).sum();
+        let mut first = 0;
+        for (i, &(transfer, length)) in runs.iter().enumerate() {
+            let outcome = match (transfer, i, missed, lost) {
+                (false, ..) => "",
+                (true, 1, true, _) => "missed",
+                (true, _, _, true) => "lost",
+                _ => "held",
+            };
+            self.segment(place, i as u32, first, length, outcome, draws);
+            first += length;
+        }
+        let mut found = Vec::new();
+        if missed {
+            found.push((0, runs[0].1, runs[0].1 + runs[1].1));
+        }
+        if lost {
+            found.push((1, frames - 30, frames - 12));
+        }
+        if draws.next() < 0.3 {
+            let at = draws.frames(0, frames - 20);
+            found.push((2, at, at + draws.frames(12, 20)));
+        }
+        if draws.next() < 0.06 {
+            let at = draws.frames(0, frames - 12);
+            found.push((3, at, at + 4));
+        }
+        if frames > 175 {
+            found.push((4, 0, frames));
+        }
+        if number % 199 == 17 {
+            found.push((6, 0, frames));
+        }
+        found.sort_by_key(|&(kind, first, _)| (first, KINDS[kind].0));
+        let transfer: u32 = runs
+            .iter()
+            .filter(|(transfer, _)| *transfer)
+            .map(|(_, length)| length)
+            .sum();
+        let count = |severity| found.iter().filter(|(kind, ..)| KINDS[*kind].1 == severity).count() as u32;
+        self.demos.push(Demo {
+            number,
+            name: format!("demo_{number}"),
+            frames,
+            transit_frames: frames - transfer,
+            transfer_frames: transfer,
+            segments: runs.len() as u32,
+            transfers: runs.iter().filter(|(transfer, _)| *transfer).count() as u32,
+            grasp_frame: Some(runs[0].1),
+            object_displacement: draws.about(0.4, 0.1),
+            errors: count(Severity::Error),
+            warnings: count(Severity::Warning),
+            notes: count(Severity::Note),
+        });
+        for (kind, first_frame, end_frame) in found {
+            let (code, severity, words, threshold, unit) = KINDS[kind];
+            self.findings.push(Finding {
+                severity,
+                code: code.to_owned(),
+                demo: place,
+                first_frame,
+                end_frame,
+                value: Some(draws.about(threshold * 1.7, threshold * 0.2)),
+                threshold: Some(threshold),
+                unit: unit.to_owned(),
+                message: format!(
+                    "demo_{number}, frames {first_frame} to {}: {words} </script> & more",
+                    end_frame - 1
+                ),
+            });
+        }
+    }
+
+    fn segment(&mut self, demo: usize, number: u32, first: u32, length: u32, outcome: &str, draws: &mut Draws) {
+        let transfer = !outcome.is_empty();
+        let held = outcome == "held" || outcome == "lost";
+        let closed = if held { 0.031 } else { 0.001 };
+        for frame in 0..length {
+            let t = f64::from(frame) / f64::from(length);
+            let settle = (f64::from(frame) / 6.0).min(1.0);
+            let apart = if transfer {
+                0.078 + (closed - 0.078) * settle
+            } else {
+                0.078
+            };
+            let lift = if held {
+                0.25 * (t * std::f64::consts::PI).sin()
+            } else {
+                0.0
+            };
+            let last = frame + 1 == length;
+            self.closes.push(Some(transfer));
+            self.holds.push(if last { None } else { Some(held && settle >= 1.0) });
+            self.fingers.push(apart);
+            self.height[0].push(draws.about(1.0 - 0.1 * t + lift, 0.002));
+            self.height[1].push(draws.about(0.86 + lift, 0.0004));
+            self.speed[0].push(if last {
+                f64::NAN
+            } else {
+                draws.about(0.012, 0.003).abs()
+            });
+            self.speed[1].push(if last {
+                f64::NAN
+            } else {
+                draws.about(if held { 0.012 } else { 0.0 }, 0.001).abs()
+            });
+            self.relative.push(if last {
+                f64::NAN
+            } else {
+                draws.about(if held { 0.0 } else { 0.011 }, 0.0009).abs()
+            });
+            self.distance.push(if transfer {
+                draws.about(0.01, 0.001)
+            } else {
+                0.25 * (1.0 - t) + 0.01
+            });
+        }
+        self.segments.push(Segment {
+            demo,
+            number,
+            transfer,
+            first_frame: first,
+            end_frame: first + length,
+            settled_frame: transfer.then_some(first + 6),
+            finger_separation: transfer.then_some(closed),
+            residual: transfer.then(|| draws.about(0.003, 0.001)),
+            residual_rotation: transfer.then(|| draws.about(0.03, 0.01)),
+            object_displacement: if held { 0.4 } else { 0.0 },
+            object_rise: Some(if held { 0.1 } else { 0.0 }),
+        });
+        if transfer {
+            let off = if outcome == "missed" { 0.03 } else { 0.0 };
+            self.grasps.push(Grasp {
+                demo,
+                segment: number,
+                first_frame: first,
+                end_frame: first + length,
+                outcome: outcome.to_owned(),
+                position: [
+                    draws.about(off, 0.006),
+                    draws.about(0.0, 0.01),
+                    draws.about(0.012 + off, 0.004),
+                ],
+            });
+        }
+    }
+
+    fn finish(self) -> Audit {
+        let checks = KINDS.map(|(code, severity, words, threshold, unit)| {
+            let mut demos: Vec<usize> = self
+                .findings
+                .iter()
+                .filter(|f| f.code == code)
+                .map(|f| f.demo)
+                .collect();
+            let findings = demos.len() as u32;
+            demos.dedup();
+            Check {
+                code: code.to_owned(),
+                severity,
+                meaning: format!("A finding says that {words}. Look at the frames and decide."),
+                measure: "what is invented here".to_owned(),
+                threshold: Some(threshold),
+                unit: unit.to_owned(),
+                origin: "data".to_owned(),
+                derivation: "invented".to_owned(),
+                findings,
+                episodes: demos.len() as u32,
+            }
+        });
+        let measure = |unit: &str, factor| Measure {
+            unit: unit.to_owned(),
+            factor,
+        };
+        let panel = |title: &str, unit: &str, series: Vec<(&str, Vec<f64>)>| Panel {
+            title: title.to_owned(),
+            measure: measure(unit, 1000.0),
+            series: series
+                .into_iter()
+                .map(|(label, values)| Series {
+                    label: label.to_owned(),
+                    values,
+                })
+                .collect(),
+        };
+        let [eef_height, object_height] = self.height;
+        let [eef_speed, object_speed] = self.speed;
+        Audit {
+            tool_version: "0.0.0".to_owned(),
+            dataset: "invented/low_dim.hdf5".to_owned(),
+            task: "PickPlaceCan".to_owned(),
+            command: "re4-pipe audit invented.toml".to_owned(),
+            artifacts: ["audit", "modes", "episodes"]
+                .map(|kind| (kind.to_owned(), "0123456789abcdef".repeat(4)))
+                .to_vec(),
+            frame_seconds: 0.05,
+            length: measure("mm", 1000.0),
+            demos: self.demos,
+            checks: checks.to_vec(),
+            findings: self.findings,
+            segments: self.segments,
+            grasps: self.grasps,
+            outline: None,
+            contacts: None,
+            conventions: vec![Convention {
+                name: "quaternion_order".to_owned(),
+                value: "xyzw".to_owned(),
+                basis: "proven".to_owned(),
+                evidence: "The recorded relative pose equals the one that was computed.".to_owned(),
+                residual: Some(3.1e-8),
+                runner_up: Some(0.41),
+                threshold: Some(1e-5),
+                unit: "m".to_owned(),
+                frames: 30_000,
+            }],
+            flags: vec![
+                Flag {
+                    label: "gripper closes".to_owned(),
+                    values: self.closes,
+                },
+                Flag {
+                    label: "evidence holds".to_owned(),
+                    values: self.holds,
+                },
+            ],
+            panels: vec![
+                panel("Fingers apart", "mm", vec![("", self.fingers)]),
+                panel(
+                    "Height",
+                    "mm",
+                    vec![("end effector", eef_height), ("object", object_height)],
+                ),
+                panel(
+                    "Speed",
+                    "mm/frame",
+                    vec![("end effector", eef_speed), ("object", object_speed)],
+                ),
+                panel("Relative translation", "mm/frame", vec![("", self.relative)]),
+                panel("Grip to object", "mm", vec![("", self.distance)]),
+            ],
+        }
+    }
+}
