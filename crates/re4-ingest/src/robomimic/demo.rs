@@ -101,7 +101,6 @@ impl FoundDemo {
         if members.is_empty() {
             return Err(Hdf5Fault::EmptyDemo { demo: name.to_owned() });
         }
-        let attributes = file.attributes(&group)?;
         let has = |members: &[String], name: &str| members.iter().any(|member| member == name);
         let mut names = vec![ACTIONS];
         if wanted != Wanted::Actions {
@@ -150,7 +149,7 @@ impl FoundDemo {
         for (name, located) in &datasets {
             check_shape(*name, located)?;
         }
-        if let Some(samples) = attributes.count("num_samples")?
+        if let Some(samples) = file.count(&group, "num_samples")?
             && usize::try_from(samples) != Ok(frames)
         {
             return Err(Hdf5Fault::Count {
@@ -164,7 +163,7 @@ impl FoundDemo {
         let model = if wanted == Wanted::Actions {
             None
         } else {
-            attributes.text("model_file")?
+            file.text(&group, "model_file")?
         };
         Ok(Self {
             name: name.to_owned(),

@@ -1,17 +1,20 @@
 //! The HDF5 file: groups, attributes and datasets, through the HDF5 library, and numbers of contiguous datasets read beside
 //! it.
 //!
-//! The library takes one lock for everything. So it only says where a contiguous dataset lies ([`File::locate`]); its bytes
-//! are read from the file itself, in any thread. Chunked and compressed datasets are decoded by the library.
+//! The library takes one lock for everything, and its time to open a dataset. So where a contiguous dataset lies is looked up
+//! beside it in files of the usual format (`direct.rs`), by the library in all others; its bytes are read from the file
+//! itself, in any thread. Chunked and compressed datasets are decoded by the library.
 
 use std::ops::Range;
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use hdf5::datatype::ByteOrder;
 use hdf5::types::{FixedAscii, FixedUnicode, FloatSize, IntSize, TypeDescriptor, VarLenAscii, VarLenUnicode};
 use hdf5::{Container, Dataset, Datatype, Hyperslab, SliceOrIndex};
 
+use super::direct::{Direct, Header, Members, Number};
 use super::fault::Hdf5Fault;
 use crate::error::Fault;
 
@@ -26,7 +29,13 @@ pub(crate) struct File {
     hdf5: hdf5::File,
     bytes: std::fs::File,
     length: u64,
+    direct: Option<Direct>,
+    /// Groups that were looked up last, by path; the root and `/data` stay.
+    groups: Mutex<Vec<(String, Arc<Members>)>>,
 }
+
+/// Groups that are remembered: the root, `/data`, a demonstration and the groups in it.
+const GROUPS: usize = 6;
 
 /// Type of the elements of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,9 +44,11 @@ pub(crate) enum Element {
     F64,
     /// Single precision.
     F32,
+    /// Little-endian signed 64-bit integers.
+    I64,
     /// Bytes, as pictures have.
     U8,
-    /// Another type that the library converts to double precision: integers, truth values, the other byte order.
+    /// Another type that the library converts to double precision: other integers, truth values, the other byte order.
     Whole,
 }
 
@@ -78,15 +89,52 @@ impl File {
         }
         let bytes = std::fs::File::open(path).map_err(|error| Fault::io("read", path, error))?;
         let hdf5 = hdf5::File::open(path).map_err(|error| Hdf5Fault::Unreadable { why: words(&error) })?;
+        let length = metadata.len();
+        let direct = Direct::open(&bytes, length);
+        let root = direct.as_ref().and_then(|direct| direct.root(&bytes));
         Ok(Self {
             hdf5,
             bytes,
-            length: metadata.len(),
+            length,
+            direct: direct.filter(|_| root.is_some()),
+            groups: Mutex::new(root.into_iter().map(|root| (String::new(), Arc::new(root))).collect()),
         })
+    }
+
+    /// The header of an object, found beside the library.
+    fn header(&self, path: &str) -> Option<Header> {
+        let (parent, name) = path.rsplit_once('/').unwrap_or(("", path));
+        let address = *self.group(parent)?.get(name)?;
+        self.direct.as_ref()?.header(&self.bytes, address)
+    }
+
+    /// The members of a group, found beside the library.
+    fn group(&self, path: &str) -> Option<Arc<Members>> {
+        let known = |groups: &[(String, Arc<Members>)]| {
+            let found = groups.iter().find(|(known, _)| known == path);
+            found.map(|(_, members)| Arc::clone(members))
+        };
+        if let Some(members) = known(&self.groups.lock().unwrap_or_else(PoisonError::into_inner)) {
+            return Some(members);
+        }
+        if path.is_empty() {
+            return None;
+        }
+        let header = self.header(path)?;
+        let members = Arc::new(self.direct.as_ref()?.members(&self.bytes, &header)?);
+        let mut groups = self.groups.lock().unwrap_or_else(PoisonError::into_inner);
+        if groups.len() >= GROUPS {
+            groups.remove(2);
+        }
+        groups.push((path.to_owned(), Arc::clone(&members)));
+        Some(members)
     }
 
     /// Names of the members of a group that is there, in their byte order.
     pub(crate) fn members(&self, group: &str) -> Result<Vec<String>, Hdf5Fault> {
+        if let Some(members) = self.group(group) {
+            return Ok(members.keys().cloned().collect());
+        }
         let names = self.hdf5.group(group).and_then(|group| group.member_names());
         let mut names = names.map_err(damaged(&format!("group /{group}")))?;
         names.sort_unstable();
@@ -109,16 +157,46 @@ impl File {
         ends.all(|end| self.hdf5.link_exists(&path[..end]))
     }
 
-    /// Attributes of a group that is there.
-    pub(crate) fn attributes(&self, group: &str) -> Result<Attributes, Hdf5Fault> {
+    /// A whole number in an attribute of a group that is there; `None` where it has none of this name.
+    pub(crate) fn count(&self, group: &str, name: &str) -> Result<Option<i64>, Hdf5Fault> {
+        if let Some(count) = self.header(group).and_then(|header| header.count(name)) {
+            return Ok(Some(count));
+        }
+        let Some((attribute, object)) = self.attribute(group, name)? else {
+            return Ok(None);
+        };
+        attribute.read_scalar::<i64>().map(Some).map_err(damaged(&object))
+    }
+
+    /// The text of an attribute of a group that is there; `None` where it has none of this name.
+    pub(crate) fn text(&self, group: &str, name: &str) -> Result<Option<String>, Hdf5Fault> {
+        let direct = self.direct.as_ref();
+        if let Some(text) = direct.and_then(|direct| direct.text(&self.bytes, &self.header(group)?, name)) {
+            return Ok(Some(text));
+        }
+        let Some((attribute, object)) = self.attribute(group, name)? else {
+            return Ok(None);
+        };
+        if attribute.size() != 1 {
+            return Err(damaged(&object)(internal(format!(
+                "it holds {} texts",
+                attribute.size()
+            ))));
+        }
+        Ok(texts(&attribute, &object)?.pop())
+    }
+
+    /// An attribute of a group, by the library.
+    fn attribute(&self, group: &str, name: &str) -> Result<Option<(hdf5::Attribute, String)>, Hdf5Fault> {
         let object = format!("group /{group}");
         let location = self.hdf5.group(group).map_err(damaged(&object))?;
         let names = location.attr_names().map_err(damaged(&object))?;
-        Ok(Attributes {
-            group: location,
-            path: group.to_owned(),
-            names,
-        })
+        if names.iter().all(|there| there != name) {
+            return Ok(None);
+        }
+        let object = format!("attribute {name} of /{group}");
+        let attribute = location.attr(name).map_err(damaged(&object))?;
+        Ok(Some((attribute, object)))
     }
 
     /// Names in a dataset of texts.
@@ -135,6 +213,20 @@ impl File {
 
     /// Finds a dataset of numbers that is there.
     pub(crate) fn locate(&self, path: &str) -> Result<Located, Hdf5Fault> {
+        if let Some(found) = self.header(path).and_then(|header| header.contiguous()) {
+            let bytes = found.shape.iter().map(|&side| side as u64).product::<u64>() * 8;
+            if bytes <= MOST_BYTES && found.offset.checked_add(bytes).is_some_and(|end| end <= self.length) {
+                return Ok(Located {
+                    name: path.to_owned(),
+                    shape: found.shape,
+                    element: match found.element {
+                        Number::F64 => Element::F64,
+                        Number::I64 => Element::I64,
+                    },
+                    place: Place::Offset(found.offset),
+                });
+            }
+        }
         let object = format!("dataset {path}");
         let damaged = || damaged(&object);
         let dataset = self.hdf5.dataset(path).map_err(damaged())?;
@@ -218,49 +310,16 @@ impl File {
                     .read_exact_at(&mut bytes, *offset)
                     .map_err(|error| damaged(internal(error.to_string())))?;
                 let (numbers, _) = bytes.as_chunks::<8>();
-                Ok(numbers.iter().map(|number| f64::from_le_bytes(*number)).collect())
+                Ok(if located.element == Element::I64 {
+                    numbers
+                        .iter()
+                        .map(|number| i64::from_le_bytes(*number) as f64)
+                        .collect()
+                } else {
+                    numbers.iter().map(|number| f64::from_le_bytes(*number)).collect()
+                })
             }
         }
-    }
-}
-
-/// A group and the names of its attributes.
-pub(crate) struct Attributes {
-    group: hdf5::Group,
-    path: String,
-    names: Vec<String>,
-}
-
-impl Attributes {
-    fn attribute(&self, name: &str) -> Result<Option<(hdf5::Attribute, String)>, Hdf5Fault> {
-        if self.names.iter().all(|there| there != name) {
-            return Ok(None);
-        }
-        let object = format!("attribute {name} of /{}", self.path);
-        let attribute = self.group.attr(name).map_err(damaged(&object))?;
-        Ok(Some((attribute, object)))
-    }
-
-    /// A text; `None` where there is no attribute of this name.
-    pub(crate) fn text(&self, name: &str) -> Result<Option<String>, Hdf5Fault> {
-        let Some((attribute, object)) = self.attribute(name)? else {
-            return Ok(None);
-        };
-        if attribute.size() != 1 {
-            return Err(damaged(&object)(internal(format!(
-                "it holds {} texts",
-                attribute.size()
-            ))));
-        }
-        Ok(texts(&attribute, &object)?.pop())
-    }
-
-    /// A whole number; `None` where there is no attribute of this name.
-    pub(crate) fn count(&self, name: &str) -> Result<Option<i64>, Hdf5Fault> {
-        let Some((attribute, object)) = self.attribute(name)? else {
-            return Ok(None);
-        };
-        attribute.read_scalar::<i64>().map(Some).map_err(damaged(&object))
     }
 }
 
@@ -374,5 +433,56 @@ fn words(error: &hdf5::Error) -> String {
             .stack()
             .and_then(|stack| stack.iter().last().map(|frame| frame.desc().to_owned()))
             .unwrap_or_else(|| "the HDF5 library gives no reason".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is found beside the library is what the library finds.
+    #[test]
+    fn both_ways_to_look_up_agree() {
+        let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/can-sample.hdf5");
+        let direct = File::open(&sample).unwrap();
+        let library = File {
+            direct: None,
+            groups: Mutex::default(),
+            ..File::open(&sample).unwrap()
+        };
+        assert!(direct.group("data/demo_0/obs").is_some());
+        assert!(library.group("data").is_none());
+        let mut compared = 0;
+        assert_eq!(direct.members("data").unwrap(), library.members("data").unwrap());
+        assert_eq!(
+            direct.text("data", "env_args").unwrap(),
+            library.text("data", "env_args").unwrap()
+        );
+        for demo in direct.members("data").unwrap() {
+            let group = format!("data/{demo}");
+            for name in ["num_samples", "nothing"] {
+                assert_eq!(
+                    direct.count(&group, name).unwrap(),
+                    library.count(&group, name).unwrap()
+                );
+            }
+            for folder in [group.clone(), format!("{group}/obs")] {
+                let names = direct.members(&folder).unwrap();
+                assert_eq!(names, library.members(&folder).unwrap());
+                for name in names.iter().filter(|name| *name != "obs") {
+                    let path = format!("{folder}/{name}");
+                    let [ours, theirs] = [&direct, &library].map(|file| file.locate(&path).unwrap());
+                    assert!(matches!(ours.place, Place::Offset(_)), "{path}");
+                    assert_eq!(ours.shape, theirs.shape, "{path}");
+                    let [ours, theirs] = [(&direct, ours), (&library, theirs)].map(|(file, found)| {
+                        let numbers = file.read(&found).unwrap();
+                        numbers.into_iter().map(f64::to_bits).collect::<Vec<_>>()
+                    });
+                    assert_eq!(ours, theirs, "{path}");
+                    compared += 1;
+                }
+            }
+        }
+        assert_eq!(compared, 19 * 8);
     }
 }

@@ -4,6 +4,7 @@
 //! their names. Values are handed on bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
 
 mod demo;
+mod direct;
 mod fault;
 mod file;
 mod images;

@@ -146,7 +146,6 @@ impl RobomimicReader {
 
     /// What the file says of how it was recorded; `setting` stands for its attribute `env_args`.
     pub(super) fn environment(&self, setting: Option<&str>) -> Result<EnvArgs, Hdf5Fault> {
-        let attributes = self.file.attributes("data")?;
         let mend = |what: &str| {
             format!("{what}, or give the JSON text of a file that was recorded in the same way as ingest.env_args")
         };
@@ -156,11 +155,11 @@ impl RobomimicReader {
                 mend(&format!("repair attribute {attribute} of /data"))
             ))
         };
-        let own = attributes.text("env_args")?;
+        let own = self.file.text("data", "env_args")?;
         if let Some(text) = setting.or(own.as_deref()) {
             return EnvArgs::parse(text).map_err(|error| refuse("env_args", error));
         }
-        let raw = ["env", "env_info", "repository_version"].map(|name| attributes.text(name));
+        let raw = ["env", "env_info", "repository_version"].map(|name| self.file.text("data", name));
         let [env, info, version] = raw;
         let (env, info, version) = (env?, info?, version?);
         if env.is_none() && info.is_none() {
@@ -279,7 +278,7 @@ impl RobomimicReader {
 
     /// The attribute `total` of `/data`, where all demonstrations were read.
     fn check_total(&self, frames: usize) -> Result<(), Hdf5Fault> {
-        let total = self.file.attributes("data")?.count("total")?;
+        let total = self.file.count("data", "total")?;
         match total {
             Some(total) if self.all && usize::try_from(total) != Ok(frames) => Err(Hdf5Fault::Count {
                 object: "/data".to_owned(),
