@@ -33,13 +33,14 @@ fn replay(target: &str, run: impl Fn(&[u8]) -> Result<(), String>) {
     let (mut accepted, mut refused, mut bytes) = (0, 0, 0);
     for (name, input) in zarr::files_below(&folder) {
         bytes += input.len();
-        match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(&input))) {
-            Ok(Ok(())) => accepted += 1,
-            Ok(Err(sentence)) => {
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(&input)))
+            .unwrap_or_else(|_| panic!("{target}: the input {} stops the program", name.display()));
+        match outcome {
+            Ok(()) => accepted += 1,
+            Err(sentence) => {
                 assert!(!sentence.is_empty(), "{target} {}", name.display());
                 refused += 1;
             }
-            Err(_) => panic!("{target}: the input {} stops the program", name.display()),
         }
     }
     println!("{target}: {accepted} inputs accepted, {refused} refused, {bytes} bytes");

@@ -57,7 +57,9 @@ pub(crate) fn edit(input: &mut Input, content: &[u8], donor: &[u8]) -> Option<Ve
         5 => {
             let (key, axis) = (payload.byte(), payload.byte());
             let mut number = [0; 8];
-            number.iter_mut().for_each(|byte| *byte = payload.byte());
+            for byte in &mut number {
+                *byte = payload.byte();
+            }
             let number = u64::from_le_bytes(number);
             let set = |place: &mut Value| match place {
                 Value::Array(items) if !items.is_empty() => {

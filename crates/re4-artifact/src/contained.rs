@@ -2,7 +2,8 @@
 //!
 //! Every command compares a table's bytes with their published hash before it decodes them, so that damage never gets here.
 //! A table forged together with its hash does, and there the decoder of the library panics in places; the panic is turned
-//! into the error that the library should have given.
+//! into the error that the library should have given. Of a page that claims a length or a count the library reserves up to
+//! 2 GiB and counts to 2^32; that is not prevented.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
