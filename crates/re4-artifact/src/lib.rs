@@ -35,6 +35,7 @@
 
 mod canonical;
 mod columns;
+mod contained;
 mod disk;
 mod error;
 mod key;

@@ -12,11 +12,11 @@ use arrow::compute::concat_batches;
 use arrow::datatypes::{Schema, SchemaRef};
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder, RowSelection,
-    RowSelector,
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder,
 };
 use parquet::errors::ParquetError;
 
+use crate::contained::contained;
 use crate::disk::hash_file;
 use crate::error::{ArtifactError, Damage};
 use crate::key::Key;
@@ -181,7 +181,7 @@ impl Table {
             }
             Err(error) => return Err(ArtifactError::io("read", &path)(error)),
         };
-        let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
+        let metadata = contained(|| ArrowReaderMetadata::load(&file, ArrowReaderOptions::new()))
             .map_err(ArtifactError::parquet("read", &path))?;
         let table = Self {
             path,
@@ -201,6 +201,9 @@ impl Table {
         let rows = self.metadata.metadata().file_metadata().num_rows();
         if u64::try_from(rows) != Ok(self.facts.rows) {
             return Some(format!("has {rows} rows where the manifest says {}", self.facts.rows));
+        }
+        if let Some(reason) = self.other_groups() {
+            return Some(reason);
         }
         let spec = self.spec?;
         let version = self.facts.schema_version;
@@ -227,6 +230,23 @@ impl Table {
                 )
             })
         })
+    }
+
+    /// How the row groups disagree with the manifest: reading some rows counts on their lengths.
+    fn other_groups(&self) -> Option<String> {
+        let size = self.facts.row_group_rows;
+        let groups = self.metadata.metadata().row_groups();
+        let mut left = self.facts.rows;
+        for (number, group) in groups.iter().enumerate() {
+            let (rows, expected) = (group.num_rows(), left.min(size));
+            if expected == 0 || u64::try_from(rows) != Ok(expected) {
+                return Some(format!(
+                    "has {rows} rows in row group {number} where the manifest says {expected}"
+                ));
+            }
+            left -= expected;
+        }
+        (left > 0).then(|| format!("has row groups for all but {left} of its {} rows", self.facts.rows))
     }
 
     /// File of the table.
@@ -260,7 +280,7 @@ impl Table {
     /// # Errors
     /// As all reads: [`ArtifactError::Io`] and [`ArtifactError::Parquet`].
     pub fn read_all(&self) -> Result<RecordBatch, ArtifactError> {
-        self.collect(self.reader(None)?.build(), &self.schema())
+        self.collect(self.reader(None)?, &self.schema(), None)
     }
 
     /// All rows of some columns, as one batch with the columns in the order asked for.
@@ -285,7 +305,7 @@ impl Table {
         let file_columns = self.metadata.schema().fields();
         let chosen = (0..file_columns.len()).filter(|&i| columns.contains(&file_columns[i].name().as_str()));
         let mask = ProjectionMask::roots(self.metadata.parquet_schema(), chosen);
-        self.collect(self.reader(None)?.with_projection(mask).build(), &schema)
+        self.collect(self.reader(None)?.with_projection(mask), &schema, None)
     }
 
     /// The rows of one row group.
@@ -298,7 +318,7 @@ impl Table {
             let first = (group as u64).saturating_mul(size);
             return Err(self.out_of_range(&(first..first.saturating_add(size))));
         }
-        self.collect(self.reader(Some(vec![group]))?.build(), &self.schema())
+        self.collect(self.reader(Some(vec![group]))?, &self.schema(), None)
     }
 
     /// Some rows; only the row groups that hold them are touched.
@@ -317,12 +337,11 @@ impl Table {
             .map(|g| g as usize)
             .collect();
         let before = (rows.start % size) as usize;
-        let selection = RowSelection::from(vec![
-            RowSelector::skip(before),
-            RowSelector::select((rows.end - rows.start) as usize),
-        ]);
-        let reader = self.reader(Some(groups))?.with_row_selection(selection);
-        self.collect(reader.build(), &self.schema())
+        let wanted = before..before + (rows.end - rows.start) as usize;
+        // No larger than needed: a few rows at the start of many pictures are a few pictures.
+        let size = wanted.end.min(ROWS_PER_BATCH);
+        let reader = self.reader(Some(groups))?.with_batch_size(size);
+        self.collect(reader, &self.schema(), Some(wanted))
     }
 
     /// The rows in order, in batches of bounded size, so that a table need not fit in memory.
@@ -331,15 +350,12 @@ impl Table {
     /// As [`Table::read_all`].
     pub fn batches(&self) -> Result<Batches, ArtifactError> {
         let size = ROWS_PER_BATCH.min((self.facts.row_group_rows as usize).max(1));
-        let reader = self
-            .reader(None)?
-            .with_batch_size(size)
-            .build()
-            .map_err(ArtifactError::parquet("read", &self.path))?;
+        let builder = self.reader(None)?.with_batch_size(size);
+        let reader = contained(|| builder.build()).map_err(ArtifactError::parquet("read", &self.path))?;
         Ok(Batches {
             table: self.clone(),
             schema: self.schema(),
-            reader,
+            reader: Some(reader),
         })
     }
 
@@ -363,16 +379,20 @@ impl Table {
         })
     }
 
+    /// Decodes; of the row groups of the reader these rows, or all.
     fn collect(
         &self,
-        reader: Result<ParquetRecordBatchReader, ParquetError>,
+        builder: ParquetRecordBatchReaderBuilder<File>,
         schema: &SchemaRef,
+        rows: Option<Range<usize>>,
     ) -> Result<RecordBatch, ArtifactError> {
         let refuse = |error| ArtifactError::parquet("read", &self.path)(error);
-        let mut batches = Vec::new();
-        for batch in reader.map_err(refuse)? {
-            batches.push(self.upgrade(&batch.map_err(|e| refuse(e.into()))?, schema)?);
-        }
+        let read = || cut(builder.build()?, rows);
+        let batches = contained(read).map_err(refuse)?;
+        let batches = batches
+            .iter()
+            .map(|batch| self.upgrade(batch, schema))
+            .collect::<Result<Vec<_>, _>>()?;
         concat_batches(schema, &batches).map_err(|e| refuse(e.into()))
     }
 
@@ -392,22 +412,53 @@ impl Table {
     }
 }
 
+/// These rows of those that a reader gives, or all. Batches are decoded and cut: the decoder's own way to skip rows does not
+/// come to an end on some pages that are no valid Parquet.
+fn cut(reader: ParquetRecordBatchReader, rows: Option<Range<usize>>) -> Result<Vec<RecordBatch>, ParquetError> {
+    let Some(rows) = rows else {
+        return Ok(reader.collect::<Result<_, _>>()?);
+    };
+    let (mut before, mut left) = (rows.start, rows.len());
+    let mut batches = Vec::new();
+    for batch in reader {
+        let batch = batch?;
+        let skipped = before.min(batch.num_rows());
+        let taken = left.min(batch.num_rows() - skipped);
+        if taken > 0 {
+            batches.push(batch.slice(skipped, taken));
+        }
+        before -= skipped;
+        left -= taken;
+        if left == 0 {
+            break;
+        }
+    }
+    if left > 0 {
+        return Err(ParquetError::EOF(format!("it lacks {left} of its rows")));
+    }
+    Ok(batches)
+}
+
 /// The rows of a table in order, batch by batch.
 pub struct Batches {
     table: Table,
     schema: SchemaRef,
-    reader: ParquetRecordBatchReader,
+    /// None after the first error.
+    reader: Option<ParquetRecordBatchReader>,
 }
 
 impl Iterator for Batches {
     type Item = Result<RecordBatch, ArtifactError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let batch = self.reader.next()?;
-        Some(
-            batch
-                .map_err(|error| ArtifactError::parquet("read", &self.table.path)(error.into()))
-                .and_then(|batch| self.table.upgrade(&batch, &self.schema)),
-        )
+        let reader = self.reader.as_mut()?;
+        let batch = contained(|| Ok(reader.next().transpose()?))
+            .map_err(ArtifactError::parquet("read", &self.table.path))
+            .transpose()?
+            .and_then(|batch| self.table.upgrade(&batch, &self.schema));
+        if batch.is_err() {
+            self.reader = None;
+        }
+        Some(batch)
     }
 }

@@ -115,6 +115,24 @@ fn a_truncated_file_is_said_so() {
     assert_eq!(artifact.complaint(), artifact.damaged(&what));
 }
 
+/// Reading some rows goes by the lengths of row groups, so they are not taken from the manifest unseen.
+#[test]
+fn row_groups_that_are_not_as_published_are_said_so() {
+    for (size, found) in [
+        (0, "30 rows in row group 0 where the manifest says 0"),
+        (7, "30 rows in row group 0 where the manifest says 7"),
+        (29, "30 rows in row group 0 where the manifest says 29"),
+    ] {
+        let artifact = published();
+        artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["row_group_rows"] = json!(size));
+        let what = format!("every_kind.parquet has {found}");
+        let said = verify(&artifact.folder).unwrap_err().to_string();
+        assert_eq!(said, artifact.damaged(&what));
+        let open = Artifact::open(&artifact.folder).unwrap();
+        assert_eq!(open.table(&EVERY_KIND).unwrap_err().to_string(), said);
+    }
+}
+
 #[test]
 fn a_missing_file_is_said_so() {
     let artifact = published();

@@ -64,6 +64,12 @@ pub enum Fault {
         /// Name of the entry.
         entry: String,
     },
+    /// A link in a folder store that leads back to a folder that holds it.
+    #[error("{link} is a link to a folder that it lies in; remove the link")]
+    CircularLink {
+        /// Path of the link within the store.
+        link: String,
+    },
     /// A zip without a store.
     #[error(
         "the zip file holds no zarr store (no .zgroup at its root or up to two folders down); pack the folder of the store"
@@ -159,6 +165,24 @@ pub enum Fault {
         found: u64,
         /// Length of `data/state`.
         expected: u64,
+    },
+    /// More frames than are read.
+    #[error("data/state has {frames} frames, and at most {limit} are read; split the dataset")]
+    TooManyFrames {
+        /// Frames of the dataset.
+        frames: u64,
+        /// The limit.
+        limit: u64,
+    },
+    /// More episodes than frames.
+    #[error(
+        "meta/episode_ends has {episodes} entries and data/state has {frames} frames; every episode has a frame or more, so repair or restore meta/episode_ends"
+    )]
+    TooManyEnds {
+        /// Entries of `meta/episode_ends`.
+        episodes: u64,
+        /// Frames in the arrays.
+        frames: u64,
     },
     /// No episodes.
     #[error("meta/episode_ends is empty, so the dataset has no episodes; give a dataset with at least one")]

@@ -6,6 +6,7 @@
 //! only finds odd is a [`Warning`] that travels with the data.
 
 mod bitplanes;
+mod compression;
 mod error;
 pub mod pusht;
 pub mod robomimic;

@@ -1,7 +1,7 @@
 //! Where the store lies: a folder, or a zip file unpacked to a temporary folder.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -172,12 +172,23 @@ fn list_files(folder: &Path, prefix: &str, files: &mut Vec<String>) -> Result<()
         let Some(name) = entry.file_name() else { continue };
         let name = format!("{prefix}{}", name.to_string_lossy());
         if entry.is_dir() {
+            // A link to a folder that it lies in would be followed for ever, or as often as the system allows.
+            if entry.is_symlink() && leads_up(&entry).map_err(|error| Fault::io("read", &entry, error))? {
+                return Err(Fault::CircularLink { link: name });
+            }
             list_files(&entry, &format!("{name}/"), files)?;
         } else {
             files.push(name);
         }
     }
     Ok(())
+}
+
+/// Whether a link leads to a folder that it lies in.
+fn leads_up(link: &Path) -> io::Result<bool> {
+    let target = link.canonicalize()?;
+    let folder = link.parent().unwrap_or(link).canonicalize()?;
+    Ok(folder.starts_with(target))
 }
 
 /// Unpacks a zip file. Nothing is written outside of `target`, and no links are made.
@@ -210,12 +221,14 @@ fn unpack(path: &Path, target: &Path) -> Result<(), Fault> {
         }
         let mut output = File::create(&inside).map_err(|error| Fault::io("write", &inside, error))?;
         let expected = entry.size();
-        let written = io::copy(&mut entry, &mut output).map_err(|error| match error.kind() {
-            // The disk's faults; everything else comes from the archive.
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
-                Fault::io("write", &inside, error)
+        let written = io::copy(&mut (&mut entry).take(expected.saturating_add(1)), &mut output).map_err(|error| {
+            match error.kind() {
+                // The disk's faults; everything else comes from the archive.
+                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
+                    Fault::io("write", &inside, error)
+                }
+                _ => unreadable(error.to_string()),
             }
-            _ => unreadable(error.to_string()),
         })?;
         if written != expected {
             return Err(unreadable(format!("{written} bytes instead of {expected}")));

@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 use std::fs;
-use std::io;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,10 +13,14 @@ use zarrs::array::{Array, ArrayMetadata, ArrayMetadataV2, ArrayToBytesCodecTrait
 use zarrs::metadata::v2::{ArrayMetadataV2Order, DataTypeMetadataV2};
 use zarrs::storage::store::MemoryStore;
 
+use crate::compression::Compressor;
 use crate::error::Fault;
 
 /// Largest decoded chunk, and largest row of chunks converted to bytes: 128 MiB. It bounds the memory of every reader.
 pub(crate) const CHUNK_LIMIT: u64 = 128 << 20;
+
+/// How much larger than the chunk its file may be: compressors write a little more where there is nothing to be gained.
+const FILE_SLACK: u64 = 1 << 20;
 
 /// Element types that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,6 +78,8 @@ pub(crate) struct ZarrArray {
     shape: Vec<u64>,
     chunk: Vec<u64>,
     blosc: bool,
+    /// Undone here, before the library sees a chunk.
+    compressor: Option<Compressor>,
 }
 
 impl ZarrArray {
@@ -94,7 +100,7 @@ impl ZarrArray {
             array: name.to_owned(),
             why,
         };
-        let metadata: ArrayMetadataV2 =
+        let mut metadata: ArrayMetadataV2 =
             serde_json::from_slice(&text).map_err(|error| metadata_fault(error.to_string()))?;
         if metadata.order != ArrayMetadataV2Order::C {
             return Err(encoding_fault("its order is F".to_owned()));
@@ -123,12 +129,20 @@ impl ZarrArray {
             .compressor
             .as_ref()
             .is_some_and(|compressor| compressor.id() == "blosc");
-        let array = Array::new_with_metadata(
-            Arc::new(MemoryStore::new()),
-            &format!("/{name}"),
-            ArrayMetadata::V2(metadata),
-        )
-        .map_err(|error| {
+        let understood = |metadata: &ArrayMetadataV2| {
+            Array::new_with_metadata(
+                Arc::new(MemoryStore::new()),
+                &format!("/{name}"),
+                ArrayMetadata::V2(metadata.clone()),
+            )
+        };
+        let compressor = metadata.compressor.as_ref().and_then(|c| Compressor::of(c.id()));
+        let mut array = understood(&metadata);
+        if array.is_ok() && compressor.is_some() {
+            metadata.compressor = None;
+            array = understood(&metadata);
+        }
+        let array = array.map_err(|error| {
             // A type unknown to the library is reported as the wrong type by whoever asks for a type.
             if element.is_none() {
                 Fault::WrongDtype {
@@ -149,6 +163,7 @@ impl ZarrArray {
             shape,
             chunk,
             blosc,
+            compressor,
         };
         let bytes = opened.chunk_bytes();
         if bytes.is_none_or(|bytes| bytes > CHUNK_LIMIT) {
@@ -281,14 +296,23 @@ impl ZarrArray {
     pub(crate) fn read_chunk(&self, index: &[u64]) -> Result<Vec<u8>, Fault> {
         let chunk = self.chunk_name(index);
         let path = self.folder.join(&chunk);
-        fs::read(&path).map_err(|error| match error.kind() {
+        let refused = |error: io::Error| match error.kind() {
             // By the Zarr specification an absent chunk reads as the fill value; in a recording it is lost data.
             io::ErrorKind::NotFound => Fault::MissingChunk {
                 array: self.name.clone(),
-                chunk,
+                chunk: chunk.clone(),
             },
-            _ => Fault::io("read", path, error),
-        })
+            _ => Fault::io("read", &path, error),
+        };
+        let mut bytes = Vec::new();
+        let limit = CHUNK_LIMIT + FILE_SLACK;
+        fs::File::open(&path)
+            .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
+            .map_err(refused)?;
+        if bytes.len() as u64 > limit {
+            return Err(self.undecodable(index, format!("the file has more than {} MiB", limit >> 20)));
+        }
+        Ok(bytes)
     }
 
     /// Names a chunk that cannot be decoded.
@@ -306,6 +330,12 @@ impl ZarrArray {
         if self.blosc {
             check_blosc_header(&encoded, expected).map_err(|why| self.undecodable(index, why))?;
         }
+        let encoded = match self.compressor {
+            Some(compressor) => compressor
+                .decode(&encoded, expected)
+                .map_err(|why| self.undecodable(index, why))?,
+            None => encoded,
+        };
         let shape = self
             .array
             .chunk_shape(index)
@@ -416,31 +446,32 @@ impl ZarrArray {
 
     /// The whole array as f64, which holds every f32, f64 and integer below 2^53 exactly.
     pub(crate) fn read_floats(&self, element: Element) -> Result<Vec<f64>, Fault> {
-        match element {
-            Element::F32 => self.read(element, |bytes| f64::from(f32::from_ne_bytes(array(bytes)))),
-            Element::F64 => self.read(element, |bytes| f64::from_ne_bytes(array(bytes))),
-            _ => Ok(self
-                .read_integers(element)?
-                .into_iter()
-                .map(|value| value as f64)
-                .collect()),
-        }
+        self.read(element, |bytes| match element {
+            Element::F32 => f32::from_ne_bytes(array(bytes)).into(),
+            Element::F64 => f64::from_ne_bytes(array(bytes)),
+            _ => integer(element, bytes) as f64,
+        })
     }
 
     /// The whole array as integers; `element` is an integer type.
     pub(crate) fn read_integers(&self, element: Element) -> Result<Vec<i128>, Fault> {
-        self.read(element, |bytes| match element {
-            Element::U8 => u8::from_ne_bytes(array(bytes)).into(),
-            Element::U16 => u16::from_ne_bytes(array(bytes)).into(),
-            Element::U32 => u32::from_ne_bytes(array(bytes)).into(),
-            Element::U64 => u64::from_ne_bytes(array(bytes)).into(),
-            Element::I8 => i8::from_ne_bytes(array(bytes)).into(),
-            Element::I16 => i16::from_ne_bytes(array(bytes)).into(),
-            Element::I32 => i32::from_ne_bytes(array(bytes)).into(),
-            Element::I64 => i64::from_ne_bytes(array(bytes)).into(),
-            Element::F32 => f32::from_ne_bytes(array(bytes)) as i128,
-            Element::F64 => f64::from_ne_bytes(array(bytes)) as i128,
-        })
+        self.read(element, |bytes| integer(element, bytes))
+    }
+}
+
+/// One element as an integer.
+fn integer(element: Element, bytes: &[u8]) -> i128 {
+    match element {
+        Element::U8 => u8::from_ne_bytes(array(bytes)).into(),
+        Element::U16 => u16::from_ne_bytes(array(bytes)).into(),
+        Element::U32 => u32::from_ne_bytes(array(bytes)).into(),
+        Element::U64 => u64::from_ne_bytes(array(bytes)).into(),
+        Element::I8 => i8::from_ne_bytes(array(bytes)).into(),
+        Element::I16 => i16::from_ne_bytes(array(bytes)).into(),
+        Element::I32 => i32::from_ne_bytes(array(bytes)).into(),
+        Element::I64 => i64::from_ne_bytes(array(bytes)).into(),
+        Element::F32 => f32::from_ne_bytes(array(bytes)) as i128,
+        Element::F64 => f64::from_ne_bytes(array(bytes)) as i128,
     }
 }
 

@@ -8,6 +8,7 @@
 mod common;
 
 use std::fs;
+use std::io::Read as _;
 
 use common::{Copy, FRAMES, SIDE, files_of, fixture, picture, refusal, zip_files};
 use re4_ingest::Selection;
@@ -245,6 +246,71 @@ fn chunks_that_are_missing_or_broken() {
         Copy::of("mixed").edit("data/action/1.0", cut).refusal(),
         Copy::of("mixed").edit("data/state/1.1", cut).refusal(),
         Copy::of("modern").edit("data/img/1.0.0.0", cut).refusal(),
+    ];
+    insta::assert_snapshot!(sentences.join("\n"));
+}
+
+/// Each would be followed as often as the system allows, and two of them two to the power of that.
+#[cfg(unix)]
+#[test]
+fn links_that_lead_up() {
+    let copy = Copy::of("minimal");
+    for (name, target) in [("data/up", ".."), ("data/here", ".")] {
+        std::os::unix::fs::symlink(target, copy.path().join(name)).unwrap();
+    }
+    let reader = PushtReader::open(&copy.path()).unwrap();
+    assert_eq!(
+        reader.source_hash().unwrap_err().fault.to_string(),
+        "data/here is a link to a folder that it lies in; remove the link"
+    );
+    fs::remove_file(copy.path().join("data/here")).unwrap();
+    assert!(reader.source_hash().is_err());
+    fs::remove_file(copy.path().join("data/up")).unwrap();
+    // A link elsewhere is as good as what it leads to.
+    let whole = reader.source_hash().unwrap();
+    fs::rename(copy.path().join("meta"), copy.path().with_extension("meta")).unwrap();
+    std::os::unix::fs::symlink("../store.meta", copy.path().join("meta")).unwrap();
+    assert_eq!(reader.source_hash().unwrap(), whole);
+}
+
+/// A few bytes that ask for more memory than there is.
+#[test]
+fn claims_that_are_not_believed() {
+    // A zstd frame that says that it holds 2^62 bytes (RFC 8878, section 3.1.1.1).
+    let mut claim = vec![0x28, 0xB5, 0x2F, 0xFD, 0xE0];
+    claim.extend((1_u64 << 62).to_le_bytes());
+    claim.extend([1, 0, 0]);
+    let compressed = |id: &str, bytes: &[u8]| {
+        Copy::of("original")
+            .metadata("data/state", &[("compressor", json!({ "id": id, "level": 1 }))])
+            .write("data/state/0.0", bytes)
+    };
+    let mut zlib = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::new(9));
+    std::io::copy(&mut std::io::repeat(0).take(64 << 20), &mut zlib).unwrap();
+    let long = |array: &str, width: &[u64]| {
+        let shape: Vec<u64> = std::iter::once(1 << 62).chain(width.iter().copied()).collect();
+        (array.to_owned(), json!(shape))
+    };
+    let arrays = [
+        long("data/state", &[5]),
+        long("data/action", &[2]),
+        long("data/n_contacts", &[1]),
+        long("data/keypoint", &[9, 2]),
+        long("data/img", &[8, 8, 3]),
+    ];
+    let long = arrays.into_iter().fold(Copy::of("original"), |copy, (array, shape)| {
+        copy.metadata(&array, &[("shape", shape)])
+    });
+    let sentences = [
+        compressed("zstd", &claim).refusal(),
+        compressed("zlib", &zlib.finish().unwrap()).refusal(),
+        long.refusal(),
+        Copy::of("original")
+            .metadata(
+                "meta/episode_ends",
+                &[("shape", json!([100_000_000])), ("chunks", json!([10_000_000]))],
+            )
+            .refusal(),
     ];
     insta::assert_snapshot!(sentences.join("\n"));
 }

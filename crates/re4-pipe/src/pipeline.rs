@@ -367,6 +367,9 @@ fn in_words(message: &str) -> String {
     words.join(" ")
 }
 
+/// Most parts of a key on the command line, more than any setting has. Tables inside of tables are walked recursively.
+const DEEPEST: usize = 16;
+
 /// Applies one `stage.key=value`; the value is TOML, or a plain string where it is not.
 fn apply(document: &mut Value, text: &str) -> Result<()> {
     let Some((path, value)) = text.split_once('=') else {
@@ -377,6 +380,12 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
         .ok()
         .and_then(|mut table| table.remove("value"))
         .map_or_else(|| Ok(Value::String(value.to_owned())), serde_json::to_value)?;
+    let depth = path.split('.').count();
+    if depth > DEEPEST {
+        bail!(
+            "cannot apply --set: the key has {depth} parts, and no setting has more than {DEEPEST}; write stage.key=value"
+        );
+    }
     let mut at = document;
     for key in path.trim().split('.') {
         if key.is_empty() {

@@ -180,7 +180,7 @@ fn panic_on(segmented: &SegmentedSpatial) -> ! {
 fn an_object_that_slips_shows_in_the_residual() {
     let mut scene = pick_and_place();
     for frame in &mut scene.frames[9..] {
-        frame.object = frame.object * moved(0.004, 0.0, 0.0);
+        frame.object *= moved(0.004, 0.0, 0.0);
     }
     let segmented = segmented(&scene, &SegmentConfig::spatial());
     near(segmented.segments[1].grasp.unwrap().residual, 0.004);

@@ -15,6 +15,10 @@ use crate::zarr::{Element, ZarrArray};
 
 const FLOATS: &str = "float32 or float64";
 
+/// Most frames of a dataset, more than eleven days of recording at 10 Hz. Its numbers are read into memory as a whole, and a few bytes of
+/// compressed zeros can claim any number of them.
+const FRAME_LIMIT: u64 = 10_000_000;
+
 /// An opened Push-T dataset: every array's type and shape and the episode ends are checked, the data is not yet read.
 pub struct PushtReader {
     dataset: PathBuf,
@@ -78,9 +82,21 @@ impl PushtReader {
                 });
             }
         }
+        if state.len() > FRAME_LIMIT {
+            return Err(Fault::TooManyFrames {
+                frames: state.len(),
+                limit: FRAME_LIMIT,
+            });
+        }
         let ends = ZarrArray::open_required(folder, "meta/episode_ends")?;
         check_shape(&ends, |shape| matches!(shape, [_]), "(number of episodes,)")?;
         let element = ends.element(|e| !e.is_float(), "an integer type")?;
+        if ends.len() > state.len() {
+            return Err(Fault::TooManyEnds {
+                episodes: ends.len(),
+                frames: state.len(),
+            });
+        }
         let ranges = validate::episode_ranges(&ends.read_integers(element)?, state.len())?;
         Ok(Self {
             dataset: path.to_owned(),

@@ -130,18 +130,25 @@ fn write_segments(number: u32, segments: &[SpatialSegment], table: &mut TableWri
         .f64("object_rise", column(|s| s.object_rise))
         .f64("object_rotation", column(|s| s.object_rotation))
         .f64("object_path", column(|s| s.object_path));
-    let columns = pose_columns(columns, "anchor", segments.iter().map(|s| s.anchor).collect());
+    let columns = pose_columns(
+        columns,
+        "anchor",
+        &segments.iter().map(|s| s.anchor).collect::<Vec<_>>(),
+    );
     let columns = pose_columns(
         columns,
         "grasp",
-        segments.iter().map(|s| s.grasp.map(|g| g.transform)).collect(),
+        &segments
+            .iter()
+            .map(|s| s.grasp.map(|g| g.transform))
+            .collect::<Vec<_>>(),
     );
     table.write_columns(columns)?;
     Ok(())
 }
 
 /// The seven columns of a pose that may be absent.
-fn pose_columns(columns: Columns, prefix: &str, poses: Vec<Option<Isometry3<f64>>>) -> Columns {
+fn pose_columns(columns: Columns, prefix: &str, poses: &[Option<Isometry3<f64>>]) -> Columns {
     ["x", "y", "z", "qx", "qy", "qz", "qw"]
         .iter()
         .enumerate()

@@ -170,8 +170,22 @@ fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&Check> {
     checks
 }
 
+/// Codes of the notes that more than half of the demonstrations have.
+fn usual_notes(audit: &Audit) -> Vec<&str> {
+    let is_usual = |check: &&Check| check.severity == Severity::Note && 2 * check.episodes as usize > audit.demos.len();
+    let mut codes: Vec<&str> = audit
+        .checks
+        .iter()
+        .filter(is_usual)
+        .map(|check| check.code.as_str())
+        .collect();
+    codes.sort_unstable();
+    codes
+}
+
 /// All timelines, and the evidence of the chosen demonstration beside them.
 pub(super) fn workbench(audit: &Audit) -> Markup {
+    let usual = usual_notes(audit);
     html! {
         div.workbench {
             section #timelines aria-labelledby="timelines-title" {
@@ -193,7 +207,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                         (choice("scale", "Scale of the timelines", &[("frames", "Frames"), ("share", "Whole length")]))
                     }
                     div.plot #timeline-axis aria-hidden="true" {}
-                    div #timeline-rows tabindex="0" role="listbox" aria-label="Demonstrations; up and down choose one" aria-activedescendant="timeline-choice" {
+                    div #timeline-rows data-usual=(usual.join(" ")) tabindex="0" role="listbox" aria-label="Demonstrations; up and down choose one" aria-activedescendant="timeline-choice" {
                         canvas #timeline-canvas {}
                         div.hidden #timeline-choice role="option" aria-selected="true" {}
                         div #timeline-spacer {}
@@ -203,6 +217,9 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                         li { span.swatch.transit {} "transit" }
                         li { span.swatch.transfer {} "transfer" }
                         @for severity in Severity::ALL { li { (glyph(severity)) (severity.as_str()) } }
+                    }
+                    @if !usual.is_empty() {
+                        p.hint { "Not drawn here, since more than half of the demonstrations have it: " (usual.join(", ")) ". Press it above to see where." }
                     }
                     div #timeline-tip role="tooltip" {}
                 }

@@ -17,8 +17,11 @@ const timelineScale = (width) => {
 const wholeX = () => GUTTER.name + GUTTER.whole / 2;
 const markX = (finding, place) => (isWhole(finding) ? wholeX() : place.x((finding.first + finding.end) / 2));
 
+// What nearly all demonstrations have would hide what single ones have: such notes are drawn when a filter asks.
+const USUAL = new Set(byId("timeline-rows").dataset.usual.split(" "));
 // The mildest first, so that the worst lie on top.
-const marksOf = (demo) => passing(demo).sort((a, b) => b.severity - a.severity || a.first - b.first);
+const marksOf = (demo) =>
+  passing(demo).filter(({ code }) => isFiltered() || !USUAL.has(code)).sort((a, b) => b.severity - a.severity || a.first - b.first);
 
 const drawMark = (context, severity, x, y, scale = 1) => {
   context.save();

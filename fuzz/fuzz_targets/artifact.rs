@@ -1,0 +1,19 @@
+//! The reader of artifacts.
+#![no_main]
+
+#[path = "../harness/artifact.rs"]
+mod artifact;
+#[path = "../harness/edits.rs"]
+mod edits;
+#[path = "../harness/memory.rs"]
+mod memory;
+
+use std::sync::LazyLock;
+
+/// Nothing here is large.
+const LARGEST: usize = 100 << 20;
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    static ARTIFACT: LazyLock<artifact::Sample> = LazyLock::new(artifact::Sample::new);
+    let _ = ARTIFACT.run(input);
+});

@@ -1,0 +1,14 @@
+//! The reader of pipeline files.
+#![no_main]
+
+#[path = "../harness/memory.rs"]
+mod memory;
+#[path = "../harness/pipeline.rs"]
+mod pipeline;
+
+/// Ten million seeds, sorted beside themselves, while their vector grows.
+const LARGEST: usize = 100 << 20;
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+    let _ = pipeline::run(input);
+});

@@ -1,0 +1,26 @@
+//! A zip file with a Push-T store, unpacked and read whole. An input is the zip file.
+
+use std::fs;
+
+use re4_ingest::Selection;
+use tempfile::TempDir;
+
+/// Where the zip file is put.
+pub(crate) struct Zip {
+    folder: TempDir,
+}
+
+impl Zip {
+    pub(crate) fn new() -> Self {
+        Self {
+            folder: tempfile::Builder::new().prefix("re4-fuzz-").tempdir().unwrap(),
+        }
+    }
+
+    /// Reads the zip file; the sentence of the first error.
+    pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
+        let path = self.folder.path().join("store.zip");
+        fs::write(&path, input).unwrap();
+        crate::zarr::read(&path, &Selection::All)
+    }
+}
