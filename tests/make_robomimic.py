@@ -185,6 +185,29 @@ def a_group_for_a_dataset(file):
     file.create_group("data/demo_0/actions")
 
 
+def a_link_to_another_file(file):
+    del file["data/demo_1"]
+    file["data/demo_1"] = h5py.ExternalLink("compressed.hdf5", "data/demo_1")
+
+
+def numbers_in_another_file(file):
+    values = file["data/demo_1/rewards"][()]
+    raw = str(folder.parent / "rewards.bin")
+    replace(file, "data/demo_1/rewards", values, external=[(raw, 0, values.nbytes)])
+
+
+def a_virtual_dataset(file):
+    length = len(file["data/demo_1/rewards"])
+    del file["data/demo_1/rewards"]
+    layout = h5py.VirtualLayout(shape=(length,), dtype=np.float64)
+    layout[:] = h5py.VirtualSource("compressed.hdf5", "data/demo_1/rewards", shape=(length,))
+    file["data/demo_1"].create_virtual_dataset("rewards", layout)
+
+
+def a_name_of_two_lines(file):
+    file.move("data/demo_1", "data/demo_1\nand more")
+
+
 def no_data(file):
     del file["data"]
 

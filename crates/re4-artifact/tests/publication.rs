@@ -294,6 +294,15 @@ fn a_full_disk_is_said_so_and_leaves_nothing() {
     drop(table);
     drop(writer);
     assert!(artifact_names(disk.0.path()).is_empty());
+    // A process that another test starts at this moment holds our open files until it runs its own program.
+    let probe = disk.0.path().join("probe");
+    let freed = (0..500).any(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+        let room = std::fs::write(&probe, vec![1; 128 << 10]).is_ok();
+        std::fs::remove_file(&probe).unwrap();
+        room
+    });
+    assert!(freed, "what was begun still takes its space");
     publish_sample(&store, 1, 10);
 }
 

@@ -177,8 +177,12 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
         } => constant(Some(pick(spatial, flat)), why.to_owned()),
         Basis::ClosedFingers => Threshold {
             value: Some(closed),
-            origin: Origin::Setting,
-            derivation: "segment.gripper.closed of the pipeline file or its default".to_owned(),
+            origin: if closed == re4_segment::GripperConfig::default().closed {
+                Origin::Default
+            } else {
+                Origin::Setting
+            },
+            derivation: "segment.gripper.closed, the paper's figure for a failed grasp by default".to_owned(),
             made: true,
         },
         Basis::Fence {

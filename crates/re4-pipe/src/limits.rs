@@ -5,7 +5,7 @@ use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
 
-use crate::pipeline::{Pipeline, PoseSection, PoseSource, Variant};
+use crate::pipeline::{Pipeline, PoseSection, PoseSource, TaskName, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
@@ -70,8 +70,21 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
             "robosuite's tasks are ingested, segmented and audited, no more in this version; leave the table [{table}] out"
         );
     }
+    let ingest = &pipeline.ingest;
     ensure!(
-        pipeline.ingest.render.is_empty(),
+        ingest.object.is_none() || pipeline.task == TaskName::Robosuite,
+        "ingest.object is given and the task says which object it is; leave it out, or set task = \"robosuite\""
+    );
+    ensure!(
+        ingest.images || ingest.cameras.is_none(),
+        "ingest.images is false and ingest.cameras names cameras; leave one of the two out"
+    );
+    ensure!(
+        pipeline.variant.is_none(),
+        "variant is for rollouts, which robosuite's tasks do not have in this version; leave it out"
+    );
+    ensure!(
+        ingest.render.is_empty(),
         "ingest.render draws Push-T's pictures; leave it out for robosuite's tasks"
     );
     Ok(())

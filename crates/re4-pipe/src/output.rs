@@ -55,6 +55,20 @@ impl Output {
         Ok(output)
     }
 
+    /// Refuses to replace what the command itself reads.
+    pub(crate) fn spares(&self, inputs: &[PathBuf]) -> Result<()> {
+        let whole = |path: &Path| std::fs::canonicalize(path).ok();
+        let place = whole(&self.place);
+        if place.is_some() && inputs.iter().any(|input| whole(input) == place) {
+            bail!(
+                "cannot write the {} {}: this command reads that file; give another path",
+                self.what,
+                self.named.display()
+            );
+        }
+        Ok(())
+    }
+
     /// The path as the user named it.
     pub(crate) fn named(&self) -> &Path {
         &self.named

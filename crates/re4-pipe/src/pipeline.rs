@@ -49,12 +49,23 @@ pub(crate) struct Pipeline {
 }
 
 impl Pipeline {
+    fn missing(&self, table: &str) -> String {
+        if self.task.is_planar() {
+            format!(
+                "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
+            )
+        } else {
+            "robosuite's tasks are ingested, segmented and audited, no more in this version; use one of those commands"
+                .to_owned()
+        }
+    }
+
     /// Where object poses come from.
     ///
     /// # Errors
     /// When the pipeline has no table `[pose]`.
     pub(crate) fn pose(&self) -> Result<&PoseSection> {
-        self.pose.as_ref().context(missing("pose"))
+        self.pose.as_ref().with_context(|| self.missing("pose"))
     }
 
     /// How the index is made.
@@ -62,7 +73,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[index]`.
     pub(crate) fn index(&self) -> Result<&IndexSection> {
-        self.index.as_ref().context(missing("index"))
+        self.index.as_ref().with_context(|| self.missing("index"))
     }
 
     /// How the policy is rolled out.
@@ -70,12 +81,8 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub(crate) fn rollout(&self) -> Result<&RolloutSection> {
-        self.rollout.as_ref().context(missing("rollout"))
+        self.rollout.as_ref().with_context(|| self.missing("rollout"))
     }
-}
-
-fn missing(table: &str) -> String {
-    format!("the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage")
 }
 
 /// Tasks that this version knows.
@@ -318,6 +325,7 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     for text in overrides {
         apply(&mut document, text)?;
     }
+    refuse_not_finite(&document, "").with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
     let schema = schema();
     refuse_unknown(&schema, &schema, &document, "")
         .with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
@@ -444,6 +452,19 @@ fn complete_policy(document: &mut Value) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// JSON cannot say nan and inf and has null in their place, which an optional setting would take for absence.
+fn refuse_not_finite(document: &Value, place: &str) -> Result<()> {
+    match document {
+        Value::Null => bail!("{place} is nan or inf; give a finite number, or leave it out"),
+        Value::Object(map) => map.iter().try_for_each(|(key, value)| {
+            let dot = if place.is_empty() { "" } else { "." };
+            refuse_not_finite(value, &format!("{place}{dot}{key}"))
+        }),
+        Value::Array(items) => items.iter().try_for_each(|item| refuse_not_finite(item, place)),
+        _ => Ok(()),
+    }
 }
 
 /// Walks the document along its schema and refuses the first key that the schema does not know.

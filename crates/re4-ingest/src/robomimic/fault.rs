@@ -12,12 +12,22 @@ pub enum Hdf5Fault {
         why: String,
     },
     /// An object of the file cannot be read.
-    #[error("{object} cannot be read ({why}); the file is damaged or cut off, so copy or download it again")]
+    #[error("{object} cannot be read ({why}); {}", mend(why))]
     Damaged {
         /// Object within the file.
         object: String,
         /// The library's or the system's words.
         why: String,
+    },
+    /// An object that lies in another file.
+    #[error(
+        "{object} lies in {place}, not in this file; copy it into this file, so that one file holds all there is to ingest"
+    )]
+    Elsewhere {
+        /// Object within the file.
+        object: String,
+        /// Where it lies.
+        place: String,
     },
     /// No demonstrations.
     #[error("it has no group /data with demonstrations; give an HDF5 file in robomimic's or robosuite's layout")]
@@ -162,10 +172,26 @@ pub enum Hdf5Fault {
     Other(String),
 }
 
+/// What helps, by the library's words.
+fn mend(why: &str) -> &'static str {
+    let says = |words: &[&str]| words.iter().any(|word| why.contains(word));
+    if says(&["doesn't exist", "not found", "too many links"]) {
+        "restore it, or leave that demonstration or camera out"
+    } else if says(&["not a dataset", "not a group"]) {
+        "something of another kind stands in its place, so correct the file's layout"
+    } else if says(&["size of float datatype"]) {
+        "convert it to float64 or float32"
+    } else if says(&["plugin", "filter"]) {
+        "it is compressed by a filter that the HDF5 library lacks, so rewrite it with gzip or without compression"
+    } else {
+        "the file is damaged or cut off, so copy or download it again"
+    }
+}
+
 fn known_filters(known: &[String]) -> String {
     if known.is_empty() {
         "the file has none, so leave ingest.filter out".to_owned()
     } else {
-        format!("it has {}", known.join(", "))
+        format!("use one of {}", known.join(", "))
     }
 }

@@ -10,6 +10,7 @@ use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use hdf5::dataset::Layout;
 use hdf5::datatype::ByteOrder;
 use hdf5::types::{FixedAscii, FixedUnicode, FloatSize, IntSize, TypeDescriptor, VarLenAscii, VarLenUnicode};
 use hdf5::{Container, Dataset, Datatype, Hyperslab, SliceOrIndex};
@@ -135,8 +136,10 @@ impl File {
         if let Some(members) = self.group(group) {
             return Ok(members.keys().cloned().collect());
         }
-        let names = self.hdf5.group(group).and_then(|group| group.member_names());
-        let mut names = names.map_err(damaged(&format!("group /{group}")))?;
+        let object = format!("group /{group}");
+        let found = self.hdf5.group(group).map_err(damaged(&object))?;
+        self.own(&found, &object)?;
+        let mut names = found.member_names().map_err(damaged(&object))?;
         names.sort_unstable();
         Ok(names)
     }
@@ -186,10 +189,39 @@ impl File {
         Ok(texts(&attribute, &object)?.pop())
     }
 
+    /// Refuses an object that a link leads to in another file: the hash of the source would not hold it.
+    fn own(&self, location: &hdf5::Location, object: &str) -> Result<(), Hdf5Fault> {
+        if location.filename() == self.hdf5.filename() {
+            return Ok(());
+        }
+        Err(Hdf5Fault::Elsewhere {
+            object: object.to_owned(),
+            place: location.filename(),
+        })
+    }
+
+    /// The same of a dataset, whose numbers may lie in other files, too.
+    fn own_numbers(&self, dataset: &Dataset, object: &str) -> Result<(), Hdf5Fault> {
+        self.own(dataset, object)?;
+        let list = dataset.create_plist().map_err(damaged(object))?;
+        let external = list.external().into_iter().next().map(|file| file.name);
+        let place = match dataset.layout() {
+            Layout::Virtual => Some("other datasets (it is a virtual one)".to_owned()),
+            _ => external,
+        };
+        place.map_or(Ok(()), |place| {
+            Err(Hdf5Fault::Elsewhere {
+                object: object.to_owned(),
+                place,
+            })
+        })
+    }
+
     /// An attribute of a group, by the library.
     fn attribute(&self, group: &str, name: &str) -> Result<Option<(hdf5::Attribute, String)>, Hdf5Fault> {
         let object = format!("group /{group}");
         let location = self.hdf5.group(group).map_err(damaged(&object))?;
+        self.own(&location, &object)?;
         let names = location.attr_names().map_err(damaged(&object))?;
         if names.iter().all(|there| there != name) {
             return Ok(None);
@@ -202,6 +234,7 @@ impl File {
     /// Names in a dataset of texts.
     pub(crate) fn names(&self, path: &str) -> Result<Vec<String>, Hdf5Fault> {
         let dataset = self.hdf5.dataset(path).map_err(damaged(path))?;
+        self.own_numbers(&dataset, &format!("dataset {path}"))?;
         let size = dataset.size() as u64;
         if size.saturating_mul(4) > self.length {
             return Err(damaged(path)(hdf5::Error::Internal(format!(
@@ -230,6 +263,7 @@ impl File {
         let object = format!("dataset {path}");
         let damaged = || damaged(&object);
         let dataset = self.hdf5.dataset(path).map_err(damaged())?;
+        self.own_numbers(&dataset, &object)?;
         let shape = dataset.get_shape().map_err(damaged())?;
         let dtype = dataset.dtype().map_err(damaged())?;
         let element = element(&dtype, path)?;

@@ -59,6 +59,9 @@ pub struct DemoName {
     pub filter_keys: Vec<String>,
 }
 
+/// Names go into tables, pages and sentences.
+const LONGEST_NAME: usize = 200;
+
 impl RobomimicReader {
     /// Opens a file and finds its demonstrations, in the order of their numbers (`demo_2` before `demo_10`).
     ///
@@ -74,6 +77,17 @@ impl RobomimicReader {
         let names = file.members_or_none("data")?;
         if names.is_empty() {
             return Err(Hdf5Fault::NoData.into());
+        }
+        if let Some(name) = names
+            .iter()
+            .find(|name| name.len() > LONGEST_NAME || name.chars().any(char::is_control))
+        {
+            let start: String = name.chars().take(40).collect();
+            return Err(Hdf5Fault::Other(format!(
+                "a group below /data has the name {start:?}, {} bytes long; rename it to one of at most {LONGEST_NAME} bytes without control characters, such as demo_0",
+                name.len()
+            ))
+            .into());
         }
         let mut demos = numbered(names);
         let found = demos.len();

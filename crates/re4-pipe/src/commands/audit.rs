@@ -16,6 +16,9 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
         .map(|path| Output::at(path, "page"))
         .transpose()?;
     let runner = Runner::new(&arguments.stage, &[])?;
+    if let Some(page) = &page {
+        page.spares(&runner.inputs(&arguments.stage)?)?;
+    }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let built = runner.audit(&episodes, &modes)?;

@@ -136,6 +136,9 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
         .as_deref()
         .map(|path| Output::at(path, "report"))
         .transpose()?;
+    if let Some(page) = &page {
+        page.spares(&runner.inputs(&arguments.stage)?)?;
+    }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let poses = runner.train_pose(&episodes)?;
@@ -187,6 +190,11 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
 /// `re4-pipe replay`.
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     let runner = Runner::new(&arguments.stage, &[])?;
+    anyhow::ensure!(
+        runner.pipeline.task.is_planar(),
+        "cannot replay {}: this version has the simulator of Push-T alone; robosuite's tasks are ingested, segmented and audited",
+        arguments.stage.pipeline.display()
+    );
     let built = runner.replay(&runner.ingest()?)?;
     if let Some(path) = &arguments.plot {
         let table = built

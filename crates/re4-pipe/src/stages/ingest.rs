@@ -18,6 +18,7 @@ use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::json;
 
 use super::{Built, Runner, data_folders};
+use crate::arguments::StageArguments;
 
 pub(crate) use robosuite::serve_ingest;
 pub(crate) use worker::SUBCOMMAND as INGEST_WORKER;
@@ -36,6 +37,11 @@ impl Runner {
         }
         let section = &self.pipeline.ingest;
         let path = find_source(&section.source)?;
+        anyhow::ensure!(
+            !path.is_file() || !matches!(path.extension().and_then(|end| end.to_str()), Some("hdf5" | "h5")),
+            "cannot ingest {}: it is an HDF5 file, and Push-T is read from a zarr store; give one, or set task to the file's own, such as \"can\"",
+            path.display()
+        );
         let reader = PushtReader::open(&path)?;
         let hash = reader.source_hash()?;
         let facts = json!({
@@ -170,6 +176,18 @@ struct Group {
     episodes: Vec<u32>,
     frames: Vec<u32>,
     states: Vec<[f64; 5]>,
+}
+
+impl Runner {
+    /// Files that a command with this pipeline reads.
+    pub(crate) fn inputs(&self, arguments: &StageArguments) -> Result<Vec<PathBuf>> {
+        let section = &self.pipeline.ingest;
+        let mut inputs = vec![arguments.pipeline.clone(), find_source(&section.source)?];
+        if let Some(compare) = &section.compare {
+            inputs.push(find_source(compare)?);
+        }
+        Ok(inputs)
+    }
 }
 
 /// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.

@@ -65,7 +65,7 @@ pub enum Contradiction {
         source: KinematicsError,
     },
     /// A number further from what it should be than the threshold.
-    #[error("{demo}: {dataset}, row {frame}: {what} by {measured:.3e}, more than {threshold:e}")]
+    #[error("{demo}: {dataset}, row {frame}: {what} by {measured:.3}, more than {threshold}")]
     Residual {
         /// The demo.
         demo: String,

@@ -208,6 +208,7 @@ fn how_it_ended(status: ExitStatus, last_words: &str) -> String {
         (Some(signal @ (2 | 15)), _) => {
             format!("the process that read it was ended from outside (signal {signal}); run again")
         }
+        (Some(25), _) => "the process that read it was ended for writing more than a file may hold (signal 25); raise that limit (ulimit -f) and run again".to_owned(),
         (Some(signal), _) => format!(
             "the HDF5 library fell over (signal {signal}), so the file is damaged; copy or download it again"
         ),

@@ -78,7 +78,7 @@ pub(super) fn header(audit: &Audit) -> Markup {
                     @if audit.demos.is_empty() {}
                     @else if clean == audit.demos.len() { "None of them has an error or a warning." }
                     @else if clean == 0 { "Each of them has an error or a warning." }
-                    @else { (clean) " of them have neither error nor warning." }
+                    @else { (clean) " demonstrations have neither error nor warning." }
                 }
             }
             div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % transfer", share(transit), share(transfer))) {
