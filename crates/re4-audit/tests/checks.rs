@@ -270,7 +270,9 @@ fn thresholds_say_where_they_come_from() {
     let step = of(&all, "discontinuity_eef").value.unwrap();
     assert!((step - 0.03).abs() < 1e-9, "three steps of a centimetre: {step}");
     assert_eq!(of(&few, "discontinuity_eef").value, Some(0.06));
-    assert_eq!(of(&all, "missed_grasp").origin, Origin::Setting);
+    assert_eq!(of(&all, "missed_grasp").origin, Origin::Default);
+    let wider = Thresholds::derive(&observations, &AuditConfig::default(), false, 0.02);
+    assert_eq!(of(&wider, "missed_grasp").origin, Origin::Setting);
     let early = of(&few, "early_release");
     assert!(!early.made && early.value.is_none() && early.derivation.starts_with("not made"));
     assert!(of(&all, "early_release").made);
