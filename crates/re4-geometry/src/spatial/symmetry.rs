@@ -86,7 +86,9 @@ pub enum SymmetryError {
         axis: [f64; 3],
     },
     /// Not a number of turns.
-    #[error("a symmetry of kind fold has n = {n}; give a number from 2 to {LARGEST_FOLD}, or kind = \"full\" for any turn")]
+    #[error(
+        "a symmetry of kind fold has n = {n}; give a number from 2 to {LARGEST_FOLD}, or kind = \"full\" for any turn"
+    )]
     Fold {
         /// What was given.
         n: u32,
@@ -110,7 +112,7 @@ impl Symmetry {
         match *self {
             Self::None => Ok(SymmetryGroup {
                 axis: Vector3::z_axis(),
-                turns: Turns::Some(vec![0.0]),
+                turns: Turns::Some(vec![Turn::new(0.0)]),
             }),
             Self::Fold { axis, n } => {
                 if !(2..=LARGEST_FOLD).contains(&n) {
@@ -118,8 +120,12 @@ impl Symmetry {
                 }
                 let turn = |k: u32| {
                     // Turns beyond half a turn are counted backwards, so that angles are in (-π, π].
-                    let k = if 2 * k > n { f64::from(k) - f64::from(n) } else { f64::from(k) };
-                    k * std::f64::consts::TAU / f64::from(n)
+                    let k = if 2 * k > n {
+                        f64::from(k) - f64::from(n)
+                    } else {
+                        f64::from(k)
+                    };
+                    Turn::new(k * std::f64::consts::TAU / f64::from(n))
                 };
                 Ok(SymmetryGroup {
                     axis: direction(axis)?,
@@ -155,9 +161,26 @@ pub struct SymmetryGroup {
 
 #[derive(Debug, Clone, PartialEq)]
 enum Turns {
-    /// These angles, in rad, the first of them 0.
-    Some(Vec<f64>),
+    /// These, the first of them by 0.
+    Some(Vec<Turn>),
     All,
+}
+
+/// One turn, with what is asked of it again and again.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Turn {
+    /// In rad.
+    angle: f64,
+    /// Sine and cosine of half of it.
+    sine: f64,
+    cosine: f64,
+}
+
+impl Turn {
+    fn new(angle: f64) -> Self {
+        let (sine, cosine) = (0.5 * angle).sin_cos();
+        Self { angle, sine, cosine }
+    }
 }
 
 impl SymmetryGroup {
@@ -172,16 +195,19 @@ impl SymmetryGroup {
             Turns::All => {
                 let along = w.hypot(p);
                 let angle = 2.0 * across.sqrt().atan2(along);
-                let turn = if along < DEGENERATE { 0.0 } else { wrapped(-2.0 * p.atan2(w)) };
+                let turn = if along < DEGENERATE {
+                    0.0
+                } else {
+                    wrapped(-2.0 * p.atan2(w))
+                };
                 (turn, angle)
             }
             Turns::Some(turns) => {
                 let mut best = (0.0, f64::NEG_INFINITY, 0.0);
-                for &turn in turns {
-                    let (sine, cosine) = (0.5 * turn).sin_cos();
-                    let left = (w * cosine - p * sine).abs();
+                for turn in turns {
+                    let left = (w * turn.cosine - p * turn.sine).abs();
                     if left > best.1 {
-                        best = (turn, left, w * sine + p * cosine);
+                        best = (turn.angle, left, w * turn.sine + p * turn.cosine);
                     }
                 }
                 let (turn, w, p) = best;

@@ -52,8 +52,8 @@ fn a_can_upside_down_is_half_a_turn_away_however_it_is_turned() {
     let can = Symmetry::Full { axis: [0.0, 0.0, 1.0] }.group().unwrap();
     let upright = UnitQuaternion::identity();
     for yaw in [0.0, 0.3, 2.0, PI] {
-        let over = UnitQuaternion::from_scaled_axis(Vector3::x() * PI)
-            * UnitQuaternion::from_scaled_axis(Vector3::z() * yaw);
+        let over =
+            UnitQuaternion::from_scaled_axis(Vector3::x() * PI) * UnitQuaternion::from_scaled_axis(Vector3::z() * yaw);
         let (turn, angle) = can.nearest_turn(&over, &upright);
         assert!((angle - PI).abs() < 1e-12, "{yaw}: {angle}");
         assert_eq!(turn, 0.0, "{yaw}");
@@ -62,7 +62,12 @@ fn a_can_upside_down_is_half_a_turn_away_however_it_is_turned() {
 
 #[test]
 fn a_cube_turned_by_a_right_angle_looks_the_same() {
-    let cube = Symmetry::Fold { axis: [0.0, 0.0, 2.0], n: 4 }.group().unwrap();
+    let cube = Symmetry::Fold {
+        axis: [0.0, 0.0, 2.0],
+        n: 4,
+    }
+    .group()
+    .unwrap();
     let about_z = |angle: f64| UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
     for quarter in -4..=4 {
         let turned = about_z(f64::from(quarter) * FRAC_PI_2 + 0.2);
@@ -72,7 +77,10 @@ fn a_cube_turned_by_a_right_angle_looks_the_same() {
         assert!(rotation_angle(&(turned * cube.rotation(turn)), &about_z(0.2)) < 1e-12);
     }
     // Midway between two quarters: the turn of 0 wins.
-    assert_eq!(cube.nearest_turn(&about_z(TAU / 8.0), &about_z(0.0)).0.abs() % FRAC_PI_2, 0.0);
+    assert_eq!(
+        cube.nearest_turn(&about_z(TAU / 8.0), &about_z(0.0)).0.abs() % FRAC_PI_2,
+        0.0
+    );
 }
 
 #[test]
@@ -84,8 +92,14 @@ fn symmetries_are_read_and_refused() {
     let read = |text: &str| toml::from_str::<Task>(&format!("symmetry = {text}")).map(|task| task.symmetry);
     let z = [0.0, 0.0, 1.0];
     assert_eq!(read(r#"{ kind = "none" }"#).unwrap(), Symmetry::None);
-    assert_eq!(read(r#"{ kind = "fold", axis = [0.0, 0.0, 1.0], n = 4 }"#).unwrap(), Symmetry::Fold { axis: z, n: 4 });
-    assert_eq!(read(r#"{ kind = "full", axis = [0, 0, 1] }"#).unwrap(), Symmetry::Full { axis: z });
+    assert_eq!(
+        read(r#"{ kind = "fold", axis = [0.0, 0.0, 1.0], n = 4 }"#).unwrap(),
+        Symmetry::Fold { axis: z, n: 4 }
+    );
+    assert_eq!(
+        read(r#"{ kind = "full", axis = [0, 0, 1] }"#).unwrap(),
+        Symmetry::Full { axis: z }
+    );
     for (text, told) in [
         (r#"{ kind = "fold", axis = [0, 0, 1], n = 1 }"#, "from 2 to 360"),
         (r#"{ kind = "full", axis = [0, 0, 0] }"#, "no direction"),
@@ -96,7 +110,11 @@ fn symmetries_are_read_and_refused() {
         let refused = read(text).unwrap_err().to_string();
         assert!(refused.contains(told), "{text}: {refused}");
     }
-    for symmetry in [Symmetry::None, Symmetry::Fold { axis: z, n: 4 }, Symmetry::Full { axis: z }] {
+    for symmetry in [
+        Symmetry::None,
+        Symmetry::Fold { axis: z, n: 4 },
+        Symmetry::Full { axis: z },
+    ] {
         let text = toml::to_string(&symmetry).unwrap();
         assert_eq!(toml::from_str::<Symmetry>(&text).unwrap(), symmetry);
     }
@@ -108,11 +126,28 @@ fn bad_symmetries_are_named() {
     assert!(axis([0.0; 3]).contains("no direction"));
     assert!(axis([f64::NAN, 0.0, 1.0]).contains("no direction"));
     for n in [0, 1, LARGEST_FOLD + 1] {
-        let refused = Symmetry::Fold { axis: [0.0, 0.0, 1.0], n }.group().unwrap_err();
+        let refused = Symmetry::Fold {
+            axis: [0.0, 0.0, 1.0],
+            n,
+        }
+        .group()
+        .unwrap_err();
         assert_eq!(refused, SymmetryError::Fold { n });
     }
-    assert!(Symmetry::Full { axis: [0.0, 1e-300, 0.0] }.group().is_ok());
-    assert!(Symmetry::Full { axis: [0.0, 1e300, 1e300] }.group().is_ok());
+    assert!(
+        Symmetry::Full {
+            axis: [0.0, 1e-300, 0.0]
+        }
+        .group()
+        .is_ok()
+    );
+    assert!(
+        Symmetry::Full {
+            axis: [0.0, 1e300, 1e300]
+        }
+        .group()
+        .is_ok()
+    );
 }
 
 proptest! {
