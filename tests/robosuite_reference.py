@@ -292,17 +292,18 @@ def sampled(env, task, seed):
         env.placement_initializer.add_objects(cube)
     numbers += list(np.array(env.robots[0].init_qpos) + np.random.randn(7) * 0.02)
     for position, quaternion, body in env.placement_initializer.sample().values():
-        if "Visual" not in body.name:
+        if body.name == OBJECT[task][0].split("_")[0]:
             numbers += list(position) + list(quaternion)
     return numbers
 
 
-def placement(out, seeds=None):
+def placement(out):
     for task in TASKS:
         env, _ = make(task, "delta")
         digest = hashlib.sha256()
         for seed in range(10000):
-            digest.update(struct.pack("<%dd" % len(sampled(env, task, seed)), *sampled(env, task, seed)))
+            numbers = sampled(env, task, seed)
+            digest.update(struct.pack(f"<{len(numbers)}d", *numbers))
         qpos, sizes = [], []
         for seed in PLACEMENT_SEEDS:
             np.random.seed(seed)
@@ -314,8 +315,8 @@ def placement(out, seeds=None):
             "task": TASKS[task],
             "seeded": "np.random.seed(seed), then env.reset() with a hard reset",
             "sha256_of_10000": digest.hexdigest(),
-            "hashed": "seeds 0 to 9999: cube half sizes (Lift), arm joint positions, then position and quaternion (wxyz) of "
-            "every object before unused ones are moved away; little-endian f64",
+            "hashed": "seeds 0 to 9999: cube half sizes (Lift), arm joint positions, position and quaternion (wxyz) of the task's "
+            "object; little-endian f64",
         }
         arrays = {"seeds": np.array(PLACEMENT_SEEDS, dtype=np.uint32), "qpos": np.array(qpos)}
         if sizes:

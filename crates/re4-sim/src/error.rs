@@ -54,4 +54,12 @@ pub enum SimError {
         /// The greatest absolute value allowed.
         limit: f64,
     },
+    /// The model is not one of the task.
+    #[error("cannot simulate {task}: {reason}; take the model_file of a demonstration of {task}")]
+    Model {
+        /// The task.
+        task: &'static str,
+        /// What is wrong with the model.
+        reason: String,
+    },
 }

@@ -7,7 +7,9 @@
 mod chipmunk;
 mod error;
 mod pusht;
+mod random_state;
 mod render;
+pub mod robosuite;
 mod seed;
 mod simulator;
 mod tee;
