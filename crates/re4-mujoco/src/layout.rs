@@ -1,0 +1,167 @@
+//! Where MuJoCo's structures keep what is read and written here.
+//!
+//! Offsets in bytes, from the headers in MuJoCo's wheels for 64-bit Linux; `tests/layout.rs` compiles those headers, where
+//! they are at hand, and compares.
+
+use std::fmt;
+
+/// A version of MuJoCo whose structures are known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Version {
+    /// 2.3.7, which robosuite 1.4.1 runs on.
+    V2_3_7,
+    /// 3.2.7, which robosuite 1.5.1 runs on.
+    V3_2_7,
+}
+
+impl Version {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::V2_3_7, Self::V3_2_7];
+
+    /// The number that `mj_version` returns.
+    pub(crate) fn number(self) -> i32 {
+        match self {
+            Self::V2_3_7 => 237,
+            Self::V3_2_7 => 327,
+        }
+    }
+
+    pub(crate) fn layout(self) -> &'static Layout {
+        match self {
+            Self::V2_3_7 => &LAYOUT_2_3_7,
+            Self::V3_2_7 => &LAYOUT_3_2_7,
+        }
+    }
+
+    /// Every offset by the name of its field, as a C expression in `mjModel` (`m`) or `mjData` (`d`): for tests against the
+    /// headers.
+    #[must_use]
+    pub fn offsets(self) -> Vec<(&'static str, usize)> {
+        self.layout().named()
+    }
+}
+
+impl fmt::Display for Version {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::V2_3_7 => "2.3.7",
+            Self::V3_2_7 => "3.2.7",
+        })
+    }
+}
+
+macro_rules! layout {
+    ($($(#[$doc:meta])* $field:ident = $name:literal),* $(,)?) => {
+        /// Offsets of fields.
+        pub(crate) struct Layout {
+            $($(#[$doc])* pub(crate) $field: usize,)*
+        }
+
+        impl Layout {
+            fn named(&self) -> Vec<(&'static str, usize)> {
+                vec![$(($name, self.$field)),*]
+            }
+        }
+    };
+}
+
+layout! {
+    /// Number of generalised coordinates.
+    nq = "m.nq",
+    /// Number of degrees of freedom.
+    nv = "m.nv",
+    /// Number of actuators.
+    nu = "m.nu",
+    /// Number of activations.
+    na = "m.na",
+    /// Number of bodies.
+    nbody = "m.nbody",
+    /// Number of joints.
+    njnt = "m.njnt",
+    /// Number of sites.
+    nsite = "m.nsite",
+    /// Time step, in seconds.
+    timestep = "m.opt.timestep",
+    /// Type of a joint.
+    jnt_type = "m.jnt_type",
+    /// First coordinate of a joint.
+    jnt_qposadr = "m.jnt_qposadr",
+    /// First degree of freedom of a joint.
+    jnt_dofadr = "m.jnt_dofadr",
+    /// Least and greatest control of an actuator.
+    actuator_ctrlrange = "m.actuator_ctrlrange",
+    /// Simulated time.
+    time = "d.time",
+    /// Coordinates.
+    qpos = "d.qpos",
+    /// Velocities.
+    qvel = "d.qvel",
+    /// Controls.
+    ctrl = "d.ctrl",
+    /// Gravity, Coriolis and centrifugal forces.
+    qfrc_bias = "d.qfrc_bias",
+    /// Inertia, packed.
+    q_m = "d.qM",
+    /// Positions of sites.
+    site_xpos = "d.site_xpos",
+    /// Rotations of sites.
+    site_xmat = "d.site_xmat",
+    /// Positions of bodies.
+    xpos = "d.xpos",
+    /// Rotations of bodies.
+    xquat = "d.xquat",
+    /// Counts of warnings.
+    warning = "d.warning",
+}
+
+static LAYOUT_2_3_7: Layout = Layout {
+    nq: 0,
+    nv: 4,
+    nu: 8,
+    na: 12,
+    nbody: 16,
+    njnt: 24,
+    nsite: 32,
+    timestep: 264,
+    jnt_type: 1384,
+    jnt_qposadr: 1392,
+    jnt_dofadr: 1400,
+    actuator_ctrlrange: 3000,
+    time: 40392,
+    qpos: 40432,
+    qvel: 40440,
+    ctrl: 40472,
+    qfrc_bias: 40872,
+    q_m: 40800,
+    site_xpos: 40632,
+    site_xmat: 40640,
+    xpos: 40560,
+    xquat: 40568,
+    warning: 56,
+};
+
+static LAYOUT_3_2_7: Layout = Layout {
+    nq: 0,
+    nv: 4,
+    nu: 8,
+    na: 12,
+    nbody: 16,
+    njnt: 32,
+    nsite: 40,
+    timestep: 336,
+    jnt_type: 1616,
+    jnt_qposadr: 1624,
+    jnt_dofadr: 1632,
+    actuator_ctrlrange: 3824,
+    time: 161_616,
+    qpos: 161_656,
+    qvel: 161_664,
+    ctrl: 161_696,
+    qfrc_bias: 162_192,
+    q_m: 162_112,
+    site_xpos: 161_864,
+    site_xmat: 161_872,
+    xpos: 161_792,
+    xquat: 161_800,
+    warning: 161_280,
+};
