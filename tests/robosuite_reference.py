@@ -27,6 +27,7 @@ import struct
 import sys
 import time
 import warnings
+import xml.etree.ElementTree as ElementTree
 
 warnings.filterwarnings("ignore")
 logging.disable(logging.CRITICAL)
@@ -279,6 +280,25 @@ def traces(out):
 PLACEMENT_SEEDS = list(range(150)) + list(range(100000, 100040)) + [2**31 - 1, 2**31, 2**32 - 1] + list(range(200000, 200007))
 
 
+def without_pictures(xml):
+    """The model without textures and without the arm's meshes, which nothing collides with: compiled seven times as fast."""
+    root = ElementTree.fromstring(xml)
+    assets = root.find("asset")
+    for texture in assets.findall("texture"):
+        assets.remove(texture)
+    for material in assets.findall("material"):
+        material.attrib.pop("texture", None)
+    for geom in root.iter("geom"):
+        if geom.get("group") == "1" and geom.get("mesh", "").startswith("robot0_"):
+            del geom.attrib["mesh"]
+            geom.attrib.update(type="sphere", size="0.001", mass="0")
+    used = {geom.get("mesh") for geom in root.iter("geom")}
+    for mesh in assets.findall("mesh"):
+        if mesh.get("name") not in used:
+            assets.remove(mesh)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
 def sampled(env, task, seed):
     """What a hard reset draws, in its order, without building the model."""
     np.random.seed(seed)
@@ -300,6 +320,7 @@ def sampled(env, task, seed):
 def placement(out):
     for task in TASKS:
         env, _ = make(task, "delta")
+        env.set_xml_processor(without_pictures)
         digest = hashlib.sha256()
         for seed in range(10000):
             numbers = sampled(env, task, seed)

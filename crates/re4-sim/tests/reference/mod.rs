@@ -1,5 +1,10 @@
 //! Reads the reference files of `tests/data/robosuite`: one line of JSON, then little-endian arrays, compressed by gzip.
-#![allow(dead_code)] // every test uses its part
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "every test uses its part; only tests and examples read the files, and both may end"
+)]
 
 use std::fs::File;
 use std::io::Read;
@@ -8,27 +13,27 @@ use std::path::PathBuf;
 use flate2::read::GzDecoder;
 use serde_json::Value;
 
-pub struct Reference {
-    pub header: Value,
+pub(crate) struct Reference {
+    pub(crate) header: Value,
     data: Vec<u8>,
 }
 
 /// An array: its shape, and its numbers row by row.
-pub struct Array<T> {
-    pub shape: Vec<usize>,
-    pub numbers: Vec<T>,
+pub(crate) struct Array<T> {
+    pub(crate) shape: Vec<usize>,
+    pub(crate) numbers: Vec<T>,
 }
 
 impl<T> Array<T> {
     /// Row `index` of the first axis.
-    pub fn row(&self, index: usize) -> &[T] {
+    pub(crate) fn row(&self, index: usize) -> &[T] {
         let length: usize = self.shape[1..].iter().product();
         &self.numbers[index * length..(index + 1) * length]
     }
 }
 
 impl Reference {
-    pub fn read(name: &str) -> Self {
+    pub(crate) fn read(name: &str) -> Self {
         let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
             .join("tests/data/robosuite")
             .join(name);
@@ -43,19 +48,19 @@ impl Reference {
         }
     }
 
-    pub fn text(&self, field: &str) -> &str {
+    pub(crate) fn text(&self, field: &str) -> &str {
         self.header[field].as_str().unwrap()
     }
 
-    pub fn f64s(&self, name: &str) -> Array<f64> {
+    pub(crate) fn f64s(&self, name: &str) -> Array<f64> {
         self.array(name, "f64", f64::from_le_bytes)
     }
 
-    pub fn u32s(&self, name: &str) -> Array<u32> {
+    pub(crate) fn u32s(&self, name: &str) -> Array<u32> {
         self.array(name, "u32", u32::from_le_bytes)
     }
 
-    pub fn u8s(&self, name: &str) -> Array<u8> {
+    pub(crate) fn u8s(&self, name: &str) -> Array<u8> {
         self.array(name, "u8", u8::from_le_bytes)
     }
 
