@@ -7,6 +7,7 @@
 mod chipmunk;
 mod error;
 mod pusht;
+mod random_state;
 mod render;
 pub mod robosuite;
 mod seed;

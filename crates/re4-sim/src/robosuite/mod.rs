@@ -10,6 +10,7 @@
 
 mod controller;
 mod model;
+mod placement;
 mod profile;
 mod task;
 
@@ -18,6 +19,7 @@ use re4_mujoco::Data;
 
 pub use controller::{ArmAction, RobosuiteAction};
 pub use model::RobosuiteModel;
+pub use placement::{ObjectPlacement, Placement, with_cube_size};
 pub use profile::Profile;
 pub use task::RobosuiteTask;
 
