@@ -33,11 +33,18 @@ impl Version {
         }
     }
 
-    /// Every offset by the name of its field, as a C expression in `mjModel` (`m`) or `mjData` (`d`): for tests against the
-    /// headers.
+    /// Every offset by the name of its field, as a C expression in `mjModel` (`m`), `mjData` (`d`), `mjvOption` (`option`),
+    /// `mjvCamera` (`camera`), `mjvScene` (`scene`), `mjvGeom` (`geom`), `mjvGLCamera` (`eye`) or `mjrContext` (`context`):
+    /// for tests against the headers.
     #[must_use]
     pub fn offsets(self) -> Vec<(&'static str, usize)> {
         self.layout().named()
+    }
+
+    /// Sizes of whole structures, in bytes, by their names: for tests against the headers.
+    #[must_use]
+    pub fn sizes(self) -> Vec<(&'static str, usize)> {
+        self.layout().sizes.named()
     }
 }
 
@@ -55,6 +62,8 @@ macro_rules! layout {
         /// Offsets of fields.
         pub(crate) struct Layout {
             $($(#[$doc])* pub(crate) $field: usize,)*
+            /// Sizes of structures that are made here.
+            pub(crate) sizes: Sizes,
         }
 
         impl Layout {
@@ -63,6 +72,29 @@ macro_rules! layout {
             }
         }
     };
+}
+
+/// Sizes of structures, in bytes.
+pub(crate) struct Sizes {
+    pub(crate) option: usize,
+    pub(crate) camera: usize,
+    pub(crate) perturb: usize,
+    pub(crate) scene: usize,
+    pub(crate) geom: usize,
+    pub(crate) context: usize,
+}
+
+impl Sizes {
+    fn named(&self) -> Vec<(&'static str, usize)> {
+        vec![
+            ("mjvOption", self.option),
+            ("mjvCamera", self.camera),
+            ("mjvPerturb", self.perturb),
+            ("mjvScene", self.scene),
+            ("mjvGeom", self.geom),
+            ("mjrContext", self.context),
+        ]
+    }
 }
 
 layout! {
@@ -112,6 +144,26 @@ layout! {
     xquat = "d.xquat",
     /// Counts of warnings.
     warning = "d.warning",
+    /// Which groups of geoms are drawn.
+    geomgroup = "option.geomgroup",
+    /// Which groups of sites are drawn.
+    sitegroup = "option.sitegroup",
+    /// Kind of camera.
+    camera_type = "camera.type",
+    /// Number of a camera of the model.
+    fixedcamid = "camera.fixedcamid",
+    /// Number of things to draw.
+    scene_ngeom = "scene.ngeom",
+    /// Things to draw.
+    scene_geoms = "scene.geoms",
+    /// Both eyes.
+    scene_camera = "scene.camera",
+    /// Width of the buffer.
+    context_width = "context.offWidth",
+    /// Which buffer is drawn to.
+    context_buffer = "context.currentBuffer",
+    /// Number of cameras.
+    ncam = "m.ncam",
 }
 
 static LAYOUT_2_3_7: Layout = Layout {
@@ -138,6 +190,24 @@ static LAYOUT_2_3_7: Layout = Layout {
     xpos: 40560,
     xquat: 40568,
     warning: 56,
+    geomgroup: 8,
+    sitegroup: 14,
+    camera_type: 0,
+    fixedcamid: 4,
+    scene_ngeom: 4,
+    scene_geoms: 8,
+    scene_camera: 8476,
+    context_width: 40,
+    context_buffer: 2300,
+    ncam: 36,
+    sizes: Sizes {
+        option: 76,
+        camera: 64,
+        perturb: 136,
+        scene: 8_656,
+        geom: 248,
+        context: 2_312,
+    },
 };
 
 static LAYOUT_3_2_7: Layout = Layout {
@@ -164,4 +234,22 @@ static LAYOUT_3_2_7: Layout = Layout {
     xpos: 161_792,
     xquat: 161_800,
     warning: 161_280,
+    geomgroup: 8,
+    sitegroup: 14,
+    camera_type: 0,
+    fixedcamid: 4,
+    scene_ngeom: 4,
+    scene_geoms: 8,
+    scene_camera: 8980,
+    context_width: 40,
+    context_buffer: 61_500,
+    ncam: 44,
+    sizes: Sizes {
+        option: 92,
+        camera: 72,
+        perturb: 144,
+        scene: 9_176,
+        geom: 236,
+        context: 61_512,
+    },
 };

@@ -182,6 +182,12 @@ impl Model {
         self.count(self.layout().nsite)
     }
 
+    /// Number of cameras.
+    #[must_use]
+    pub fn cameras(&self) -> usize {
+        self.count(self.layout().ncam)
+    }
+
     fn joints(&self) -> usize {
         self.count(self.layout().njnt)
     }
