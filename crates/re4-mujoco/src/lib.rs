@@ -16,6 +16,7 @@ mod layout;
 mod library;
 mod model;
 mod render;
+mod trim;
 
 pub use data::Data;
 pub use error::MujocoError;

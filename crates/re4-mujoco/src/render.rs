@@ -5,6 +5,7 @@ use std::sync::PoisonError;
 
 use crate::gl::{Context, MAKING};
 use crate::library::Viewport;
+use crate::trim::trim;
 use crate::{Data, Gl, Kind, Model, MujocoError};
 
 /// Things that a scene may hold, as robosuite has it.
@@ -67,6 +68,7 @@ pub struct Renderer {
     context: Block,
     width: usize,
     height: usize,
+    trimmed: bool,
     /// Dropped last.
     gl: Context,
 }
@@ -118,6 +120,7 @@ impl Renderer {
             context,
             width,
             height,
+            trimmed: std::env::var_os("RE4_TRY_WHOLE").is_none(),
             gl,
         })
     }
@@ -175,6 +178,13 @@ impl Renderer {
                 ALL,
                 self.scene.pointer(),
             );
+            if self.trimmed {
+                trim(
+                    self.scene.pointer(),
+                    &self.model,
+                    self.width as f64 / self.height as f64,
+                );
+            }
             (functions.mjr_render)(viewport, self.scene.pointer(), self.context.pointer());
             (functions.mjr_readPixels)(
                 pixels.as_mut_ptr(),
