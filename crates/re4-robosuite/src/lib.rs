@@ -7,6 +7,7 @@
 //! * [`actions`]: delta actions of the operational-space controller to absolute ones and back.
 //! * [`conventions`]: the layout of the object vector, frames, quaternion order, kind of action and gripper sign, each with
 //!   the evidence for it.
+//! * [`models`]: a demo's `model_file` with the paths of its meshes and textures as they are on this machine.
 //!
 //! Metres, radians, seconds. World frame: robosuite's, z up. Rotations are active: `pose * point` takes coordinates in a frame
 //! to world coordinates.
@@ -16,6 +17,7 @@ pub mod conventions;
 pub mod env_args;
 pub mod kinematics;
 pub mod physics;
+pub mod models;
 
 use nalgebra::UnitQuaternion;
 
