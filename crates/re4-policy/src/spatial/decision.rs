@@ -35,7 +35,7 @@ pub struct SpatialChoice {
     pub demo: u32,
     /// First frame of the chunk.
     pub demo_frame: u32,
-    /// Last frame of the chunk.
+    /// Last frame of the chunk; it runs on beyond where the fingers still move.
     pub demo_end: u32,
     /// Distance over the full state, without unit, as are the other two.
     pub d_q: f64,

@@ -17,7 +17,7 @@ mod policy;
 mod reframe;
 
 pub use config::{
-    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SpatialConfigError,
+    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SettleConfig, SpatialConfigError,
     SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig,
     SpatialRetrieveConfig, TransferReplay,
 };
