@@ -284,13 +284,14 @@ fn noise_is_normal_seeded_and_independent() {
     assert!(close(&PoseNoise::new(1, 0.0, 0.0).perturb(&pose), &pose));
 }
 
+type Edit = fn(&mut SpatialPolicyConfig);
+
 #[test]
 fn presets_are_sound_and_bad_settings_are_named() {
     for name in SPATIAL_PRESETS {
         assert_eq!(SpatialPolicyConfig::preset(name).unwrap().check(), Ok(()));
     }
     assert!(SpatialPolicyConfig::preset("diffusion").is_none());
-    type Edit = fn(&mut SpatialPolicyConfig);
     let edits: [(Edit, &str); 7] = [
         (
             |c| c.retrieve.translation_scale = 0.0,

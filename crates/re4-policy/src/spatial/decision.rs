@@ -113,9 +113,14 @@ impl SpatialDecision {
             }
             (_, None) => "nothing was chosen".to_owned(),
         };
-        if !self.newly_banned.is_empty() {
-            let names: Vec<String> = self.newly_banned.iter().map(u32::to_string).collect();
-            reason.push_str(&format!("; not followed again: demonstration {}", names.join(", ")));
+        for (i, demo) in self.newly_banned.iter().enumerate() {
+            let before = if i == 0 {
+                "; not followed again: demonstration "
+            } else {
+                ", "
+            };
+            reason.push_str(before);
+            reason.push_str(&demo.to_string());
         }
         reason
     }

@@ -54,7 +54,7 @@ pub struct SpatialRe4 {
 enum Doing {
     Nothing,
     Home { taken: u32 },
-    Chunk(Chunk),
+    Chunk(Box<Chunk>),
 }
 
 /// A chunk that is being carried out.
@@ -205,7 +205,7 @@ impl SpatialRe4 {
     #[expect(clippy::type_complexity, reason = "an action with its phase, or a decision")]
     fn carry_on(
         &mut self,
-        mut chunk: Chunk,
+        mut chunk: Box<Chunk>,
         seen: &Seen,
     ) -> Result<(Option<(SpatialAction, SpatialPhase)>, Option<SpatialDecision>), PolicyError> {
         let knowledge = Arc::clone(&self.knowledge);
@@ -430,7 +430,7 @@ impl SpatialRe4 {
             end = frames.len() - 1;
         }
         let bridge = self.config.replan.enabled && !self.is_at(&seen.eef, &carry.near);
-        self.doing = Doing::Chunk(Chunk {
+        self.doing = Doing::Chunk(Box::new(Chunk {
             demo,
             start,
             next: start,
@@ -440,7 +440,7 @@ impl SpatialRe4 {
             aligned: frame_of_rest(seen).inv_mul(&object),
             measured: !self.config.reframe.enabled || self.config.reframe.measure == Measuring::Decision,
             bridge: self.config.replan.enabled.then_some(0),
-        });
+        }));
         let choice = SpatialChoice {
             demo,
             demo_frame: start as u32,
