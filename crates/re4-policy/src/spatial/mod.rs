@@ -18,7 +18,7 @@ mod reframe;
 mod rollout;
 
 pub use config::{
-    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SpatialConfigError,
+    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SettleConfig, SpatialConfigError,
     SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig,
     SpatialRetrieveConfig, TransferReplay,
 };
