@@ -7,7 +7,6 @@
 
 use std::f64::consts::PI;
 
-use rand_mt::Mt;
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng;
 use re4_geometry::{Point2, Pose2};
@@ -15,6 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Scene;
+use crate::random_state::RandomState;
 
 /// Which program's seeds are meant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -36,7 +36,7 @@ pub fn scene_from_seed(scheme: SeedScheme, seed: u32) -> Scene {
         SeedScheme::DiffusionPolicy => {
             let mut generator = RandomState::new(seed);
             let (agent, block) = positions(|low, high| generator.integer(low, high));
-            let theta = generator.normal() * 2.0 * PI - PI;
+            let theta = generator.standard_normal() * 2.0 * PI - PI;
             scene(agent, block, theta)
         }
         SeedScheme::GymPusht => {
@@ -61,46 +61,6 @@ fn scene(agent: Point2, block: Point2, theta: f64) -> Scene {
     Scene {
         agent,
         block: Pose2::new(block.x, block.y, theta),
-    }
-}
-
-/// numpy's legacy generator, as far as scenes need it.
-struct RandomState(Mt);
-
-impl RandomState {
-    fn new(seed: u32) -> Self {
-        Self(Mt::new(seed))
-    }
-
-    /// `randint(low, high)`: masks 32 bits down to the next power of two and draws again while the result is too great.
-    fn integer(&mut self, low: u32, high: u32) -> u32 {
-        let greatest = high - 1 - low;
-        let mask = u32::MAX >> greatest.leading_zeros();
-        loop {
-            let value = self.0.next_u32() & mask;
-            if value <= greatest {
-                return low + value;
-            }
-        }
-    }
-
-    /// A number in `[0, 1)` of 53 bits, from two words.
-    fn unit(&mut self) -> f64 {
-        let high = f64::from(self.0.next_u32() >> 5);
-        let low = f64::from(self.0.next_u32() >> 6);
-        (high * 67_108_864.0 + low) / 9_007_199_254_740_992.0
-    }
-
-    /// The first `randn()`: the polar method makes two numbers and hands out the second one first.
-    fn normal(&mut self) -> f64 {
-        loop {
-            let x = 2.0 * self.unit() - 1.0;
-            let y = 2.0 * self.unit() - 1.0;
-            let squared = x * x + y * y;
-            if squared < 1.0 && squared != 0.0 {
-                return (-2.0 * squared.ln() / squared).sqrt() * y;
-            }
-        }
     }
 }
 

@@ -1,0 +1,207 @@
+//! The library and its functions.
+
+use std::ffi::{CStr, c_char, c_int, c_void};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::{MujocoError, Version};
+
+/// Name of the library's file in its folder.
+const FILE: &str = "libmujoco.so";
+
+/// `mjrRect`: left, bottom, width and height, in pixels.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub(crate) struct Viewport {
+    pub(crate) left: c_int,
+    pub(crate) bottom: c_int,
+    pub(crate) width: c_int,
+    pub(crate) height: c_int,
+}
+
+macro_rules! functions {
+    ($($name:ident: fn($($argument:ty),*) $(-> $result:ty)?;)*) => {
+        /// The library's functions, as `mujoco.h` declares them; models and data are passed as untyped pointers.
+        #[expect(non_snake_case, reason = "the names are the library's")]
+        pub(crate) struct Functions {
+            $(pub(crate) $name: unsafe extern "C" fn($($argument),*) $(-> $result)?,)*
+        }
+
+        impl Functions {
+            /// # Safety
+            /// The library is MuJoCo of a known version.
+            unsafe fn load(library: &libloading::Library) -> Result<Self, libloading::Error> {
+                Ok(Self {
+                    $($name: unsafe { *library.get(concat!(stringify!($name), "\0").as_bytes())? },)*
+                })
+            }
+        }
+    };
+}
+
+functions! {
+    mj_loadXML: fn(*const c_char, *const c_void, *mut c_char, c_int) -> *mut c_void;
+    mj_deleteModel: fn(*mut c_void);
+    mj_makeData: fn(*const c_void) -> *mut c_void;
+    mj_deleteData: fn(*mut c_void);
+    mj_resetData: fn(*const c_void, *mut c_void);
+    mj_forward: fn(*const c_void, *mut c_void);
+    mj_step: fn(*const c_void, *mut c_void);
+    mj_fwdPosition: fn(*const c_void, *mut c_void);
+    mj_fwdVelocity: fn(*const c_void, *mut c_void);
+    mj_fwdActuation: fn(*const c_void, *mut c_void);
+    mj_fwdAcceleration: fn(*const c_void, *mut c_void);
+    mj_fwdConstraint: fn(*const c_void, *mut c_void);
+    mj_Euler: fn(*const c_void, *mut c_void);
+    mj_jacSite: fn(*const c_void, *const c_void, *mut f64, *mut f64, c_int);
+    mj_fullM: fn(*const c_void, *mut f64, *const f64);
+    mj_name2id: fn(*const c_void, c_int, *const c_char) -> c_int;
+    mjv_defaultCamera: fn(*mut c_void);
+    mjv_defaultOption: fn(*mut c_void);
+    mjv_defaultPerturb: fn(*mut c_void);
+    mjv_defaultScene: fn(*mut c_void);
+    mjv_makeScene: fn(*const c_void, *mut c_void, c_int);
+    mjv_freeScene: fn(*mut c_void);
+    mjv_updateScene: fn(*const c_void, *mut c_void, *const c_void, *const c_void, *mut c_void, c_int, *mut c_void);
+    mjr_defaultContext: fn(*mut c_void);
+    mjr_makeContext: fn(*const c_void, *mut c_void, c_int);
+    mjr_freeContext: fn(*mut c_void);
+    mjr_resizeOffscreen: fn(c_int, c_int, *mut c_void);
+    mjr_setBuffer: fn(c_int, *mut c_void);
+    mjr_render: fn(Viewport, *mut c_void, *const c_void);
+    mjr_readPixels: fn(*mut u8, *mut f32, Viewport, *const c_void);
+}
+
+pub(crate) struct Inner {
+    pub(crate) functions: Functions,
+    pub(crate) version: Version,
+    /// Keeps the functions where they are.
+    _library: libloading::Library,
+}
+
+/// MuJoCo, loaded. Cheap to clone.
+#[derive(Clone)]
+pub struct Library {
+    pub(crate) inner: Arc<Inner>,
+}
+
+/// The libraries that this process has loaded; one of a kind is enough.
+static LOADED: Mutex<Vec<(PathBuf, Library)>> = Mutex::new(Vec::new());
+
+/// The last warning of the library, for messages.
+static WARNING: Mutex<String> = Mutex::new(String::new());
+
+/// Compiling a model touches state of the whole process (the locale), so it is done by one thread at a time.
+static COMPILING: Mutex<()> = Mutex::new(());
+
+impl Library {
+    /// Loads `libmujoco.so` from `folder`, or hands out the one that was loaded from there before.
+    ///
+    /// # Errors
+    /// When it is not there, does not load, or is another version.
+    pub fn open(folder: &Path, version: Version) -> Result<Self, MujocoError> {
+        let path = folder.join(FILE);
+        let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, library)) = loaded.iter().find(|(known, _)| *known == path) {
+            return Ok(library.clone());
+        }
+        if !path.is_file() {
+            return Err(MujocoError::Missing { path });
+        }
+        let library = Self::load(&path, version)?;
+        loaded.push((path, library.clone()));
+        Ok(library)
+    }
+
+    fn load(path: &Path, version: Version) -> Result<Self, MujocoError> {
+        let refused = |error: &libloading::Error| MujocoError::Load {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        };
+        // SAFETY: MuJoCo's library runs no initialiser but those of the C++ runtime and of its own plug-in table.
+        let library = unsafe { libloading::Library::new(path) }.map_err(|error| refused(&error))?;
+        // SAFETY: `mj_version` has this signature in every version.
+        let number = unsafe {
+            let function = library
+                .get::<unsafe extern "C" fn() -> c_int>(b"mj_version\0")
+                .map_err(|error| refused(&error))?;
+            function()
+        };
+        if number != version.number() {
+            let digits = format!("{number:03}");
+            let dotted: Vec<String> = digits.chars().map(String::from).collect();
+            return Err(MujocoError::Version {
+                path: path.to_owned(),
+                found: dotted.join("."),
+                expected: version.to_string(),
+            });
+        }
+        // SAFETY: the version is the one asked for.
+        let functions = unsafe { Functions::load(&library) }.map_err(|error| refused(&error))?;
+        // SAFETY: both variables are pointers to functions of this signature (`mujoco.h`), set before any other call. Without
+        // them MuJoCo prints, and writes a file to the current folder.
+        unsafe {
+            let handler = library
+                .get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_warning\0")
+                .map_err(|error| refused(&error))?;
+            **handler = Some(remember);
+            let handler = library
+                .get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_error\0")
+                .map_err(|error| refused(&error))?;
+            **handler = Some(give_up);
+        }
+        Ok(Self {
+            inner: Arc::new(Inner {
+                functions,
+                version,
+                _library: library,
+            }),
+        })
+    }
+
+    /// Version of the library.
+    #[must_use]
+    pub fn version(&self) -> Version {
+        self.inner.version
+    }
+
+    pub(crate) fn functions(&self) -> &Functions {
+        &self.inner.functions
+    }
+
+    pub(crate) fn compiling() -> MutexGuard<'static, ()> {
+        COMPILING.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The library's last warning, such as that a simulation became unstable; empty when there was none.
+pub(crate) fn last_warning() -> String {
+    WARNING.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
+
+unsafe extern "C" fn remember(message: *const c_char) {
+    if !message.is_null() {
+        // SAFETY: the library passes a string that ends in zero.
+        let text = unsafe { CStr::from_ptr(message) }.to_string_lossy().into_owned();
+        *WARNING.lock().unwrap_or_else(PoisonError::into_inner) = text;
+    }
+}
+
+/// The library cannot go on after this: it would end the process itself, with a file in the current folder.
+#[expect(
+    clippy::exit,
+    clippy::print_stderr,
+    reason = "the handler must not return, and has no caller to tell"
+)]
+unsafe extern "C" fn give_up(message: *const c_char) {
+    let text = if message.is_null() {
+        String::new()
+    } else {
+        // SAFETY: the library passes a string that ends in zero.
+        unsafe { CStr::from_ptr(message) }.to_string_lossy().into_owned()
+    };
+    eprintln!(
+        "error: MuJoCo cannot go on: {text}; nothing half-written is left, run with fewer jobs or report the model"
+    );
+    std::process::exit(2);
+}

@@ -1,0 +1,258 @@
+//! Compiled models.
+
+use std::ffi::{CStr, CString, c_char, c_int, c_void};
+use std::io::Write as _;
+use std::ptr::NonNull;
+use std::sync::Arc;
+
+use crate::{Library, MujocoError, Version};
+
+/// Kinds of things that have names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A body.
+    Body,
+    /// A joint.
+    Joint,
+    /// A site.
+    Site,
+    /// A camera.
+    Camera,
+    /// An actuator.
+    Actuator,
+}
+
+impl Kind {
+    /// Its number in `mjtObj`.
+    fn number(self, version: Version) -> c_int {
+        match self {
+            Self::Body => 1,
+            Self::Joint => 3,
+            Self::Site => 6,
+            Self::Camera => 7,
+            // Flexible bodies came in between.
+            Self::Actuator if version == Version::V2_3_7 => 18,
+            Self::Actuator => 19,
+        }
+    }
+
+    fn word(self) -> &'static str {
+        match self {
+            Self::Body => "body",
+            Self::Joint => "joint",
+            Self::Site => "site",
+            Self::Camera => "camera",
+            Self::Actuator => "actuator",
+        }
+    }
+}
+
+/// A compiled model. Cheap to clone; never changed after it is made.
+#[derive(Clone)]
+pub struct Model {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    library: Library,
+    pointer: NonNull<c_void>,
+}
+
+// SAFETY: the library only reads a model that it simulates or draws, and this crate never writes to one.
+unsafe impl Send for Inner {}
+// SAFETY: as above.
+unsafe impl Sync for Inner {}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        // SAFETY: the pointer came from `mj_loadXML`, and every `Data` holds the model alive.
+        unsafe { (self.library.functions().mj_deleteModel)(self.pointer.as_ptr()) }
+    }
+}
+
+impl Model {
+    /// Compiles a model from MJCF text. Files that it names must be absolute.
+    ///
+    /// # Errors
+    /// When the library refuses it, with the library's words.
+    pub fn compile(library: &Library, mjcf: &str) -> Result<Self, MujocoError> {
+        let temporary = |error: std::io::Error| MujocoError::Temporary {
+            reason: error.to_string(),
+        };
+        let mut file = tempfile::Builder::new()
+            .prefix("re4-model-")
+            .suffix(".xml")
+            .tempfile()
+            .map_err(temporary)?;
+        file.write_all(mjcf.as_bytes()).map_err(temporary)?;
+        file.flush().map_err(temporary)?;
+        let path =
+            CString::new(file.path().as_os_str().as_encoded_bytes()).map_err(|error| MujocoError::Temporary {
+                reason: error.to_string(),
+            })?;
+        let mut message = [0 as c_char; 1000];
+        let _alone = Library::compiling();
+        // SAFETY: the path ends in zero, no virtual file system is given, and the length of the message is its own.
+        let pointer = unsafe {
+            (library.functions().mj_loadXML)(
+                path.as_ptr(),
+                std::ptr::null(),
+                message.as_mut_ptr(),
+                message.len() as c_int,
+            )
+        };
+        let Some(pointer) = NonNull::new(pointer) else {
+            // SAFETY: the library ends its message with zero, and the array started as zeros.
+            let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
+            return Err(MujocoError::Model {
+                reason: text.split_whitespace().collect::<Vec<_>>().join(" "),
+            });
+        };
+        Ok(Self {
+            inner: Arc::new(Inner {
+                library: library.clone(),
+                pointer,
+            }),
+        })
+    }
+
+    /// The library that compiled it.
+    #[must_use]
+    pub fn library(&self) -> &Library {
+        &self.inner.library
+    }
+
+    pub(crate) fn pointer(&self) -> *const c_void {
+        self.inner.pointer.as_ptr()
+    }
+
+    fn layout(&self) -> &'static crate::layout::Layout {
+        self.inner.library.version().layout()
+    }
+
+    fn count(&self, offset: usize) -> usize {
+        // SAFETY: the field is an `int` at this offset in this version.
+        let value = unsafe { self.pointer().byte_add(offset).cast::<c_int>().read() };
+        usize::try_from(value).unwrap_or(0)
+    }
+
+    /// # Safety
+    /// The field at the offset is a pointer to at least `length` values of `T`.
+    unsafe fn array<T>(&self, offset: usize, length: usize) -> &[T] {
+        // SAFETY: by the caller; arrays live as long as the model, and nobody writes to them.
+        unsafe {
+            let start = self.pointer().byte_add(offset).cast::<*const T>().read();
+            std::slice::from_raw_parts(start, length)
+        }
+    }
+
+    /// Number of generalised coordinates.
+    #[must_use]
+    pub fn nq(&self) -> usize {
+        self.count(self.layout().nq)
+    }
+
+    /// Number of degrees of freedom.
+    #[must_use]
+    pub fn nv(&self) -> usize {
+        self.count(self.layout().nv)
+    }
+
+    /// Number of actuators.
+    #[must_use]
+    pub fn nu(&self) -> usize {
+        self.count(self.layout().nu)
+    }
+
+    /// Number of activations of actuators.
+    #[must_use]
+    pub fn na(&self) -> usize {
+        self.count(self.layout().na)
+    }
+
+    /// Number of bodies.
+    #[must_use]
+    pub fn bodies(&self) -> usize {
+        self.count(self.layout().nbody)
+    }
+
+    /// Number of sites.
+    #[must_use]
+    pub fn sites(&self) -> usize {
+        self.count(self.layout().nsite)
+    }
+
+    /// Number of cameras.
+    #[must_use]
+    pub fn cameras(&self) -> usize {
+        self.count(self.layout().ncam)
+    }
+
+    /// Bounding box of a geom in its own frame: centre and half sizes.
+    pub(crate) fn bounding_box(&self, geom: usize) -> [f64; 6] {
+        // SAFETY: the array has six doubles for every geom.
+        let boxes = unsafe { self.array::<[f64; 6]>(self.layout().geom_aabb, self.count(self.layout().ngeom)) };
+        boxes[geom]
+    }
+
+    fn joints(&self) -> usize {
+        self.count(self.layout().njnt)
+    }
+
+    /// Length of a simulation step, in seconds.
+    #[must_use]
+    pub fn timestep(&self) -> f64 {
+        // SAFETY: the field is a double at this offset in this version.
+        unsafe { self.pointer().byte_add(self.layout().timestep).cast::<f64>().read() }
+    }
+
+    /// Number of the thing of this name.
+    ///
+    /// # Errors
+    /// When the model has none.
+    pub fn id(&self, kind: Kind, name: &str) -> Result<usize, MujocoError> {
+        let missing = || MujocoError::NoSuch {
+            kind: kind.word(),
+            name: name.to_owned(),
+        };
+        let text = CString::new(name).map_err(|_| missing())?;
+        let number = kind.number(self.library().version());
+        // SAFETY: the name ends in zero.
+        let id = unsafe { (self.library().functions().mj_name2id)(self.pointer(), number, text.as_ptr()) };
+        usize::try_from(id).map_err(|_| missing())
+    }
+
+    /// First coordinate and first degree of freedom of a joint.
+    ///
+    /// # Errors
+    /// When the model has no joint of this name.
+    pub fn joint(&self, name: &str) -> Result<(usize, usize), MujocoError> {
+        let id = self.id(Kind::Joint, name)?;
+        // SAFETY: both arrays have an `int` for every joint, and the id is that of one.
+        let (coordinate, freedom) = unsafe {
+            (
+                self.array::<c_int>(self.layout().jnt_qposadr, self.joints())[id],
+                self.array::<c_int>(self.layout().jnt_dofadr, self.joints())[id],
+            )
+        };
+        Ok((coordinate.max(0) as usize, freedom.max(0) as usize))
+    }
+
+    /// Whether the joint of this name is a free one: seven coordinates, six degrees of freedom.
+    ///
+    /// # Errors
+    /// When the model has no joint of this name.
+    pub fn joint_is_free(&self, name: &str) -> Result<bool, MujocoError> {
+        let id = self.id(Kind::Joint, name)?;
+        // SAFETY: the array has an `int` for every joint, and the id is that of one. Free is 0 in `mjtJoint`.
+        Ok(unsafe { self.array::<c_int>(self.layout().jnt_type, self.joints())[id] } == 0)
+    }
+
+    /// Least and greatest control of an actuator.
+    #[must_use]
+    pub fn control_range(&self, actuator: usize) -> [f64; 2] {
+        // SAFETY: the array has two doubles for every actuator.
+        let ranges = unsafe { self.array::<f64>(self.layout().actuator_ctrlrange, 2 * self.nu()) };
+        [ranges[2 * actuator], ranges[2 * actuator + 1]]
+    }
+}

@@ -1,0 +1,508 @@
+"""Makes the references that the native simulation of Lift, Can and Square is tested against, with robosuite itself.
+
+Each pair of versions needs a virtual environment of its own:
+
+    python3 -m venv rs14 && rs14/bin/pip install robosuite==1.4.1 mujoco==2.3.7 'numpy<2' h5py
+    python3 -m venv rs15 && rs15/bin/pip install robosuite==1.5.1 mujoco==3.2.7 'numpy<2' h5py
+
+The committed files come from these commands (OUT is crates/re4-sim/tests/data/robosuite, DATA holds the folders lift, can
+and square with low_dim.hdf5 and low_dim_abs.hdf5):
+
+    rs14/bin/python tests/robosuite_reference.py trace OUT          # and with rs15
+    rs14/bin/python tests/robosuite_reference.py placement OUT      # then with rs15: compares with what is there
+    rs14/bin/python tests/robosuite_reference.py states OUT DATA
+    rs14/bin/python tests/robosuite_reference.py replay OUT DATA
+
+`crates/re4-sim/tests/data/robosuite/README.md` describes the files.
+"""
+
+import gzip
+import hashlib
+import json
+import logging
+import os
+import pathlib
+import re
+import struct
+import sys
+import time
+import warnings
+import xml.etree.ElementTree as ElementTree
+
+warnings.filterwarnings("ignore")
+logging.disable(logging.CRITICAL)
+
+import mujoco  # noqa: E402
+import numpy as np  # noqa: E402
+import robosuite  # noqa: E402
+
+TASKS = {"lift": "Lift", "can": "PickPlaceCan", "square": "NutAssemblySquare"}
+OBJECT = {"lift": ("cube_joint0", "cube_main"), "can": ("Can_joint0", "Can_main"), "square": ("SquareNut_joint0", "SquareNut_main")}
+ASSETS = os.path.dirname(robosuite.__file__)
+OLD = robosuite.__version__.startswith("1.4")
+POLICY_STEPS = 60
+SUBSTEPS = 25
+
+
+def make(task, control):
+    """An environment without cameras; `control` is "delta" or "absolute"."""
+    part = {
+        "type": "OSC_POSE",
+        "input_max": 1,
+        "input_min": -1,
+        "output_max": [0.05, 0.05, 0.05, 0.5, 0.5, 0.5],
+        "output_min": [-0.05, -0.05, -0.05, -0.5, -0.5, -0.5],
+        "kp": 150,
+        "impedance_mode": "fixed",
+        "kp_limits": [0, 300],
+        "position_limits": None,
+        "orientation_limits": None,
+        "uncouple_pos_ori": True,
+        "interpolation": None,
+        "ramp_ratio": 0.2,
+    }
+    if OLD:
+        part.update(damping=1, damping_limits=[0, 10], control_delta=control == "delta")
+        controller = part
+    else:
+        part.update(damping_ratio=1, damping_ratio_limits=[0, 10], input_type=control)
+        part.update(input_ref_frame="base" if control == "delta" else "world", gripper={"type": "GRIP"})
+        controller = {"type": "BASIC", "body_parts": {"right": part}}
+    env = robosuite.make(
+        TASKS[task],
+        robots="Panda",
+        controller_configs=controller,
+        has_renderer=False,
+        has_offscreen_renderer=False,
+        use_camera_obs=False,
+        use_object_obs=True,
+        ignore_done=True,
+        control_freq=20,
+        reward_shaping=False,
+    )
+    return env, part
+
+
+def controller_of(env):
+    robot = env.robots[0]
+    return robot.controller if OLD else robot.part_controllers["right"]
+
+
+def with_own_assets(xml):
+    """The file with assets of this robosuite: text up to the last path element `robosuite` gives way."""
+    return re.sub(r'file="(?:[^"]*/)?robosuite/', f'file="{ASSETS}/', xml)
+
+
+def with_relative_assets(xml):
+    return re.sub(r'file="[^"]*/robosuite/', 'file="robosuite/', xml)
+
+
+def set_state(env, state):
+    env.sim.set_state_from_flattened(state)
+    env.sim.forward()
+
+
+def observation(observations):
+    names = ["robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos", "object"]
+    values = [observations["object-state" if name == "object" else name] for name in names]
+    if not OLD:
+        names.append("robot0_eef_quat_site")
+        values.append(observations["robot0_eef_quat_site"])
+    return dict(zip(names, [np.array(value, dtype=float) for value in values]))
+
+
+def write(path, header, arrays):
+    """One line of JSON, then the arrays, compressed; a file appears whole or not at all."""
+    names = {"float64": "f64", "uint8": "u8", "uint32": "u32"}
+    offset, described, raw = 0, [], []
+    for name, array in arrays.items():
+        array = np.ascontiguousarray(array)
+        if array.dtype == bool:
+            array = array.astype(np.uint8)
+        data = array.astype(array.dtype.newbyteorder("<")).tobytes()
+        described.append({"name": name, "dtype": names[array.dtype.name], "shape": list(array.shape), "offset": offset})
+        offset += len(data)
+        raw.append(data)
+    header = dict(header, robosuite=robosuite.__version__, mujoco=mujoco.__version__, arrays=described)
+    content = json.dumps(header).encode() + b"\n" + b"".join(raw)
+    temporary = path.with_suffix(".tmp")
+    # No time in the file: the same run gives the same bytes.
+    temporary.write_bytes(gzip.compress(content, 9, mtime=0))
+    temporary.rename(path)
+    print(path, path.stat().st_size, flush=True)
+
+
+def read(path):
+    content = gzip.decompress(path.read_bytes())
+    line, data = content.split(b"\n", 1)
+    header = json.loads(line)
+    arrays = {}
+    for array in header.pop("arrays"):
+        dtype = {"f64": "<f8", "u8": "u1", "u32": "<u4"}[array["dtype"]]
+        count = int(np.prod(array["shape"]))
+        arrays[array["name"]] = np.frombuffer(data, dtype, count, array["offset"]).reshape(array["shape"])
+    return header, arrays
+
+
+# ---------------------------------------------------------------------------------------------------------------- traces
+
+
+def axis_angle(matrix):
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix).ravel())
+    vector = np.zeros(3)
+    mujoco.mju_quat2Vel(vector, quaternion, 1.0)
+    return vector
+
+
+def turn(axis, angle):
+    matrix, quaternion = np.zeros(9), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(quaternion, np.array(axis, dtype=float), angle)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def scripted_action(control, step, site, orientation, start, grasp):
+    """Over the object, down to it, close, lift; the hand turns on the way, in delta mode only in some steps."""
+    over = grasp + [0, 0, 0.1]
+    if step < 24:
+        goal = start + (over - start) * min(1.0, (step + 1) / 20)
+    elif step < 44:
+        goal = over + (grasp - over) * min(1.0, (step - 23) / 16)
+    elif step < 50:
+        goal = grasp
+    else:
+        goal = grasp + [0, 0, 0.012 * (step - 49)]
+    gripper = -1.0 if step < 44 else 1.0
+    if control == "absolute":
+        phase = min(1.0, step / 30)
+        rotation = turn([0, 0, 1], 0.5 * phase) @ turn([1, 0, 0], 0.08 * np.sin(0.2 * step)) @ orientation
+        return np.concatenate([goal, axis_angle(rotation), [gripper]])
+    # Some values beyond 1, which the controller clips; and steps without any turn, in which 1.4 keeps its goal orientation.
+    move = (goal - site) / 0.05
+    angles = np.array([0.05 * np.sin(0.3 * step), 0.0, 0.15]) if step % 7 < 4 and step < 40 else np.zeros(3)
+    return np.concatenate([move, angles, [gripper]])
+
+
+def trace(task, control, out):
+    env, part = make(task, control)
+    np.random.seed(11)
+    env.reset()
+    state = env.sim.get_state().flatten()
+    xml = with_relative_assets(env.sim.model.get_xml())
+    # Both sides simulate the file, whose numbers have six digits, not the model that robosuite had in memory.
+    env.reset_from_xml_string(with_own_assets(xml))
+    set_state(env, state)
+    controller = controller_of(env)
+    controller.update(force=True)
+    data, names = env.sim.data, env.sim.model
+    grip = names.site_name2id("gripper0_grip_site" if OLD else "gripper0_right_grip_site")
+    site = lambda: np.array(data.site_xpos[grip])  # noqa: E731
+    orientation = np.array(data.site_xmat[grip]).reshape(3, 3)
+    body = names.body_name2id(OBJECT[task][1])
+    start, target = site(), np.array(data.body_xpos[body])
+    # The nut falls by 6 cm after its reset; the hand takes it by its handle.
+    handle = np.array(data.body_xmat[body]).reshape(3, 3) @ [0.054, 0, 0] - [0, 0, 0.06]
+    grasp = target + handle if task == "square" else target
+
+    warmstart = np.array(data._data.qacc_warmstart)
+    rows = {"ctrl": [], "forwards": []}
+    unclipped = 0.0
+    calls = {"forward": 0}
+    forward, name = env.sim.forward, "step" if OLD else "step2"
+    step_of_simulator = getattr(env.sim, name)
+
+    def counted():
+        calls["forward"] += 1
+        forward()
+
+    def stepped():
+        nonlocal unclipped
+        rows["ctrl"].append(np.array(data.ctrl))
+        rows["forwards"].append(calls["forward"])
+        unclipped = max(unclipped, np.abs(controller.torques - data.ctrl[:7]).max())
+        calls["forward"] = 0
+        step_of_simulator()
+
+    env.sim.forward = counted
+    setattr(env.sim, name, stepped)
+
+    first = observation(env._get_observations(force_update=True))
+    qpos, qvel, success = [np.array(data.qpos)], [np.array(data.qvel)], [env._check_success()]
+    observed = {name: [value] for name, value in first.items()}
+    actions = []
+    for step in range(POLICY_STEPS):
+        action = scripted_action(control, step, site(), orientation, start, grasp)
+        result = env.step(action)
+        for name, value in observation(result[0]).items():
+            observed[name].append(value)
+        actions.append(action)
+        qpos.append(np.array(data.qpos))
+        qvel.append(np.array(data.qvel))
+        success.append(env._check_success())
+    shaped = {name: np.array(value).reshape(POLICY_STEPS, SUBSTEPS, -1) for name, value in rows.items()}
+    arrays = {
+        "initial_state": state,
+        "q_init": np.array(controller.initial_joint),
+        "qacc_warmstart": warmstart,
+        "actions": np.array(actions),
+        "qpos": np.array(qpos),
+        "qvel": np.array(qvel),
+        "ctrl": shaped["ctrl"],
+        "forwards": shaped["forwards"][..., 0].astype(np.uint8),
+        "success": np.array(success),
+    }
+    arrays.update({name: np.array(value) for name, value in observed.items()})
+    header = {
+        "task": TASKS[task],
+        "control": control,
+        "policy_steps": POLICY_STEPS,
+        "sim_steps_per_policy_step": SUBSTEPS,
+        "reset": "reset_from_xml_string, set_state_from_flattened, forward, controller.update(force=True)",
+        "forced_updates": 2,
+        "torque_clipped_by": unclipped,
+        "controller": part,
+        "xml": xml,
+    }
+    moved = np.abs(np.array(data.body_xpos[body]) - target)
+    print(f"{task} {control}: object moved {moved}, success {success[-1]}, torque clipped by {unclipped}")
+    write(out / f"trace_{task}_{robosuite.__version__}_{control}.bin.gz", header, arrays)
+
+
+def traces(out):
+    for task in TASKS:
+        trace(task, "absolute", out)
+    trace("lift", "delta", out)
+
+
+# ------------------------------------------------------------------------------------------------------------- placement
+
+PLACEMENT_SEEDS = list(range(150)) + list(range(100000, 100040)) + [2**31 - 1, 2**31, 2**32 - 1] + list(range(200000, 200007))
+
+
+def without_pictures(xml):
+    """The model without textures and without the arm's meshes, which nothing collides with: compiled seven times as fast."""
+    root = ElementTree.fromstring(xml)
+    assets = root.find("asset")
+    for texture in assets.findall("texture"):
+        assets.remove(texture)
+    for material in assets.findall("material"):
+        material.attrib.pop("texture", None)
+    for geom in root.iter("geom"):
+        if geom.get("group") == "1" and geom.get("mesh", "").startswith("robot0_"):
+            del geom.attrib["mesh"]
+            geom.attrib.update(type="sphere", size="0.001", mass="0")
+    used = {geom.get("mesh") for geom in root.iter("geom")}
+    for mesh in assets.findall("mesh"):
+        if mesh.get("name") not in used:
+            assets.remove(mesh)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def sampled(env, task, seed):
+    """What a hard reset draws, in its order, without building the model."""
+    np.random.seed(seed)
+    numbers = []
+    if task == "lift":
+        from robosuite.models.objects import BoxObject
+
+        cube = BoxObject(name="cube", size_min=[0.020] * 3, size_max=[0.022] * 3)
+        numbers += list(cube.size)
+        env.placement_initializer.reset()
+        env.placement_initializer.add_objects(cube)
+    numbers += list(np.array(env.robots[0].init_qpos) + np.random.randn(7) * 0.02)
+    for position, quaternion, body in env.placement_initializer.sample().values():
+        if body.name == OBJECT[task][0].split("_")[0]:
+            numbers += list(position) + list(quaternion)
+    return numbers
+
+
+def placement(out):
+    for task in TASKS:
+        env, _ = make(task, "delta")
+        env.set_xml_processor(without_pictures)
+        digest = hashlib.sha256()
+        for seed in range(10000):
+            numbers = sampled(env, task, seed)
+            digest.update(struct.pack(f"<{len(numbers)}d", *numbers))
+        qpos, sizes = [], []
+        for seed in PLACEMENT_SEEDS:
+            np.random.seed(seed)
+            env.reset()
+            qpos.append(np.array(env.sim.data.qpos))
+            if task == "lift":
+                sizes.append(env.cube.size)
+        header = {
+            "task": TASKS[task],
+            "seeded": "np.random.seed(seed), then env.reset() with a hard reset",
+            "sha256_of_10000": digest.hexdigest(),
+            "hashed": "seeds 0 to 9999: cube half sizes (Lift), arm joint positions, position and quaternion (wxyz) of the task's "
+            "object; little-endian f64",
+        }
+        arrays = {"seeds": np.array(PLACEMENT_SEEDS, dtype=np.uint32), "qpos": np.array(qpos)}
+        if sizes:
+            arrays["cube_size"] = np.array(sizes)
+        path = out / f"placement_{task}.bin.gz"
+        if path.exists():
+            old_header, old = read(path)
+            same = old_header["sha256_of_10000"] == header["sha256_of_10000"] and all(
+                np.array_equal(old[name], arrays[name]) for name in arrays
+            )
+            print(f"{path} of robosuite {old_header['robosuite']}: {'equal' if same else 'DIFFERS'}", flush=True)
+            if not same:
+                sys.exit(1)
+        else:
+            write(path, header, arrays)
+
+
+# ---------------------------------------------------------------------------------------------------------------- states
+
+
+def demos_of(file):
+    return sorted(file["data"], key=lambda name: int(name.split("_")[1]))
+
+
+def load_model(env, xml, loaded):
+    """robomimic's reset_to, without its first reset, which leaves nothing behind; the same file is not compiled twice."""
+    if xml == loaded:
+        # What reset_from_xml_string does once the file is compiled.
+        env.deterministic_reset = True
+        env.reset()
+        env.deterministic_reset = False
+    else:
+        env.reset_from_xml_string(with_own_assets(xml))
+    env.sim.reset()
+
+
+def constructed(task, eef):
+    """Positions of the task's object about every edge of its success rule, for a hand at `eef`."""
+    tiny = [-1e-3, -1e-6, -1e-9, 0.0, 1e-9, 1e-6, 1e-3]
+    if task == "lift":
+        return [[0.01, 0.02, 0.84 + d] for d in tiny] + [[-0.02, 0.0, 0.8 + 0.04 + d] for d in tiny]
+    if task == "can":
+        inside, low, high = [0.2, 0.4, 0.86], [0.1, 0.28, 0.8], [0.295, 0.525, 0.9]
+    else:
+        inside, low, high = [0.23, 0.1, 0.85], [0.2, 0.07, None], [0.26, 0.13, 0.87]
+    places = []
+    for axis in range(3):
+        for edge in (low[axis], high[axis]):
+            if edge is not None:
+                places += [inside[:axis] + [edge + d] + inside[axis + 1 :] for d in tiny]
+    # 1 - tanh(10 d) < 0.6 turns at this distance between grip site and object.
+    reach = np.arctanh(0.4) / 10
+    for direction in ([1, 0, 0], [0, -1, 0], [0, 0, -1], [0.6, 0, -0.8]):
+        places += [list(eef + (reach + d) * np.array(direction)) for d in tiny]
+    return places
+
+
+def states(out, data):
+    import h5py
+
+    for task in TASKS:
+        env, _ = make(task, "delta")
+        joint, body = OBJECT[task]
+        file = h5py.File(data / task / "low_dim.hdf5")
+        demos, stride = (demos_of(file)[::5], 2) if task == "lift" else (demos_of(file), 20)
+        rows = {name: [] for name in ["demo", "frame", "moved", "position", "success"]}
+        observed, loaded = {}, None
+
+        def record(demo, frame, position):
+            rows["demo"].append(int(demo.split("_")[1]))
+            rows["frame"].append(frame)
+            rows["moved"].append(position is not None)
+            rows["position"].append([0.0, 0.0, 0.0] if position is None else position)
+            for name, value in observation(env._get_observations(force_update=True)).items():
+                observed.setdefault(name, []).append(value)
+            rows["success"].append(env._check_success())
+
+        for index, demo in enumerate(demos):
+            group = file["data"][demo]
+            xml = group.attrs["model_file"]
+            if xml != loaded:
+                load_model(env, xml, loaded)
+                loaded = xml
+            recorded = group["states"][:]
+            frames = list(range(0, len(recorded), stride))
+            for frame in frames + ([len(recorded) - 1] if frames[-1] != len(recorded) - 1 else []):
+                set_state(env, recorded[frame])
+                record(demo, frame, None)
+            if index % (len(demos) // 8) == 0:
+                # The hand far away, at the object, and where the demonstration ends.
+                for frame in (0, len(recorded) // 2, len(recorded) - 1):
+                    set_state(env, recorded[frame])
+                    eef = np.array(env.sim.data.site_xpos[env.sim.model.site_name2id("gripper0_grip_site")])
+                    for position in constructed(task, eef):
+                        set_state(env, recorded[frame])
+                        address = env.sim.model.get_joint_qpos_addr(joint)[0]
+                        env.sim.data.qpos[address : address + 3] = position
+                        env.sim.forward()
+                        record(demo, frame, list(position))
+        arrays = {
+            "demo": np.array(rows["demo"], dtype=np.uint32),
+            "frame": np.array(rows["frame"], dtype=np.uint32),
+            "moved": np.array(rows["moved"]),
+            "position": np.array(rows["position"], dtype=float),
+            "success": np.array(rows["success"], dtype=bool),
+        }
+        arrays.update({name: np.array(value) for name, value in observed.items()})
+        moved = arrays["moved"]
+        print(f"{task}: {len(moved)} states, {moved.sum()} constructed, success {arrays['success'].sum()}, "
+              f"of the constructed {arrays['success'][moved].sum()}")
+        write(out / f"states_{task}_{robosuite.__version__}.bin.gz", {"task": TASKS[task], "joint": joint, "body": body}, arrays)
+
+
+# ---------------------------------------------------------------------------------------------------------------- replay
+
+COLUMNS = "dataset,actions,demo,steps,success,first_success,success_at_end,object_divergence_m,object_divergence_end_m"
+
+
+def replay(out, data):
+    import h5py
+
+    path = out / "replay_python.csv"
+    temporary = path.with_suffix(".tmp")
+    lines = [COLUMNS]
+    for actions, name in (("delta", "low_dim.hdf5"), ("absolute", "low_dim_abs.hdf5")):
+        for task in TASKS:
+            env, _ = make(task, actions)
+            joint, _ = OBJECT[task]
+            file = h5py.File(data / task / name)
+            loaded, began, steps = None, time.time(), 0
+            for demo in demos_of(file):
+                group = file["data"][demo]
+                xml = group.attrs["model_file"]
+                recorded = group["states"][:]
+                load_model(env, xml, loaded)
+                loaded = xml
+                set_state(env, recorded[0])
+                address = env.sim.model.get_joint_qpos_addr(joint)[0]
+                object_of = lambda qpos: qpos[address : address + 3]  # noqa: E731
+                first, greatest, last, done = None, 0.0, 0.0, False
+                for index, action in enumerate(group["actions"][:]):
+                    env.step(action)
+                    done = bool(env._check_success())
+                    if done and first is None:
+                        first = index
+                    if index + 1 < len(recorded):
+                        last = np.linalg.norm(object_of(np.array(env.sim.data.qpos)) - object_of(recorded[index + 1][1:]))
+                        greatest = max(greatest, last)
+                steps += len(recorded)
+                number = demo.split("_")[1]
+                lines.append(
+                    f"{task},{actions},{number},{len(recorded)},{int(first is not None)},{'' if first is None else first},"
+                    f"{int(done)},{greatest:.9f},{last:.9f}"
+                )
+                temporary.write_text("\n".join(lines) + "\n")
+            successes = [line.split(",")[4] for line in lines if line.startswith(f"{task},{actions},")]
+            print(f"{task} {actions}: {successes.count('1')} of {len(successes)}, {steps / (time.time() - began):.0f} steps/s",
+                  flush=True)
+    temporary.rename(path)
+
+
+if __name__ == "__main__":
+    commands = {"trace": traces, "placement": placement, "states": states, "replay": replay}
+    if len(sys.argv) < 3 or sys.argv[1] not in commands:
+        sys.exit(__doc__)
+    paths = [pathlib.Path(argument) for argument in sys.argv[2:]]
+    paths[0].mkdir(parents=True, exist_ok=True)
+    commands[sys.argv[1]](*paths)
