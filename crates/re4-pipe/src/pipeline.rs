@@ -15,7 +15,7 @@ use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfi
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
-use re4_sim::robosuite::{RobosuiteTask, Solves};
+use re4_sim::robosuite::{Fidelity, RobosuiteTask};
 use re4_sim::{GOAL, ResetOrder, SeedScheme};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -296,9 +296,9 @@ pub(crate) struct SpatialRolloutSection {
     /// Errors that the object poses which the policy is told are given on purpose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) noise: Option<NoiseSection>,
-    /// How often the simulator computes forces in a simulation step.
+    /// How closely robosuite is followed: `robosuite`, to the bit, or `fast`.
     #[serde(default)]
-    pub(crate) solves: Solves,
+    pub(crate) fidelity: Fidelity,
     /// Retrieve.
     pub(crate) retrieve: SpatialRetrieveConfig,
     /// Reframe.
@@ -347,7 +347,11 @@ impl SpatialRolloutSection {
             RobosuiteTask::Can => Symmetry::Full { axis: [0.0, 0.0, 1.0] },
             RobosuiteTask::Square => Symmetry::None,
         };
-        let usual = if self.policy == "re4" { of_object } else { Symmetry::None };
+        let usual = if self.policy == "re4" {
+            of_object
+        } else {
+            Symmetry::None
+        };
         self.symmetry.unwrap_or(usual)
     }
 }
@@ -576,7 +580,10 @@ fn tell_rollouts_apart(document: &mut Value) -> Result<()> {
     if map.contains_key(SPATIAL_ROLLOUT) {
         bail!("unknown key {SPATIAL_ROLLOUT}; the table is called rollout for every task");
     }
-    let robosuite = map.get("task").and_then(Value::as_str).is_some_and(|task| task != "pusht");
+    let robosuite = map
+        .get("task")
+        .and_then(Value::as_str)
+        .is_some_and(|task| task != "pusht");
     if robosuite && let Some(rollout) = map.remove("rollout") {
         map.insert(SPATIAL_ROLLOUT.to_owned(), rollout);
     }

@@ -4,9 +4,7 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context as _, Result, bail};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use re4_artifact::{
-    Artifact, Columns, Facts, Recipe, Stage, col_bool, col_f64, col_text, col_u32, tables,
-};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_bool, col_f64, col_text, col_u32, tables};
 use re4_audit::SpatialDemo;
 use re4_episode::Mode;
 use re4_geometry::spatial::Symmetry;
@@ -82,10 +80,15 @@ fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
     for check in checks {
         if !known.contains(&Some(check.as_str())) {
             let names: Vec<&str> = known.iter().copied().flatten().collect();
-            bail!("index.leave_out names the check {check:?}, which the audit does not have; its checks are {}", names.join(", "));
+            bail!(
+                "index.leave_out names the check {check:?}, which the audit does not have; its checks are {}",
+                names.join(", ")
+            );
         }
     }
-    let findings = audit.table(&tables::FINDINGS)?.read_columns(&["episode", "code", "end_frame"])?;
+    let findings = audit
+        .table(&tables::FINDINGS)?
+        .read_columns(&["episode", "code", "end_frame"])?;
     let (episodes, ends) = (col_u32(&findings, "episode")?, col_u32(&findings, "end_frame")?);
     let mut last = BTreeMap::new();
     for ((episode, end), code) in episodes.iter().zip(ends).zip(col_text(&findings, "code")?) {
@@ -99,7 +102,9 @@ fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
 
 /// The rotation from the end effector's recorded frame to that of the grip site.
 pub(in super::super) fn orientation_to_site(episodes: &Artifact) -> Result<UnitQuaternion<f64>> {
-    let rows = episodes.table(&tables::CONVENTIONS)?.read_columns(&["convention", "value"])?;
+    let rows = episodes
+        .table(&tables::CONVENTIONS)?
+        .read_columns(&["convention", "value"])?;
     let (names, values) = (col_text(&rows, "convention")?, col_text(&rows, "value")?);
     let row = names.iter().position(|name| *name == Some("eef_orientation"));
     match row.and_then(|row| values[row]) {
@@ -123,7 +128,10 @@ fn columns(demo: &SpatialDemo, to_site: &UnitQuaternion<f64>, end: usize) -> Col
     columns = pose_columns(columns, "eef", &eef);
     columns = pose_columns(columns, "object", &object);
     for (part, name) in ["x", "y", "z", "rx", "ry", "rz"].into_iter().enumerate() {
-        columns = columns.f64(&format!("goal_{name}"), frames.iter().map(|frame| frame.goal[part]).collect());
+        columns = columns.f64(
+            &format!("goal_{name}"),
+            frames.iter().map(|frame| frame.goal[part]).collect(),
+        );
     }
     let commands = frames.iter().map(|frame| {
         let size = frame.gripper.abs();

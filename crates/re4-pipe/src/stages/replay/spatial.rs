@@ -8,7 +8,7 @@ use re4_episode::SpatialEpisode;
 use re4_report::{quantile, wilson_interval};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
-    ArmAction, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep, Solves,
+    ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
 use serde_json::{Value, json};
 
@@ -85,7 +85,7 @@ impl Runner {
         self.build(&recipe, |writer| {
             let recorded = recorded_kind(&episodes.artifact)?;
             let to_site = orientation_to_site(&episodes.artifact)?;
-            let scenes = Scenes::open(&episodes.artifact, task, Solves::AsRobosuite)?;
+            let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.console.progress(2 * recordings.demos as u64, "replays");
             let mut replays = writer.table(&tables::SPATIAL_REPLAYS)?;
@@ -220,7 +220,11 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuater
             Kind::Delta => ArmAction::Delta(frame.delta),
             Kind::Absolute => ArmAction::Absolute(frame.goal),
         };
-        let gripper = if frame.closes { frame.gripper.abs() } else { -frame.gripper.abs() };
+        let gripper = if frame.closes {
+            frame.gripper.abs()
+        } else {
+            -frame.gripper.abs()
+        };
         let RobosuiteStep { success: done, .. } = simulator.step(&RobosuiteAction { arm, gripper })?;
         success.push(done);
     }
@@ -299,9 +303,13 @@ fn replay_columns(replays: &[Replay], recorded: &str) -> Columns {
         .text("actions", replays.iter().map(|r| r.kind.as_str()))
         .text(
             "origin",
-            replays
-                .iter()
-                .map(|r| if r.kind.as_str() == recorded { "recorded" } else { "converted" }),
+            replays.iter().map(|r| {
+                if r.kind.as_str() == recorded {
+                    "recorded"
+                } else {
+                    "converted"
+                }
+            }),
         )
         .u32("frames", replays.iter().map(|r| r.success.len() as u32).collect())
         .bool("success", replays.iter().map(Replay::succeeded).collect())

@@ -47,7 +47,7 @@ impl Runner {
                 "policy": policy,
                 "symmetry": symmetry,
                 "noise": section.noise,
-                "solves": section.solves,
+                "fidelity": section.fidelity,
                 "robosuite": profile,
                 "seeds": section.seeds,
                 "max_steps": section.max_steps,
@@ -56,7 +56,7 @@ impl Runner {
             .input("index", index.artifact.key());
         self.build(&recipe, |writer| {
             let knowledge = Arc::new(open_spatial_index(&index.artifact, &policy.retrieve, symmetry)?);
-            let scenes = Scenes::open(&episodes.artifact, task, section.solves)?;
+            let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
             // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
             let shared = (task != RobosuiteTask::Lift).then(|| scenes.compile(mjcf)).transpose()?;
@@ -109,7 +109,7 @@ impl Runner {
                         "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube's size of the seed",
                         "robosuite": scenes.profile(),
                         "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
-                        "solves": section.solves,
+                        "fidelity": section.fidelity,
                         "simulation_steps_per_control_step": SIMULATION_STEPS,
                         "control_frequency_hz": 20,
                         "controller": "OSC_POSE, absolute goals of the grip site",
@@ -220,7 +220,10 @@ fn step_columns(rollouts: &[SpatialRollout]) -> Columns {
     for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
         columns = columns
             .f64(&format!("action_{axis}"), of(&|s| s.action.goal.translation.vector[k]))
-            .f64(&format!("action_r{axis}"), of(&|s| s.action.goal.rotation.scaled_axis()[k]));
+            .f64(
+                &format!("action_r{axis}"),
+                of(&|s| s.action.goal.rotation.scaled_axis()[k]),
+            );
     }
     columns = columns.f64("gripper", of(&|s| s.action.gripper));
     columns = pose_columns(columns, "eef", &poses(|s| s.after.observation.grip_site));
@@ -275,7 +278,10 @@ fn decision_columns(rollouts: &[SpatialRollout]) -> Columns {
     for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
         columns = columns
             .f64_or_null(&format!("delta_{axis}"), measured(&|c| c.delta.translation.vector[k]))
-            .f64_or_null(&format!("delta_r{axis}"), measured(&|c| c.delta.rotation.scaled_axis()[k]));
+            .f64_or_null(
+                &format!("delta_r{axis}"),
+                measured(&|c| c.delta.rotation.scaled_axis()[k]),
+            );
     }
     columns = columns
         .f64_or_null("symmetry_turn", measured(&|c| c.turn))
