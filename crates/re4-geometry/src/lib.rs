@@ -5,6 +5,7 @@
 mod angle;
 mod planar;
 mod polygon;
+pub mod spatial;
 
 pub use angle::{periodic_distance, signed_difference, wrap_to_pi, wrap_to_two_pi};
 pub use planar::{Point2, Pose2};

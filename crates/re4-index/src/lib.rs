@@ -15,15 +15,22 @@
 //! object poses serves as a bound instead: the frame that stage 1 chooses is never nearer by `d_o` than the nearest frame
 //! of its demonstration. Stage 1 is evaluated exactly for the demonstration nearest by `d_o`, then for those others that
 //! have a frame within the best answer so far.
+//!
+//! Everything named `Spatial...` is the same lookup for an arm and an object in space: see [`SpatialMetric`] for its distances.
 
 mod linear;
 mod metric;
 mod search;
+mod spatial;
 mod tree;
 
 pub use linear::retrieve_linear;
 pub use metric::{AngleMetric, Normalization, Range};
 pub use search::{RetrievalIndex, SearchStatistics};
+pub use spatial::{
+    IndexedSpatialFrame, SpatialDistances, SpatialIndex, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2,
+    retrieve_spatial_linear,
+};
 
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
@@ -98,6 +105,25 @@ pub enum IndexError {
         /// Frame inside the demonstration.
         frame: u32,
     },
+    /// A scale that nothing can be divided by.
+    #[error("cannot build the index: the {name} is {value}; give a finite number above 0")]
+    Scale {
+        /// Which one, in words.
+        name: &'static str,
+        /// What was given.
+        value: f64,
+    },
+    /// A weight that turns a distance around.
+    #[error("cannot build the index: the {name} is {value}; give a finite number, 0 or more")]
+    Weight {
+        /// Which one, in words.
+        name: &'static str,
+        /// What was given.
+        value: f64,
+    },
+    /// A symmetry that is none.
+    #[error("cannot build the index: {0}")]
+    Symmetry(#[from] re4_geometry::spatial::SymmetryError),
     /// A query coordinate is not a finite number, or absurdly far from the demonstrations.
     #[error(
         "cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration; check the observation it was made from"

@@ -7,10 +7,7 @@ use crate::layout::Layout;
 use crate::library::{Functions, last_warning};
 use crate::{Model, MujocoError};
 
-/// `mjSTAGE_VEL`: what depends on positions and velocities alone is left as it is.
-const STAGE_VELOCITY: c_int = 2;
-
-/// `mjNWARNING`, and the first of the three that tell of numbers that are not finite or too large: positions, velocities,
+/// The three warnings that tell of numbers that are not finite or too large: positions, velocities,
 /// accelerations (`mjWARN_BADQPOS`, ...).
 const BAD_NUMBERS: std::ops::Range<usize> = 4..7;
 
@@ -137,29 +134,32 @@ impl Data {
         unsafe { (self.functions().mj_forward)(self.model.pointer(), self.pointer()) }
     }
 
-    /// [`Data::forward`] where neither positions nor velocities have changed since the last one: forces and accelerations
-    /// alone are computed anew (`mj_forwardSkip`, `mjSTAGE_VEL`). The result is the same to the bit.
-    pub fn forward_again(&mut self) {
-        // SAFETY: data and model belong together.
-        unsafe { (self.functions().mj_forwardSkip)(self.model.pointer(), self.pointer(), STAGE_VELOCITY, 0) }
-    }
-
     /// One step (`mj_step`).
     pub fn step(&mut self) {
         // SAFETY: data and model belong together.
         unsafe { (self.functions().mj_step)(self.model.pointer(), self.pointer()) }
     }
 
-    /// The part of a step before controls are needed (`mj_step1`).
-    pub fn step1(&mut self) {
+    /// Everything that follows from positions (`mj_fwdPosition`), then what follows from velocities too (`mj_fwdVelocity`):
+    /// the first part of [`Data::forward`] and of [`Data::step`], without sensors.
+    pub fn motion_stages(&mut self) {
         // SAFETY: data and model belong together.
-        unsafe { (self.functions().mj_step1)(self.model.pointer(), self.pointer()) }
+        unsafe {
+            (self.functions().mj_fwdPosition)(self.model.pointer(), self.pointer());
+            (self.functions().mj_fwdVelocity)(self.model.pointer(), self.pointer());
+        }
     }
 
-    /// The part of a step after controls were set (`mj_step2`).
-    pub fn step2(&mut self) {
+    /// Actuation, acceleration and constraint forces (`mj_fwdActuation`, `mj_fwdAcceleration`, `mj_fwdConstraint`): the second
+    /// part of [`Data::forward`], without sensors. It may be repeated with other controls while the state stays; every time it
+    /// warm-starts the solver with its last result.
+    pub fn force_stages(&mut self) {
         // SAFETY: data and model belong together.
-        unsafe { (self.functions().mj_step2)(self.model.pointer(), self.pointer()) }
+        unsafe {
+            (self.functions().mj_fwdActuation)(self.model.pointer(), self.pointer());
+            (self.functions().mj_fwdAcceleration)(self.model.pointer(), self.pointer());
+            (self.functions().mj_fwdConstraint)(self.model.pointer(), self.pointer());
+        }
     }
 
     /// Moves on by one step of semi-implicit Euler integration, with the accelerations as they are (`mj_Euler`).

@@ -36,10 +36,12 @@ functions! {
     mj_deleteData: fn(*mut c_void);
     mj_resetData: fn(*const c_void, *mut c_void);
     mj_forward: fn(*const c_void, *mut c_void);
-    mj_forwardSkip: fn(*const c_void, *mut c_void, c_int, c_int);
     mj_step: fn(*const c_void, *mut c_void);
-    mj_step1: fn(*const c_void, *mut c_void);
-    mj_step2: fn(*const c_void, *mut c_void);
+    mj_fwdPosition: fn(*const c_void, *mut c_void);
+    mj_fwdVelocity: fn(*const c_void, *mut c_void);
+    mj_fwdActuation: fn(*const c_void, *mut c_void);
+    mj_fwdAcceleration: fn(*const c_void, *mut c_void);
+    mj_fwdConstraint: fn(*const c_void, *mut c_void);
     mj_Euler: fn(*const c_void, *mut c_void);
     mj_jacSite: fn(*const c_void, *const c_void, *mut f64, *mut f64, c_int);
     mj_fullM: fn(*const c_void, *mut f64, *const f64);

@@ -11,6 +11,7 @@ mod pusher;
 mod reframe;
 mod replan;
 mod rollout;
+pub mod spatial;
 mod visibility;
 
 pub use config::{

@@ -1,5 +1,7 @@
 //! What can go wrong in a simulator.
 
+use re4_mujoco::MujocoError;
+
 /// Why a simulator refused to start, reset or step.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -54,12 +56,58 @@ pub enum SimError {
         /// The greatest absolute value allowed.
         limit: f64,
     },
+    /// A robosuite task cannot be simulated.
+    #[error("cannot simulate {task}: {source}")]
+    Mujoco {
+        /// The task.
+        task: &'static str,
+        /// Why.
+        source: MujocoError,
+    },
     /// The model is not one of the task.
     #[error("cannot simulate {task}: {reason}; take the model_file of a demonstration of {task}")]
     Model {
         /// The task.
         task: &'static str,
         /// What is wrong with the model.
+        reason: String,
+    },
+    /// A recorded state does not fit the model.
+    #[error(
+        "cannot reset {task}: the state has {found} numbers, the model needs {expected} (time, {nq} coordinates, {nv} velocities); take states and model_file of the same demonstration"
+    )]
+    StateLength {
+        /// The task.
+        task: &'static str,
+        /// Numbers of the state.
+        found: usize,
+        /// Numbers that the model needs.
+        expected: usize,
+        /// Coordinates of the model.
+        nq: usize,
+        /// Velocities of the model.
+        nv: usize,
+    },
+    /// A number that is NaN or infinite.
+    #[error("cannot {operation} {task}: number {index} of the {what} is {value}; give finite numbers")]
+    NotFinite {
+        /// `reset` or `step`.
+        operation: &'static str,
+        /// The task.
+        task: &'static str,
+        /// State or action.
+        what: &'static str,
+        /// Which number, from 0.
+        index: usize,
+        /// Its value.
+        value: f64,
+    },
+    /// The simulation came to numbers that are not finite or absurdly large.
+    #[error("cannot step {task}: the simulation became unstable{}; reset it", if reason.is_empty() { String::new() } else { format!(" ({reason})") })]
+    Unstable {
+        /// The task.
+        task: &'static str,
+        /// MuJoCo's words.
         reason: String,
     },
 }

@@ -1,7 +1,7 @@
-//! Simulators behind one trait: Push-T over Chipmunk, with numpy-compatible scene seeds.
+//! Simulators behind one trait: Push-T over Chipmunk, robosuite's tasks over MuJoCo, with numpy-compatible scene seeds.
 //!
 //! [`PushT`] computes what the Python package gym-pusht 0.1.8 computes, bit for bit in positions, velocities and contact
-//! counts; the README of this crate tells how that is tested. Lengths are pixels of the 512 x 512 window (y points down),
+//! counts; [`robosuite`] what robosuite 1.4.1 and 1.5.1 compute; the README of this crate tells how that is tested. Lengths are pixels of the 512 x 512 window (y points down),
 //! angles radians, time seconds.
 
 mod chipmunk;

@@ -184,9 +184,11 @@ impl PushT {
 
 impl Simulator for PushT {
     type Scene = Scene;
+    type Reset = ResetOrder;
     type Observation = PushTObservation;
     /// The point that the agent is driven to, in pixels of the window.
     type Action = Point2;
+    type Step = Step<PushTObservation>;
 
     fn reset(&mut self, scene: &Scene, order: ResetOrder) -> Result<PushTObservation, SimError> {
         let named = [

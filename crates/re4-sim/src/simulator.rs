@@ -11,26 +11,30 @@ use crate::SimError;
 pub trait Simulator: Send {
     /// A state that can be asked for in a reset.
     type Scene;
+    /// What else a reset depends on.
+    type Reset;
     /// What a policy sees of the state.
     type Observation;
     /// What a policy commands.
     type Action;
+    /// What one control step leads to.
+    type Step;
 
     /// Starts an episode from `scene`.
     ///
     /// # Errors
     /// When the scene is not one the simulator can take; the simulator then stays as it was.
-    fn reset(&mut self, scene: &Self::Scene, order: ResetOrder) -> Result<Self::Observation, SimError>;
+    fn reset(&mut self, scene: &Self::Scene, how: Self::Reset) -> Result<Self::Observation, SimError>;
 
     /// Runs one control step.
     ///
     /// # Errors
     /// When the action is not one the simulator can take, which leaves the simulator as it was; or when the physics came to
     /// a state it cannot go on from, after which only a reset helps.
-    fn step(&mut self, action: &Self::Action) -> Result<Step<Self::Observation>, SimError>;
+    fn step(&mut self, action: &Self::Action) -> Result<Self::Step, SimError>;
 }
 
-/// What one control step led to.
+/// What one control step of Push-T led to.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Step<O> {
     /// The state after the step.

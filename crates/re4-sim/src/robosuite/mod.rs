@@ -1,32 +1,347 @@
-//! robosuite's Lift, `PickPlaceCan` and `NutAssemblySquare`.
+//! robosuite's Lift, `PickPlaceCan` and `NutAssemblySquare` over MuJoCo's own library.
+//!
+//! [`Robosuite`] computes what the Python package computes, in the order of its calls: one Panda, `OSC_POSE` control at 20 Hz
+//! over simulation steps of 2 ms, delta or absolute actions, the environments' own success rules and observations. What
+//! differs between versions is a [`Profile`]. The README of this crate tells how that is tested. Metres, radians, seconds;
+//! world frame: robosuite's, z up.
+//!
+//! As in robosuite, poses in an observation after a step are those of 2 ms before its end: the simulation moves on after they
+//! were computed. Right after a reset they are exact.
 
+mod controller;
+mod model;
 mod placement;
+mod profile;
+mod task;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use re4_mujoco::Data;
 
+pub use controller::{ArmAction, RobosuiteAction};
+pub use model::RobosuiteModel;
 pub use placement::{ObjectPlacement, Placement, with_cube_size};
+pub use profile::Profile;
+pub use task::RobosuiteTask;
 
-/// A task of robosuite with one Panda arm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum RobosuiteTask {
-    /// `Lift`: a cube is lifted off the table.
-    Lift,
-    /// `PickPlaceCan`: a can is carried from one bin to another.
-    Can,
-    /// `NutAssemblySquare`: a square nut is put onto a square peg.
-    Square,
+use crate::{SimError, Simulator};
+use controller::{Controller, JOINTS};
+use model::Robot;
+use re4_robosuite::hand_to_site;
+
+/// Simulation steps in a control step.
+pub const SIMULATION_STEPS: usize = 25;
+/// Numbers beyond which MuJoCo takes a simulation for unstable (`mjMAXVAL`).
+const GREATEST: f64 = 1e10;
+
+/// A state to start from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RobosuiteScene {
+    /// A recorded state: time, coordinates, velocities. The arm's controller was made, as robomimic's `reset_to` makes it,
+    /// with the arm in the pose that the model starts in, which is the posture it goes on holding.
+    Recorded(Vec<f64>),
+    /// Coordinates of a new episode, at rest. The controller is made there.
+    Placed(Vec<f64>),
 }
 
-impl RobosuiteTask {
-    /// robosuite's name of the environment.
+/// What the controller's first torques of an episode are computed from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FirstTorques {
+    /// From the state that the controller was made in, as in robosuite: after a reset to a recorded state that is a stale one,
+    /// for one simulation step.
+    #[default]
+    AsRobosuite,
+    /// From the state that was asked for.
+    Fresh,
+}
+
+/// What a policy sees. World frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RobosuiteObservation {
+    /// Pose of the grip site, which the controller steers: the position is robomimic's `robot0_eef_pos`.
+    pub grip_site: Isometry3<f64>,
+    /// Rotation of the hand, robomimic's `robot0_eef_quat`.
+    pub hand: UnitQuaternion<f64>,
+    /// Pose of the manipulated object.
+    pub object: Isometry3<f64>,
+    /// Joint positions of the fingers, robomimic's `robot0_gripper_qpos`.
+    pub fingers: [f64; 2],
+}
+
+impl RobosuiteObservation {
+    /// robomimic's `object`, in the order of a version.
+    ///
+    /// robosuite 1.5 computes the part that is relative to the hand from the object's pose of the observation before; here it is
+    /// that of the same observation.
     #[must_use]
-    pub fn environment(self) -> &'static str {
-        match self {
-            Self::Lift => "Lift",
-            Self::Can => "PickPlaceCan",
-            Self::Square => "NutAssemblySquare",
+    pub fn object_state(&self, task: RobosuiteTask, profile: Profile) -> Vec<f64> {
+        let object = pose_numbers(&self.object);
+        match task {
+            RobosuiteTask::Lift => {
+                let apart = self.grip_site.translation.vector - self.object.translation.vector;
+                let apart = match profile {
+                    Profile::V1_4 => apart,
+                    Profile::V1_5 => -apart,
+                };
+                object.into_iter().chain(apart.iter().copied()).collect()
+            }
+            RobosuiteTask::Can | RobosuiteTask::Square => {
+                let hand = Isometry3::from_parts(self.grip_site.translation, self.hand);
+                let relative = pose_numbers(&(hand.inverse() * self.object));
+                match profile {
+                    Profile::V1_4 => object.into_iter().chain(relative).collect(),
+                    Profile::V1_5 => relative.into_iter().chain(object).collect(),
+                }
+            }
         }
     }
 }
+
+/// Position, then quaternion in the order x, y, z, w.
+fn pose_numbers(pose: &Isometry3<f64>) -> [f64; 7] {
+    let (t, q) = (pose.translation.vector, pose.rotation.coords);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
+/// What one control step led to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RobosuiteStep {
+    /// The state after the step.
+    pub observation: RobosuiteObservation,
+    /// Whether the task's success rule holds.
+    pub success: bool,
+}
+
+/// One simulation of a task.
+pub struct Robosuite {
+    model: RobosuiteModel,
+    data: Data,
+    /// Controls of the last simulation step.
+    controller: Controller,
+}
+
+impl Robosuite {
+    /// A simulation in the model's own initial state.
+    ///
+    /// # Errors
+    /// When there is no memory.
+    pub fn new(model: &RobosuiteModel) -> Result<Self, SimError> {
+        let mut data = Data::new(&model.model).map_err(|source| SimError::Mujoco {
+            task: model.task.environment(),
+            source,
+        })?;
+        data.forward();
+        Ok(Self {
+            controller: Controller::new(model.profile, &model.robot, &data),
+            model: model.clone(),
+            data,
+        })
+    }
+
+    /// Its model.
+    #[must_use]
+    pub fn model(&self) -> &RobosuiteModel {
+        &self.model
+    }
+
+    /// MuJoCo's data, such as for drawing.
+    #[must_use]
+    pub fn data(&self) -> &Data {
+        &self.data
+    }
+
+    /// Time, coordinates and velocities.
+    #[must_use]
+    pub fn state(&self) -> Vec<f64> {
+        std::iter::once(self.data.time())
+            .chain(self.data.qpos().iter().copied())
+            .chain(self.data.qvel().iter().copied())
+            .collect()
+    }
+
+    /// What a policy sees of the state.
+    #[must_use]
+    pub fn observation(&self) -> RobosuiteObservation {
+        let robot = &self.model.robot;
+        let hand = Robot::body_rotation(&self.data, robot.hand);
+        RobosuiteObservation {
+            grip_site: Isometry3::from_parts(
+                Translation3::from(robot.site_position(&self.data)),
+                hand * hand_to_site(),
+            ),
+            hand,
+            object: Robot::body_pose(&self.data, robot.object),
+            fingers: robot.finger_coordinates.map(|at| self.data.qpos()[at]),
+        }
+    }
+
+    /// Whether the task's success rule holds.
+    #[must_use]
+    pub fn success(&self) -> bool {
+        let robot = &self.model.robot;
+        let position = |body| Robot::body_position(&self.data, body);
+        self.model.task.success(
+            &position(robot.object),
+            &robot.site_position(&self.data),
+            robot.landmark.map(position).as_ref(),
+        )
+    }
+
+    /// Puts the state in place and computes what follows from it.
+    fn set_state(&mut self, time: f64, coordinates: &[f64], velocities: &[f64]) {
+        self.data.reset();
+        self.data.set_time(time);
+        self.data.qpos_mut().copy_from_slice(coordinates);
+        self.data.qvel_mut().copy_from_slice(velocities);
+        self.data.forward();
+    }
+
+    /// Takes recorded torques and finger targets for one control step, in place of an action: 25 rows of nine.
+    ///
+    /// # Errors
+    /// As [`Simulator::step`].
+    ///
+    /// # Panics
+    /// When a row is not as long as the model has actuators.
+    pub fn step_with_controls(&mut self, rows: &[Vec<f64>]) -> Result<RobosuiteStep, SimError> {
+        for row in rows {
+            self.data.motion_stages();
+            if self.model.profile == Profile::V1_4 {
+                self.data.force_stages();
+                if self.controller.reads_state() {
+                    self.data.force_stages();
+                }
+                self.controller.mark_used();
+            }
+            self.data.ctrl_mut().copy_from_slice(row);
+            self.data.force_stages();
+            self.data.euler();
+        }
+        self.finish_step()
+    }
+
+    fn finish_step(&self) -> Result<RobosuiteStep, SimError> {
+        let sound = |numbers: &[f64]| numbers.iter().all(|number| number.abs() < GREATEST);
+        if sound(self.data.qpos()) && sound(self.data.qvel()) {
+            Ok(RobosuiteStep {
+                observation: self.observation(),
+                success: self.success(),
+            })
+        } else {
+            Err(SimError::Unstable {
+                task: self.model.task.environment(),
+                reason: "coordinates that are not finite or too large".to_owned(),
+            })
+        }
+    }
+}
+
+impl Simulator for Robosuite {
+    type Scene = RobosuiteScene;
+    type Reset = FirstTorques;
+    type Observation = RobosuiteObservation;
+    type Action = RobosuiteAction;
+    type Step = RobosuiteStep;
+
+    fn reset(&mut self, scene: &RobosuiteScene, first: FirstTorques) -> Result<RobosuiteObservation, SimError> {
+        let task = self.model.task.environment();
+        let (nq, nv) = (self.model.model.nq(), self.model.model.nv());
+        let (RobosuiteScene::Recorded(numbers) | RobosuiteScene::Placed(numbers)) = scene;
+        if let Some(index) = numbers
+            .iter()
+            .position(|number| number.is_nan() || number.abs() >= GREATEST)
+        {
+            return Err(SimError::NotFinite {
+                operation: "reset",
+                task,
+                what: "state",
+                index,
+                value: numbers[index],
+            });
+        }
+        let expected = match scene {
+            RobosuiteScene::Recorded(_) => 1 + nq + nv,
+            RobosuiteScene::Placed(_) => nq,
+        };
+        if numbers.len() != expected {
+            return Err(SimError::StateLength {
+                task,
+                found: numbers.len(),
+                expected,
+                nq,
+                nv: if expected == nq { 0 } else { nv },
+            });
+        }
+        match scene {
+            RobosuiteScene::Recorded(state) => {
+                // The controller is made where the arm is right after the model is loaded.
+                self.data.reset();
+                let mut start = self.data.qpos().to_vec();
+                for (at, angle) in self.model.robot.arm_coordinates.iter().zip(INITIAL_JOINTS) {
+                    start[*at] = angle;
+                }
+                self.set_state(0.0, &start, &vec![0.0; nv]);
+                self.controller = Controller::new(self.model.profile, &self.model.robot, &self.data);
+                self.set_state(state[0], &state[1..=nq], &state[1 + nq..]);
+                if first == FirstTorques::Fresh {
+                    self.controller.refresh(&self.model.robot, &self.data);
+                }
+            }
+            RobosuiteScene::Placed(coordinates) => {
+                self.set_state(0.0, coordinates, &vec![0.0; nv]);
+                self.controller = Controller::new(self.model.profile, &self.model.robot, &self.data);
+            }
+        }
+        Ok(self.observation())
+    }
+
+    fn step(&mut self, action: &RobosuiteAction) -> Result<RobosuiteStep, SimError> {
+        let (ArmAction::Delta(arm) | ArmAction::Absolute(arm)) = &action.arm;
+        let numbers = || arm.iter().chain(std::iter::once(&action.gripper));
+        if let Some(index) = numbers().position(|number| number.is_nan() || number.abs() >= GREATEST) {
+            return Err(SimError::NotFinite {
+                operation: "step",
+                task: self.model.task.environment(),
+                what: "action",
+                index,
+                value: numbers().nth(index).copied().unwrap_or(f64::NAN),
+            });
+        }
+        let robot = &self.model.robot;
+        for substep in 0..SIMULATION_STEPS {
+            self.data.motion_stages();
+            // robosuite 1.4 computes everything up to three times a step: once itself, once when its controller looks, once
+            // in the step. State and result are those of the last, but every time warm-starts the solver of the next.
+            if self.model.profile == Profile::V1_4 {
+                self.data.force_stages();
+                if self.controller.reads_state() {
+                    self.data.force_stages();
+                }
+            }
+            if substep == 0 {
+                self.controller.set_goal(&action.arm, robot, &self.data);
+            }
+            if substep == 0 || self.model.profile == Profile::V1_4 {
+                self.controller.move_gripper(action.gripper);
+            }
+            let torques = self.controller.torques(robot, &self.data);
+            let fingers = self.controller.gripper_control(robot);
+            let controls = self.data.ctrl_mut();
+            controls[..JOINTS].copy_from_slice(&torques);
+            controls[JOINTS..].copy_from_slice(&fingers);
+            self.data.force_stages();
+            self.data.euler();
+        }
+        self.finish_step()
+    }
+}
+
+/// Joint angles that robosuite's Panda starts from, before noise.
+pub const INITIAL_JOINTS: [f64; JOINTS] = [
+    0.0,
+    std::f64::consts::PI / 16.0,
+    0.0,
+    -std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_3,
+    0.0,
+    std::f64::consts::PI - 0.2,
+    std::f64::consts::FRAC_PI_4,
+];

@@ -1,0 +1,250 @@
+//! The index: bounds in ascending order, exact evaluation of the demonstrations that can win.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+
+use nalgebra::Isometry3;
+use re4_episode::Mode;
+
+use crate::spatial::metric::{Measure, State};
+use crate::spatial::tree::RegionTree;
+use crate::spatial::{IndexedSpatialFrame, SpatialDistances, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2};
+use crate::{IndexError, SearchStatistics};
+
+/// Retrieve over the frames of a set of demonstrations in space. Immutable; queries may run from many threads.
+pub struct SpatialIndex {
+    measure: Measure,
+    frames: Vec<IndexedSpatialFrame>,
+    modes: Vec<ModeIndex>,
+}
+
+/// Frames of one mode, demonstration after demonstration.
+struct ModeIndex {
+    mode: Mode,
+    /// Number and frames of each demonstration, in ascending order of the number.
+    demos: Vec<(u32, Range<usize>)>,
+    states: Vec<State>,
+    /// Frame inside the demonstration, of every state.
+    numbers: Vec<u32>,
+    tree: RegionTree,
+}
+
+impl SpatialIndex {
+    /// Builds the index.
+    ///
+    /// # Errors
+    /// When there are no frames, one has a coordinate that is not finite, two have the same number, or the metric has a scale
+    /// that is not above 0, a weight below 0 or a symmetry that is none.
+    pub fn build(mut frames: Vec<IndexedSpatialFrame>, metric: SpatialMetric) -> Result<Self, IndexError> {
+        let measure = Measure::new(metric)?;
+        if frames.is_empty() {
+            return Err(IndexError::Empty);
+        }
+        if u32::try_from(frames.len()).is_err() {
+            return Err(IndexError::TooLarge { frames: frames.len() });
+        }
+        frames.sort_by_key(|f| (f.episode, f.frame));
+        if let Some(pair) = frames
+            .windows(2)
+            .find(|w| (w[0].episode, w[0].frame) == (w[1].episode, w[1].frame))
+        {
+            return Err(IndexError::Duplicate {
+                episode: pair[0].episode,
+                frame: pair[0].frame,
+            });
+        }
+        let modes = Mode::ALL
+            .into_iter()
+            .map(|mode| ModeIndex::build(&measure, mode, &frames))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { measure, frames, modes })
+    }
+
+    /// Indexed frames, sorted by episode and frame.
+    pub fn frames(&self) -> &[IndexedSpatialFrame] {
+        &self.frames
+    }
+
+    /// Metric in force.
+    pub fn metric(&self) -> &SpatialMetric {
+        &self.measure.metric
+    }
+
+    /// Number of demonstrations with a frame of a mode.
+    pub fn demos(&self, mode: Mode) -> usize {
+        self.of_mode(mode).map_or(0, |m| m.demos.len())
+    }
+
+    /// The two-stage lookup. Demonstrations in `banned` rank after all others. `None` when no frame has the query's mode.
+    ///
+    /// # Errors
+    /// When the query is not finite.
+    pub fn retrieve(
+        &self,
+        query: &SpatialQuery,
+        stage2: Stage2,
+        banned: &BTreeSet<u32>,
+    ) -> Result<Option<SpatialRetrieved>, IndexError> {
+        Ok(self.retrieve_counted(query, stage2, banned)?.0)
+    }
+
+    /// [`Self::retrieve`], with what the search cost.
+    ///
+    /// # Errors
+    /// When the query is not finite.
+    pub fn retrieve_counted(
+        &self,
+        query: &SpatialQuery,
+        stage2: Stage2,
+        banned: &BTreeSet<u32>,
+    ) -> Result<(Option<SpatialRetrieved>, SearchStatistics), IndexError> {
+        let q = State::new(&query.eef, &query.object).ok_or(IndexError::QueryNotFinite)?;
+        let mut statistics = SearchStatistics::default();
+        let Some(mode) = self.of_mode(query.mode) else {
+            return Ok((None, statistics));
+        };
+        let mut skipped = vec![false; mode.demos.len()];
+        for number in banned {
+            if let Ok(at) = mode.demos.binary_search_by_key(number, |(number, _)| *number) {
+                skipped[at] = true;
+            }
+        }
+        let mut best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
+        if best.is_none() {
+            skipped.iter_mut().for_each(|skip| *skip = !*skip);
+            best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
+        }
+        Ok((best, statistics))
+    }
+
+    /// The same answer by looking at every frame, without what the tree saves: the rival in benchmarks.
+    ///
+    /// # Errors
+    /// When the query is not finite.
+    pub fn retrieve_scanning(
+        &self,
+        query: &SpatialQuery,
+        stage2: Stage2,
+        banned: &BTreeSet<u32>,
+    ) -> Result<Option<SpatialRetrieved>, IndexError> {
+        let q = State::new(&query.eef, &query.object).ok_or(IndexError::QueryNotFinite)?;
+        let Some(mode) = self.of_mode(query.mode) else {
+            return Ok(None);
+        };
+        let mut best: Option<(bool, f64, SpatialRetrieved)> = None;
+        for demo in 0..mode.demos.len() as u32 {
+            let Some(found) = mode.stage1(&self.measure, demo, &q) else {
+                continue;
+            };
+            let penalised = banned.contains(&found.episode);
+            let key = Measure::key(stage2, &found.distances);
+            if best.is_none_or(|(other, least, _)| (penalised, key) < (other, least)) {
+                best = Some((penalised, key, found));
+            }
+        }
+        Ok(best.map(|(.., found)| found))
+    }
+
+    /// Distances between a query and any state, indexed or not; its mode does not matter.
+    ///
+    /// # Errors
+    /// When the query or the state is not finite.
+    pub fn distances(
+        &self,
+        query: &SpatialQuery,
+        eef: &Isometry3<f64>,
+        object: &Isometry3<f64>,
+    ) -> Result<SpatialDistances, IndexError> {
+        let q = State::new(&query.eef, &query.object).ok_or(IndexError::QueryNotFinite)?;
+        let j = State::new(eef, object).ok_or(IndexError::QueryNotFinite)?;
+        self.measure
+            .distances_below(&q, &j, f64::INFINITY)
+            .ok_or(IndexError::QueryNotFinite)
+    }
+
+    fn of_mode(&self, mode: Mode) -> Option<&ModeIndex> {
+        self.modes.iter().find(|m| m.mode == mode)
+    }
+}
+
+impl ModeIndex {
+    fn build(measure: &Measure, mode: Mode, frames: &[IndexedSpatialFrame]) -> Result<Self, IndexError> {
+        let mut demos: Vec<(u32, Range<usize>)> = Vec::new();
+        let mut states = Vec::new();
+        let mut numbers = Vec::new();
+        for frame in frames.iter().filter(|f| f.mode == mode) {
+            let here = states.len();
+            match demos.last_mut() {
+                Some((number, range)) if *number == frame.episode => range.end = here + 1,
+                _ => demos.push((frame.episode, here..here + 1)),
+            }
+            states.push(State::new(&frame.eef, &frame.object).ok_or(IndexError::NotFinite {
+                episode: frame.episode,
+                frame: frame.frame,
+            })?);
+            numbers.push(frame.frame);
+        }
+        let tree = RegionTree::build(measure, demos.iter().map(|(_, range)| &states[range.clone()]));
+        Ok(Self {
+            mode,
+            demos,
+            states,
+            numbers,
+            tree,
+        })
+    }
+
+    /// Stage 1 in one demonstration.
+    fn stage1(&self, measure: &Measure, demo: u32, q: &State) -> Option<SpatialRetrieved> {
+        let (episode, range) = &self.demos[demo as usize];
+        let mut least = f64::INFINITY;
+        let mut chosen = None;
+        for (state, &frame) in self.states[range.clone()].iter().zip(&self.numbers[range.clone()]) {
+            if let Some(distances) = measure.distances_below(q, state, least) {
+                least = distances.d_q;
+                chosen = Some(SpatialRetrieved {
+                    episode: *episode,
+                    frame,
+                    distances,
+                });
+            }
+        }
+        chosen
+    }
+
+    /// The best of the demonstrations that are not skipped.
+    fn search(
+        &self,
+        measure: &Measure,
+        q: &State,
+        stage2: Stage2,
+        skipped: &[bool],
+        statistics: &mut SearchStatistics,
+    ) -> Option<SpatialRetrieved> {
+        let mut seen = skipped.to_vec();
+        let mut best: Option<(f64, u32, SpatialRetrieved)> = None;
+        let weight = match stage2 {
+            Stage2::Object => 1.0,
+            Stage2::State => measure.metric.object_weight,
+        };
+        self.tree.visit(measure, q, |bound, demo| {
+            if best.is_some_and(|(least, ..)| weight * bound > least) {
+                return false;
+            }
+            let seen = &mut seen[demo as usize];
+            if !*seen {
+                *seen = true;
+                statistics.demos_evaluated += 1;
+                statistics.frames_evaluated += self.demos[demo as usize].1.len() as u32;
+                if let Some(found) = self.stage1(measure, demo, q) {
+                    let key = Measure::key(stage2, &found.distances);
+                    if best.is_none_or(|(least, first, _)| (key, demo) < (least, first)) {
+                        best = Some((key, demo, found));
+                    }
+                }
+            }
+            true
+        });
+        best.map(|(.., found)| found)
+    }
+}

@@ -1,0 +1,169 @@
+//! A compiled scene, and where the robot and the object are in it.
+
+use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use re4_mujoco::{Data, Kind, Library, Model, MujocoError};
+
+use super::controller::JOINTS;
+use super::{Profile, RobosuiteTask};
+use crate::SimError;
+
+/// Actuators of a Panda with its gripper: seven torque motors, two position actuators.
+const ACTUATORS: usize = 9;
+/// Policy steps are 0.05 s, simulation steps 0.002 s.
+pub(super) const TIMESTEP: f64 = 0.002;
+
+/// Numbers and addresses of what is simulated.
+#[derive(Debug, Clone)]
+pub(super) struct Robot {
+    pub(super) arm_coordinates: [usize; JOINTS],
+    pub(super) arm_freedoms: [usize; JOINTS],
+    pub(super) finger_coordinates: [usize; 2],
+    pub(super) torque_range: [[f64; 2]; JOINTS],
+    pub(super) finger_range: [[f64; 2]; 2],
+    pub(super) grip_site: usize,
+    pub(super) hand: usize,
+    pub(super) object: usize,
+    pub(super) landmark: Option<usize>,
+}
+
+/// A compiled scene of a task. Cheap to clone, shared between simulations in several threads.
+#[derive(Clone)]
+pub struct RobosuiteModel {
+    pub(super) task: RobosuiteTask,
+    pub(super) profile: Profile,
+    pub(super) model: Model,
+    pub(super) robot: Robot,
+}
+
+impl RobosuiteModel {
+    /// Compiles the scene of a task from MJCF whose files are named by absolute paths, as a demonstration's `model_file` after
+    /// its paths were rewritten.
+    ///
+    /// # Errors
+    /// When MuJoCo refuses the model, or it is not a scene of the task with one Panda of this profile.
+    pub fn compile(library: &Library, task: RobosuiteTask, profile: Profile, mjcf: &str) -> Result<Self, SimError> {
+        let model = Model::compile(library, mjcf).map_err(|source| SimError::Mujoco {
+            task: task.environment(),
+            source,
+        })?;
+        let robot = Robot::find(&model, task, profile)?;
+        Ok(Self {
+            task,
+            profile,
+            model,
+            robot,
+        })
+    }
+
+    /// The task.
+    #[must_use]
+    pub fn task(&self) -> RobosuiteTask {
+        self.task
+    }
+
+    /// The version of robosuite whose behaviour is reproduced.
+    #[must_use]
+    pub fn profile(&self) -> Profile {
+        self.profile
+    }
+
+    /// The compiled model, such as for drawing.
+    #[must_use]
+    pub fn mujoco(&self) -> &Model {
+        &self.model
+    }
+
+    /// Numbers of a flattened state: time, coordinates, velocities.
+    #[must_use]
+    pub fn state_length(&self) -> usize {
+        1 + self.model.nq() + self.model.nv()
+    }
+}
+
+impl Robot {
+    fn find(model: &Model, task: RobosuiteTask, profile: Profile) -> Result<Self, SimError> {
+        let lacks = |error: MujocoError| SimError::Model {
+            task: task.environment(),
+            reason: error.to_string(),
+        };
+        if model.nu() != ACTUATORS {
+            return Err(SimError::Model {
+                task: task.environment(),
+                reason: format!(
+                    "the model has {} actuators, a Panda with its gripper has {ACTUATORS}",
+                    model.nu()
+                ),
+            });
+        }
+        if model.timestep() != TIMESTEP {
+            return Err(SimError::Model {
+                task: task.environment(),
+                reason: format!("the model's time step is {} s, not {TIMESTEP} s", model.timestep()),
+            });
+        }
+        if model.na() != 0 {
+            return Err(SimError::Model {
+                task: task.environment(),
+                reason: "the model has actuators with a state of their own".to_owned(),
+            });
+        }
+        let mut arm_coordinates = [0; JOINTS];
+        let mut arm_freedoms = [0; JOINTS];
+        for i in 0..JOINTS {
+            (arm_coordinates[i], arm_freedoms[i]) = model.joint(&format!("robot0_joint{}", i + 1)).map_err(lacks)?;
+        }
+        let [first, second] = profile.finger_joints();
+        let object_joint = format!("{}_joint0", task.object());
+        if !model.joint_is_free(&object_joint).map_err(lacks)? {
+            return Err(SimError::Model {
+                task: task.environment(),
+                reason: format!("the joint {object_joint} is not a free one"),
+            });
+        }
+        Ok(Self {
+            arm_coordinates,
+            arm_freedoms,
+            finger_coordinates: [
+                model.joint(first).map_err(lacks)?.0,
+                model.joint(second).map_err(lacks)?.0,
+            ],
+            torque_range: std::array::from_fn(|i| model.control_range(i)),
+            finger_range: std::array::from_fn(|i| model.control_range(JOINTS + i)),
+            grip_site: model.id(Kind::Site, profile.grip_site()).map_err(lacks)?,
+            hand: model.id(Kind::Body, "robot0_right_hand").map_err(lacks)?,
+            object: model
+                .id(Kind::Body, &format!("{}_main", task.object()))
+                .map_err(lacks)?,
+            landmark: task
+                .landmark()
+                .map(|name| model.id(Kind::Body, name))
+                .transpose()
+                .map_err(lacks)?,
+        })
+    }
+
+    pub(super) fn site_position(&self, data: &Data) -> Vector3<f64> {
+        Vector3::from_column_slice(&data.site_xpos()[3 * self.grip_site..][..3])
+    }
+
+    pub(super) fn site_rotation(&self, data: &Data) -> Matrix3<f64> {
+        Matrix3::from_row_slice(&data.site_xmat()[9 * self.grip_site..][..9])
+    }
+
+    pub(super) fn body_position(data: &Data, body: usize) -> Vector3<f64> {
+        Vector3::from_column_slice(&data.xpos()[3 * body..][..3])
+    }
+
+    /// Rotation of a body, as MuJoCo holds it, sign and all.
+    pub(super) fn body_rotation(data: &Data, body: usize) -> UnitQuaternion<f64> {
+        let [w, x, y, z] = std::array::from_fn(|i| data.xquat()[4 * body + i]);
+        UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z))
+    }
+
+    pub(super) fn body_pose(data: &Data, body: usize) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::from(Self::body_position(data, body)),
+            Self::body_rotation(data, body),
+        )
+    }
+}

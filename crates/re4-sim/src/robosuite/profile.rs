@@ -1,0 +1,57 @@
+//! What differs between robosuite's versions.
+
+use re4_mujoco::Version;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A version of robosuite whose behaviour is reproduced.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+pub enum Profile {
+    /// 1.4 (checked against 1.4.1 on MuJoCo 2.3.7).
+    #[serde(rename = "1.4")]
+    V1_4,
+    /// 1.5 (checked against 1.5.1 on MuJoCo 3.2.7).
+    #[serde(rename = "1.5")]
+    V1_5,
+}
+
+impl Profile {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::V1_4, Self::V1_5];
+
+    /// The profile of a version as files declare it, such as `1.4.1`.
+    #[must_use]
+    pub fn of(version: &str) -> Option<Self> {
+        let mut parts = version.split('.');
+        match (parts.next(), parts.next()) {
+            (Some("1"), Some("4")) => Some(Self::V1_4),
+            (Some("1"), Some("5")) => Some(Self::V1_5),
+            _ => None,
+        }
+    }
+
+    /// The MuJoCo that this robosuite runs on here.
+    #[must_use]
+    pub fn mujoco(self) -> Version {
+        match self {
+            Self::V1_4 => Version::V2_3_7,
+            Self::V1_5 => Version::V3_2_7,
+        }
+    }
+
+    /// The site that the controller steers.
+    pub(super) fn grip_site(self) -> &'static str {
+        match self {
+            Self::V1_4 => "gripper0_grip_site",
+            Self::V1_5 => "gripper0_right_grip_site",
+        }
+    }
+
+    /// The joints of the two fingers.
+    pub(super) fn finger_joints(self) -> [&'static str; 2] {
+        match self {
+            Self::V1_4 => ["gripper0_finger_joint1", "gripper0_finger_joint2"],
+            Self::V1_5 => ["gripper0_right_finger_joint1", "gripper0_right_finger_joint2"],
+        }
+    }
+}
