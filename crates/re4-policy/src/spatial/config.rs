@@ -301,21 +301,56 @@ impl SpatialPolicyConfig {
             }
         };
         let at_least_1 = |v: f64| v >= 1.0;
-        number("retrieve.translation_scale", retrieve.translation_scale, &positive, over_0)?;
+        number(
+            "retrieve.translation_scale",
+            retrieve.translation_scale,
+            &positive,
+            over_0,
+        )?;
         number("retrieve.rotation_scale", retrieve.rotation_scale, &positive, over_0)?;
         number("retrieve.object_weight", retrieve.object_weight, &not_negative, from_0)?;
         number("retrieve.eef_weight", retrieve.eef_weight, &not_negative, from_0)?;
-        number("retrieve.commit_margin", retrieve.commit_margin.unwrap_or(0.0), &not_negative, from_0)?;
+        number(
+            "retrieve.commit_margin",
+            retrieve.commit_margin.unwrap_or(0.0),
+            &not_negative,
+            from_0,
+        )?;
         number("replan.lead_translation", replan.lead_translation, &positive, over_0)?;
         number("replan.lead_rotation", replan.lead_rotation, &positive, over_0)?;
-        number("replan.tolerance_translation", replan.tolerance_translation, &positive, over_0)?;
-        number("replan.tolerance_rotation", replan.tolerance_rotation, &positive, over_0)?;
+        number(
+            "replan.tolerance_translation",
+            replan.tolerance_translation,
+            &positive,
+            over_0,
+        )?;
+        number(
+            "replan.tolerance_rotation",
+            replan.tolerance_rotation,
+            &positive,
+            over_0,
+        )?;
         number("replay.horizon", f64::from(replay.horizon), &at_least_1, from_1)?;
-        number("recovery.lost_grasp", recovery.lost_grasp.unwrap_or(0.0), &not_negative, from_0)?;
-        number("recovery.home_steps", f64::from(recovery.home_steps), &at_least_1, from_1)?;
+        number(
+            "recovery.lost_grasp",
+            recovery.lost_grasp.unwrap_or(0.0),
+            &not_negative,
+            from_0,
+        )?;
+        number(
+            "recovery.home_steps",
+            f64::from(recovery.home_steps),
+            &at_least_1,
+            from_1,
+        )?;
         let repeats = ban.map_or(2, |ban| ban.repeats);
         number("recovery.ban.repeats", f64::from(repeats), &|v| v >= 2.0, "2 or more")?;
-        number("filter.samples", f64::from(filter.map_or(1, |f| f.samples)), &at_least_1, from_1)?;
+        number(
+            "filter.samples",
+            f64::from(filter.map_or(1, |f| f.samples)),
+            &at_least_1,
+            from_1,
+        )?;
         number("filter.gate", filter.map_or(1.0, |f| f.gate), &positive, over_0)
     }
 }

@@ -129,11 +129,16 @@ impl SpatialRe4 {
 impl SpatialPolicy for SpatialRe4 {
     fn act(&mut self, observation: &SpatialObservation) -> Result<SpatialAct, PolicyError> {
         let fingers = observation.fingers;
-        let sound = is_sound(&observation.eef) && is_sound(&observation.object) && fingers.iter().all(|f| f.is_finite());
+        let sound =
+            is_sound(&observation.eef) && is_sound(&observation.object) && fingers.iter().all(|f| f.is_finite());
         if !sound {
             return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
         }
-        let mode = if self.gripper > 0.0 { Mode::Transfer } else { Mode::Transit };
+        let mode = if self.gripper > 0.0 {
+            Mode::Transfer
+        } else {
+            Mode::Transit
+        };
         let seen = Seen {
             mode,
             eef: observation.eef,
@@ -274,7 +279,10 @@ impl SpatialRe4 {
             _ => self.followed.map(|followed| followed.demo),
         };
         let grasped_by = self.grasped_by.take();
-        for demo in [grasped_by, followed.filter(|_| followed != grasped_by)].into_iter().flatten() {
+        for demo in [grasped_by, followed.filter(|_| followed != grasped_by)]
+            .into_iter()
+            .flatten()
+        {
             self.ban(demo);
         }
         self.go_home(SpatialDecisionKind::GraspLost, seen)
