@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::Gl;
+
 /// Why MuJoCo cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -57,6 +59,30 @@ pub enum MujocoError {
         kind: &'static str,
         /// Its name.
         name: String,
+    },
+    /// Neither of the OpenGL libraries is there.
+    #[error("cannot draw pictures: {reason}; install the Debian package libosmesa6, or libegl1 and libgl1-mesa-dri")]
+    NoGl {
+        /// What was tried, and the system's words.
+        reason: String,
+    },
+    /// The environment variable that chooses between them says something else.
+    #[error(
+        "the environment variable RE4_GL is {found}; set it to osmesa or egl, or leave it out to take what is there"
+    )]
+    GlName {
+        /// What it says.
+        found: String,
+    },
+    /// OpenGL refuses to work.
+    #[error(
+        "cannot draw pictures with {gl}: {reason}; choose the other library with the environment variable RE4_GL (osmesa or egl)"
+    )]
+    Gl {
+        /// `osmesa` or `egl`.
+        gl: Gl,
+        /// What failed.
+        reason: &'static str,
     },
     /// There is no memory for a simulation.
     #[error("MuJoCo has no memory for a simulation; run with fewer jobs")]

@@ -33,11 +33,18 @@ impl Version {
         }
     }
 
-    /// Every offset by the name of its field, as a C expression in `mjModel` (`m`) or `mjData` (`d`): for tests against the
-    /// headers.
+    /// Every offset by the name of its field, as a C expression in `mjModel` (`m`), `mjData` (`d`), `mjvOption` (`option`),
+    /// `mjvCamera` (`camera`), `mjvScene` (`scene`), `mjvGeom` (`geom`), `mjvGLCamera` (`eye`) or `mjrContext` (`context`):
+    /// for tests against the headers.
     #[must_use]
     pub fn offsets(self) -> Vec<(&'static str, usize)> {
         self.layout().named()
+    }
+
+    /// Sizes of whole structures, in bytes, by their names: for tests against the headers.
+    #[must_use]
+    pub fn sizes(self) -> Vec<(&'static str, usize)> {
+        self.layout().sizes.named()
     }
 }
 
@@ -55,6 +62,8 @@ macro_rules! layout {
         /// Offsets of fields.
         pub(crate) struct Layout {
             $($(#[$doc])* pub(crate) $field: usize,)*
+            /// Sizes of structures that are made here.
+            pub(crate) sizes: Sizes,
         }
 
         impl Layout {
@@ -63,6 +72,31 @@ macro_rules! layout {
             }
         }
     };
+}
+
+/// Sizes of structures, in bytes.
+pub(crate) struct Sizes {
+    pub(crate) option: usize,
+    pub(crate) camera: usize,
+    pub(crate) perturb: usize,
+    pub(crate) scene: usize,
+    pub(crate) geom: usize,
+    pub(crate) eye: usize,
+    pub(crate) context: usize,
+}
+
+impl Sizes {
+    fn named(&self) -> Vec<(&'static str, usize)> {
+        vec![
+            ("mjvOption", self.option),
+            ("mjvCamera", self.camera),
+            ("mjvPerturb", self.perturb),
+            ("mjvScene", self.scene),
+            ("mjvGeom", self.geom),
+            ("mjvGLCamera", self.eye),
+            ("mjrContext", self.context),
+        ]
+    }
 }
 
 layout! {
@@ -112,6 +146,62 @@ layout! {
     xquat = "d.xquat",
     /// Counts of warnings.
     warning = "d.warning",
+    /// Which groups of geoms are drawn.
+    geomgroup = "option.geomgroup",
+    /// Which groups of sites are drawn.
+    sitegroup = "option.sitegroup",
+    /// Kind of camera.
+    camera_type = "camera.type",
+    /// Number of a camera of the model.
+    fixedcamid = "camera.fixedcamid",
+    /// Number of things to draw.
+    scene_ngeom = "scene.ngeom",
+    /// Things to draw.
+    scene_geoms = "scene.geoms",
+    /// Both eyes.
+    scene_camera = "scene.camera",
+    /// Width of the buffer.
+    context_width = "context.offWidth",
+    /// Which buffer is drawn to.
+    context_buffer = "context.currentBuffer",
+    /// Number of cameras.
+    ncam = "m.ncam",
+    /// What is drawn how.
+    scene_flags = "scene.flags",
+    /// Kind of a thing.
+    geom_type = "geom.type",
+    /// What it shows.
+    geom_objtype = "geom.objtype",
+    /// Number of what it shows.
+    geom_objid = "geom.objid",
+    /// Sizes.
+    geom_size = "geom.size",
+    /// Position.
+    geom_pos = "geom.pos",
+    /// Orientation.
+    geom_mat = "geom.mat",
+    /// Colour.
+    geom_rgba = "geom.rgba",
+    /// How much it reflects.
+    geom_reflectance = "geom.reflectance",
+    /// Position of an eye.
+    eye_pos = "eye.pos",
+    /// Where it looks to.
+    eye_forward = "eye.forward",
+    /// Its upward direction.
+    eye_up = "eye.up",
+    /// Shift of its picture.
+    eye_center = "eye.frustum_center",
+    /// Lower edge of its picture.
+    eye_bottom = "eye.frustum_bottom",
+    /// Upper edge of its picture.
+    eye_top = "eye.frustum_top",
+    /// Distance of the picture.
+    eye_near = "eye.frustum_near",
+    /// Number of geoms.
+    ngeom = "m.ngeom",
+    /// Bounding boxes of geoms.
+    geom_aabb = "m.geom_aabb",
 }
 
 static LAYOUT_2_3_7: Layout = Layout {
@@ -138,6 +228,43 @@ static LAYOUT_2_3_7: Layout = Layout {
     xpos: 40560,
     xquat: 40568,
     warning: 56,
+    geomgroup: 8,
+    sitegroup: 14,
+    camera_type: 0,
+    fixedcamid: 4,
+    scene_ngeom: 4,
+    scene_geoms: 8,
+    scene_camera: 8476,
+    context_width: 40,
+    context_buffer: 2300,
+    ncam: 36,
+    scene_flags: 8628,
+    geom_type: 0,
+    geom_objtype: 8,
+    geom_objid: 12,
+    geom_size: 44,
+    geom_pos: 56,
+    geom_mat: 68,
+    geom_rgba: 104,
+    geom_reflectance: 132,
+    eye_pos: 0,
+    eye_forward: 12,
+    eye_up: 24,
+    eye_center: 36,
+    eye_bottom: 40,
+    eye_top: 44,
+    eye_near: 48,
+    ngeom: 28,
+    geom_aabb: 1720,
+    sizes: Sizes {
+        option: 76,
+        camera: 64,
+        perturb: 136,
+        scene: 8_656,
+        geom: 248,
+        eye: 56,
+        context: 2_312,
+    },
 };
 
 static LAYOUT_3_2_7: Layout = Layout {
@@ -164,4 +291,41 @@ static LAYOUT_3_2_7: Layout = Layout {
     xpos: 161_792,
     xquat: 161_800,
     warning: 161_280,
+    geomgroup: 8,
+    sitegroup: 14,
+    camera_type: 0,
+    fixedcamid: 4,
+    scene_ngeom: 4,
+    scene_geoms: 8,
+    scene_camera: 8980,
+    context_width: 40,
+    context_buffer: 61_500,
+    ncam: 44,
+    scene_flags: 9148,
+    geom_type: 0,
+    geom_objtype: 8,
+    geom_objid: 12,
+    geom_size: 32,
+    geom_pos: 44,
+    geom_mat: 56,
+    geom_rgba: 92,
+    geom_reflectance: 120,
+    eye_pos: 0,
+    eye_forward: 12,
+    eye_up: 24,
+    eye_center: 36,
+    eye_bottom: 44,
+    eye_top: 48,
+    eye_near: 52,
+    ngeom: 36,
+    geom_aabb: 1976,
+    sizes: Sizes {
+        option: 92,
+        camera: 72,
+        perturb: 144,
+        scene: 9_176,
+        geom: 236,
+        eye: 64,
+        context: 61_512,
+    },
 };

@@ -11,12 +11,17 @@
 
 mod data;
 mod error;
+mod gl;
 mod layout;
 mod library;
 mod model;
+mod render;
+mod trim;
 
 pub use data::Data;
 pub use error::MujocoError;
+pub use gl::Gl;
 pub use layout::Version;
 pub use library::Library;
 pub use model::{Kind, Model};
+pub use render::Renderer;

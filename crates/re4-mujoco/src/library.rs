@@ -9,6 +9,16 @@ use crate::{MujocoError, Version};
 /// Name of the library's file in its folder.
 const FILE: &str = "libmujoco.so";
 
+/// `mjrRect`: left, bottom, width and height, in pixels.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub(crate) struct Viewport {
+    pub(crate) left: c_int,
+    pub(crate) bottom: c_int,
+    pub(crate) width: c_int,
+    pub(crate) height: c_int,
+}
+
 macro_rules! functions {
     ($($name:ident: fn($($argument:ty),*) $(-> $result:ty)?;)*) => {
         /// The library's functions, as `mujoco.h` declares them; models and data are passed as untyped pointers.
@@ -46,6 +56,20 @@ functions! {
     mj_jacSite: fn(*const c_void, *const c_void, *mut f64, *mut f64, c_int);
     mj_fullM: fn(*const c_void, *mut f64, *const f64);
     mj_name2id: fn(*const c_void, c_int, *const c_char) -> c_int;
+    mjv_defaultCamera: fn(*mut c_void);
+    mjv_defaultOption: fn(*mut c_void);
+    mjv_defaultPerturb: fn(*mut c_void);
+    mjv_defaultScene: fn(*mut c_void);
+    mjv_makeScene: fn(*const c_void, *mut c_void, c_int);
+    mjv_freeScene: fn(*mut c_void);
+    mjv_updateScene: fn(*const c_void, *mut c_void, *const c_void, *const c_void, *mut c_void, c_int, *mut c_void);
+    mjr_defaultContext: fn(*mut c_void);
+    mjr_makeContext: fn(*const c_void, *mut c_void, c_int);
+    mjr_freeContext: fn(*mut c_void);
+    mjr_resizeOffscreen: fn(c_int, c_int, *mut c_void);
+    mjr_setBuffer: fn(c_int, *mut c_void);
+    mjr_render: fn(Viewport, *mut c_void, *const c_void);
+    mjr_readPixels: fn(*mut u8, *mut f32, Viewport, *const c_void);
 }
 
 pub(crate) struct Inner {

@@ -182,6 +182,19 @@ impl Model {
         self.count(self.layout().nsite)
     }
 
+    /// Number of cameras.
+    #[must_use]
+    pub fn cameras(&self) -> usize {
+        self.count(self.layout().ncam)
+    }
+
+    /// Bounding box of a geom in its own frame: centre and half sizes.
+    pub(crate) fn bounding_box(&self, geom: usize) -> [f64; 6] {
+        // SAFETY: the array has six doubles for every geom.
+        let boxes = unsafe { self.array::<[f64; 6]>(self.layout().geom_aabb, self.count(self.layout().ngeom)) };
+        boxes[geom]
+    }
+
     fn joints(&self) -> usize {
         self.count(self.layout().njnt)
     }

@@ -9,11 +9,13 @@ use re4_policy::spatial::{
 };
 use toy::{Episode, Random, block, demonstrate, demonstrations, episode, knowledge};
 
-/// Success over perturbed placements.
-fn successes(config: &SpatialPolicyConfig, demos: u32, noise: f64) -> usize {
+/// Successes over 40 perturbed placements, and grasps lost in them. `noise` is in mm and degrees; `catch` in metres, see
+/// [`World`].
+fn outcomes(config: &SpatialPolicyConfig, demos: u32, noise: f64, catch: f64) -> (usize, usize) {
     let knowledge = knowledge(demonstrations(demos, 0.6, 1), config, Symmetry::None);
     let mut random = Random::new(2);
-    (0..40)
+    let mut lost = 0;
+    let successes = (0..40)
         .filter(|&seed| {
             let placed = block(
                 random.range(-0.15, 0.05),
@@ -21,25 +23,52 @@ fn successes(config: &SpatialPolicyConfig, demos: u32, noise: f64) -> usize {
                 random.range(-0.6, 0.6),
             );
             let noise = PoseNoise::new(seed, 0.001 * noise, noise.to_radians());
-            episode(config, &knowledge, placed, Some(noise), |_, _| {}).success
+            let run = episode(config, &knowledge, placed, Some(noise), |_, world| world.catch = catch);
+            lost += kinds(&run)
+                .iter()
+                .filter(|kind| **kind == SpatialDecisionKind::GraspLost)
+                .count();
+            run.success
         })
-        .count()
+        .count();
+    (successes, lost)
+}
+
+/// Successes alone.
+fn successes(config: &SpatialPolicyConfig, demos: u32) -> usize {
+    outcomes(config, demos, 0.0, 0.012).0
 }
 
 #[test]
 fn re4_generalises_from_five_demonstrations_and_re2_does_not() {
-    assert_eq!(successes(&SpatialPolicyConfig::re4(), 5, 0.0), 40);
-    let paper = successes(&SpatialPolicyConfig::paper(), 5, 0.0);
+    assert_eq!(successes(&SpatialPolicyConfig::re4(), 5), 40);
+    let paper = successes(&SpatialPolicyConfig::paper(), 5);
     assert!(paper >= 36, "{paper}");
-    let re2 = successes(&SpatialPolicyConfig::re2(), 5, 0.0);
+    let re2 = successes(&SpatialPolicyConfig::re2(), 5);
     assert!(re2 <= 12, "{re2}");
 }
 
 #[test]
-fn averaging_and_commitment_help_against_noise() {
-    let re4 = successes(&SpatialPolicyConfig::re4(), 20, 5.0);
-    let paper = successes(&SpatialPolicyConfig::paper(), 20, 5.0);
-    assert!(re4 >= 36 && re4 > paper, "{re4}, {paper}");
+fn averaged_poses_help_against_noise() {
+    let averaged = outcomes(&SpatialPolicyConfig::re4(), 20, 5.0, 0.008);
+    let mut single = SpatialPolicyConfig::re4();
+    single.filter = None;
+    let single = outcomes(&single, 20, 5.0, 0.008);
+    assert!(averaged.0 >= 39 && averaged.1 <= 2, "{averaged:?}");
+    assert!(
+        single.0 < averaged.0 && single.1 > 5 * averaged.1.max(1),
+        "{single:?}, {averaged:?}"
+    );
+}
+
+#[test]
+fn no_decision_while_the_fingers_close_saves_grasps() {
+    let settled = outcomes(&SpatialPolicyConfig::re4(), 20, 0.0, 0.008);
+    let mut hasty = SpatialPolicyConfig::re4();
+    hasty.replay.settle = None;
+    let hasty = outcomes(&hasty, 20, 0.0, 0.008);
+    assert_eq!(settled, (40, 0));
+    assert!(hasty.1 > 0, "{hasty:?}");
 }
 
 #[test]
@@ -48,11 +77,12 @@ fn every_step_can_be_switched_off_alone() {
     no_bridge.replan.enabled = false;
     let mut no_reframe = SpatialPolicyConfig::paper();
     no_reframe.reframe.enabled = false;
-    for config in [no_bridge, no_reframe] {
+    for config in [SpatialPolicyConfig::paper(), no_bridge, no_reframe] {
         let knowledge = knowledge(demonstrations(5, 0.6, 1), &config, Symmetry::None);
         let run = episode(&config, &knowledge, block(0.0, -0.1, 0.2), None, |_, _| {});
         let decisions = run.decisions();
-        assert!(!config.replan.enabled || run.steps(SpatialPhase::Bridge) > 0);
+        let all = config.replan.enabled && config.reframe.enabled;
+        assert!(!all || run.steps(SpatialPhase::Bridge) > 0);
         assert!(config.replan.enabled || run.steps(SpatialPhase::Bridge) == 0);
         let moved = decisions
             .iter()
@@ -79,7 +109,7 @@ fn a_missed_grasp_leads_home_and_to_another_demonstration() {
     let mut misses = 0;
     let run = episode(&config, &knowledge, placed, None, |_, world| {
         world.slippery = misses == 0;
-        if world.separation == 0.0 {
+        if world.separation < 0.011 {
             misses = 1;
         }
     });
@@ -212,8 +242,9 @@ fn a_demonstration_is_followed_through_with_commitment() {
     assert!(run.success);
     let choices: Vec<_> = run.decisions().iter().filter_map(|d| d.choice).collect();
     assert!(choices.iter().all(|c| c.demo == choices[0].demo));
+    // Chunks run on while the fingers move, and never go back.
     assert!(
-        choices.windows(2).all(|w| w[1].demo_frame == w[0].demo_end + 1),
+        choices.windows(2).all(|w| w[1].demo_frame > w[0].demo_end),
         "{choices:?}"
     );
     assert_eq!(kinds(&run)[1..], vec![SpatialDecisionKind::Continue; choices.len() - 1]);

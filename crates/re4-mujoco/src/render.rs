@@ -1,0 +1,224 @@
+//! Pictures of a simulation, as robosuite draws them.
+
+use std::ffi::{c_int, c_void};
+use std::sync::PoisonError;
+
+use crate::gl::{Context, MAKING};
+use crate::library::Viewport;
+use crate::trim::trim;
+use crate::{Data, Gl, Kind, Model, MujocoError};
+
+/// Things that a scene may hold, as robosuite has it.
+const MAX_GEOMS: c_int = 1_000;
+
+/// `mjFONTSCALE_150`; nothing is written in the pictures.
+const FONT_SCALE: c_int = 150;
+
+/// `mjFB_OFFSCREEN`.
+const OFFSCREEN: c_int = 1;
+
+/// `mjCAMERA_FIXED`: one of the model's.
+const FIXED: c_int = 2;
+
+/// `mjCAT_ALL`.
+const ALL: c_int = 7;
+
+/// Groups of geoms and of sites (`mjNGROUP`).
+const GROUPS: usize = 6;
+
+/// One of MuJoCo's structures, of a size that the version says, aligned as C wants it.
+struct Block(Box<[u64]>);
+
+impl Block {
+    fn new(size: usize) -> Self {
+        Self(vec![0; size.div_ceil(8)].into_boxed_slice())
+    }
+
+    fn pointer(&mut self) -> *mut c_void {
+        self.0.as_mut_ptr().cast()
+    }
+
+    /// # Safety
+    /// The structure has `T` at this offset.
+    unsafe fn set<T>(&mut self, offset: usize, value: T) {
+        debug_assert!(offset + size_of::<T>() <= self.0.len() * 8);
+        // SAFETY: by the caller.
+        unsafe { self.pointer().byte_add(offset).cast::<T>().write(value) }
+    }
+
+    /// # Safety
+    /// As for [`Block::set`].
+    unsafe fn get<T: Copy>(&mut self, offset: usize) -> T {
+        debug_assert!(offset + size_of::<T>() <= self.0.len() * 8);
+        // SAFETY: by the caller.
+        unsafe { self.pointer().byte_add(offset).cast::<T>().read() }
+    }
+}
+
+/// Draws simulations of one model, in the thread that made it.
+///
+/// Pictures are those of robosuite's off-screen renderer: geoms of group 0 (what collides) and sites are left out, everything
+/// else is as MuJoCo has it by default.
+pub struct Renderer {
+    model: Model,
+    option: Block,
+    perturb: Block,
+    camera: Block,
+    scene: Block,
+    context: Block,
+    width: usize,
+    height: usize,
+    trimmed: bool,
+    /// Dropped last.
+    gl: Context,
+}
+
+impl Renderer {
+    /// A renderer of pictures of this size, in pixels.
+    ///
+    /// # Errors
+    /// When there is no OpenGL library, or it refuses to work.
+    pub fn new(model: &Model, width: usize, height: usize) -> Result<Self, MujocoError> {
+        let mut gl = Context::new()?;
+        gl.make_current()?;
+        let layout = model.library().version().layout();
+        let functions = model.library().functions();
+        let sizes = &layout.sizes;
+        let [mut option, mut perturb, mut camera, mut scene, mut context] =
+            [sizes.option, sizes.perturb, sizes.camera, sizes.scene, sizes.context].map(Block::new);
+        let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: each structure has the size and the fields of this version, the OpenGL context is current, and the scene and
+        // the drawing context are freed when the renderer is dropped.
+        unsafe {
+            (functions.mjv_defaultOption)(option.pointer());
+            option.set(layout.geomgroup, 0_u8);
+            option.set(layout.sitegroup, [0_u8; GROUPS]);
+            (functions.mjv_defaultPerturb)(perturb.pointer());
+            (functions.mjv_defaultCamera)(camera.pointer());
+            camera.set(layout.camera_type, FIXED);
+            (functions.mjv_defaultScene)(scene.pointer());
+            (functions.mjv_makeScene)(model.pointer(), scene.pointer(), MAX_GEOMS);
+            (functions.mjr_defaultContext)(context.pointer());
+            (functions.mjr_makeContext)(model.pointer(), context.pointer(), FONT_SCALE);
+            (functions.mjr_setBuffer)(OFFSCREEN, context.pointer());
+            // A buffer no larger than the picture: clearing and resolving it takes time.
+            (functions.mjr_resizeOffscreen)(width as c_int, height as c_int, context.pointer());
+        }
+        // SAFETY: the field is an `int`.
+        if unsafe { context.get::<c_int>(layout.context_buffer) } != OFFSCREEN {
+            return Err(MujocoError::Gl {
+                gl: Gl::of_process()?,
+                reason: "it has no buffers to draw to without a screen",
+            });
+        }
+        Ok(Self {
+            model: model.clone(),
+            option,
+            perturb,
+            camera,
+            scene,
+            context,
+            width,
+            height,
+            trimmed: std::env::var_os("RE4_TRY_WHOLE").is_none(),
+            gl,
+        })
+    }
+
+    /// Width and height of its pictures, in pixels.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Draws what a camera of the model sees: rows from top to bottom, three bytes (red, green, blue) a pixel. Poses must be up
+    /// to date ([`Data::forward`]).
+    ///
+    /// # Errors
+    /// When the model has no such camera, or OpenGL does not work in this thread.
+    ///
+    /// # Panics
+    /// When the simulation is of another model.
+    pub fn draw(&mut self, data: &mut Data, camera: &str) -> Result<Vec<u8>, MujocoError> {
+        let mut pixels = vec![0; 3 * self.width * self.height];
+        let id = self.model.id(Kind::Camera, camera)?;
+        self.draw_into(data, id, &mut pixels)?;
+        Ok(pixels)
+    }
+
+    /// [`Renderer::draw`] for a camera of this number, into a buffer.
+    ///
+    /// # Errors
+    /// When OpenGL does not work in this thread.
+    ///
+    /// # Panics
+    /// When the simulation is of another model, or the buffer of another length than that of a picture.
+    pub fn draw_into(&mut self, data: &mut Data, camera: usize, pixels: &mut [u8]) -> Result<(), MujocoError> {
+        assert!(data.model().pointer() == self.model.pointer() && camera < self.model.cameras());
+        assert!(pixels.len() == 3 * self.width * self.height);
+        self.gl.make_current()?;
+        let library = self.model.library().clone();
+        let functions = library.functions();
+        let viewport = Viewport {
+            left: 0,
+            bottom: 0,
+            width: self.width as c_int,
+            height: self.height as c_int,
+        };
+        // SAFETY: all structures are those of this version and were made for this model, the context is current, and the
+        // buffer has the size of the picture.
+        unsafe {
+            self.camera.set(library.version().layout().fixedcamid, camera as c_int);
+            (functions.mjv_updateScene)(
+                self.model.pointer(),
+                data.pointer(),
+                self.option.pointer(),
+                self.perturb.pointer(),
+                self.camera.pointer(),
+                ALL,
+                self.scene.pointer(),
+            );
+            if self.trimmed {
+                trim(
+                    self.scene.pointer(),
+                    &self.model,
+                    self.width as f64 / self.height as f64,
+                );
+            }
+            (functions.mjr_render)(viewport, self.scene.pointer(), self.context.pointer());
+            (functions.mjr_readPixels)(
+                pixels.as_mut_ptr(),
+                std::ptr::null_mut(),
+                viewport,
+                self.context.pointer(),
+            );
+        }
+        flip(pixels, 3 * self.width);
+        Ok(())
+    }
+}
+
+impl Drop for Renderer {
+    fn drop(&mut self) {
+        let library = self.model.library().clone();
+        let functions = library.functions();
+        let current = self.gl.make_current().is_ok();
+        let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: both were made by the renderer and are not used again. What lies in OpenGL's memory goes with its context,
+        // should that not be current.
+        unsafe {
+            (functions.mjv_freeScene)(self.scene.pointer());
+            if current {
+                (functions.mjr_freeContext)(self.context.pointer());
+            }
+        }
+    }
+}
+
+/// OpenGL's rows go from bottom to top.
+fn flip(pixels: &mut [u8], row: usize) {
+    let mut rows = pixels.chunks_exact_mut(row);
+    while let (Some(top), Some(bottom)) = (rows.next(), rows.next_back()) {
+        top.swap_with_slice(bottom);
+    }
+}

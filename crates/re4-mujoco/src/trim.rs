@@ -1,0 +1,423 @@
+//! Leaving out of a scene what cannot touch a single pixel.
+//!
+//! Drawing time goes into the robot's meshes, a hundred thousand triangles, most of which are out of the picture when a camera
+//! looks at a table; and they are drawn twice where something reflects. Meshes whose bounding box lies outside of what the
+//! camera sees, directly and in the mirror, are taken out of the scene; the mirror pass is left out where one box covers the
+//! whole picture. What is drawn stays the same to the last bit. In scenes that are not understood nothing is left out.
+//!
+//! MuJoCo reflects in one thing: the first plane or box of the scene whose material reflects.
+
+use std::ffi::{c_int, c_void};
+
+use crate::layout::Layout;
+use crate::{Model, Version};
+
+/// `mjGEOM_PLANE`, `mjGEOM_BOX`, `mjGEOM_MESH`.
+const PLANE: c_int = 0;
+const BOX: c_int = 6;
+const MESH: c_int = 7;
+
+/// `mjOBJ_GEOM`.
+const GEOM: c_int = 5;
+
+/// `mjRND_REFLECTION`.
+const REFLECTION: usize = 2;
+
+/// The frustum and bounding boxes are taken larger by this factor, so that rounding decides nothing.
+const MARGIN: f64 = 1.02;
+
+/// Boxes that cover something are taken smaller by this factor, for the same reason.
+const COVER: f64 = 1.005;
+
+/// The picture is looked at in this many cells a side, and each of them in halves, so many times, where no box fills it.
+const CELLS: usize = 16;
+const HALVINGS: usize = 3;
+
+type Vector = [f64; 3];
+
+fn dot(a: Vector, b: Vector) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn minus(a: Vector, b: Vector) -> Vector {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn plus(a: Vector, b: Vector, factor: f64) -> Vector {
+    [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]]
+}
+
+fn cross(a: Vector, b: Vector) -> Vector {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// What a camera sees, or a part of it: a pyramid.
+#[derive(Clone, Copy)]
+struct View {
+    position: Vector,
+    forward: Vector,
+    up: Vector,
+    right: Vector,
+    /// Lower and upper edge at depth one.
+    vertical: [f64; 2],
+    /// Left and right edge at depth one.
+    horizontal: [f64; 2],
+    near: f64,
+}
+
+impl View {
+    /// The same in a mirror.
+    fn mirrored(&self, point: Vector, normal: Vector) -> Self {
+        let turn = |v: Vector| plus(v, normal, -2.0 * dot(v, normal));
+        Self {
+            position: plus(self.position, normal, -2.0 * dot(minus(self.position, point), normal)),
+            forward: turn(self.forward),
+            up: turn(self.up),
+            right: turn(self.right),
+            ..*self
+        }
+    }
+
+    /// One of `parts` times `parts` equal cells.
+    fn cell(&self, parts: usize, row: usize, column: usize) -> Self {
+        let part = |[from, to]: [f64; 2], number: usize| {
+            let edge = |number: usize| from + (to - from) * number as f64 / parts as f64;
+            [edge(number), edge(number + 1)]
+        };
+        Self {
+            vertical: part(self.vertical, row),
+            horizontal: part(self.horizontal, column),
+            ..*self
+        }
+    }
+
+    fn cells(&self, parts: usize) -> impl Iterator<Item = Self> + '_ {
+        (0..parts * parts).map(move |number| self.cell(parts, number / parts, number % parts))
+    }
+
+    /// Whether no part of a box (centre, half axes) can be seen.
+    fn misses(&self, centre: Vector, axes: &[Vector; 3]) -> bool {
+        let away = minus(centre, self.position);
+        let [bottom, top] = self.vertical;
+        let [left, right] = self.horizontal;
+        let against = |v: Vector| v.map(|x| -x);
+        let insides = [
+            plus(self.up, self.forward, -bottom),
+            plus(against(self.up), self.forward, top),
+            plus(self.right, self.forward, -left),
+            plus(against(self.right), self.forward, right),
+            self.forward,
+        ];
+        insides.into_iter().any(|inside| {
+            let reach: f64 = axes.iter().map(|&axis| dot(axis, inside).abs()).sum();
+            dot(away, inside) + reach < 0.0
+        })
+    }
+
+    /// Whether a box is all that is seen, or hidden by what is nearer: as it is convex, the rays along four edges tell.
+    fn filled_by(&self, (centre, axes): &(Vector, [Vector; 3])) -> bool {
+        let away = minus(*centre, self.position);
+        self.vertical.into_iter().all(|y| {
+            self.horizontal.into_iter().all(|x| {
+                // Its parameter is depth.
+                let ray = plus(plus(self.forward, self.up, y), self.right, x);
+                let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+                for &axis in axes {
+                    let half = dot(axis, axis) / COVER;
+                    let (start, step) = (dot(away, axis), dot(ray, axis));
+                    let sides = [(start - half) / step, (start + half) / step];
+                    // A ray along a side gives infinities, or no number, which then counts for nothing here: below it is
+                    // no hit.
+                    enter = enter.max(sides[0].min(sides[1]));
+                    leave = leave.min(sides[0].max(sides[1]));
+                }
+                enter <= leave && enter > MARGIN * self.near
+            })
+        })
+    }
+
+    /// Whether boxes hide everything.
+    fn filled(&self, boxes: &[(Vector, [Vector; 3])], halvings: usize) -> bool {
+        boxes.iter().any(|filling| self.filled_by(filling))
+            || halvings > 0 && self.cells(2).all(|cell| cell.filled(boxes, halvings - 1))
+    }
+}
+
+/// A thing of a scene.
+struct Geom {
+    pointer: *const c_void,
+    layout: &'static Layout,
+}
+
+impl Geom {
+    /// # Safety
+    /// The thing has `T` at this offset.
+    unsafe fn get<T>(&self, offset: usize) -> T {
+        // SAFETY: by the caller.
+        unsafe { self.pointer.byte_add(offset).cast::<T>().read() }
+    }
+
+    fn kind(&self) -> c_int {
+        // SAFETY: the field is an `int`.
+        unsafe { self.get(self.layout.geom_type) }
+    }
+
+    /// Number of the model's geom that it shows.
+    fn geom(&self) -> Option<usize> {
+        // SAFETY: both fields are `int`s.
+        let (kind, id) = unsafe {
+            (
+                self.get::<c_int>(self.layout.geom_objtype),
+                self.get::<c_int>(self.layout.geom_objid),
+            )
+        };
+        (kind == GEOM).then(|| usize::try_from(id).ok()).flatten()
+    }
+
+    fn reflects(&self) -> bool {
+        // SAFETY: the field is a `float`.
+        matches!(self.kind(), PLANE | BOX) && unsafe { self.get::<f32>(self.layout.geom_reflectance) } > 0.0
+    }
+
+    fn opaque(&self) -> bool {
+        // SAFETY: the field is four `float`s.
+        let colour: [f32; 4] = unsafe { self.get(self.layout.geom_rgba) };
+        colour[3] >= 1.0
+    }
+
+    fn vector(&self, offset: usize) -> Vector {
+        // SAFETY: callers ask for fields of three `float`s.
+        unsafe { self.get::<[f32; 3]>(offset) }.map(f64::from)
+    }
+
+    fn position(&self) -> Vector {
+        self.vector(self.layout.geom_pos)
+    }
+
+    /// Its axes in the world.
+    fn axes(&self) -> [Vector; 3] {
+        // SAFETY: the field is nine `float`s, row by row.
+        let rows = unsafe { self.get::<[f32; 9]>(self.layout.geom_mat) }.map(f64::from);
+        [0, 1, 2].map(|axis| [rows[axis], rows[3 + axis], rows[6 + axis]])
+    }
+}
+
+/// Leaves out of a scene, which was updated for the model, what cannot be seen in a picture of this aspect (width by height).
+///
+/// # Safety
+/// The scene is one of this model, whole.
+pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
+    let layout = model.library().version().layout();
+    let size = layout.sizes.geom;
+    // SAFETY: by the caller, and by the layout.
+    unsafe {
+        let flag = scene.byte_add(layout.scene_flags).cast::<u8>().add(REFLECTION);
+        flag.write(1);
+        let Some(view) = view(scene, model, aspect) else {
+            return;
+        };
+        let geoms = scene.byte_add(layout.scene_geoms).cast::<*mut c_void>().read();
+        let count_at = scene.byte_add(layout.scene_ngeom).cast::<c_int>();
+        let count = usize::try_from(count_at.read()).unwrap_or(0);
+        let geom = |number: usize| Geom {
+            pointer: geoms.byte_add(number * size),
+            layout,
+        };
+        let mirror = (0..count).map(geom).find(Geom::reflects);
+        // Parts of the picture in which something of the mirror may be seen, in the mirror.
+        let mut mirrored = Vec::new();
+        if let Some(mirror) = mirror {
+            if mirror.kind() != PLANE || !mirror.opaque() {
+                return;
+            }
+            let (point, normal) = (mirror.position(), mirror.axes()[2]);
+            let covers: Vec<_> = (0..count)
+                .map(geom)
+                .filter_map(|cover| cover_of(&cover, &view, point, normal))
+                .collect();
+            let open = view.cells(CELLS).filter(|cell| !cell.filled(&covers, HALVINGS));
+            mirrored.extend(open.map(|cell| cell.mirrored(point, normal)));
+            if mirrored.is_empty() {
+                flag.write(0);
+            }
+        }
+        let mut kept = 0;
+        for number in 0..count {
+            let seen = match geom(number).geom().filter(|_| geom(number).kind() == MESH) {
+                None => true,
+                Some(id) => {
+                    let (centre, axes) = bounds(&geom(number), model.bounding_box(id));
+                    !view.misses(centre, &axes) || mirrored.iter().any(|cell| !cell.misses(centre, &axes))
+                }
+            };
+            if seen {
+                if kept != number {
+                    let from = geoms.byte_add(number * size).cast::<u8>();
+                    std::ptr::copy_nonoverlapping(from, geoms.byte_add(kept * size).cast::<u8>(), size);
+                }
+                kept += 1;
+            }
+        }
+        count_at.write(kept as c_int);
+    }
+}
+
+/// What the camera of the scene sees; none where it is not a plain pyramid.
+///
+/// # Safety
+/// As for [`trim`].
+unsafe fn view(scene: *const c_void, model: &Model, aspect: f64) -> Option<View> {
+    let version = model.library().version();
+    let layout = version.layout();
+    // SAFETY: by the caller: the scene has two eyes, which have three vectors and then numbers.
+    let (eyes, parallel) = unsafe {
+        let start = scene.byte_add(layout.scene_camera);
+        let eyes = [0, layout.sizes.eye].map(|offset| {
+            let eye = start.byte_add(offset);
+            let number = |offset: usize| f64::from(eye.byte_add(offset).cast::<f32>().read());
+            let vector = |offset: usize| eye.byte_add(offset).cast::<[f32; 3]>().read().map(f64::from);
+            (
+                [
+                    vector(layout.eye_pos),
+                    vector(layout.eye_forward),
+                    vector(layout.eye_up),
+                ],
+                [
+                    number(layout.eye_center),
+                    number(layout.eye_bottom),
+                    number(layout.eye_top),
+                    number(layout.eye_near),
+                ],
+            )
+        });
+        let parallel = match version {
+            Version::V2_3_7 => 0,
+            Version::V3_2_7 => start
+                .byte_add(layout.sizes.eye - size_of::<c_int>())
+                .cast::<c_int>()
+                .read(),
+        };
+        (eyes, parallel)
+    };
+    let [(left, numbers), (right_eye, others)] = eyes;
+    let [_, bottom, top, near] = numbers;
+    let off_centre = (numbers[0] + others[0]).abs() / 2.0 + (bottom + top).abs();
+    // Not so near as to be off by rounding, and without the shift of a stereo picture.
+    if parallel != 0 || near <= 0.0 || top <= 0.0 || off_centre > 1e-6 * top {
+        return None;
+    }
+    let [position, forward, up] = left;
+    let half = MARGIN * top / near;
+    Some(View {
+        position: plus(position, minus(right_eye[0], position), 0.5),
+        forward,
+        up,
+        right: cross(forward, up),
+        vertical: [-half, half],
+        horizontal: [-half * aspect, half * aspect],
+        near,
+    })
+}
+
+/// Centre and half axes of a geom's bounding box (centre and half sizes in its frame).
+fn bounds(geom: &Geom, [x, y, z, a, b, c]: [f64; 6]) -> (Vector, [Vector; 3]) {
+    let axes = geom.axes();
+    let mut centre = geom.position();
+    for (axis, along) in axes.iter().zip([x, y, z]) {
+        centre = plus(centre, *axis, along);
+    }
+    let mut half = axes;
+    for (axis, length) in half.iter_mut().zip([a, b, c]) {
+        *axis = axis.map(|x| MARGIN * length * x);
+    }
+    (centre, half)
+}
+
+/// Centre and half axes of the thing, where it is a box between camera and mirror.
+fn cover_of(cover: &Geom, view: &View, point: Vector, normal: Vector) -> Option<(Vector, [Vector; 3])> {
+    if cover.kind() != BOX || !cover.opaque() {
+        return None;
+    }
+    let sizes = cover.vector(cover.layout.geom_size);
+    let mut axes = cover.axes();
+    for (axis, size) in axes.iter_mut().zip(sizes) {
+        *axis = axis.map(|x| size * x);
+    }
+    let height = |v: Vector| dot(minus(v, point), normal);
+    let centre = cover.position();
+    let reach: f64 = axes.iter().map(|&axis| dot(axis, normal).abs()).sum();
+    (height(view.position) > 0.0 && height(centre) > COVER * reach).then_some((centre, axes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Looks down from two metres above the origin; x to the right, 90 degrees wide but for the margin.
+    const VIEW: View = View {
+        position: [0.0, 0.0, 2.0],
+        forward: [0.0, 0.0, -1.0],
+        up: [0.0, 1.0, 0.0],
+        right: [1.0, 0.0, 0.0],
+        vertical: [-1.0, 1.0],
+        horizontal: [-1.0, 1.0],
+        near: 0.01,
+    };
+
+    fn cube(side: f64) -> [Vector; 3] {
+        [[side, 0.0, 0.0], [0.0, side, 0.0], [0.0, 0.0, side]]
+    }
+
+    #[test]
+    fn boxes_are_missed_beyond_the_edges_only() {
+        for (centre, missed) in [
+            ([0.0, 0.0, 0.0], false),
+            ([2.1, 0.0, 0.0], false),
+            ([2.3, 0.0, 0.0], true),
+            ([0.0, -2.3, 0.0], true),
+            ([0.0, 2.1, 0.0], false),
+            ([0.0, 0.0, 2.2], true),
+            ([0.0, 0.0, 2.05], false),
+            ([-2.3, 0.0, -2.0], false),
+        ] {
+            assert_eq!(VIEW.misses(centre, &cube(0.1)), missed, "{centre:?}");
+        }
+    }
+
+    #[test]
+    fn a_mirror_turns_the_view_over() {
+        let mirrored = VIEW.mirrored([5.0, 5.0, 0.5], [0.0, 0.0, 1.0]);
+        assert_eq!(mirrored.position, [0.0, 0.0, -1.0]);
+        assert_eq!(mirrored.forward, [0.0, 0.0, 1.0]);
+        assert_eq!((mirrored.up, mirrored.right), (VIEW.up, VIEW.right));
+        assert!(!mirrored.misses([0.0, 0.0, 3.0], &cube(0.1)) && VIEW.misses([0.0, 0.0, 3.0], &cube(0.1)));
+    }
+
+    #[test]
+    fn cells_are_parts_of_the_picture() {
+        let cell = VIEW.cell(2, 1, 0);
+        assert_eq!((cell.vertical, cell.horizontal), ([0.0, 1.0], [-1.0, 0.0]));
+        assert!(cell.misses([0.5, 0.5, 0.0], &cube(0.1)) && !cell.misses([-0.5, 0.5, 0.0], &cube(0.1)));
+        assert_eq!(VIEW.cells(3).count(), 9);
+    }
+
+    #[test]
+    fn a_box_fills_the_picture_or_not() {
+        let table = |x: f64, half: f64| ([x, 0.0, 0.0], [[half, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.1]]);
+        // Its top is 1.9 below the camera, so 1.9 is seen of it.
+        assert!(VIEW.filled_by(&table(0.0, 2.0)));
+        assert!(!VIEW.filled_by(&table(0.0, 1.9)));
+        assert!(!VIEW.filled_by(&table(0.5, 2.0)));
+        // Around the camera, and behind it.
+        let around = |z: f64| ([0.0, 0.0, z], cube(9.0));
+        assert!(!VIEW.filled_by(&around(2.0)) && !VIEW.filled_by(&around(12.0)));
+        // Two that overlap hide what is below, two with a gap do not.
+        assert!(VIEW.filled(&[table(-1.0, 1.3), table(1.0, 1.3)], 4));
+        assert!(!VIEW.filled(&[table(-1.0, 1.3), table(1.0, 1.3)], 0));
+        assert!(!VIEW.filled(&[table(-1.0, 1.0), table(1.0, 0.99)], 6));
+    }
+}

@@ -1,0 +1,73 @@
+//! Paths of a model's meshes and textures, rewritten to this machine.
+#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+
+use std::fs;
+use std::path::Path;
+
+use re4_robosuite::models::{AssetsError, with_assets};
+
+fn model(file: &str) -> String {
+    format!("<mujoco>\n  <asset><mesh name=\"a\" file='{file}'/></asset> <!-- kept -->\n</mujoco>\n")
+}
+
+/// A folder with one mesh and one texture, its name one that XML has to escape.
+fn folder() -> (tempfile::TempDir, std::path::PathBuf) {
+    let holder = tempfile::tempdir().unwrap();
+    let folder = holder.path().join("a & 'b\"");
+    for file in ["models/assets/meshes/a.stl", "models/assets/textures/b.png"] {
+        fs::create_dir_all(folder.join(file).parent().unwrap()).unwrap();
+        fs::write(folder.join(file), b"").unwrap();
+    }
+    (holder, folder)
+}
+
+fn written(text: &str) -> Vec<String> {
+    let document = roxmltree::Document::parse(text).unwrap();
+    let nodes = document.descendants();
+    nodes
+        .filter_map(|node| node.attribute("file").map(str::to_owned))
+        .collect()
+}
+
+#[test]
+fn the_last_robosuite_counts_and_the_rest_stays() {
+    let (_holder, folder) = folder();
+    let mesh = folder.join("models/assets/meshes/a.stl");
+    let texture = folder.join("models/assets/textures/b.png");
+    for (named, place) in [
+        ("/home/x/robosuite/robosuite/models/assets/meshes/a.stl", &mesh),
+        ("/robosuite/models/assets/arenas/../textures/b.png", &texture),
+        ("../robosuite//models/./assets/meshes/a.stl", &mesh),
+    ] {
+        let before = model(named);
+        let after = with_assets(&before, &folder).unwrap();
+        assert_eq!(written(&after), [place.to_str().unwrap()]);
+        let (left, right) = before.split_once(named).unwrap();
+        assert!(after.starts_with(left) && after.ends_with(right), "{after}");
+    }
+    let none = "<mujoco><asset><texture builtin=\"flat\" file=\"\"/></asset></mujoco>";
+    assert_eq!(with_assets(none, &folder).unwrap(), none);
+}
+
+#[test]
+fn what_cannot_be_found_is_said() {
+    let (_holder, folder) = folder();
+    let refused = |text: &str| with_assets(text, &folder).unwrap_err();
+    assert!(matches!(
+        refused(&model("/a/robosuite/models/assets/meshes/c.stl")),
+        AssetsError::Missing { path, .. } if path == folder.join("models/assets/meshes/c.stl")
+    ));
+    // A folder is no file.
+    assert!(matches!(
+        refused(&model("/a/robosuite/models")),
+        AssetsError::Missing { .. }
+    ));
+    for foreign in ["/a/robosuites/x.stl", "x.stl", "/a/robosuite/models/../../x.stl"] {
+        assert_eq!(refused(&model(foreign)), AssetsError::Foreign(foreign.to_owned()));
+    }
+    assert!(matches!(refused("<mujoco>"), AssetsError::Xml(_)));
+    assert_eq!(refused("<robot/>"), AssetsError::Root("robot".to_owned()));
+    let include = "<mujoco><include file=\"/a/robosuite/models/assets/meshes/a.stl\"/></mujoco>";
+    assert!(matches!(refused(include), AssetsError::Include(_)));
+    assert!(!Path::new("x.stl").exists());
+}
