@@ -350,11 +350,8 @@ impl SpatialPolicyConfig {
             over_0,
         )?;
         number("replay.horizon", f64::from(replay.horizon), &at_least_1, from_1)?;
-<<<<<<< HEAD
-=======
         let finger_speed = replay.settle.as_ref().map_or(0.0, |settle| settle.finger_speed);
         number("replay.settle.finger_speed", finger_speed, &not_negative, from_0)?;
->>>>>>> main
         number(
             "recovery.lost_grasp",
             recovery.lost_grasp.unwrap_or(0.0),
