@@ -142,7 +142,7 @@ def read(path):
     for array in header.pop("arrays"):
         dtype = {"f64": "<f8", "u8": "u1", "u32": "<u4"}[array["dtype"]]
         count = int(np.prod(array["shape"]))
-        arrays[array["name"]] = np.frombuffer(data, dtype, count, array["offset"]).reshape(array["shape"])
+        arrays[array["name"]] = np.frombuffer(data, dtype, count, array["offset"]).reshape(array["shape"]).copy()
     return header, arrays
 
 
