@@ -95,11 +95,6 @@ impl Pipeline {
     pub(crate) fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
         self.spatial_rollout.as_ref().with_context(|| self.missing("rollout"))
     }
-
-    /// Whether there is a table `[rollout]`.
-    pub(crate) fn rolls_out(&self) -> bool {
-        self.rollout.is_some() || self.spatial_rollout.is_some()
-    }
 }
 
 /// Tasks that this version knows.
@@ -637,7 +632,9 @@ fn complete_policy(
 /// A preset's settings with one's own in their place, table by table. `false` switches an optional table off.
 fn merge(preset: Value, own: Option<Value>) -> Option<Value> {
     match (preset, own) {
-        (Value::Null, None) | (Value::Null | Value::Object(_), Some(Value::Bool(false))) => None,
+        (Value::Null, None) => None,
+        // An optional setting that is switched off.
+        (preset, Some(Value::Bool(false))) if !preset.is_boolean() => None,
         (preset, None) => Some(preset),
         (Value::Object(mut settings), Some(Value::Object(own))) => {
             for (key, value) in own {
