@@ -347,11 +347,7 @@ impl SpatialRolloutSection {
             RobosuiteTask::Can => Symmetry::Full { axis: [0.0, 0.0, 1.0] },
             RobosuiteTask::Square => Symmetry::None,
         };
-        let usual = if self.policy == "re4" {
-            of_object
-        } else {
-            Symmetry::None
-        };
+        let usual = if self.policy == "re4" { of_object } else { Symmetry::None };
         self.symmetry.unwrap_or(usual)
     }
 }
@@ -580,10 +576,7 @@ fn tell_rollouts_apart(document: &mut Value) -> Result<()> {
     if map.contains_key(SPATIAL_ROLLOUT) {
         bail!("unknown key {SPATIAL_ROLLOUT}; the table is called rollout for every task");
     }
-    let robosuite = map
-        .get("task")
-        .and_then(Value::as_str)
-        .is_some_and(|task| task != "pusht");
+    let robosuite = map.get("task").and_then(Value::as_str).is_some_and(|task| task != "pusht");
     if robosuite && let Some(rollout) = map.remove("rollout") {
         map.insert(SPATIAL_ROLLOUT.to_owned(), rollout);
     }

@@ -16,8 +16,8 @@ pub mod actions;
 pub mod conventions;
 pub mod env_args;
 pub mod kinematics;
-pub mod models;
 pub mod physics;
+pub mod models;
 
 use nalgebra::UnitQuaternion;
 

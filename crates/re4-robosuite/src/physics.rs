@@ -58,19 +58,15 @@ pub fn without_pictures(mjcf: &str) -> Result<String, String> {
 
 /// Whether a geom neither touches anything nor weighs anything.
 fn only_drawn(geom: &Node) -> bool {
-    let zero = |name: &str| {
-        geom.attribute(name)
-            .is_some_and(|value| value.trim().parse() == Ok(0.0))
-    };
+    let zero = |name: &str| geom.attribute(name).is_some_and(|value| value.trim().parse() == Ok(0.0));
     // The weight of a body that says it itself does not come from its geoms.
     let weighed = geom
         .parent()
         .is_some_and(|body| body.children().any(|child| child.has_tag_name("inertial")));
     let fixed = geom.parent().is_some_and(|body| {
-        !body.ancestors().any(|node| {
-            node.children()
-                .any(|child| child.has_tag_name("joint") || child.has_tag_name("freejoint"))
-        })
+        !body
+            .ancestors()
+            .any(|node| node.children().any(|child| child.has_tag_name("joint") || child.has_tag_name("freejoint")))
     });
     zero("contype") && zero("conaffinity") && (zero("mass") || weighed || fixed)
 }
@@ -94,10 +90,7 @@ mod tests {
             .filter_map(|node| node.attribute("name"))
             .collect();
         assert_eq!(names, ["floor", "a", "c", "d"]);
-        assert!(
-            !text.contains("material") && !text.contains("texture") && !text.contains("seen"),
-            "{text}"
-        );
+        assert!(!text.contains("material") && !text.contains("texture") && !text.contains("seen"), "{text}");
         assert!(text.contains(r#"mesh="felt""#) && text.contains(r#"rgba="1 0 0 1""#));
         assert!(without_pictures("<a>").is_err());
     }

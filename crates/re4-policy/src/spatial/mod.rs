@@ -27,11 +27,10 @@ pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};
 pub use estimate::ObjectEstimate;
 pub use noise::PoseNoise;
 pub use policy::SpatialRe4;
-pub use reframe::{Carry, reframe_spatial, without_reframe_spatial};
 pub use rollout::{
-    NoiseLevel, SpatialRollout, SpatialStart, SpatialStepRecord, observe, spatial_rollout, spatial_rollouts,
-    to_robosuite,
+    NoiseLevel, SpatialRollout, SpatialStart, SpatialStepRecord, observe, spatial_rollout, spatial_rollouts, to_robosuite,
 };
+pub use reframe::{Carry, reframe_spatial, without_reframe_spatial};
 
 use nalgebra::Isometry3;
 
