@@ -9,6 +9,7 @@ mod replay;
 mod rollout;
 mod scenes;
 mod segment;
+mod simulators;
 mod spatial_modes;
 mod train_pose;
 
