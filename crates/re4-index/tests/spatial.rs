@@ -67,8 +67,11 @@ fn beside(random: &mut Random, pose: &Isometry3<f64>, length: f64, angle: f64) -
     Isometry3::from_parts((pose.translation.vector + t).into(), antipode(random, turned))
 }
 
+/// Mode, end effector and object.
+type State = (Mode, Isometry3<f64>, Isometry3<f64>);
+
 fn demonstrations(random: &mut Random, shape: Shape, episodes: usize, longest: usize) -> Vec<IndexedSpatialFrame> {
-    let mut made: Vec<Vec<(Mode, Isometry3<f64>, Isometry3<f64>)>> = Vec::new();
+    let mut made: Vec<Vec<State>> = Vec::new();
     for _ in 0..episodes {
         if matches!(shape, Shape::Copies) && made.len() >= 3 {
             made.push(made[random.below(3)].clone());

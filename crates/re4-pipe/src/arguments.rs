@@ -151,6 +151,9 @@ pub(crate) struct ReplayArguments {
     /// Also draw the divergence as an SVG picture
     #[arg(long, value_name = "OUT.svg")]
     pub(crate) plot: Option<PathBuf>,
+    /// robosuite tasks: end with exit code 1 when a smaller share of the replays than this succeeds, from 0 to 1
+    #[arg(long = "fail-under", value_name = "SHARE", value_parser = share)]
+    pub(crate) least: Option<f64>,
 }
 
 /// Arguments of `film`.
@@ -267,4 +270,11 @@ fn jobs(text: &str) -> Result<NonZeroUsize, String> {
         .ok()
         .filter(|jobs: &NonZeroUsize| jobs.get() <= MOST_JOBS)
         .ok_or_else(|| format!("give a whole number from 1 to {MOST_JOBS}"))
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|share| (0.0..=1.0).contains(share))
+        .ok_or_else(|| "give a number from 0 to 1".to_owned())
 }

@@ -13,6 +13,7 @@ mod interrupt;
 mod limits;
 mod output;
 mod pipeline;
+mod poses;
 mod seeds;
 mod stages;
 

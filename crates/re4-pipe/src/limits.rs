@@ -57,19 +57,8 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     }
 }
 
-/// The tables of robosuite's tasks end at the audit.
+/// What robosuite's tasks need, and what they do not have.
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
-    let later = [
-        ("pose", pipeline.pose.is_some()),
-        ("index", pipeline.index.is_some()),
-        ("scenes", pipeline.scenes.is_some()),
-        ("rollout", pipeline.rollout.is_some()),
-    ];
-    if let Some((table, _)) = later.iter().find(|(_, there)| *there) {
-        bail!(
-            "robosuite's tasks are ingested, segmented and audited, no more in this version; leave the table [{table}] out"
-        );
-    }
     let ingest = &pipeline.ingest;
     ensure!(
         ingest.object.is_none() || pipeline.task == TaskName::Robosuite,
@@ -80,10 +69,6 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "ingest.images is false and ingest.cameras names cameras; leave one of the two out"
     );
     ensure!(
-        pipeline.variant.is_none(),
-        "variant is for rollouts, which robosuite's tasks do not have in this version; leave it out"
-    );
-    ensure!(
         !ingest.render.contains(&Camera::Image),
         "ingest.render names the camera \"image\", which is Push-T's; robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
     );
@@ -91,7 +76,43 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         ingest.render.is_empty() || ingest.cameras.is_none(),
         "ingest.cameras chooses recorded pictures and ingest.render has pictures drawn; leave one of the two out"
     );
-    check_render(ingest)
+    check_render(ingest)?;
+    ensure!(
+        pipeline.scenes.is_none(),
+        "the table [scenes] is for Push-T; leave it out, and give rollout.seeds"
+    );
+    if let Some(pose) = &pipeline.pose {
+        ensure!(
+            pose.source == PoseSource::Recorded,
+            "pose.source is \"log_polar\", which reads Push-T's pictures; set it to \"recorded\""
+        );
+    }
+    ensure!(
+        pipeline.variant != Some(Variant::Image),
+        "variant is \"image\", and this version has no poses from pictures for robosuite's tasks; set it to \"state\""
+    );
+    let Some(rollout) = &pipeline.spatial_rollout else {
+        return Ok(());
+    };
+    ensure!(
+        pipeline.task != TaskName::Robosuite,
+        "of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\", or leave the table [rollout] out"
+    );
+    pipeline.index()?;
+    pipeline.pose()?;
+    ensure!(
+        pipeline.variant.is_some(),
+        "nothing says what the policy observes; give variant = \"state\""
+    );
+    between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
+    if let Err(error) = rollout.policy_config().check() {
+        bail!("rollout.{error}");
+    }
+    if let Some(noise) = &rollout.noise {
+        not_negative("rollout.noise.translation", noise.translation)?;
+        not_negative("rollout.noise.rotation", noise.rotation)?;
+    }
+    Ok(())
 }
 
 fn check_render(ingest: &IngestSection) -> Result<()> {
@@ -129,6 +150,10 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     check_render(ingest)?;
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
+        ensure!(
+            index.leave_out.is_empty(),
+            "index.leave_out belongs to robosuite's tasks; leave it out"
+        );
     }
     if pipeline.rollout.is_some() {
         pipeline.index()?;

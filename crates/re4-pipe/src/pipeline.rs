@@ -5,11 +5,17 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use re4_audit::AuditConfig;
 use re4_geometry::Pose2;
+use re4_geometry::spatial::Symmetry;
 use re4_ingest::Selection;
+use re4_policy::spatial::{
+    PoseFilterConfig, SPATIAL_PRESETS, SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig,
+    SpatialReplanConfig, SpatialReplayConfig, SpatialRetrieveConfig,
+};
 use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
+use re4_sim::robosuite::{RobosuiteTask, Solves};
 use re4_sim::{GOAL, ResetOrder, SeedScheme};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,21 +49,19 @@ pub(crate) struct Pipeline {
     /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) scenes: Option<ScenesConfig>,
-    /// `index` to `rollouts`.
+    /// `index` to `rollouts`, for Push-T.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) rollout: Option<RolloutSection>,
+    /// `index` to `rollouts`, for robosuite's tasks. In files it is called `rollout`, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) spatial_rollout: Option<SpatialRolloutSection>,
 }
 
 impl Pipeline {
     fn missing(&self, table: &str) -> String {
-        if self.task.is_planar() {
-            format!(
-                "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
-            )
-        } else {
-            "robosuite's tasks are ingested, segmented and audited, no more in this version; use one of those commands"
-                .to_owned()
-        }
+        format!(
+            "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
+        )
     }
 
     /// Where object poses come from.
@@ -76,12 +80,20 @@ impl Pipeline {
         self.index.as_ref().with_context(|| self.missing("index"))
     }
 
-    /// How the policy is rolled out.
+    /// How the policy is rolled out, for Push-T.
     ///
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub(crate) fn rollout(&self) -> Result<&RolloutSection> {
         self.rollout.as_ref().with_context(|| self.missing("rollout"))
+    }
+
+    /// How the policy is rolled out, for robosuite's tasks.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[rollout]`.
+    pub(crate) fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
+        self.spatial_rollout.as_ref().with_context(|| self.missing("rollout"))
     }
 }
 
@@ -105,6 +117,16 @@ impl TaskName {
     /// Whether it takes place in the plane.
     pub(crate) fn is_planar(self) -> bool {
         self == Self::PushT
+    }
+
+    /// The task in robosuite's simulator, where there is one.
+    pub(crate) fn simulated(self) -> Option<RobosuiteTask> {
+        match self {
+            Self::Lift => Some(RobosuiteTask::Lift),
+            Self::Can => Some(RobosuiteTask::Can),
+            Self::Square => Some(RobosuiteTask::Square),
+            Self::PushT | Self::Robosuite => None,
+        }
     }
 }
 
@@ -218,9 +240,13 @@ pub(crate) enum PoseSource {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct IndexSection {
-    /// Longest chunk searchable by outcome, in frames.
+    /// Push-T: longest chunk searchable by outcome, in frames.
     #[serde(default = "longest_chunk")]
     pub(crate) longest_chunk: u32,
+    /// robosuite tasks: codes of audit checks, such as `missed_grasp`. Frames of a demonstration up to the end of such a finding
+    /// are not retrieved.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) leave_out: Vec<String>,
 }
 
 /// `index` to `rollouts`.
@@ -266,6 +292,86 @@ impl RolloutSection {
     }
 }
 
+/// `index` to `rollouts` of robosuite's tasks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SpatialRolloutSection {
+    /// Preset that the policy starts from: `paper`, `re4` or `re2`. The tables below change single settings of it.
+    #[schemars(extend("enum" = SPATIAL_PRESETS))]
+    pub(crate) policy: String,
+    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers. The scene of
+    /// a seed is the one that robosuite draws for it.
+    pub(crate) seeds: Seeds,
+    /// Control steps an episode lasts at most.
+    #[serde(default = "robomimic_steps")]
+    pub(crate) max_steps: u32,
+    /// Turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's object: four
+    /// quarters of a turn for the cube, any turn for the can, none for the nut; with the other presets none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) symmetry: Option<Symmetry>,
+    /// Errors that the object poses which the policy is told are given on purpose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) noise: Option<NoiseSection>,
+    /// How often the simulator computes forces in a simulation step.
+    #[serde(default)]
+    pub(crate) solves: Solves,
+    /// Retrieve.
+    pub(crate) retrieve: SpatialRetrieveConfig,
+    /// Reframe.
+    pub(crate) reframe: SpatialReframeConfig,
+    /// Replan: the bridge to the start of a chunk.
+    pub(crate) replan: SpatialReplanConfig,
+    /// Replay.
+    pub(crate) replay: SpatialReplayConfig,
+    /// What is done about failure.
+    pub(crate) recovery: SpatialRecoveryConfig,
+    /// How observed object poses are averaged; every one is taken as it is where the preset has no such table.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) filter: Option<PoseFilterConfig>,
+}
+
+/// Errors of the object poses that a policy is told: normal, independent at every control step, drawn by the scene's seed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct NoiseSection {
+    /// Standard deviation along each axis of the world, in metres.
+    pub(crate) translation: f64,
+    /// Standard deviation of each component of a rotation vector, in rad.
+    pub(crate) rotation: f64,
+}
+
+impl SpatialRolloutSection {
+    /// The policy with all its settings.
+    pub(crate) fn policy_config(&self) -> SpatialPolicyConfig {
+        SpatialPolicyConfig {
+            retrieve: self.retrieve.clone(),
+            reframe: self.reframe.clone(),
+            replan: self.replan.clone(),
+            replay: self.replay.clone(),
+            recovery: self.recovery.clone(),
+            filter: self.filter.clone(),
+        }
+    }
+
+    /// Symmetry of the task's object that the policy uses.
+    pub(crate) fn symmetry(&self, task: RobosuiteTask) -> Symmetry {
+        let of_object = match task {
+            RobosuiteTask::Lift => Symmetry::Fold {
+                axis: [0.0, 0.0, 1.0],
+                n: 4,
+            },
+            RobosuiteTask::Can => Symmetry::Full { axis: [0.0, 0.0, 1.0] },
+            RobosuiteTask::Square => Symmetry::None,
+        };
+        let usual = if self.policy == "re4" {
+            of_object
+        } else {
+            Symmetry::None
+        };
+        self.symmetry.unwrap_or(usual)
+    }
+}
+
 fn yes() -> bool {
     true
 }
@@ -286,25 +392,64 @@ fn paper_steps() -> u32 {
     200
 }
 
-/// JSON Schema of the pipeline file. The policy's own tables need not be complete: the preset fills them.
+fn robomimic_steps() -> u32 {
+    400
+}
+
+/// Tables of the policy, which the preset fills.
+const POLICY_TABLES: [&str; 6] = ["retrieve", "reframe", "replan", "replay", "recovery", "filter"];
+
+/// JSON Schema of the pipeline file: the table `[rollout]` is one for Push-T, or one for robosuite's tasks.
 pub(crate) fn schema() -> Value {
+    let mut schema = inner_schema();
+    if let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) {
+        properties.remove(SPATIAL_ROLLOUT);
+        properties.insert(
+            "rollout".to_owned(),
+            json!({
+                "description": "`index` to `rollouts`: for Push-T, or for robosuite's tasks.",
+                "anyOf": [
+                    { "$ref": "#/$defs/RolloutSection" },
+                    { "$ref": "#/$defs/SpatialRolloutSection" },
+                ],
+            }),
+        );
+    }
+    schema
+}
+
+/// Name that the table `[rollout]` of robosuite's tasks has inside of this program.
+const SPATIAL_ROLLOUT: &str = "spatial_rollout";
+
+/// The schema after `[rollout]` was told apart by task. The policy's own tables need not be complete: the preset fills them.
+fn inner_schema() -> Value {
     let mut schema = json!(schemars::schema_for!(Pipeline));
     if let Some(definitions) = schema.get_mut("$defs").and_then(Value::as_object_mut) {
-        for name in ["RetrieveConfig", "ReframeConfig", "ReplanConfig", "ReplayConfig"] {
+        for name in [
+            "RetrieveConfig",
+            "ReframeConfig",
+            "ReplanConfig",
+            "ReplayConfig",
+            "SpatialRetrieveConfig",
+            "SpatialReframeConfig",
+            "SpatialReplanConfig",
+            "SpatialReplayConfig",
+            "SpatialRecoveryConfig",
+            "BanConfig",
+            "PoseFilterConfig",
+        ] {
             if let Some(definition) = definitions.get_mut(name).and_then(Value::as_object_mut) {
                 definition.remove("required");
             }
         }
-        if let Some(required) = definitions
-            .get_mut("RolloutSection")
-            .and_then(|section| section.get_mut("required"))
-            .and_then(Value::as_array_mut)
-        {
-            required.retain(|name| {
-                !["retrieve", "reframe", "replan", "replay"]
-                    .iter()
-                    .any(|table| name == table)
-            });
+        for section in ["RolloutSection", "SpatialRolloutSection"] {
+            let required = definitions
+                .get_mut(section)
+                .and_then(|section| section.get_mut("required"))
+                .and_then(Value::as_array_mut);
+            if let Some(required) = required {
+                required.retain(|name| !POLICY_TABLES.iter().any(|table| name == table));
+            }
         }
     }
     schema
@@ -341,21 +486,23 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     for text in overrides {
         apply(&mut document, text)?;
     }
-    refuse_not_finite(&document, "").with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
-    let schema = schema();
-    refuse_unknown(&schema, &schema, &document, "")
-        .with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    let unusable = || format!("cannot use the pipeline file {}", path.display());
+    refuse_not_finite(&document, "").with_context(unusable)?;
+    tell_rollouts_apart(&mut document).with_context(unusable)?;
+    let schema = inner_schema();
+    refuse_unknown(&schema, &schema, &document, "").with_context(unusable)?;
     complete_segment(&mut document)?;
-    complete_policy(&mut document).with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    complete_policy(&mut document, "rollout", PRESETS, preset).with_context(unusable)?;
+    complete_policy(&mut document, SPATIAL_ROLLOUT, SPATIAL_PRESETS, spatial_preset).with_context(unusable)?;
     let pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
         let place = match error.path().to_string().as_str() {
             "." => String::new(),
-            place => format!("{place}: "),
+            place => format!("{}: ", place.replace(SPATIAL_ROLLOUT, "rollout")),
         };
         let why = in_words(&error.into_inner().to_string());
         anyhow::anyhow!("cannot use the pipeline file {}: {place}{why}", path.display())
     })?;
-    limits::check(&pipeline).with_context(|| format!("cannot use the pipeline file {}", path.display()))?;
+    limits::check(&pipeline).with_context(unusable)?;
     Ok(pipeline)
 }
 
@@ -441,33 +588,80 @@ fn complete_segment(document: &mut Value) -> Result<()> {
     Ok(())
 }
 
+/// Puts the table `[rollout]` of robosuite's tasks where it is read.
+fn tell_rollouts_apart(document: &mut Value) -> Result<()> {
+    let Some(map) = document.as_object_mut() else {
+        return Ok(());
+    };
+    if map.contains_key(SPATIAL_ROLLOUT) {
+        bail!("unknown key {SPATIAL_ROLLOUT}; the table is called rollout for every task");
+    }
+    let robosuite = map
+        .get("task")
+        .and_then(Value::as_str)
+        .is_some_and(|task| task != "pusht");
+    if robosuite && let Some(rollout) = map.remove("rollout") {
+        map.insert(SPATIAL_ROLLOUT.to_owned(), rollout);
+    }
+    Ok(())
+}
+
+fn preset(name: &str) -> Option<Result<Value, serde_json::Error>> {
+    PolicyConfig::preset(name).map(serde_json::to_value)
+}
+
+fn spatial_preset(name: &str) -> Option<Result<Value, serde_json::Error>> {
+    SpatialPolicyConfig::preset(name).map(serde_json::to_value)
+}
+
 /// Starts from the preset and lets the file's own settings replace single ones.
-fn complete_policy(document: &mut Value) -> Result<()> {
-    let Some(rollout) = document.get_mut("rollout").and_then(Value::as_object_mut) else {
+fn complete_policy(
+    document: &mut Value,
+    table: &str,
+    presets: [&str; 3],
+    preset: fn(&str) -> Option<Result<Value, serde_json::Error>>,
+) -> Result<()> {
+    let Some(rollout) = document.get_mut(table).and_then(Value::as_object_mut) else {
         return Ok(());
     };
     let Some(name) = rollout.get("policy").and_then(Value::as_str) else {
         return Ok(());
     };
-    let Some(preset) = PolicyConfig::preset(name) else {
+    let Some(preset) = preset(name) else {
         bail!(
             "unknown policy {name:?} in rollout.policy{}; the presets are {}",
-            suggestion(name, PRESETS),
-            PRESETS.join(", ")
+            suggestion(name, presets),
+            presets.join(", ")
         );
     };
-    if let Value::Object(sections) = serde_json::to_value(preset)? {
-        for (section, mut settings) in sections {
-            match (rollout.get(&section), &mut settings) {
-                (Some(Value::Object(own)), Value::Object(settings)) => settings.extend(own.clone()),
-                // Not a table: left for the decoder to refuse.
-                (Some(_), _) => continue,
-                (None, _) => {}
+    if let Value::Object(sections) = preset? {
+        for (section, settings) in sections {
+            let own = rollout.remove(&section);
+            if let Some(merged) = merge(settings, own) {
+                rollout.insert(section, merged);
             }
-            rollout.insert(section, settings);
         }
     }
     Ok(())
+}
+
+/// A preset's settings with one's own in their place, table by table. `false` switches an optional table off.
+fn merge(preset: Value, own: Option<Value>) -> Option<Value> {
+    match (preset, own) {
+        (Value::Null, None) => None,
+        // An optional setting that is switched off.
+        (preset, Some(Value::Bool(false))) if !preset.is_boolean() => None,
+        (preset, None) => Some(preset),
+        (Value::Object(mut settings), Some(Value::Object(own))) => {
+            for (key, value) in own {
+                let merged = merge(settings.remove(&key).unwrap_or(Value::Null), Some(value));
+                settings.extend(merged.map(|value| (key, value)));
+            }
+            Some(Value::Object(settings))
+        }
+        // Not a table: left for the decoder to refuse.
+        (_, Some(own)) => Some(own),
+    }
 }
 
 /// JSON cannot say nan and inf and has null in their place, which an optional setting would take for absence.
@@ -495,16 +689,25 @@ fn refuse_unknown(root: &Value, schema: &Value, document: &Value, place: &str) -
         } else {
             format!("{place}.{key}")
         };
+        let shown = path.replace(SPATIAL_ROLLOUT, "rollout");
         match properties.get(key) {
             Some(inner) => refuse_unknown(root, inner, value, &path)?,
             None => bail!(
-                "unknown key {path}{}; known here: {}",
-                suggestion(key, properties.keys().map(String::as_str)),
-                properties.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+                "unknown key {shown}{}; known here: {}",
+                suggestion(key, known(properties)),
+                known(properties).collect::<Vec<_>>().join(", ")
             ),
         }
     }
     Ok(())
+}
+
+/// Keys that a file may have.
+fn known(properties: &Map<String, Value>) -> impl Iterator<Item = &str> {
+    properties
+        .keys()
+        .map(String::as_str)
+        .filter(|key| *key != SPATIAL_ROLLOUT)
 }
 
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {

@@ -9,33 +9,66 @@ use re4_policy::spatial::{
 };
 use toy::{Episode, Random, block, demonstrate, demonstrations, episode, knowledge};
 
-/// Success over perturbed placements.
-fn successes(config: &SpatialPolicyConfig, demos: u32, noise: f64) -> usize {
+/// Successes over 40 perturbed placements, and grasps lost in them. `noise` is in mm and degrees; `catch` in metres, see
+/// [`World`].
+fn outcomes(config: &SpatialPolicyConfig, demos: u32, noise: f64, catch: f64) -> (usize, usize) {
     let knowledge = knowledge(demonstrations(demos, 0.6, 1), config, Symmetry::None);
     let mut random = Random::new(2);
-    (0..40)
+    let mut lost = 0;
+    let successes = (0..40)
         .filter(|&seed| {
-            let placed = block(random.range(-0.15, 0.05), random.range(-0.2, 0.0), random.range(-0.6, 0.6));
+            let placed = block(
+                random.range(-0.15, 0.05),
+                random.range(-0.2, 0.0),
+                random.range(-0.6, 0.6),
+            );
             let noise = PoseNoise::new(seed, 0.001 * noise, noise.to_radians());
-            episode(config, &knowledge, placed, Some(noise), |_, _| {}).success
+            let run = episode(config, &knowledge, placed, Some(noise), |_, world| world.catch = catch);
+            lost += kinds(&run)
+                .iter()
+                .filter(|kind| **kind == SpatialDecisionKind::GraspLost)
+                .count();
+            run.success
         })
-        .count()
+        .count();
+    (successes, lost)
+}
+
+/// Successes alone.
+fn successes(config: &SpatialPolicyConfig, demos: u32) -> usize {
+    outcomes(config, demos, 0.0, 0.012).0
 }
 
 #[test]
 fn re4_generalises_from_five_demonstrations_and_re2_does_not() {
-    assert_eq!(successes(&SpatialPolicyConfig::re4(), 5, 0.0), 40);
-    let paper = successes(&SpatialPolicyConfig::paper(), 5, 0.0);
+    assert_eq!(successes(&SpatialPolicyConfig::re4(), 5), 40);
+    let paper = successes(&SpatialPolicyConfig::paper(), 5);
     assert!(paper >= 36, "{paper}");
-    let re2 = successes(&SpatialPolicyConfig::re2(), 5, 0.0);
+    let re2 = successes(&SpatialPolicyConfig::re2(), 5);
     assert!(re2 <= 12, "{re2}");
 }
 
 #[test]
-fn averaging_and_commitment_help_against_noise() {
-    let re4 = successes(&SpatialPolicyConfig::re4(), 20, 5.0);
-    let paper = successes(&SpatialPolicyConfig::paper(), 20, 5.0);
-    assert!(re4 >= 36 && re4 > paper, "{re4}, {paper}");
+fn averaged_poses_help_against_noise() {
+    let averaged = outcomes(&SpatialPolicyConfig::re4(), 20, 5.0, 0.008);
+    let mut single = SpatialPolicyConfig::re4();
+    single.filter = None;
+    let single = outcomes(&single, 20, 5.0, 0.008);
+    assert!(averaged.0 >= 39 && averaged.1 <= 2, "{averaged:?}");
+    assert!(
+        single.0 < averaged.0 && single.1 > 5 * averaged.1.max(1),
+        "{single:?}, {averaged:?}"
+    );
+}
+
+#[test]
+fn no_decision_while_the_fingers_close_saves_grasps() {
+    let settled = outcomes(&SpatialPolicyConfig::re4(), 20, 0.0, 0.008);
+    let mut hasty = SpatialPolicyConfig::re4();
+    hasty.replay.settle = None;
+    let hasty = outcomes(&hasty, 20, 0.0, 0.008);
+    assert_eq!(settled, (40, 0));
+    assert!(hasty.1 > 0, "{hasty:?}");
 }
 
 #[test]
@@ -44,13 +77,17 @@ fn every_step_can_be_switched_off_alone() {
     no_bridge.replan.enabled = false;
     let mut no_reframe = SpatialPolicyConfig::paper();
     no_reframe.reframe.enabled = false;
-    for config in [no_bridge, no_reframe] {
+    for config in [SpatialPolicyConfig::paper(), no_bridge, no_reframe] {
         let knowledge = knowledge(demonstrations(5, 0.6, 1), &config, Symmetry::None);
         let run = episode(&config, &knowledge, block(0.0, -0.1, 0.2), None, |_, _| {});
         let decisions = run.decisions();
-        assert!(!config.replan.enabled || run.steps(SpatialPhase::Bridge) > 0);
+        let all = config.replan.enabled && config.reframe.enabled;
+        assert!(!all || run.steps(SpatialPhase::Bridge) > 0);
         assert!(config.replan.enabled || run.steps(SpatialPhase::Bridge) == 0);
-        let moved = decisions.iter().filter_map(|d| d.choice).any(|c| c.delta != nalgebra::Isometry3::identity());
+        let moved = decisions
+            .iter()
+            .filter_map(|d| d.choice)
+            .any(|c| c.delta != nalgebra::Isometry3::identity());
         assert_eq!(moved, config.reframe.enabled);
     }
 }
@@ -72,17 +109,24 @@ fn a_missed_grasp_leads_home_and_to_another_demonstration() {
     let mut misses = 0;
     let run = episode(&config, &knowledge, placed, None, |_, world| {
         world.slippery = misses == 0;
-        if world.separation == 0.0 {
+        if world.separation < 0.011 {
             misses = 1;
         }
     });
     assert!(run.success, "{:?}", kinds(&run));
     let decisions = run.decisions();
-    let lost = decisions.iter().position(|d| d.kind == SpatialDecisionKind::GraspLost).unwrap();
+    let lost = decisions
+        .iter()
+        .position(|d| d.kind == SpatialDecisionKind::GraspLost)
+        .unwrap();
     assert!(run.steps(SpatialPhase::Home) > 3);
     assert_eq!(decisions[lost].newly_banned, [first_demo(&run)]);
     assert_eq!(run.banned, [first_demo(&run)]);
-    assert!(decisions[lost].reason().contains("the grasp is lost"), "{}", decisions[lost].reason());
+    assert!(
+        decisions[lost].reason().contains("the grasp is lost"),
+        "{}",
+        decisions[lost].reason()
+    );
     let next = decisions[lost + 1];
     assert_eq!(next.kind, SpatialDecisionKind::Retrieve);
     assert_ne!(next.choice.unwrap().demo, first_demo(&run));
@@ -106,7 +150,10 @@ fn without_bans_the_same_demonstration_is_tried_again() {
         .filter(|d| d.kind == SpatialDecisionKind::Retrieve)
         .filter_map(|d| d.choice.map(|c| c.demo))
         .collect();
-    assert!(retrieved.len() > 3 && retrieved.iter().all(|d| *d == retrieved[0]), "{retrieved:?}");
+    assert!(
+        retrieved.len() > 3 && retrieved.iter().all(|d| *d == retrieved[0]),
+        "{retrieved:?}"
+    );
     assert!(run.banned.is_empty());
 }
 
@@ -117,7 +164,11 @@ fn with_bans_every_demonstration_has_its_turn() {
     let run = episode(&config, &knowledge, block(-0.05, -0.1, 0.1), None, |_, world| {
         world.slippery = true;
     });
-    let mut retrieved: Vec<u32> = run.decisions().iter().filter_map(|d| d.choice.map(|c| c.demo)).collect();
+    let mut retrieved: Vec<u32> = run
+        .decisions()
+        .iter()
+        .filter_map(|d| d.choice.map(|c| c.demo))
+        .collect();
     retrieved.dedup();
     assert!(retrieved.len() > 3, "{retrieved:?}");
     assert!(retrieved.windows(2).all(|w| w[0] != w[1]));
@@ -141,7 +192,10 @@ fn an_object_that_is_snatched_away_is_lost_at_once_or_at_the_next_retrieval() {
         });
         assert!(run.success, "{:?}", kinds(&run));
         let decisions = run.decisions();
-        let lost = decisions.iter().find(|d| d.kind == SpatialDecisionKind::GraspLost).unwrap();
+        let lost = decisions
+            .iter()
+            .find(|d| d.kind == SpatialDecisionKind::GraspLost)
+            .unwrap();
         assert!(lost.step as usize > snatched.unwrap() && (lost.step as usize) < snatched.unwrap() + 60);
     }
 }
@@ -153,7 +207,11 @@ fn the_end_of_a_demonstration_is_no_dead_end() {
     let knowledge = knowledge(demonstrations(8, 0.6, 3), &config, Symmetry::None);
     let mut back = false;
     let run = episode(&config, &knowledge, block(-0.05, -0.1, 0.1), None, |_, world| {
-        if !back && world.lifted && world.held.is_some() && world.object.translation.z < 0.05 && world.object.translation.x > 0.2
+        if !back
+            && world.lifted
+            && world.held.is_some()
+            && world.object.translation.z < 0.05
+            && world.object.translation.x > 0.2
         {
             world.held = None;
             world.lifted = false;
@@ -167,7 +225,10 @@ fn the_end_of_a_demonstration_is_no_dead_end() {
         }
     });
     assert!(back && run.success, "{:?}", kinds(&run));
-    let ended = run.decisions().iter().position(|d| d.kind == SpatialDecisionKind::DemoEnded);
+    let ended = run
+        .decisions()
+        .iter()
+        .position(|d| d.kind == SpatialDecisionKind::DemoEnded);
     assert!(ended.is_some(), "{:?}", kinds(&run));
     assert_eq!(config.recovery.end_of_demo, EndOfDemo::GoHome);
     assert!(run.decisions()[ended.unwrap()].newly_banned.len() == 1);
@@ -181,7 +242,11 @@ fn a_demonstration_is_followed_through_with_commitment() {
     assert!(run.success);
     let choices: Vec<_> = run.decisions().iter().filter_map(|d| d.choice).collect();
     assert!(choices.iter().all(|c| c.demo == choices[0].demo));
-    assert!(choices.windows(2).all(|w| w[1].demo_frame == w[0].demo_end + 1), "{choices:?}");
+    // Chunks run on while the fingers move, and never go back.
+    assert!(
+        choices.windows(2).all(|w| w[1].demo_frame > w[0].demo_end),
+        "{choices:?}"
+    );
     assert_eq!(kinds(&run)[1..], vec![SpatialDecisionKind::Continue; choices.len() - 1]);
     // The chunk with the release goes on to the demonstration's end.
     let frames = knowledge.demos().demo(choices[0].demo).unwrap();
@@ -192,7 +257,10 @@ fn a_demonstration_is_followed_through_with_commitment() {
 fn a_cube_is_taken_however_it_is_turned() {
     // All demonstrations have yaws about 0, the block here is turned by a quarter: with symmetry that is the same block.
     let config = SpatialPolicyConfig::re4();
-    let cube = Symmetry::Fold { axis: [0.0, 0.0, 1.0], n: 4 };
+    let cube = Symmetry::Fold {
+        axis: [0.0, 0.0, 1.0],
+        n: 4,
+    };
     let placed = block(-0.05, -0.1, 1.7);
     let [plain, symmetric] = [Symmetry::None, cube].map(|symmetry| {
         let knowledge = knowledge(demonstrations(10, 0.3, 3), &config, symmetry);
@@ -231,7 +299,11 @@ fn retrieving_about_the_same_frame_bans() {
         world.eef = still;
         world.separation = 0.08;
     });
-    let demos: Vec<u32> = run.decisions().iter().filter_map(|d| d.choice.map(|c| c.demo)).collect();
+    let demos: Vec<u32> = run
+        .decisions()
+        .iter()
+        .filter_map(|d| d.choice.map(|c| c.demo))
+        .collect();
     assert_eq!(demos[..4], [0, 0, 0, 1], "{demos:?}");
     assert_eq!(run.decisions()[3].newly_banned, [0]);
 }

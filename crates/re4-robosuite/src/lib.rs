@@ -3,6 +3,7 @@
 //!
 //! * [`kinematics`]: poses of bodies and sites from a demo's `model_file` and its flattened states, without a simulator.
 //! * [`env_args`]: the attributes that say how a file was recorded.
+//! * [`physics`]: a model without what is only drawn.
 //! * [`actions`]: delta actions of the operational-space controller to absolute ones and back.
 //! * [`conventions`]: the layout of the object vector, frames, quaternion order, kind of action and gripper sign, each with
 //!   the evidence for it.
@@ -15,6 +16,7 @@ pub mod actions;
 pub mod conventions;
 pub mod env_args;
 pub mod kinematics;
+pub mod physics;
 pub mod models;
 
 use nalgebra::UnitQuaternion;

@@ -5,6 +5,7 @@
 
 mod audit;
 mod spatial;
+mod spatial_rollouts;
 
 use crate::key::Stage;
 use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
@@ -12,6 +13,9 @@ use crate::spec::{ColumnSpec, TableSpec};
 
 pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
 pub use spatial::{CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_SEGMENTS, STATES};
+pub use spatial_rollouts::{
+    SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS,
+};
 
 const fn id(name: &'static str, description: &'static str) -> ColumnSpec {
     ColumnSpec::new(name, U32, description)
@@ -626,10 +630,18 @@ pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
         ],
         Stage::Segment => &[&MODES, &SEGMENTS, &SPATIAL_MODES, &SPATIAL_SEGMENTS],
         Stage::Audit => &[&FINDINGS, &CHECKS, &AUDITED_EPISODES, &GRASPS],
-        Stage::Index => &[&INDEX, &SCALES, &CHUNKS],
+        Stage::Index => &[&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
         Stage::Scenes => &[&SCENES],
-        Stage::Rollout => &[&RESULTS, &STEPS, &DECISIONS, &BUDGETS],
-        Stage::Replay => &[&REPLAYS, &DIVERGENCE],
+        Stage::Rollout => &[
+            &RESULTS,
+            &STEPS,
+            &DECISIONS,
+            &BUDGETS,
+            &SPATIAL_RESULTS,
+            &SPATIAL_STEPS,
+            &SPATIAL_DECISIONS,
+        ],
+        Stage::Replay => &[&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
         Stage::TrainPose => &[&POSES, &ANCHOR],
     }
 }
@@ -675,6 +687,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 29);
+        assert_eq!(names.len(), 35);
     }
 }

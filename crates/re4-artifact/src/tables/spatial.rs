@@ -9,12 +9,12 @@ use crate::spec::ColumnKind::{Binary, Bool, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 /// A coordinate in the world frame, in metres.
-const fn world(name: &'static str, description: &'static str) -> ColumnSpec {
+pub(super) const fn world(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).unit("m").frame("world")
 }
 
 /// A part of a quaternion that leads to the world frame.
-const fn attitude(name: &'static str, description: &'static str) -> ColumnSpec {
+pub(super) const fn attitude(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).frame("world")
 }
 
@@ -24,12 +24,12 @@ const fn in_object(name: &'static str, description: &'static str) -> ColumnSpec 
 }
 
 /// A length, the same in every frame of reference.
-const fn length(name: &'static str, description: &'static str) -> ColumnSpec {
+pub(super) const fn length(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).unit("m")
 }
 
 /// An angle, the same in every frame of reference.
-const fn turn(name: &'static str, description: &'static str) -> ColumnSpec {
+pub(super) const fn turn(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).unit("rad")
 }
 

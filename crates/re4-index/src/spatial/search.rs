@@ -111,7 +111,9 @@ impl SpatialIndex {
         }
         let mut best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
         if best.is_none() {
-            skipped.iter_mut().for_each(|skip| *skip = !*skip);
+            for skip in &mut skipped {
+                *skip = !*skip;
+            }
             best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
         }
         Ok((best, statistics))

@@ -1,5 +1,7 @@
 //! The commands that run stages, each after those that it needs.
 
+mod spatial;
+
 use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
@@ -56,6 +58,9 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
+    if !runner.pipeline.task.is_planar() {
+        return answer(&runner, &runner.index_spatial(&episodes, &modes)?);
+    }
     let poses = runner.train_pose(&episodes)?;
     let built = runner.index(&episodes, &modes, poses.as_ref())?;
     answer(&runner, &built)
@@ -76,8 +81,13 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe rollout`.
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let runner = runner(arguments)?;
-    runner.pipeline.rollout()?;
-    roll_out(&runner, arguments)
+    if runner.pipeline.task.is_planar() {
+        runner.pipeline.rollout()?;
+        roll_out(&runner, arguments)
+    } else {
+        runner.pipeline.spatial_rollout()?;
+        spatial::roll_out(&runner, arguments)
+    }
 }
 
 /// `re4-pipe run`: up to the last stage that the pipeline has a table for.
@@ -85,6 +95,9 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let runner = runner(arguments)?;
     if runner.pipeline.rollout.is_some() {
         return roll_out(&runner, arguments);
+    }
+    if runner.pipeline.spatial_rollout.is_some() {
+        return spatial::roll_out(&runner, arguments);
     }
     anyhow::ensure!(
         arguments.report.is_none() && arguments.record.is_none(),
@@ -190,10 +203,12 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
 /// `re4-pipe replay`.
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     let runner = Runner::new(&arguments.stage, &[])?;
+    if !runner.pipeline.task.is_planar() {
+        return spatial::replay(&runner, arguments);
+    }
     anyhow::ensure!(
-        runner.pipeline.task.is_planar(),
-        "cannot replay {}: this version has the simulator of Push-T alone; robosuite's tasks are ingested, segmented and audited",
-        arguments.stage.pipeline.display()
+        arguments.least.is_none(),
+        "--fail-under is for robosuite's tasks; Push-T's demonstrations end before success"
     );
     let built = runner.replay(&runner.ingest()?)?;
     if let Some(path) = &arguments.plot {

@@ -15,7 +15,7 @@ use re4_segment::{Grasp, SegmentedSpatial, SpatialEvidence, SpatialSegment};
 const AT_A_TIME: usize = 64;
 
 /// The rows of one demonstration after those of the other, of a table that is sorted by episode.
-struct ByEpisode {
+pub(super) struct ByEpisode {
     batches: Batches,
     /// Rows that were read and not yet given.
     rest: Option<RecordBatch>,
@@ -23,7 +23,7 @@ struct ByEpisode {
 
 impl ByEpisode {
     /// The table of this artifact.
-    fn open(artifact: &Artifact, spec: &'static TableSpec) -> Result<Self> {
+    pub(super) fn open(artifact: &Artifact, spec: &'static TableSpec) -> Result<Self> {
         Ok(Self {
             batches: artifact.table(spec)?.batches()?,
             rest: None,

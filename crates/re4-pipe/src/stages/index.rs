@@ -1,5 +1,7 @@
 //! Index: `episodes`, `modes` and perhaps `poses` to `index`.
 
+mod spatial;
+
 use std::collections::BTreeSet;
 
 use anyhow::{Context as _, Result};
@@ -16,6 +18,8 @@ use serde_json::json;
 
 use super::segment::read_episodes;
 use super::{Built, Runner};
+
+pub(super) use spatial::{open_spatial_index, orientation_to_site};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 2;

@@ -1,5 +1,7 @@
 //! Replay: `episodes`, replayed open-loop, to `replays`.
 
+mod spatial;
+
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, tables};

@@ -1,5 +1,7 @@
 //! Rollout: `index` and perhaps `scenes` to `rollouts`.
 
+mod spatial;
+
 use std::sync::Arc;
 use std::time::Instant;
 

@@ -1,26 +1,152 @@
-//! Where MuJoCo's libraries and robosuite's assets are.
+//! robosuite's simulator for the demonstrations of an `episodes` artifact.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use anyhow::Result;
-use re4_mujoco::{Library, Version};
+use anyhow::{Context as _, Result, bail, ensure};
+use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
+use re4_mujoco::Library;
+use re4_robosuite::models::with_assets;
+use re4_robosuite::physics::without_pictures;
+use re4_sim::robosuite::{Profile, RobosuiteModel, RobosuiteTask, Solves};
 
-/// Names the folder.
-const VARIABLE: &str = "RE4_SIMULATORS";
-
-/// The folder that `scripts/setup-simulators.sh` makes: `RE4_SIMULATORS` where it is set, else `data/simulators`.
-pub(crate) fn folder() -> PathBuf {
-    std::env::var_os(VARIABLE)
+/// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
+pub(crate) fn simulators_folder() -> PathBuf {
+    std::env::var_os("RE4_SIMULATORS")
         .filter(|value| !value.is_empty())
         .map_or_else(|| PathBuf::from("data/simulators"), PathBuf::from)
 }
 
-/// MuJoCo's library of this version.
-pub(crate) fn mujoco(version: Version) -> Result<Library> {
-    Ok(Library::open(&folder().join(format!("mujoco-{version}")), version)?)
+/// Folder with the meshes and textures that models name. Those of robosuite 1.4.1 serve 1.5 as well.
+pub(crate) fn assets_folder() -> PathBuf {
+    let folder = simulators_folder().join("robosuite-1.4.1");
+    // Paths in models have to be absolute.
+    std::path::absolute(&folder).unwrap_or(folder)
 }
 
-/// What stands for robosuite's package: the meshes and textures that models name.
-pub(crate) fn assets() -> PathBuf {
-    folder().join("robosuite-1.4.1")
+/// The MuJoCo that goes with a version of robosuite.
+pub(crate) fn library(profile: Profile) -> Result<Library> {
+    let version = profile.mujoco();
+    Ok(Library::open(
+        &simulators_folder().join(format!("mujoco-{version}")),
+        version,
+    )?)
+}
+
+/// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
+pub(crate) struct Scenes {
+    task: RobosuiteTask,
+    profile: Profile,
+    library: Library,
+    solves: Solves,
+    /// MJCF by number, with paths of this machine and without what is only drawn.
+    mjcf: Vec<String>,
+    /// Model of every demonstration.
+    of_demo: Vec<Option<u32>>,
+    compiled: Mutex<BTreeMap<u32, Arc<Mutex<Option<RobosuiteModel>>>>>,
+}
+
+/// The version of robosuite that the demonstrations of an artifact come from.
+///
+/// # Errors
+/// When the artifact does not name it, or it is one that is not known.
+pub(crate) fn profile(episodes: &Artifact) -> Result<Profile> {
+    let named = episodes.manifest().source["robosuite_version"].as_str();
+    let Some(named) = named else {
+        bail!(
+            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args",
+            episodes.path().display()
+        );
+    };
+    Profile::of(named).with_context(|| {
+        format!(
+            "cannot simulate the demonstrations of {}: they were recorded with robosuite {named}, and the versions known here are 1.4 and 1.5",
+            episodes.path().display()
+        )
+    })
+}
+
+impl Scenes {
+    /// Those of this artifact.
+    ///
+    /// # Errors
+    /// When MuJoCo's library or an asset is missing, or the artifact has no models.
+    pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, solves: Solves) -> Result<Self> {
+        let profile = profile(episodes)?;
+        let library = library(profile)?;
+        let demos = episodes.table(&tables::DEMOS)?.read_columns(&["demo", "model"])?;
+        let names = col_text(&demos, "demo")?;
+        let of_demo = col_u32_or_null(&demos, "model")?;
+        let has_models = episodes.manifest().tables.contains_key(tables::MODELS.name);
+        ensure!(
+            has_models,
+            "cannot simulate the demonstrations of {}: they have no model_file; ingest a file whose demonstrations have that attribute",
+            episodes.path().display()
+        );
+        let table = episodes.table(&tables::MODELS)?.read_all()?;
+        let folder = assets_folder();
+        let numbers = col_u32(&table, "model")?;
+        let mut mjcf = Vec::with_capacity(numbers.len());
+        for (number, text) in numbers.iter().zip(col_text(&table, "mjcf")?) {
+            let user = of_demo.iter().position(|model| model == &Some(*number));
+            let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
+            let text = with_assets(text.unwrap_or_default(), &folder)
+                .with_context(|| format!("cannot simulate {demo} of {}", episodes.path().display()))?;
+            mjcf.push(without_pictures(&text).map_err(anyhow::Error::msg)?);
+        }
+        Ok(Self {
+            task,
+            profile,
+            library,
+            solves,
+            mjcf,
+            of_demo,
+            compiled: Mutex::default(),
+        })
+    }
+
+    /// The version of robosuite whose behaviour is reproduced.
+    pub(crate) fn profile(&self) -> Profile {
+        self.profile
+    }
+
+    /// MJCF of the first demonstration that has a model.
+    pub(crate) fn first_mjcf(&self) -> Result<&str> {
+        let first = self.of_demo.iter().flatten().next();
+        let text = first.and_then(|number| self.mjcf.get(*number as usize));
+        Ok(text.context("no demonstration has a model")?)
+    }
+
+    /// A scene from MJCF that is not a demonstration's own.
+    pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
+        let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
+        Ok(model.with_solves(self.solves))
+    }
+
+    /// The scene of a demonstration, by its number in the artifact.
+    pub(crate) fn of(&self, demo: u32) -> Result<RobosuiteModel> {
+        let number = self
+            .of_demo
+            .get(demo as usize)
+            .copied()
+            .flatten()
+            .with_context(|| format!("demonstration {demo} has no model_file"))?;
+        let place = Arc::clone(
+            self.compiled
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .entry(number)
+                .or_default(),
+        );
+        // One thread compiles, others that need the same model wait for it.
+        let mut place = place.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(model) = &*place {
+            return Ok(model.clone());
+        }
+        let mjcf = self.mjcf.get(number as usize).context("table models ends too early")?;
+        let model = self.compile(mjcf)?;
+        *place = Some(model.clone());
+        Ok(model)
+    }
 }

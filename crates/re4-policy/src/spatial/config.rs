@@ -118,6 +118,20 @@ pub struct SpatialReplayConfig {
     pub horizon: u32,
     /// Whether a chunk that reaches the demonstration's last release goes on to the demonstration's end.
     pub finish: bool,
+    /// How far a chunk in which the gripper closes or opens runs on; to its end and no further when absent.
+    pub settle: Option<SettleConfig>,
+}
+
+/// A chunk that ends while the fingers still move runs on until they are still, for 40 actions at the most: between the
+/// command to close and the grasp, the object is in transfer but not yet held, and moving it to where the demonstration has it
+/// would move the fingers alone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SettleConfig {
+    /// Least number of actions after the gripper's command changed.
+    pub steps: u32,
+    /// Change of the distance between the fingers, in metres a control step, from which on they move.
+    pub finger_speed: f64,
 }
 
 /// When fingers that hold nothing are noticed.
@@ -242,6 +256,7 @@ impl SpatialPolicyConfig {
             replay: SpatialReplayConfig {
                 horizon: 16,
                 finish: false,
+                settle: None,
             },
             recovery: SpatialRecoveryConfig {
                 lost_grasp: Some(0.01),
@@ -262,7 +277,7 @@ impl SpatialPolicyConfig {
         config
     }
 
-    /// Grasp correction, bans, commitment to a demonstration, and averaged poses.
+    /// Grasp correction, bans, commitment to a demonstration, averaged poses, and no decision while the fingers move.
     pub fn re4() -> Self {
         let mut config = Self::paper();
         config.retrieve.tail = false;
@@ -270,6 +285,10 @@ impl SpatialPolicyConfig {
         config.reframe.transfer = TransferReplay::GraspCorrected;
         config.reframe.measure = Measuring::Continuous;
         config.replay.finish = true;
+        config.replay.settle = Some(SettleConfig {
+            steps: 10,
+            finger_speed: 5e-4,
+        });
         config.recovery.check = GraspCheck::Step;
         config.recovery.end_of_demo = EndOfDemo::GoHome;
         config.recovery.ban = Some(BanConfig { repeats: 4, window: 3 });
@@ -301,21 +320,58 @@ impl SpatialPolicyConfig {
             }
         };
         let at_least_1 = |v: f64| v >= 1.0;
-        number("retrieve.translation_scale", retrieve.translation_scale, &positive, over_0)?;
+        number(
+            "retrieve.translation_scale",
+            retrieve.translation_scale,
+            &positive,
+            over_0,
+        )?;
         number("retrieve.rotation_scale", retrieve.rotation_scale, &positive, over_0)?;
         number("retrieve.object_weight", retrieve.object_weight, &not_negative, from_0)?;
         number("retrieve.eef_weight", retrieve.eef_weight, &not_negative, from_0)?;
-        number("retrieve.commit_margin", retrieve.commit_margin.unwrap_or(0.0), &not_negative, from_0)?;
+        number(
+            "retrieve.commit_margin",
+            retrieve.commit_margin.unwrap_or(0.0),
+            &not_negative,
+            from_0,
+        )?;
         number("replan.lead_translation", replan.lead_translation, &positive, over_0)?;
         number("replan.lead_rotation", replan.lead_rotation, &positive, over_0)?;
-        number("replan.tolerance_translation", replan.tolerance_translation, &positive, over_0)?;
-        number("replan.tolerance_rotation", replan.tolerance_rotation, &positive, over_0)?;
+        number(
+            "replan.tolerance_translation",
+            replan.tolerance_translation,
+            &positive,
+            over_0,
+        )?;
+        number(
+            "replan.tolerance_rotation",
+            replan.tolerance_rotation,
+            &positive,
+            over_0,
+        )?;
         number("replay.horizon", f64::from(replay.horizon), &at_least_1, from_1)?;
-        number("recovery.lost_grasp", recovery.lost_grasp.unwrap_or(0.0), &not_negative, from_0)?;
-        number("recovery.home_steps", f64::from(recovery.home_steps), &at_least_1, from_1)?;
+        let finger_speed = replay.settle.as_ref().map_or(0.0, |settle| settle.finger_speed);
+        number("replay.settle.finger_speed", finger_speed, &not_negative, from_0)?;
+        number(
+            "recovery.lost_grasp",
+            recovery.lost_grasp.unwrap_or(0.0),
+            &not_negative,
+            from_0,
+        )?;
+        number(
+            "recovery.home_steps",
+            f64::from(recovery.home_steps),
+            &at_least_1,
+            from_1,
+        )?;
         let repeats = ban.map_or(2, |ban| ban.repeats);
         number("recovery.ban.repeats", f64::from(repeats), &|v| v >= 2.0, "2 or more")?;
-        number("filter.samples", f64::from(filter.map_or(1, |f| f.samples)), &at_least_1, from_1)?;
+        number(
+            "filter.samples",
+            f64::from(filter.map_or(1, |f| f.samples)),
+            &at_least_1,
+            from_1,
+        )?;
         number("filter.gate", filter.map_or(1.0, |f| f.gate), &positive, over_0)
     }
 }

@@ -35,7 +35,7 @@ pub struct SpatialChoice {
     pub demo: u32,
     /// First frame of the chunk.
     pub demo_frame: u32,
-    /// Last frame of the chunk.
+    /// Last frame of the chunk; it runs on beyond where the fingers still move.
     pub demo_end: u32,
     /// Distance over the full state, without unit, as are the other two.
     pub d_q: f64,
@@ -113,9 +113,14 @@ impl SpatialDecision {
             }
             (_, None) => "nothing was chosen".to_owned(),
         };
-        if !self.newly_banned.is_empty() {
-            let names: Vec<String> = self.newly_banned.iter().map(u32::to_string).collect();
-            reason.push_str(&format!("; not followed again: demonstration {}", names.join(", ")));
+        for (i, demo) in self.newly_banned.iter().enumerate() {
+            let before = if i == 0 {
+                "; not followed again: demonstration "
+            } else {
+                ", "
+            };
+            reason.push_str(before);
+            reason.push_str(&demo.to_string());
         }
         reason
     }

@@ -15,9 +15,10 @@ mod estimate;
 mod noise;
 mod policy;
 mod reframe;
+mod rollout;
 
 pub use config::{
-    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SpatialConfigError,
+    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SettleConfig, SpatialConfigError,
     SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig,
     SpatialRetrieveConfig, TransferReplay,
 };
@@ -26,6 +27,9 @@ pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};
 pub use estimate::ObjectEstimate;
 pub use noise::PoseNoise;
 pub use policy::SpatialRe4;
+pub use rollout::{
+    NoiseLevel, SpatialRollout, SpatialStart, SpatialStepRecord, observe, spatial_rollout, spatial_rollouts, to_robosuite,
+};
 pub use reframe::{Carry, reframe_spatial, without_reframe_spatial};
 
 use nalgebra::Isometry3;

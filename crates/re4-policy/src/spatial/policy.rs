@@ -22,6 +22,9 @@ const OPEN: f64 = -1.0;
 /// Command that closes it.
 const CLOSE: f64 = 1.0;
 
+/// Actions after a change of the gripper's command for which fingers that move are waited for.
+const SETTLE_MOST: u32 = 40;
+
 /// A policy in the middle of an episode.
 ///
 /// When nothing is under way it decides: with the gripper told to close and nothing between the fingers, it goes home;
@@ -34,6 +37,10 @@ pub struct SpatialRe4 {
     estimate: ObjectEstimate,
     /// Last gripper command.
     gripper: f64,
+    /// Control steps since that command began to close, or ceased to.
+    since_change: u32,
+    /// Distance between the fingers at the last step.
+    separation: Option<f64>,
     doing: Doing,
     /// The chunk that was replayed to its end, unless a grasp was lost since.
     followed: Option<Followed>,
@@ -47,7 +54,7 @@ pub struct SpatialRe4 {
 enum Doing {
     Nothing,
     Home { taken: u32 },
-    Chunk(Chunk),
+    Chunk(Box<Chunk>),
 }
 
 /// A chunk that is being carried out.
@@ -88,6 +95,10 @@ struct Seen {
 }
 
 impl Seen {
+    fn separation(&self) -> f64 {
+        (self.fingers[0] - self.fingers[1]).abs()
+    }
+
     fn query(&self) -> SpatialQuery {
         SpatialQuery {
             mode: self.mode,
@@ -112,6 +123,8 @@ impl SpatialRe4 {
             knowledge,
             home,
             gripper: OPEN,
+            since_change: SETTLE_MOST,
+            separation: None,
             doing: Doing::Nothing,
             followed: None,
             grasped_by: None,
@@ -129,11 +142,16 @@ impl SpatialRe4 {
 impl SpatialPolicy for SpatialRe4 {
     fn act(&mut self, observation: &SpatialObservation) -> Result<SpatialAct, PolicyError> {
         let fingers = observation.fingers;
-        let sound = is_sound(&observation.eef) && is_sound(&observation.object) && fingers.iter().all(|f| f.is_finite());
+        let sound =
+            is_sound(&observation.eef) && is_sound(&observation.object) && fingers.iter().all(|f| f.is_finite());
         if !sound {
             return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
         }
-        let mode = if self.gripper > 0.0 { Mode::Transfer } else { Mode::Transit };
+        let mode = if self.gripper > 0.0 {
+            Mode::Transfer
+        } else {
+            Mode::Transit
+        };
         let seen = Seen {
             mode,
             eef: observation.eef,
@@ -165,7 +183,14 @@ impl SpatialPolicy for SpatialRe4 {
                 }
             }
         };
+        let changed = (action.gripper > 0.0) != (self.gripper > 0.0);
+        self.since_change = if changed {
+            1
+        } else {
+            self.since_change.saturating_add(1)
+        };
         self.gripper = action.gripper;
+        self.separation = Some(observation.finger_separation());
         self.step += 1;
         Ok(SpatialAct {
             action,
@@ -180,7 +205,7 @@ impl SpatialRe4 {
     #[expect(clippy::type_complexity, reason = "an action with its phase, or a decision")]
     fn carry_on(
         &mut self,
-        mut chunk: Chunk,
+        mut chunk: Box<Chunk>,
         seen: &Seen,
     ) -> Result<(Option<(SpatialAction, SpatialPhase)>, Option<SpatialDecision>), PolicyError> {
         let knowledge = Arc::clone(&self.knowledge);
@@ -203,6 +228,9 @@ impl SpatialRe4 {
                 self.doing = Doing::Chunk(chunk);
                 return Ok((None, Some(self.give_the_grasp_up(seen))));
             }
+        }
+        if chunk.next > chunk.end && chunk.next < frames.len() && self.settles(seen) {
+            chunk.end = chunk.next;
         }
         if chunk.next > chunk.end {
             self.followed = Some(Followed {
@@ -241,6 +269,17 @@ impl SpatialRe4 {
         );
     }
 
+    /// Whether the fingers are still on their way to what the last change of the gripper's command asked for.
+    fn settles(&self, seen: &Seen) -> bool {
+        let Some(settle) = &self.config.replay.settle else {
+            return false;
+        };
+        let moves = self
+            .separation
+            .is_some_and(|before| (seen.separation() - before).abs() > settle.finger_speed);
+        self.since_change < settle.steps || (moves && self.since_change < SETTLE_MOST)
+    }
+
     fn is_at(&self, eef: &Isometry3<f64>, goal: &Isometry3<f64>) -> bool {
         let (distance, angle) = pose_distance(eef, goal);
         distance <= self.config.replan.tolerance_translation && angle <= self.config.replan.tolerance_rotation
@@ -257,8 +296,8 @@ impl SpatialRe4 {
 
     /// Told to close, and nothing between the fingers.
     fn grasp_is_lost(&self, seen: &Seen) -> bool {
-        let separation = (seen.fingers[0] - seen.fingers[1]).abs();
-        seen.mode == Mode::Transfer && self.config.recovery.lost_grasp.is_some_and(|least| separation < least)
+        let lost_below = self.config.recovery.lost_grasp;
+        seen.mode == Mode::Transfer && lost_below.is_some_and(|least| seen.separation() < least)
     }
 
     fn ban(&mut self, demo: u32) {
@@ -274,7 +313,10 @@ impl SpatialRe4 {
             _ => self.followed.map(|followed| followed.demo),
         };
         let grasped_by = self.grasped_by.take();
-        for demo in [grasped_by, followed.filter(|_| followed != grasped_by)].into_iter().flatten() {
+        for demo in [grasped_by, followed.filter(|_| followed != grasped_by)]
+            .into_iter()
+            .flatten()
+        {
             self.ban(demo);
         }
         self.go_home(SpatialDecisionKind::GraspLost, seen)
@@ -388,7 +430,7 @@ impl SpatialRe4 {
             end = frames.len() - 1;
         }
         let bridge = self.config.replan.enabled && !self.is_at(&seen.eef, &carry.near);
-        self.doing = Doing::Chunk(Chunk {
+        self.doing = Doing::Chunk(Box::new(Chunk {
             demo,
             start,
             next: start,
@@ -398,7 +440,7 @@ impl SpatialRe4 {
             aligned: frame_of_rest(seen).inv_mul(&object),
             measured: !self.config.reframe.enabled || self.config.reframe.measure == Measuring::Decision,
             bridge: self.config.replan.enabled.then_some(0),
-        });
+        }));
         let choice = SpatialChoice {
             demo,
             demo_frame: start as u32,

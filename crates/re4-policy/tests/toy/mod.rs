@@ -114,7 +114,11 @@ impl World {
             let quarter = angle.rem_euclid(PI / 2.0);
             let square = quarter.min(PI / 2.0 - quarter) < 0.25;
             let between = seen.translation.vector.norm() < self.catch && square && !self.slippery;
-            let least = if between || self.held.is_some() { 2.0 * HALF } else { 0.0 };
+            let least = if between || self.held.is_some() {
+                2.0 * HALF
+            } else {
+                0.0
+            };
             self.separation = (self.separation - 0.01).max(least);
             if between && self.separation <= 2.0 * HALF && self.held.is_none() {
                 self.held = Some(seen);
@@ -162,7 +166,14 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
                 object: world.object,
                 fingers: world.observe().fingers,
                 delta: [0.0; 6],
-                goal: [goal.translation.x, goal.translation.y, goal.translation.z, v.x, v.y, v.z],
+                goal: [
+                    goal.translation.x,
+                    goal.translation.y,
+                    goal.translation.z,
+                    v.x,
+                    v.y,
+                    v.z,
+                ],
                 gripper,
                 closes: gripper > 0.0,
                 reward: None,
@@ -199,7 +210,11 @@ pub(crate) fn demonstrations(count: u32, spread: f64, seed: u64) -> SpatialDemoS
     }))
 }
 
-pub(crate) fn knowledge(demos: SpatialDemoSet, config: &SpatialPolicyConfig, symmetry: Symmetry) -> Arc<SpatialKnowledge> {
+pub(crate) fn knowledge(
+    demos: SpatialDemoSet,
+    config: &SpatialPolicyConfig,
+    symmetry: Symmetry,
+) -> Arc<SpatialKnowledge> {
     Arc::new(SpatialKnowledge::new(demos, &config.retrieve, symmetry, |_, _| false).unwrap())
 }
 

@@ -209,7 +209,7 @@ fn rules(task: RobosuiteTask, cube: Option<[f64; 3]>) -> Vec<Rule> {
 /// MuJoCo 2.3 carry, stays: it is of no effect but on the size of decorations.
 ///
 /// # Errors
-/// When the text is not XML, or has no geoms `cube_g0` and `cube_g0_vis`.
+/// When the text is not XML, or has no geom `cube_g0`.
 pub fn with_cube_size(mjcf: &str, half_sizes: [f64; 3]) -> Result<String, SimError> {
     let refuse = |reason: String| SimError::Model {
         task: RobosuiteTask::Lift.environment(),
@@ -217,16 +217,16 @@ pub fn with_cube_size(mjcf: &str, half_sizes: [f64; 3]) -> Result<String, SimErr
     };
     let document =
         roxmltree::Document::parse(mjcf).map_err(|error| refuse(format!("its MJCF is not XML ({error})")))?;
-    let mut ranges = Vec::new();
-    for name in ["cube_g0", "cube_g0_vis"] {
-        let range = document
+    let size_of = |name: &str| {
+        document
             .descendants()
             .find(|node| node.has_tag_name("geom") && node.attribute("name") == Some(name))
             .and_then(|geom| geom.attribute_node("size"))
             .map(|size| size.range_value())
-            .ok_or_else(|| refuse(format!("the model has no geom {name} with a size")))?;
-        ranges.push(range);
-    }
+    };
+    let cube = size_of("cube_g0").ok_or_else(|| refuse("the model has no geom cube_g0 with a size".to_owned()))?;
+    // The one that is drawn is not there in a model without pictures.
+    let mut ranges: Vec<_> = std::iter::once(cube).chain(size_of("cube_g0_vis")).collect();
     let size = half_sizes.map(six_digits).join(" ");
     let mut text = mjcf.to_owned();
     ranges.sort_by_key(|range| std::cmp::Reverse(range.start));

@@ -55,3 +55,16 @@ impl Profile {
         }
     }
 }
+
+/// How often forces are computed in a simulation step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Solves {
+    /// As often as robosuite of the profile does: with 1.4 three times, of which the last counts and the others move the
+    /// solver's starting point. The simulation is robosuite's to the bit.
+    #[default]
+    AsRobosuite,
+    /// Once. The solver starts elsewhere and ends within its tolerance of the same forces; contact makes trajectories part in
+    /// the end.
+    Once,
+}

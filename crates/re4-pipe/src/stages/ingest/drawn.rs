@@ -7,9 +7,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use re4_artifact::{Columns, Writer, tables};
 use re4_ingest::robomimic::{Demo, Matrix};
-use re4_mujoco::{Data, Gl, Kind, Library, Model, Renderer, Version};
+use re4_mujoco::{Data, Gl, Kind, Library, Model, Renderer};
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::models::{Looks, looks, with_assets};
+use re4_sim::robosuite::Profile;
 use serde_json::{Value, json};
 
 use super::super::simulators;
@@ -35,18 +36,15 @@ pub(super) fn settings(cameras: &[Camera], gl: Option<&str>) -> Value {
     })
 }
 
-/// The version of MuJoCo that a version of robosuite runs on.
-fn version(env: &EnvArgs) -> Result<Version> {
-    match env.version() {
-        Some((1, ..=4)) => Ok(Version::V2_3_7),
-        Some((1, _)) => Ok(Version::V3_2_7),
-        Some((major, minor)) => bail!(
-            "robosuite {major}.{minor} recorded it, and only 1.x is known; leave ingest.render out, or say in ingest.env_args which env_version it is"
-        ),
-        None => bail!(
-            "nothing says which version of robosuite recorded it; give ingest.env_args with an env_version, such as \"1.4.1\""
-        ),
-    }
+/// The version of robosuite whose pictures are drawn.
+fn profile(env: &EnvArgs) -> Result<Profile> {
+    let Some(named) = env.env_version.as_deref() else {
+        bail!(
+            "the file does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args"
+        );
+    };
+    Profile::of(named)
+        .with_context(|| format!("it was recorded with robosuite {named}, and the versions known here are 1.4 and 1.5"))
 }
 
 /// What is drawn with: the library is there, and the cameras are known.
@@ -77,7 +75,7 @@ impl<'a> Drawing<'a> {
         let mut cameras: Vec<_> = cameras.iter().map(|camera| camera.name()).collect();
         cameras.sort_unstable();
         Ok(Self {
-            library: version(env).and_then(simulators::mujoco).with_context(failed)?,
+            library: profile(env).and_then(simulators::library).with_context(failed)?,
             gl: Gl::of_process().with_context(failed)?,
             cameras,
             source,
@@ -243,7 +241,7 @@ impl<'a> Drawing<'a> {
         let model = match compiled.iter().find(|(known, _)| **known == *rest) {
             Some((_, model)) => model.clone(),
             None => {
-                let text = with_assets(mjcf, &simulators::assets())?;
+                let text = with_assets(mjcf, &simulators::assets_folder())?;
                 let model = Model::compile(&self.library, &text).context("its model_file does not compile")?;
                 if compiled.len() == REMEMBERED {
                     compiled.remove(0);

@@ -110,7 +110,8 @@ pub(crate) fn serve_ingest() -> Result<()> {
     let order: Order =
         serde_json::from_str(&line).context("ingest-worker is started by re4-pipe itself; use re4-pipe ingest")?;
     // A process may always lower its own limits; where the system refuses, the file's sizes are checked all the same.
-    let _ = setrlimit(Resource::RLIMIT_DATA, worker::MEMORY, worker::MEMORY);
+    let memory = worker::memory(&order);
+    let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
     let interrupt = Interrupt::listen();
     let stop = interrupt.clone();

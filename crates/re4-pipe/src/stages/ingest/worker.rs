@@ -36,7 +36,16 @@ const CLEARING: Duration = Duration::from_secs(5);
 const MESA_THREADS: &str = "LP_NUM_THREADS";
 
 /// Most memory that a worker may write to, in bytes. Sizes in a damaged file can be anything.
-pub(super) const MEMORY: u64 = 4 << 30;
+const MEMORY: u64 = 4 << 30;
+
+/// What a thread that draws may take beyond that: MuJoCo sets aside far more for a simulation than it touches.
+const DRAWING: u64 = 2 << 30;
+
+/// Most memory that the worker of this order may write to, in bytes.
+pub(super) fn memory(order: &Order) -> u64 {
+    let drawing = if order.gl.is_some() { order.threads as u64 } else { 0 };
+    MEMORY + DRAWING.saturating_mul(drawing)
+}
 
 /// Most that is kept of what a worker prints on its standard error.
 const LAST_WORDS: u64 = 1 << 16;

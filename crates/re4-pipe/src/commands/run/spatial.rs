@@ -1,0 +1,106 @@
+//! Rollouts and replays of robosuite's tasks.
+
+use std::fmt::Write as _;
+use std::time::Instant;
+
+use anyhow::{Result, ensure};
+use re4_artifact::tables;
+use serde_json::{Value, json};
+
+use super::super::Outcome;
+use crate::arguments::{ReplayArguments, RolloutArguments};
+use crate::stages::{Built, Runner};
+
+/// Runs every stage up to the rollouts.
+pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
+    let start = Instant::now();
+    ensure!(
+        arguments.record.is_none(),
+        "--record writes Push-T's own format; leave it out for robosuite's tasks"
+    );
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let index = runner.index_spatial(&episodes, &modes)?;
+    let built = runner.rollout_spatial(&episodes, &index)?;
+    let summary = &built.artifact.manifest().summary;
+    let section = runner.pipeline.spatial_rollout()?;
+    let rollouts = built.artifact.table(&tables::SPATIAL_RESULTS)?.rows();
+    let rate = &summary["metrics"]["success_rate"];
+    runner.console.answer(&json!({
+        "task": runner.pipeline.task,
+        "variant": runner.pipeline.variant,
+        "policy": section.policy,
+        "episodes": rollouts,
+        "max_steps": section.max_steps,
+        "metrics": { "success_rate": ordered(rate) },
+        "median_steps_of_successes": summary["medians"]["steps_of_successes"],
+        "losses": summary["losses"],
+        "artifact": built.artifact.path(),
+        "wall_s": start.elapsed().as_secs_f64(),
+    }))?;
+    let [value, low, high] = ["value", "low", "high"].map(|key| rate[key].as_f64().unwrap_or(f64::NAN));
+    let mut text = format!(
+        "policy {}, {rollouts} rollouts of at most {} steps; mean, 95 % interval\n  success rate  {value:.3}   [{low:.3}, {high:.3}]",
+        section.policy, section.max_steps
+    );
+    write!(
+        text,
+        "\n  median of {} steps where it succeeds; the grasp was lost {} times",
+        summary["medians"]["steps_of_successes"].as_f64().unwrap_or(f64::NAN),
+        summary["losses"]
+    )?;
+    runner.console.say(&text)?;
+    Ok(Outcome::Done)
+}
+
+fn ordered(rate: &Value) -> Value {
+    json!({ "value": rate["value"], "low": rate["low"], "high": rate["high"] })
+}
+
+/// `re4-pipe replay` for robosuite's tasks.
+pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Outcome> {
+    ensure!(
+        arguments.plot.is_none(),
+        "--plot draws Push-T's replays; for robosuite's tasks, table spatial_divergence holds the distances"
+    );
+    let built = runner.replay_spatial(&runner.ingest()?)?;
+    runner.console.answer(&built.to_json())?;
+    runner.console.say(&told(&built)?)?;
+    let summary = &built.artifact.manifest().summary;
+    let rate = |kind: &str| summary[kind]["success_rate"]["value"].as_f64().unwrap_or(0.0);
+    let short = arguments
+        .least
+        .is_some_and(|least| rate("delta") < least || rate("absolute") < least);
+    Ok(if short { Outcome::GateFailed } else { Outcome::Done })
+}
+
+fn told(built: &Built) -> Result<String> {
+    let manifest = built.artifact.manifest();
+    let summary = &manifest.summary;
+    let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
+    let recorded = summary["recorded_actions"].as_str().unwrap_or_default();
+    for kind in ["delta", "absolute"] {
+        let of = &summary[kind];
+        let origin = if kind == recorded { "recorded" } else { "converted" };
+        let millimetres = |part: &str| 1e3 * of["object_max_m"][part].as_f64().unwrap_or(f64::NAN);
+        write!(
+            text,
+            "\n  {kind:<8} {origin:<9}  {} of {} succeed; object astray at most, median {:.3} mm, 99 % {:.3} mm, greatest {:.3} mm",
+            of["successes"],
+            of["replays"],
+            millimetres("p50"),
+            millimetres("p99"),
+            millimetres("max"),
+        )?;
+        let failed: Vec<String> = of["failed_demonstrations"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .map(ToString::to_string)
+            .collect();
+        if !failed.is_empty() {
+            write!(text, "\n    failed: demonstration {}", failed.join(", "))?;
+        }
+    }
+    Ok(text)
+}

@@ -1,0 +1,25 @@
+//! Poses in space as columns of tables.
+
+use nalgebra::Isometry3;
+use re4_artifact::Columns;
+
+/// Parts of a pose, as the names of columns end: position in metres, then a unit quaternion.
+pub(crate) const PARTS: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
+
+/// Numbers of a pose in the order of [`PARTS`].
+pub(crate) fn numbers(pose: &Isometry3<f64>) -> [f64; 7] {
+    let (t, q) = (pose.translation.vector, pose.rotation.coords);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
+/// Adds the seven columns of poses, whose names begin with `prefix`.
+pub(crate) fn pose_columns(columns: Columns, prefix: &str, poses: &[Isometry3<f64>]) -> Columns {
+    let mut columns = columns;
+    for (k, part) in PARTS.into_iter().enumerate() {
+        columns = columns.f64(
+            &format!("{prefix}_{part}"),
+            poses.iter().map(|pose| numbers(pose)[k]).collect(),
+        );
+    }
+    columns
+}
