@@ -202,6 +202,12 @@ layout! {
     ngeom = "m.ngeom",
     /// Bounding boxes of geoms.
     geom_aabb = "m.geom_aabb",
+    /// Kinds of geoms.
+    model_geom_type = "m.geom_type",
+    /// Sizes of geoms.
+    model_geom_size = "m.geom_size",
+    /// Radii of spheres around geoms.
+    model_geom_rbound = "m.geom_rbound",
 }
 
 static LAYOUT_2_3_7: Layout = Layout {
@@ -256,6 +262,9 @@ static LAYOUT_2_3_7: Layout = Layout {
     eye_near: 48,
     ngeom: 28,
     geom_aabb: 1720,
+    model_geom_type: 1_608,
+    model_geom_size: 1_712,
+    model_geom_rbound: 1_728,
     sizes: Sizes {
         option: 76,
         camera: 64,
@@ -319,6 +328,9 @@ static LAYOUT_3_2_7: Layout = Layout {
     eye_near: 52,
     ngeom: 36,
     geom_aabb: 1976,
+    model_geom_type: 1_856,
+    model_geom_size: 1_968,
+    model_geom_rbound: 1_984,
     sizes: Sizes {
         option: 92,
         camera: 72,

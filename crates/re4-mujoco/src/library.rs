@@ -41,6 +41,7 @@ macro_rules! functions {
 
 functions! {
     mj_loadXML: fn(*const c_char, *const c_void, *mut c_char, c_int) -> *mut c_void;
+    mj_copyModel: fn(*mut c_void, *const c_void) -> *mut c_void;
     mj_deleteModel: fn(*mut c_void);
     mj_makeData: fn(*const c_void) -> *mut c_void;
     mj_deleteData: fn(*mut c_void);
