@@ -53,6 +53,7 @@ functions! {
     mj_fwdActuation: fn(*const c_void, *mut c_void);
     mj_fwdAcceleration: fn(*const c_void, *mut c_void);
     mj_fwdConstraint: fn(*const c_void, *mut c_void);
+    mj_normalizeQuat: fn(*const c_void, *mut f64);
     mj_Euler: fn(*const c_void, *mut c_void);
     mj_jacSite: fn(*const c_void, *const c_void, *mut f64, *mut f64, c_int);
     mj_fullM: fn(*const c_void, *mut f64, *const f64);
