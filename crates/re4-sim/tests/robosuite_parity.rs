@@ -13,7 +13,7 @@ mod simulators;
 
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{Fidelity, INITIAL_JOINTS, Profile, RobosuiteObservation, RobosuiteTask, SIMULATION_STEPS};
-use simulators::{Form, Trace, apart, apart_as_rotations, simulators};
+use simulators::{Form, Trace, apart, apart_as_rotations, apart_without, simulators};
 
 const CONTROLS: usize = 9;
 
@@ -102,14 +102,20 @@ fn closed_loop_stays_with_robosuite_until_contact() {
         let qpos = trace.file.f64s("qpos");
         let mut simulation = trace.start(&folder, Form::Whole, Fidelity::Robosuite);
         let free = trace.steps_before_contact();
-        let mut differences = Vec::new();
+        let away = trace.coordinates_in_contact_from_the_start(&simulation);
+        let (mut kept, mut heap) = (Vec::new(), 0.0_f64);
         for (step, action) in trace.actions.iter().enumerate() {
             simulation.step(action).unwrap();
-            differences.push(apart(simulation.data().qpos(), qpos.row(step + 1)));
+            let (ours, theirs) = (simulation.data().qpos(), qpos.row(step + 1));
+            kept.push(apart_without(ours, theirs, &away));
+            for &at in &away {
+                heap = heap.max((ours[at] - theirs[at]).abs());
+            }
         }
-        let until = |steps: usize| differences[..steps].iter().copied().fold(0.0, f64::max);
+        let until = |steps: usize| kept[..steps].iter().copied().fold(0.0, f64::max);
         println!(
-            "{:22} closed loop: {:.1e} {:.1e} {:.1e} {:.1e} in 10, 20, 30, 60 policy steps; {:.1e} in the {free} before contact",
+            "{:22} closed loop: {:.1e} {:.1e} {:.1e} {:.1e} in 10, 20, 30, 60 policy steps; {:.1e} in the {free} before contact; \
+             heap of objects put away {heap:.1e}",
             trace.name,
             until(10),
             until(20),

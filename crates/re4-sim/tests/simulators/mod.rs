@@ -146,6 +146,22 @@ impl Trace {
             (RobosuiteTask::Square, _) => 38,
         }
     }
+
+    /// Coordinates of the objects that the task has put away.
+    pub(crate) fn coordinates_put_away(&self, model: &RobosuiteModel) -> Vec<usize> {
+        let joint = |body: &&str| model.mujoco().joint(&body.replace("_main", "_joint0")).unwrap().0;
+        let all = self.task.put_away().iter();
+        all.map(joint).flat_map(|at| at..at + 7).collect()
+    }
+
+    /// Those that push each other from the first step on, which magnifies any last bit: Can puts three objects away to one
+    /// place. The round nut of Square lies alone.
+    pub(crate) fn coordinates_in_contact_from_the_start(&self, simulation: &Robosuite) -> Vec<usize> {
+        match self.task {
+            RobosuiteTask::Can => self.coordinates_put_away(simulation.model()),
+            RobosuiteTask::Lift | RobosuiteTask::Square => Vec::new(),
+        }
+    }
 }
 
 pub(crate) fn library(simulators: &Path, profile: Profile) -> Library {
@@ -166,6 +182,15 @@ pub(crate) fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
                 greatest
             }
         })
+}
+
+/// Greatest absolute difference but for some places.
+pub(crate) fn apart_without(ours: &[f64], theirs: &[f64], left_out: &[usize]) -> f64 {
+    let rest = |numbers: &[f64]| -> Vec<f64> {
+        let kept = numbers.iter().enumerate().filter(|(at, _)| !left_out.contains(at));
+        kept.map(|(_, number)| *number).collect()
+    };
+    apart(&rest(ours), &rest(theirs))
 }
 
 /// Greatest absolute difference of two quaternions, of which the negative one is the same rotation.
