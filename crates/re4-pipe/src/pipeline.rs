@@ -15,7 +15,7 @@ use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfi
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
-use re4_sim::robosuite::{RobosuiteTask, Solves};
+use re4_sim::robosuite::{Fidelity, RobosuiteTask};
 use re4_sim::{GOAL, ResetOrder, SeedScheme};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -312,9 +312,9 @@ pub(crate) struct SpatialRolloutSection {
     /// Errors that the object poses which the policy is told are given on purpose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) noise: Option<NoiseSection>,
-    /// How often the simulator computes forces in a simulation step.
+    /// How closely robosuite is followed: `robosuite`, to the bit, or `fast`.
     #[serde(default)]
-    pub(crate) solves: Solves,
+    pub(crate) fidelity: Fidelity,
     /// Retrieve.
     pub(crate) retrieve: SpatialRetrieveConfig,
     /// Reframe.

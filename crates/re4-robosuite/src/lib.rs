@@ -16,8 +16,8 @@ pub mod actions;
 pub mod conventions;
 pub mod env_args;
 pub mod kinematics;
-pub mod physics;
 pub mod models;
+pub mod physics;
 
 use nalgebra::UnitQuaternion;
 

@@ -56,17 +56,49 @@ pub fn without_pictures(mjcf: &str) -> Result<String, String> {
     Ok(text)
 }
 
+/// A model in which the geoms of some bodies, by name, touch nothing. Their weight stays.
+///
+/// # Errors
+/// When the text is not XML, with the parser's words.
+pub fn without_contacts(mjcf: &str, bodies: &[&str]) -> Result<String, String> {
+    let document = Document::parse(mjcf).map_err(|error| error.to_string())?;
+    let mut edits: Vec<(Range<usize>, &str)> = Vec::new();
+    let named =
+        |node: &Node| node.has_tag_name("body") && node.attribute("name").is_some_and(|name| bodies.contains(&name));
+    for body in document.descendants().filter(named) {
+        for geom in body.descendants().filter(|node| node.has_tag_name("geom")) {
+            for name in ["contype", "conaffinity"] {
+                if let Some(attribute) = geom.attributes().find(|attribute| attribute.name() == name) {
+                    edits.push((attribute.range(), ""));
+                }
+            }
+            let after = geom.range().start + "<geom".len();
+            edits.push((after..after, " contype=\"0\" conaffinity=\"0\""));
+        }
+    }
+    edits.sort_by_key(|(range, _)| std::cmp::Reverse(range.start));
+    let mut text = mjcf.to_owned();
+    for (range, with) in edits {
+        text.replace_range(range, with);
+    }
+    Ok(text)
+}
+
 /// Whether a geom neither touches anything nor weighs anything.
 fn only_drawn(geom: &Node) -> bool {
-    let zero = |name: &str| geom.attribute(name).is_some_and(|value| value.trim().parse() == Ok(0.0));
+    let zero = |name: &str| {
+        geom.attribute(name)
+            .is_some_and(|value| value.trim().parse() == Ok(0.0))
+    };
     // The weight of a body that says it itself does not come from its geoms.
     let weighed = geom
         .parent()
         .is_some_and(|body| body.children().any(|child| child.has_tag_name("inertial")));
     let fixed = geom.parent().is_some_and(|body| {
-        !body
-            .ancestors()
-            .any(|node| node.children().any(|child| child.has_tag_name("joint") || child.has_tag_name("freejoint")))
+        !body.ancestors().any(|node| {
+            node.children()
+                .any(|child| child.has_tag_name("joint") || child.has_tag_name("freejoint"))
+        })
     });
     zero("contype") && zero("conaffinity") && (zero("mass") || weighed || fixed)
 }
@@ -90,8 +122,17 @@ mod tests {
             .filter_map(|node| node.attribute("name"))
             .collect();
         assert_eq!(names, ["floor", "a", "c", "d"]);
-        assert!(!text.contains("material") && !text.contains("texture") && !text.contains("seen"), "{text}");
+        assert!(
+            !text.contains("material") && !text.contains("texture") && !text.contains("seen"),
+            "{text}"
+        );
         assert!(text.contains(r#"mesh="felt""#) && text.contains(r#"rgba="1 0 0 1""#));
         assert!(without_pictures("<a>").is_err());
+        let model =
+            r#"<a><body name="x"><geom size="1"/><body><geom conaffinity="1" size="2"/></body></body><geom/></a>"#;
+        assert_eq!(
+            without_contacts(model, &["x"]).unwrap(),
+            r#"<a><body name="x"><geom contype="0" conaffinity="0" size="1"/><body><geom contype="0" conaffinity="0"  size="2"/></body></body><geom/></a>"#
+        );
     }
 }

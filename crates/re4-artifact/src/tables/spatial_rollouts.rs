@@ -39,7 +39,10 @@ pub const SPATIAL_INDEX: TableSpec = TableSpec {
         turn("goal_rx", "Goal orientation as a rotation vector, x.").frame("world"),
         turn("goal_ry", "Goal orientation as a rotation vector, y.").frame("world"),
         turn("goal_rz", "Goal orientation as a rotation vector, z.").frame("world"),
-        number("gripper", "Gripper command: below 0 opens, above 0 closes, whatever sign the dataset uses."),
+        number(
+            "gripper",
+            "Gripper command: below 0 opens, above 0 closes, whatever sign the dataset uses.",
+        ),
         ColumnSpec::new(
             "retrievable",
             Bool,
@@ -56,10 +59,17 @@ pub const SPATIAL_RESULTS: TableSpec = TableSpec {
     columns: &[
         id("episode", "Number of the rollout, from 0."),
         SEED,
-        ColumnSpec::new("success", Bool, "Whether the task's own success rule held after some control step, which ends the rollout."),
+        ColumnSpec::new(
+            "success",
+            Bool,
+            "Whether the task's own success rule held after some control step, which ends the rollout.",
+        ),
         id("steps", "Control steps taken."),
         id("decisions", "Decisions taken."),
-        id("losses", "How often the grasp was lost, by the distance of the fingers."),
+        id(
+            "losses",
+            "How often the grasp was lost, by the distance of the fingers.",
+        ),
         id("banned", "Demonstrations that were not followed again at the end."),
         id("demos", "Demonstrations that were followed."),
         world("eef_x", "Position of the grip site after the reset, x."),
@@ -68,11 +78,27 @@ pub const SPATIAL_RESULTS: TableSpec = TableSpec {
         world("object_x", "Position of the object after the reset, x."),
         world("object_y", "Position of the object after the reset, y."),
         world("object_z", "Position of the object after the reset, z."),
-        attitude("object_qx", "Orientation of the object after the reset, quaternion part x."),
-        attitude("object_qy", "Orientation of the object after the reset, quaternion part y."),
-        attitude("object_qz", "Orientation of the object after the reset, quaternion part z."),
-        attitude("object_qw", "Orientation of the object after the reset, quaternion part w."),
-        ColumnSpec::new("state", F64List, "Flattened MuJoCo state after the reset: time, qpos, qvel."),
+        attitude(
+            "object_qx",
+            "Orientation of the object after the reset, quaternion part x.",
+        ),
+        attitude(
+            "object_qy",
+            "Orientation of the object after the reset, quaternion part y.",
+        ),
+        attitude(
+            "object_qz",
+            "Orientation of the object after the reset, quaternion part z.",
+        ),
+        attitude(
+            "object_qw",
+            "Orientation of the object after the reset, quaternion part w.",
+        ),
+        ColumnSpec::new(
+            "state",
+            F64List,
+            "Flattened MuJoCo state after the reset: time, qpos, qvel.",
+        ),
     ],
 };
 
@@ -87,33 +113,70 @@ pub const SPATIAL_STEPS: TableSpec = TableSpec {
         world("action_x", "Goal position of the grip site, x."),
         world("action_y", "Goal position of the grip site, y."),
         world("action_z", "Goal position of the grip site, z."),
-        turn("action_rx", "Goal orientation of the grip site as a rotation vector, x.").frame("world"),
+        turn(
+            "action_rx",
+            "Goal orientation of the grip site as a rotation vector, x.",
+        )
+        .frame("world"),
         turn("action_ry", "Goal orientation, y.").frame("world"),
         turn("action_rz", "Goal orientation, z.").frame("world"),
         number("gripper", "Gripper command: below 0 opens, above 0 closes."),
         world("eef_x", "Position of the grip site after the step, x."),
         world("eef_y", "Position of the grip site after the step, y."),
         world("eef_z", "Position of the grip site after the step, z."),
-        attitude("eef_qx", "Orientation of the grip site after the step, quaternion part x."),
-        attitude("eef_qy", "Orientation of the grip site after the step, quaternion part y."),
-        attitude("eef_qz", "Orientation of the grip site after the step, quaternion part z."),
-        attitude("eef_qw", "Orientation of the grip site after the step, quaternion part w."),
+        attitude(
+            "eef_qx",
+            "Orientation of the grip site after the step, quaternion part x.",
+        ),
+        attitude(
+            "eef_qy",
+            "Orientation of the grip site after the step, quaternion part y.",
+        ),
+        attitude(
+            "eef_qz",
+            "Orientation of the grip site after the step, quaternion part z.",
+        ),
+        attitude(
+            "eef_qw",
+            "Orientation of the grip site after the step, quaternion part w.",
+        ),
         world("object_x", "Position of the object after the step, x."),
         world("object_y", "Position of the object after the step, y."),
         world("object_z", "Position of the object after the step, z."),
-        attitude("object_qx", "Orientation of the object after the step, quaternion part x."),
-        attitude("object_qy", "Orientation of the object after the step, quaternion part y."),
-        attitude("object_qz", "Orientation of the object after the step, quaternion part z."),
-        attitude("object_qw", "Orientation of the object after the step, quaternion part w."),
+        attitude(
+            "object_qx",
+            "Orientation of the object after the step, quaternion part x.",
+        ),
+        attitude(
+            "object_qy",
+            "Orientation of the object after the step, quaternion part y.",
+        ),
+        attitude(
+            "object_qz",
+            "Orientation of the object after the step, quaternion part z.",
+        ),
+        attitude(
+            "object_qw",
+            "Orientation of the object after the step, quaternion part w.",
+        ),
         length("finger_0", "Joint position of the first finger after the step."),
         length("finger_1", "Joint position of the second finger after the step."),
         flag("success", "Whether the success rule holds after the step."),
-        id("decision", "Number of the decision, in the rollout, that the action belongs to."),
+        id(
+            "decision",
+            "Number of the decision, in the rollout, that the action belongs to.",
+        ),
         category("phase", "What the action is part of: bridge, replay or home."),
-        world("seen_x", "Object position that the policy was told before the action, with the errors that the pipeline asks for, x."),
+        world(
+            "seen_x",
+            "Object position that the policy was told before the action, with the errors that the pipeline asks for, x.",
+        ),
         world("seen_y", "The same, y."),
         world("seen_z", "The same, z."),
-        attitude("seen_qx", "Object orientation that the policy was told, quaternion part x."),
+        attitude(
+            "seen_qx",
+            "Object orientation that the policy was told, quaternion part x.",
+        ),
         attitude("seen_qy", "The same, part y."),
         attitude("seen_qz", "The same, part z."),
         attitude("seen_qw", "The same, part w."),
@@ -129,7 +192,10 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         SEED,
         id("decision", "Number of the decision in its rollout, from 0."),
         id("step", "Control step at which it was taken."),
-        category("kind", "What was decided: retrieve; continue, the demonstration that is followed further; grasp_lost or demo_ended, back to the initial pose."),
+        category(
+            "kind",
+            "What was decided: retrieve; continue, the demonstration that is followed further; grasp_lost or demo_ended, back to the initial pose.",
+        ),
         MODE,
         world("query_eef_x", "Grip site of the query, x."),
         world("query_eef_y", "Grip site of the query, y."),
@@ -138,7 +204,10 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         attitude("query_eef_qy", "Grip site of the query, quaternion part y."),
         attitude("query_eef_qz", "Grip site of the query, quaternion part z."),
         attitude("query_eef_qw", "Grip site of the query, quaternion part w."),
-        world("query_object_x", "Object of the query, averaged where the policy averages, x."),
+        world(
+            "query_object_x",
+            "Object of the query, averaged where the policy averages, x.",
+        ),
         world("query_object_y", "Object of the query, y."),
         world("query_object_z", "Object of the query, z."),
         attitude("query_object_qx", "Object of the query, quaternion part x."),
@@ -153,14 +222,36 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         number("d_q", "Distance over the full object-augmented state, without unit.").nullable(),
         number("d_o", "Distance over the object's pose alone.").nullable(),
         number("d_e", "Distance over the end effector's pose as seen from the object.").nullable(),
-        world("delta_x", "Translation of the motion that carries the demonstration's object onto the query's, x.").nullable(),
+        world(
+            "delta_x",
+            "Translation of the motion that carries the demonstration's object onto the query's, x.",
+        )
+        .nullable(),
         world("delta_y", "Translation of that motion, y.").nullable(),
         world("delta_z", "Translation of that motion, z.").nullable(),
-        turn("delta_rx", "Rotation of that motion about the world's origin, before the translation, as a rotation vector, x.").frame("world").nullable(),
-        turn("delta_ry", "Rotation of that motion, y.").frame("world").nullable(),
-        turn("delta_rz", "Rotation of that motion, z.").frame("world").nullable(),
-        turn("symmetry_turn", "Turn about the object's symmetry axis that was applied to the query's object; 0 without symmetry.").nullable(),
-        ColumnSpec::new("replay_steps", U32, "Actions of the chunk; fewer are executed when the next decision comes earlier.").nullable(),
+        turn(
+            "delta_rx",
+            "Rotation of that motion about the world's origin, before the translation, as a rotation vector, x.",
+        )
+        .frame("world")
+        .nullable(),
+        turn("delta_ry", "Rotation of that motion, y.")
+            .frame("world")
+            .nullable(),
+        turn("delta_rz", "Rotation of that motion, z.")
+            .frame("world")
+            .nullable(),
+        turn(
+            "symmetry_turn",
+            "Turn about the object's symmetry axis that was applied to the query's object; 0 without symmetry.",
+        )
+        .nullable(),
+        ColumnSpec::new(
+            "replay_steps",
+            U32,
+            "Actions of the chunk; fewer are executed when the next decision comes earlier.",
+        )
+        .nullable(),
         world("set_point_x", "Where the grip site goes first, x."),
         world("set_point_y", "Where the grip site goes first, y."),
         world("set_point_z", "Where the grip site goes first, z."),
@@ -168,7 +259,10 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         attitude("set_point_qy", "The same, part y."),
         attitude("set_point_qz", "The same, part z."),
         attitude("set_point_qw", "The same, part w."),
-        flag("bridge", "Whether a bridge, or the way home, leads there; else the chunk is replayed from where the grip site is."),
+        flag(
+            "bridge",
+            "Whether a bridge, or the way home, leads there; else the chunk is replayed from where the grip site is.",
+        ),
         id("banned", "Demonstrations that are not followed again by now."),
         ColumnSpec::new("reason", Text, "The decision in words."),
     ],
@@ -183,14 +277,28 @@ pub const SPATIAL_REPLAYS: TableSpec = TableSpec {
         EPISODE,
         id("source_episode", "Number of the demonstration in the raw dataset."),
         category("actions", "Which actions were played: delta or absolute."),
-        category("origin", "Where they come from: recorded, or converted from the other kind."),
+        category(
+            "origin",
+            "Where they come from: recorded, or converted from the other kind.",
+        ),
         id("frames", "Actions played."),
         flag("success", "Whether the task's success rule held after some action."),
-        ColumnSpec::new("first_success", U32, "First action after which it held; null where it never did.").nullable(),
+        ColumnSpec::new(
+            "first_success",
+            U32,
+            "First action after which it held; null where it never did.",
+        )
+        .nullable(),
         flag("success_at_end", "Whether it held after the last one."),
-        length("object_max", "Largest distance of the object's origin from the recorded one."),
+        length(
+            "object_max",
+            "Largest distance of the object's origin from the recorded one.",
+        ),
         length("object_final", "The same before the last action."),
-        turn("object_turn_max", "Largest angle between the object's orientation and the recorded one."),
+        turn(
+            "object_turn_max",
+            "Largest angle between the object's orientation and the recorded one.",
+        ),
         length("eef_max", "Largest distance of the grip site from the recorded one."),
         number("arm_max", "Largest difference of a joint position of the arm.").unit("rad"),
     ],
@@ -206,7 +314,10 @@ pub const SPATIAL_DIVERGENCE: TableSpec = TableSpec {
         category("actions", "Which actions were played: delta or absolute."),
         FRAME,
         length("object", "Distance of the object's origin from the recorded one."),
-        turn("object_turn", "Angle between the object's orientation and the recorded one."),
+        turn(
+            "object_turn",
+            "Angle between the object's orientation and the recorded one.",
+        ),
         length("eef", "Distance of the grip site from the recorded one."),
     ],
 };

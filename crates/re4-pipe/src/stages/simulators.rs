@@ -8,8 +8,8 @@ use anyhow::{Context as _, Result, bail, ensure};
 use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::without_pictures;
-use re4_sim::robosuite::{Profile, RobosuiteModel, RobosuiteTask, Solves};
+use re4_robosuite::physics::{without_contacts, without_pictures};
+use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
 
 /// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
 pub(crate) fn simulators_folder() -> PathBuf {
@@ -39,7 +39,7 @@ pub(crate) struct Scenes {
     task: RobosuiteTask,
     profile: Profile,
     library: Library,
-    solves: Solves,
+    fidelity: Fidelity,
     /// MJCF by number, with paths of this machine and without what is only drawn.
     mjcf: Vec<String>,
     /// Model of every demonstration.
@@ -72,7 +72,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When MuJoCo's library or an asset is missing, or the artifact has no models.
-    pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, solves: Solves) -> Result<Self> {
+    pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
         let profile = profile(episodes)?;
         let library = library(profile)?;
         let demos = episodes.table(&tables::DEMOS)?.read_columns(&["demo", "model"])?;
@@ -93,13 +93,17 @@ impl Scenes {
             let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
             let text = with_assets(text.unwrap_or_default(), &folder)
                 .with_context(|| format!("cannot simulate {demo} of {}", episodes.path().display()))?;
-            mjcf.push(without_pictures(&text).map_err(anyhow::Error::msg)?);
+            let mut text = without_pictures(&text).map_err(anyhow::Error::msg)?;
+            if fidelity == Fidelity::Fast {
+                text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
+            }
+            mjcf.push(text);
         }
         Ok(Self {
             task,
             profile,
             library,
-            solves,
+            fidelity,
             mjcf,
             of_demo,
             compiled: Mutex::default(),
@@ -121,7 +125,7 @@ impl Scenes {
     /// A scene from MJCF that is not a demonstration's own.
     pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
-        Ok(model.with_solves(self.solves))
+        Ok(model.with_fidelity(self.fidelity))
     }
 
     /// The scene of a demonstration, by its number in the artifact.

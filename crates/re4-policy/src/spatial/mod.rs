@@ -27,10 +27,11 @@ pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};
 pub use estimate::ObjectEstimate;
 pub use noise::PoseNoise;
 pub use policy::SpatialRe4;
-pub use rollout::{
-    NoiseLevel, SpatialRollout, SpatialStart, SpatialStepRecord, observe, spatial_rollout, spatial_rollouts, to_robosuite,
-};
 pub use reframe::{Carry, reframe_spatial, without_reframe_spatial};
+pub use rollout::{
+    NoiseLevel, SpatialRollout, SpatialStart, SpatialStepRecord, observe, spatial_rollout, spatial_rollouts,
+    to_robosuite,
+};
 
 use nalgebra::Isometry3;
 

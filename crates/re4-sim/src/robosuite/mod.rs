@@ -20,7 +20,7 @@ use re4_mujoco::Data;
 pub use controller::{ArmAction, RobosuiteAction};
 pub use model::RobosuiteModel;
 pub use placement::{ObjectPlacement, Placement, with_cube_size};
-pub use profile::{Profile, Solves};
+pub use profile::{Fidelity, Profile};
 pub use task::RobosuiteTask;
 
 use crate::{SimError, Simulator};
@@ -205,7 +205,7 @@ impl Robosuite {
     pub fn step_with_controls(&mut self, rows: &[Vec<f64>]) -> Result<RobosuiteStep, SimError> {
         for row in rows {
             self.data.motion_stages();
-            if self.model.solves_again() {
+            if self.model.solves_thrice() {
                 self.data.force_stages();
                 if self.controller.reads_state() {
                     self.data.force_stages();
@@ -311,7 +311,7 @@ impl Simulator for Robosuite {
             self.data.motion_stages();
             // robosuite 1.4 computes everything up to three times a step: once itself, once when its controller looks, once
             // in the step. State and result are those of the last, but every time warm-starts the solver of the next.
-            if self.model.solves_again() {
+            if self.model.solves_thrice() {
                 self.data.force_stages();
                 if self.controller.reads_state() {
                     self.data.force_stages();

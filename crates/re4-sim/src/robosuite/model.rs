@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vec
 use re4_mujoco::{Data, Kind, Library, Model, MujocoError};
 
 use super::controller::JOINTS;
-use super::{Profile, RobosuiteTask, Solves};
+use super::{Fidelity, Profile, RobosuiteTask};
 use crate::SimError;
 
 /// Actuators of a Panda with its gripper: seven torque motors, two position actuators.
@@ -31,21 +31,21 @@ pub(super) struct Robot {
 pub struct RobosuiteModel {
     pub(super) task: RobosuiteTask,
     pub(super) profile: Profile,
-    pub(super) solves: Solves,
+    pub(super) fidelity: Fidelity,
     pub(super) model: Model,
     pub(super) robot: Robot,
 }
 
 impl RobosuiteModel {
-    /// The same model, with forces computed as often as said.
+    /// The same model, to be simulated as closely to robosuite as said.
     #[must_use]
-    pub fn with_solves(self, solves: Solves) -> Self {
-        Self { solves, ..self }
+    pub fn with_fidelity(self, fidelity: Fidelity) -> Self {
+        Self { fidelity, ..self }
     }
 
     /// Whether forces are computed before the controller looks, too.
-    pub(super) fn solves_again(&self) -> bool {
-        self.profile == Profile::V1_4 && self.solves == Solves::AsRobosuite
+    pub(super) fn solves_thrice(&self) -> bool {
+        self.profile == Profile::V1_4 && self.fidelity == Fidelity::Robosuite
     }
 
     /// Compiles the scene of a task from MJCF whose files are named by absolute paths, as a demonstration's `model_file` after
@@ -62,7 +62,7 @@ impl RobosuiteModel {
         Ok(Self {
             task,
             profile,
-            solves: Solves::default(),
+            fidelity: Fidelity::default(),
             model,
             robot,
         })

@@ -56,15 +56,15 @@ impl Profile {
     }
 }
 
-/// How often forces are computed in a simulation step.
+/// How closely robosuite is followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Solves {
-    /// As often as robosuite of the profile does: with 1.4 three times, of which the last counts and the others move the
-    /// solver's starting point. The simulation is robosuite's to the bit.
+pub enum Fidelity {
+    /// To the bit. With the profile 1.4, forces are computed three times a simulation step, of which the last counts and the
+    /// others move the solver's starting point; and objects that a task has put away lie on top of each other and touch.
     #[default]
-    AsRobosuite,
-    /// Once. The solver starts elsewhere and ends within its tolerance of the same forces; contact makes trajectories part in
-    /// the end.
-    Once,
+    Robosuite,
+    /// The same physics at less cost: forces are computed once a simulation step, and objects that the task has put away touch
+    /// nothing. Forces are the same within the solver's tolerance; contact makes trajectories part in the end.
+    Fast,
 }

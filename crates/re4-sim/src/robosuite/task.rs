@@ -54,6 +54,16 @@ impl RobosuiteTask {
         }
     }
 
+    /// Bodies of the objects in the scene that the task has put away.
+    #[must_use]
+    pub fn put_away(self) -> &'static [&'static str] {
+        match self {
+            Self::Lift => &[],
+            Self::Can => &["Milk_main", "Bread_main", "Cereal_main"],
+            Self::Square => &["RoundNut_main"],
+        }
+    }
+
     /// A body that the success rule looks at besides the object.
     pub(super) fn landmark(self) -> Option<&'static str> {
         match self {

@@ -7,7 +7,9 @@ use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_te
 use re4_episode::SpatialEpisode;
 use re4_report::{quantile, wilson_interval};
 use re4_sim::Simulator as _;
-use re4_sim::robosuite::{ArmAction, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep, Solves};
+use re4_sim::robosuite::{
+    ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
+};
 use serde_json::{Value, json};
 
 use super::super::demos::{ByEpisode, SpatialEpisodes};
@@ -83,7 +85,7 @@ impl Runner {
         self.build(&recipe, |writer| {
             let recorded = recorded_kind(&episodes.artifact)?;
             let to_site = orientation_to_site(&episodes.artifact)?;
-            let scenes = Scenes::open(&episodes.artifact, task, Solves::AsRobosuite)?;
+            let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.console.progress(2 * recordings.demos as u64, "replays");
             let mut replays = writer.table(&tables::SPATIAL_REPLAYS)?;

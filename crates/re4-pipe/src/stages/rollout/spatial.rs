@@ -47,7 +47,7 @@ impl Runner {
                 "policy": policy,
                 "symmetry": symmetry,
                 "noise": section.noise,
-                "solves": section.solves,
+                "fidelity": section.fidelity,
                 "robosuite": profile,
                 "seeds": section.seeds,
                 "max_steps": section.max_steps,
@@ -56,7 +56,7 @@ impl Runner {
             .input("index", index.artifact.key());
         self.build(&recipe, |writer| {
             let knowledge = Arc::new(open_spatial_index(&index.artifact, &policy.retrieve, symmetry)?);
-            let scenes = Scenes::open(&episodes.artifact, task, section.solves)?;
+            let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
             // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
             let shared = (task != RobosuiteTask::Lift).then(|| scenes.compile(mjcf)).transpose()?;
@@ -109,7 +109,7 @@ impl Runner {
                         "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube's size of the seed",
                         "robosuite": scenes.profile(),
                         "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
-                        "solves": section.solves,
+                        "fidelity": section.fidelity,
                         "simulation_steps_per_control_step": SIMULATION_STEPS,
                         "control_frequency_hz": 20,
                         "controller": "OSC_POSE, absolute goals of the grip site",
