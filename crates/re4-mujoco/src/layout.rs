@@ -132,6 +132,8 @@ layout! {
     qvel = "d.qvel",
     /// Controls.
     ctrl = "d.ctrl",
+    /// Accelerations that the solver starts from.
+    qacc_warmstart = "d.qacc_warmstart",
     /// Gravity, Coriolis and centrifugal forces.
     qfrc_bias = "d.qfrc_bias",
     /// Inertia, packed.
@@ -227,6 +229,7 @@ static LAYOUT_2_3_7: Layout = Layout {
     qpos: 40432,
     qvel: 40440,
     ctrl: 40472,
+    qacc_warmstart: 40456,
     qfrc_bias: 40872,
     q_m: 40800,
     site_xpos: 40632,
@@ -293,6 +296,7 @@ static LAYOUT_3_2_7: Layout = Layout {
     qpos: 161_656,
     qvel: 161_664,
     ctrl: 161_696,
+    qacc_warmstart: 161_680,
     qfrc_bias: 162_192,
     q_m: 162_112,
     site_xpos: 161_864,

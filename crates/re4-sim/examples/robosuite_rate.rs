@@ -1,8 +1,7 @@
 //! Plays the actions of a reference trace again and again on one thread, and prints how many policy steps a second that are.
 //!
 //! `cargo run --release -p re4-sim --example robosuite_rate TRACE [EPISODES]`, with the simulators in the folder that
-//! `RE4_SIMULATORS` names or in data/simulators. Resets are not timed. `steps_per_s_solving_once` is the rate where
-//! forces are computed once a simulation step; the differences are how far the coordinates got from those of the trace, in the
+//! `RE4_SIMULATORS` names or in data/simulators. Resets are not timed. `steps_per_s_fast` is that of `Fidelity::Fast`; the differences are how far the coordinates got from those of the trace, in the
 //! first so many policy steps.
 #![expect(clippy::print_stdout, reason = "printing is what this example is for")]
 
@@ -16,7 +15,8 @@ use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_sim::Simulator;
 use re4_sim::robosuite::{
-    ArmAction, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene, RobosuiteTask, Solves,
+    ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
+    RobosuiteTask,
 };
 use reference::Reference;
 use serde_json::json;
