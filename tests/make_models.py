@@ -44,7 +44,7 @@ def of_old_robosuite(demo):
 
 
 folder.mkdir(parents=True, exist_ok=True)
-write("foreign_asset", model("/robosuite/models/assets/textures/", "/suite/"))
+write("foreign_asset", model("/robosuite/robosuite/models/", "/suite/models/"))
 write("includes_a_file", model("<worldbody>", '<include file="x.xml"/><worldbody>'))
 write("missing_asset", model("red-wood.png", "blue-wood.png"))
 write("narrow_states", wide_states)

@@ -37,14 +37,12 @@ fn model(version: Version) -> Option<Model> {
         println!("skipped: {error}");
         return None;
     }
-    match Library::open(&folder.join(format!("mujoco-{version}")), version) {
-        Ok(library) => Some(Model::compile(&library, SCENE).unwrap()),
-        Err(error @ MujocoError::Missing { .. }) => {
-            println!("skipped: {error}");
-            None
-        }
-        Err(error) => std::panic::panic_any(error.to_string()),
+    let library = Library::open(&folder.join(format!("mujoco-{version}")), version);
+    if let Err(error @ MujocoError::Missing { .. }) = &library {
+        println!("skipped: {error}");
+        return None;
     }
+    Some(Model::compile(&library.unwrap(), SCENE).unwrap())
 }
 
 /// Pictures of the cube at some heights, from both cameras.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use re4_artifact::{Artifact, Key, MANIFEST_NAME, Stage, col_f64, col_u32, tables};
+use re4_report::html::spatial::{SpatialReport, SpatialRollouts, spatial_page};
 use re4_report::html::{Demonstration, Report, Rollouts, World, page};
 use serde_json::json;
 
@@ -15,6 +16,7 @@ use crate::output::Output;
 use crate::seeds::Seeds;
 
 mod rollouts;
+mod spatial;
 
 /// A page beyond this many bytes takes a while to open, which is said.
 const LARGE_PAGE: usize = 12_000_000;
@@ -77,12 +79,49 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
 /// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
 pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, store: &Path) -> Result<Written> {
     let artifacts = open_all(paths)?;
+    let page = if spatial::all_spatial(&artifacts)? {
+        spatial_text(&artifacts, seeds, store)?
+    } else {
+        planar_text(&artifacts, seeds, store)?
+    };
+    let Text {
+        text,
+        rollouts,
+        demonstrations,
+        mut warnings,
+    } = page;
+    if text.len() > LARGE_PAGE {
+        warnings.push(format!(
+            "the page is {} MB large; re4-pipe report --seeds limits the rollouts that the viewer holds",
+            text.len() / 1_000_000
+        ));
+    }
+    output.write(&text)?;
+    Ok(Written {
+        bytes: text.len(),
+        artifacts,
+        rollouts,
+        demonstrations,
+        warnings,
+    })
+}
+
+/// A page, and what it holds.
+struct Text {
+    text: String,
+    rollouts: usize,
+    demonstrations: usize,
+    warnings: Vec<String>,
+}
+
+fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Text> {
     let mut sets = artifacts
         .iter()
         .map(rollouts::read)
         .collect::<Result<Vec<Rollouts>>>()?;
     if let Some(seeds) = seeds {
-        show_only(&mut sets, seeds)?;
+        let all = sets.iter_mut().flat_map(|set| &mut set.rollouts);
+        show_only(all.map(|rollout| (rollout.seed, &mut rollout.shown)), seeds)?;
     }
     let mut warnings = Vec::new();
     let mut demonstrations = BTreeMap::new();
@@ -100,39 +139,75 @@ pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, s
             Some(index) => {
                 demonstrations.insert(set.index_key.clone(), read_demonstrations(&index, &needed)?);
             }
-            None => warnings.push(format!(
-                "the page shows no recorded frames for {}: its index artifact index/{} is neither beside it nor in {}",
-                artifact.path().display(),
-                short(&set.index_key),
-                store.display()
-            )),
+            None => warnings.push(without_frames(artifact, &set.index_key, store)),
         }
     }
-    let shown: usize = sets
-        .iter()
-        .map(|set| set.rollouts.iter().filter(|r| r.shown).count())
-        .sum();
-    let embedded: usize = demonstrations.values().map(BTreeMap::len).sum();
-    let text = page(&Report {
-        tool_version: env!("CARGO_PKG_VERSION").to_owned(),
-        world: world(),
-        artifacts: sets,
-        demonstrations,
-    });
-    if text.len() > LARGE_PAGE {
-        warnings.push(format!(
-            "the page is {} MB large; re4-pipe report --seeds limits the rollouts that the viewer holds",
-            text.len() / 1_000_000
-        ));
-    }
-    output.write(&text)?;
-    Ok(Written {
-        bytes: text.len(),
-        artifacts,
-        rollouts: shown,
-        demonstrations: embedded,
+    let shown = |set: &Rollouts| set.rollouts.iter().filter(|rollout| rollout.shown).count();
+    Ok(Text {
+        rollouts: sets.iter().map(shown).sum(),
+        demonstrations: demonstrations.values().map(BTreeMap::len).sum(),
         warnings,
+        text: page(&Report {
+            tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+            world: world(),
+            artifacts: sets,
+            demonstrations,
+        }),
     })
+}
+
+fn spatial_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Text> {
+    let indices = artifacts
+        .iter()
+        .map(|artifact| find_index(artifact, store))
+        .collect::<Result<Vec<Option<Artifact>>>>()?;
+    let mut sets = artifacts
+        .iter()
+        .zip(&indices)
+        .map(|(artifact, index)| spatial::read(artifact, index.as_ref()))
+        .collect::<Result<Vec<SpatialRollouts>>>()?;
+    if let Some(seeds) = seeds {
+        let all = sets.iter_mut().flat_map(|set| &mut set.rollouts);
+        show_only(all.map(|rollout| (rollout.seed, &mut rollout.shown)), seeds)?;
+    }
+    let mut warnings = Vec::new();
+    let mut demonstrations = BTreeMap::new();
+    for ((artifact, index), set) in artifacts.iter().zip(&indices).zip(&sets) {
+        if demonstrations.contains_key(&set.index_key) {
+            continue;
+        }
+        let Some(index) = index else {
+            warnings.push(without_frames(artifact, &set.index_key, store));
+            continue;
+        };
+        let needed = sets
+            .iter()
+            .filter(|other| other.index_key == set.index_key)
+            .flat_map(|other| other.rollouts.iter().filter(|rollout| rollout.shown))
+            .flat_map(|rollout| rollout.decisions.iter().filter_map(|decision| Some(decision.choice.as_ref()?.demo)))
+            .collect();
+        demonstrations.insert(set.index_key.clone(), spatial::read_demonstrations(index, &needed)?);
+    }
+    let shown = |set: &SpatialRollouts| set.rollouts.iter().filter(|rollout| rollout.shown).count();
+    Ok(Text {
+        rollouts: sets.iter().map(shown).sum(),
+        demonstrations: demonstrations.values().map(BTreeMap::len).sum(),
+        warnings,
+        text: spatial_page(&SpatialReport {
+            tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+            artifacts: sets,
+            demonstrations,
+        }),
+    })
+}
+
+fn without_frames(artifact: &Artifact, index_key: &str, store: &Path) -> String {
+    format!(
+        "the page shows no recorded frames for {}: its index artifact index/{} is neither beside it nor in {}",
+        artifact.path().display(),
+        short(index_key),
+        store.display()
+    )
 }
 
 fn short(key: &str) -> &str {
@@ -165,13 +240,13 @@ fn open_all(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
 }
 
 /// Keeps the traces of these seeds only; figures count all.
-fn show_only(sets: &mut [Rollouts], seeds: &Seeds) -> Result<()> {
+fn show_only<'a>(rollouts: impl Iterator<Item = (u32, &'a mut bool)>, seeds: &Seeds) -> Result<()> {
     let wanted: BTreeSet<u32> = seeds.as_slice().iter().copied().collect();
     let mut found = BTreeSet::new();
-    for rollout in sets.iter_mut().flat_map(|set| &mut set.rollouts) {
-        rollout.shown = wanted.contains(&rollout.seed);
-        if rollout.shown {
-            found.insert(rollout.seed);
+    for (seed, shown) in rollouts {
+        *shown = wanted.contains(&seed);
+        if *shown {
+            found.insert(seed);
         }
     }
     if let Some(seed) = wanted.difference(&found).next() {

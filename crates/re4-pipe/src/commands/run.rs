@@ -129,6 +129,34 @@ fn runner(arguments: &RolloutArguments) -> Result<Runner> {
     Runner::new(&arguments.stage, &overrides)
 }
 
+/// The page that `--report` asks for.
+struct Page<'a> {
+    path: &'a Path,
+    output: Output,
+}
+
+impl<'a> Page<'a> {
+    /// Refuses what could not be written before anything is run.
+    fn at(runner: &Runner, arguments: &'a RolloutArguments) -> Result<Option<Self>> {
+        let Some(path) = arguments.report.as_deref() else {
+            return Ok(None);
+        };
+        let output = Output::at(path, "report")?;
+        output.spares(&runner.inputs(&arguments.stage)?)?;
+        Ok(Some(Self { path, output }))
+    }
+
+    fn write(&self, runner: &Runner, arguments: &RolloutArguments, built: &Built) -> Result<()> {
+        let store = &arguments.stage.common.artifacts;
+        let written = report::write(&[built.artifact.path().to_path_buf()], None, &self.output, store)?;
+        written.say_warnings(runner.console);
+        let path = self.path.display();
+        let headline = written.headline();
+        runner.console.note(&format!("{:>10}  {path}  {headline}", "report"));
+        Ok(())
+    }
+}
+
 fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let start = Instant::now();
     if let Some(path) = &arguments.record {
@@ -144,14 +172,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
             path.display()
         );
     }
-    let page = arguments
-        .report
-        .as_deref()
-        .map(|path| Output::at(path, "report"))
-        .transpose()?;
-    if let Some(page) = &page {
-        page.spares(&runner.inputs(&arguments.stage)?)?;
-    }
+    let page = Page::at(runner, arguments)?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let poses = runner.train_pose(&episodes)?;
@@ -161,17 +182,8 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     if let Some(path) = &arguments.record {
         record(runner, &built, path)?;
     }
-    if let (Some(path), Some(page)) = (&arguments.report, &page) {
-        let written = report::write(
-            &[built.artifact.path().to_path_buf()],
-            None,
-            page,
-            &arguments.stage.common.artifacts,
-        )?;
-        written.say_warnings(runner.console);
-        runner
-            .console
-            .note(&format!("{:>10}  {}  {}", "report", path.display(), written.headline()));
+    if let Some(page) = &page {
+        page.write(runner, arguments, &built)?;
     }
     let metrics = metrics(&built.artifact);
     let section = runner.pipeline.rollout()?;

@@ -92,19 +92,20 @@ impl Facts {
 
     /// Names of what the artifacts disagree on in their protocols, each group of facts once.
     pub(super) fn differences(&self) -> Vec<&str> {
-        let mut names: Vec<&str> = Vec::new();
-        for row in self
-            .protocol
-            .iter()
-            .filter(|row| row.differs() && row.name != WITHOUT_EFFECT)
-        {
-            let name = row.name.split('.').next().unwrap_or(&row.name);
-            if !names.contains(&name) {
-                names.push(name);
-            }
-        }
-        names
+        differences(&self.protocol)
     }
+}
+
+/// Names of what artifacts disagree on, each group of facts once.
+pub(super) fn differences(protocol: &[Row]) -> Vec<&str> {
+    let mut names: Vec<&str> = Vec::new();
+    for row in protocol.iter().filter(|row| row.differs() && row.name != WITHOUT_EFFECT) {
+        let name = row.name.split('.').next().unwrap_or(&row.name);
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names
 }
 
 /// The preset, and as much more as it takes to tell the artifacts apart.
@@ -121,9 +122,14 @@ fn labels(artifacts: &[Rollouts]) -> Vec<String> {
         |artifact| format!("{} steps", artifact.max_steps),
         |artifact| artifact.key.chars().take(8).collect(),
     ];
-    let mut labels: Vec<String> = artifacts.iter().map(|artifact| artifact.preset.clone()).collect();
-    for part in parts {
-        let words: Vec<String> = artifacts.iter().map(part).collect();
+    let presets = artifacts.iter().map(|artifact| artifact.preset.clone()).collect();
+    let parts = parts.map(|part| artifacts.iter().map(part).collect());
+    told_apart(presets, &parts)
+}
+
+/// Names with as many of the parts appended as it takes to tell them apart.
+pub(super) fn told_apart(mut labels: Vec<String>, parts: &[Vec<String>]) -> Vec<String> {
+    for words in parts {
         let doubles: Vec<bool> = labels
             .iter()
             .enumerate()
@@ -132,7 +138,7 @@ fn labels(artifacts: &[Rollouts]) -> Vec<String> {
         for ((label, word), double) in labels.iter_mut().zip(words).zip(doubles) {
             if double {
                 label.push_str(" · ");
-                label.push_str(&word);
+                label.push_str(word);
             }
         }
     }
@@ -140,7 +146,7 @@ fn labels(artifacts: &[Rollouts]) -> Vec<String> {
 }
 
 /// Leaves of a JSON value by their dotted names.
-fn flatten(value: &Value) -> BTreeMap<String, String> {
+pub(super) fn flatten(value: &Value) -> BTreeMap<String, String> {
     fn walk(name: &str, value: &Value, leaves: &mut BTreeMap<String, String>) {
         match value {
             Value::Object(map) => {
@@ -167,7 +173,7 @@ fn flatten(value: &Value) -> BTreeMap<String, String> {
 }
 
 /// One row a fact: those that differ first, then those of [`FIRST`], then by name.
-fn rows(artifacts: &[BTreeMap<String, String>]) -> Vec<Row> {
+pub(super) fn rows(artifacts: &[BTreeMap<String, String>]) -> Vec<Row> {
     let names: BTreeSet<&String> = artifacts.iter().flat_map(BTreeMap::keys).collect();
     let mut rows: Vec<Row> = names
         .into_iter()

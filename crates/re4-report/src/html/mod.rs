@@ -10,6 +10,7 @@ mod data;
 mod facts;
 mod paper;
 mod sections;
+pub mod spatial;
 
 use std::collections::BTreeMap;
 
@@ -226,13 +227,14 @@ pub struct DecisionTrace {
 pub type Demonstration = Vec<[f64; 5]>;
 
 /// The script, part by part, after what all pages share.
-const SCRIPT: [&str; 7] = [
+const SCRIPT: [&str; 8] = [
     include_str!("script/data.js"),
     include_str!("script/selection.js"),
     include_str!("script/charts.js"),
     include_str!("script/seeds.js"),
     include_str!("script/scene.js"),
     include_str!("script/viewer.js"),
+    include_str!("script/player.js"),
     include_str!("script/main.js"),
 ];
 

@@ -14,7 +14,7 @@ const MARKS: usize = 8;
 /// The page's first sentence names this many artifacts at most.
 const MOST_NAMED: usize = 4;
 
-fn mark(artifact: usize) -> Markup {
+pub(super) fn mark(artifact: usize) -> Markup {
     html! {
         svg class={ "mark series-" (artifact % MARKS) } viewBox="-6 -6 12 12" width="12" height="12" aria-hidden="true" {
             path data-mark=(artifact % MARKS) {}
@@ -145,7 +145,7 @@ fn paper_counterpart(artifact: &Rollouts) -> Option<(&'static str, f64)> {
 }
 
 /// A figure with its interval, in digits and as a bar from 0 to 1 on which a tick marks the paper's figure.
-fn figure(metric: &str, interval: Interval, paper: Option<f64>) -> Markup {
+pub(super) fn figure(metric: &str, interval: Interval, paper: Option<f64>) -> Markup {
     let at = |value: f64| format!("{:.2}", 100.0 * value.clamp(0.0, 1.0));
     let Interval { value, low, high } = interval;
     html! {
@@ -279,7 +279,7 @@ pub(super) fn viewer(report: &Report, facts: &Facts) -> Markup {
     }
 }
 
-fn transport() -> Markup {
+pub(super) fn transport() -> Markup {
     let button = |id: &str, name: &str, keys: &str, sign: &str| {
         html! { button id=(id) type="button" aria-label=(name) title={ (name) " (" (keys) ")" } { (sign) } }
     };
@@ -382,22 +382,22 @@ pub(super) fn protocol(report: &Report, facts: &Facts) -> Markup {
                 @if report.artifacts.len() > 1 && facts.differences().is_empty() { "All rollouts were made under one protocol. " }
                 "Scores of different protocols must not be compared."
             }
-            div.card { (fact_table("Protocol", &facts.protocol, facts)) }
+            div.card { (fact_table("Protocol", &facts.protocol, &facts.labels)) }
             details.card {
                 summary { "Settings of the policies" }
-                (fact_table("Settings", &facts.settings, facts))
+                (fact_table("Settings", &facts.settings, &facts.labels))
             }
         }
     }
 }
 
-fn fact_table(name: &str, rows: &[Row], facts: &Facts) -> Markup {
+pub(super) fn fact_table(name: &str, rows: &[Row], labels: &[String]) -> Markup {
     html! {
         div.scroll tabindex="0" role="region" aria-label=(name) {
             table.plain.facts {
                 thead { tr {
                     th scope="col" { (name) }
-                    @for (i, label) in facts.labels.iter().enumerate() { th scope="col" { span.name { (mark(i)) (label) } } }
+                    @for (i, label) in labels.iter().enumerate() { th scope="col" { span.name { (mark(i)) (label) } } }
                 } }
                 tbody {
                     @for row in rows {

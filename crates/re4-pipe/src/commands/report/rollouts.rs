@@ -47,7 +47,7 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
 }
 
 /// What the manifest states under this name.
-fn stated<T: DeserializeOwned>(artifact: &Artifact, place: &str, values: &Value, name: &str) -> Result<T> {
+pub(super) fn stated<T: DeserializeOwned>(artifact: &Artifact, place: &str, values: &Value, name: &str) -> Result<T> {
     serde_json::from_value(values[name].clone()).map_err(|_| {
         anyhow::anyhow!(
             "cannot report on {}: its manifest states no usable {place}.{name}; run the rollout again",
@@ -91,7 +91,7 @@ fn starts(config: &Value) -> (Starts, String) {
 }
 
 /// Half-open ranges as readers of a page expect them: `500..600` is 500–599.
-fn inclusive(seeds: &str) -> String {
+pub(super) fn inclusive(seeds: &str) -> String {
     let part = |part: &str| {
         let (start, end) = part.split_once("..")?;
         let last = end.trim().parse::<u64>().ok()?.checked_sub(1)?;
@@ -139,7 +139,7 @@ fn rollouts(artifact: &Artifact) -> Result<Vec<Rollout>> {
 }
 
 /// Rows of each rollout in a table that lists them in the order of the results.
-fn rows(artifact: &Artifact, table: &str, column: &[u32], seeds: &[u32], counts: &[u32]) -> Result<Vec<Range<usize>>> {
+pub(super) fn rows(artifact: &Artifact, table: &str, column: &[u32], seeds: &[u32], counts: &[u32]) -> Result<Vec<Range<usize>>> {
     let mut at = 0;
     let mut ranges = Vec::with_capacity(seeds.len());
     for (&seed, &count) in seeds.iter().zip(counts) {

@@ -8,6 +8,7 @@ use re4_artifact::tables;
 use serde_json::{Value, json};
 
 use super::super::Outcome;
+use super::Page;
 use crate::arguments::{ReplayArguments, RolloutArguments};
 use crate::stages::{Built, Runner};
 
@@ -18,10 +19,14 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         arguments.record.is_none(),
         "--record writes Push-T's own format; leave it out for robosuite's tasks"
     );
+    let page = Page::at(runner, arguments)?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let index = runner.index_spatial(&episodes, &modes)?;
     let built = runner.rollout_spatial(&episodes, &index)?;
+    if let Some(page) = &page {
+        page.write(runner, arguments, &built)?;
+    }
     let summary = &built.artifact.manifest().summary;
     let section = runner.pipeline.spatial_rollout()?;
     let rollouts = built.artifact.table(&tables::SPATIAL_RESULTS)?.rows();

@@ -238,17 +238,17 @@ impl<'a> Drawing<'a> {
         let Looks { rest, boxes } = looks(mjcf)?;
         // One thread compiles, the others wait for what may be their model, too.
         let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
-        let model = match compiled.iter().find(|(known, _)| **known == *rest) {
-            Some((_, model)) => model.clone(),
-            None => {
-                let text = with_assets(mjcf, &simulators::assets_folder())?;
-                let model = Model::compile(&self.library, &text).context("its model_file does not compile")?;
-                if compiled.len() == REMEMBERED {
-                    compiled.remove(0);
-                }
-                compiled.push((rest, model.clone()));
-                model
+        let known = compiled.iter().find(|(known, _)| *known == rest);
+        let model = if let Some((_, model)) = known {
+            model.clone()
+        } else {
+            let text = with_assets(mjcf, &simulators::assets_folder())?;
+            let model = Model::compile(&self.library, &text).context("its model_file does not compile")?;
+            if compiled.len() == REMEMBERED {
+                compiled.remove(0);
             }
+            compiled.push((rest, model.clone()));
+            model
         };
         drop(compiled);
         Ok(model.with_boxes(boxes.iter().map(|(name, size)| (name.as_str(), *size)))?)

@@ -30,15 +30,29 @@ const selectDecision = (way) => {
   selectStep(next ?? (way > 0 ? data.length : 0));
 };
 
-// The place in the page's address: #rollout=<16 digits of the key>/<seed>/<step>.
+// The place in the page's address: #rollout=<16 digits of the key>/<seed>/<step>. #seed=<seed>&step=<step> is understood too,
+// and means the first artifact with a rollout of that seed.
 const addressOf = () => {
   const { key } = REPORT.artifacts[selection.artifact];
   return `#rollout=${key.slice(0, 16)}/${selection.data.seed}/${selection.step}`;
 };
 
+const readShortAddress = () => {
+  const found = /^#seed=(\d+)(?:&step=(\d+))?$/.exec(location.hash);
+  if (found === null) return false;
+  for (const [artifact, { rollouts }] of REPORT.artifacts.entries()) {
+    const rollout = rollouts.seed.indexOf(Number(found[1]));
+    if (rollout >= 0 && isShown(artifact, rollout)) {
+      selectRollout(artifact, rollout, Number(found[2] ?? 0));
+      return true;
+    }
+  }
+  return false;
+};
+
 const readAddress = () => {
   const found = /^#rollout=([0-9a-f]{16})\/(\d+)(?:\/(\d+))?$/.exec(location.hash);
-  if (found === null) return false;
+  if (found === null) return readShortAddress();
   const artifact = REPORT.artifacts.findIndex(({ key }) => key.startsWith(found[1]));
   const rollout = artifact < 0 ? -1 : REPORT.artifacts[artifact].rollouts.seed.indexOf(Number(found[2]));
   if (rollout < 0 || !isShown(artifact, rollout)) return false;

@@ -1,0 +1,142 @@
+// The timeline of retrieved demonstrations (paper, Figure 2): a band a demonstration, what each step is part of, the gripper,
+// and below them the fingers' distance and the object's height.
+const TIMELINE = { pad: 10, label: 15, band: 30, thin: 9, plot: 58 };
+const PLACE = (() => {
+  let y = 0;
+  const next = (height, gap) => {
+    const top = y;
+    y += height + gap;
+    return top;
+  };
+  const places = {};
+  for (const [name, height, gap] of [
+    ["demosLabel", TIMELINE.label, 3], ["demos", TIMELINE.band, 3], ["phase", TIMELINE.thin, 2], ["mode", TIMELINE.thin, 2], ["gripper", TIMELINE.thin, 14],
+    ["fingersLabel", TIMELINE.label, 2], ["fingers", TIMELINE.plot, 12], ["heightLabel", TIMELINE.label, 2], ["height", TIMELINE.plot, 4], ["ticks", 16, 0],
+  ]) places[name] = next(height, gap);
+  return { ...places, end: y };
+})();
+let playhead;
+
+const timelineX = (width) => {
+  const { data } = selection;
+  return (step) => TIMELINE.pad + (step / Math.max(1, data.length)) * (width - 2 * TIMELINE.pad);
+};
+
+// The state at a place of the timeline.
+const stepAt = (x, width) => {
+  const share = (x - TIMELINE.pad) / (width - 2 * TIMELINE.pad);
+  return Math.round(clamp(share, 0, 1) * selection.data.length);
+};
+
+const movePlayhead = () => {
+  const width = byId("timeline").clientWidth;
+  if (playhead === undefined || width === 0) return;
+  playhead.setAttribute("transform", `translate(${near(timelineX(width)(selection.step))} 0)`);
+};
+
+// Runs of steps with one value.
+const runs = (data, value) => {
+  const found = [];
+  for (let i = 0; i < data.length; i += 1) {
+    const now = value(i);
+    const last = found[found.length - 1];
+    if (last && last.value === now) last.end = i + 1;
+    else found.push({ start: i, end: i + 1, value: now });
+  }
+  return found;
+};
+
+const legendOf = (y, parts, width) => {
+  const text = svg("text", { class: "tick", x: TIMELINE.pad, y: y + 11 });
+  for (const [kind, words] of parts) text.append(svg("tspan", { class: kind }, words));
+  text.setAttribute("data-width", width);
+  return text;
+};
+
+const bands = (data, x) => {
+  const group = svg("g", {});
+  const rect = (run, y, height, kind, title, style) => {
+    const width = Math.max(0.75, x(run.end) - x(run.start) - 0.5);
+    group.append(svg("rect", { class: kind, x: near(x(run.start)), y, width: near(width), height, style }, svg("title", {}, title)));
+    return width;
+  };
+  const span = (run) => `steps ${run.start} to ${run.end}`;
+  for (const run of runs(data, (i) => data.decisions[data.decisionOf[i]]?.demo)) {
+    const home = run.value === undefined;
+    const words = home ? "back to the initial pose" : `demonstration ${run.value}`;
+    const width = rect(run, PLACE.demos, TIMELINE.band, home ? "demo none" : "demo", `${words}, ${span(run)}`, home ? null : demoStyle(run.value));
+    const label = home ? "home" : String(run.value);
+    if (width > 7.5 * label.length + 6) {
+      group.append(svg("text", { class: "demo-label", x: near((x(run.start) + x(run.end)) / 2), y: PLACE.demos + 20, "text-anchor": "middle" }, label));
+    }
+  }
+  for (const run of runs(data, (i) => data.phase[i])) rect(run, PLACE.phase, TIMELINE.thin, `phase ${run.value}`, `${run.value}, ${span(run)}`);
+  for (const run of runs(data, (i) => data.decisions[data.decisionOf[i]]?.transfer)) {
+    rect(run, PLACE.mode, TIMELINE.thin, run.value ? "mode transfer" : "mode transit", `${run.value ? "transfer" : "transit"}, ${span(run)}`);
+  }
+  for (const run of runs(data, (i) => data.closing[i])) {
+    rect(run, PLACE.gripper, TIMELINE.thin, run.value ? "grip closing" : "grip opening", `gripper told to ${run.value ? "close" : "open"}, ${span(run)}`);
+  }
+  data.decisions.forEach(({ step, kind }, number) => {
+    const at = near(x(step));
+    const strong = kind !== "continue";
+    group.append(svg("path", { class: `decision ${kind}`, d: strong ? `M${at} ${PLACE.demos - 2}V${PLACE.gripper + TIMELINE.thin}` : `M${at} ${PLACE.demos + TIMELINE.band - 7}v7` },
+      svg("title", {}, `decision ${number + 1}: ${KINDS[kind] ?? kind}`)));
+    if (kind === "grasp_lost") group.append(svg("path", { class: "loss", d: `M${near(at - 4)} ${PLACE.demos - 9}l8 8m-8 0l8 -8` }));
+  });
+  return group;
+};
+
+const curve = (values, [low, high], top, x, kind, width, unit) => {
+  const y = (value) => top + TIMELINE.plot - ((value - low) / (high - low || 1)) * TIMELINE.plot;
+  const group = svg("g", {});
+  for (const value of [low, high]) {
+    group.append(
+      svg("line", { class: "grid", x1: TIMELINE.pad, x2: width - TIMELINE.pad, y1: y(value), y2: y(value) }),
+      svg("text", { class: "tick", x: width - TIMELINE.pad, y: y(value) + (value === low ? -3 : 12), "text-anchor": "end" }, `${digits(value, 0)} ${unit}`),
+    );
+  }
+  group.append(svg("path", { class: `curve ${kind}`, d: line(values.map((value, i) => [x(i), y(value)]).filter(([, at]) => Number.isFinite(at))) }));
+  return group;
+};
+
+// Object heights above where it starts, in all rollouts of the artifact, cm.
+const heightsOf = remember((number) => {
+  let [low, high] = [0, 1];
+  const { places, starts, steps } = traces(number);
+  for (const [rollout, { place, step }] of places) {
+    const floor = starts[14 * place + 9];
+    for (let i = 0; i < REPORT.artifacts[number].rollouts.steps[rollout]; i += 1) {
+      const height = 100 * (steps.object[7 * (step + i) + 2] - floor);
+      low = Math.min(low, height);
+      high = Math.max(high, height);
+    }
+  }
+  return [Math.floor(low), Math.ceil(high)];
+});
+
+const drawTimeline = () => {
+  const host = byId("timeline");
+  const width = Math.floor(host.clientWidth);
+  const { data } = selection;
+  if (width === 0 || data === undefined) return;
+  const x = timelineX(width);
+  const root = svg("svg", { class: "chart", width, height: PLACE.end, viewBox: `0 0 ${width} ${PLACE.end}`, role: "img",
+    "aria-label": "Demonstrations followed over the steps, with phases, modes and gripper commands; below, the distance of the fingers and the height of the object" });
+  const heights = data.object.map((pose) => 100 * (pose[2] - data.object[0][2]));
+  root.append(
+    legendOf(PLACE.demosLabel, [["", "demonstration followed, and below: "], ["bridge", "bridge "], ["replay", "replay "], ["home", "home"],
+      ["", " · "], ["transit", "transit "], ["transfer", "transfer"], ["", " · "], ["opening", "open "], ["closing", "close"]], width),
+    bands(data, x),
+    legendOf(PLACE.fingersLabel, [["", "fingers apart"]], width),
+    curve(data.fingers.map((value) => 1000 * value), [0, 80], PLACE.fingers, x, "fingers", width, "mm"),
+    legendOf(PLACE.heightLabel, [["", "object above its start"]], width),
+    curve(heights, heightsOf(data.artifact), PLACE.height, x, "height", width, "cm"),
+    svg("text", { class: "tick", x: TIMELINE.pad, y: PLACE.ticks + 12 }, "0"),
+    svg("text", { class: "tick", x: width - TIMELINE.pad, y: PLACE.ticks + 12, "text-anchor": "end" }, times(data.length, "step", "steps")),
+  );
+  playhead = svg("g", { class: "playhead" }, svg("line", { x1: 0, x2: 0, y1: PLACE.demos - 3, y2: PLACE.ticks }));
+  root.append(playhead);
+  host.replaceChildren(root);
+  movePlayhead();
+};
