@@ -196,7 +196,7 @@ fn what_cannot_be_simulated_is_told_in_one_sentence() {
     let empty = place.path().join("none");
     let mut told = String::new();
     let mut tell = |what: &str, simulators: &Path, arguments: &str| {
-        let sentence = run(&place, simulators, arguments).refused_at_once();
+        let sentence = run(&place, simulators, arguments).refused();
         writeln!(told, "{what}\n  {}", sentence.trim_end()).unwrap();
     };
     tell("no simulators", &empty, "rollout lift.toml");
