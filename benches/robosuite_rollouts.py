@@ -3,7 +3,7 @@
     rs14/bin/python benches/robosuite_rollouts.py TASK spatial_steps.parquet [rollouts] [plain|robomimic]
 
 TASK is lift, can or square. Run with the Python of either environment that tests/robosuite_reference.py describes, and
-`pip install pyarrow` in it. The table's columns: seed, step, action_x, action_y, action_z (goal of the grip site, world frame,
+`pip install 'pyarrow<20'` in it. The table's columns: seed, step, action_x, action_y, action_z (goal of the grip site, world frame,
 m), action_rx, action_ry, action_rz (its rotation vector, rad), gripper (-1 opens, 1 closes). A seed's episode starts as
 `np.random.seed(seed); env.reset()` makes it (plain), or from there by robomimic's `reset_to`, on the model read back from its own
 XML (robomimic). Success counts at any step.

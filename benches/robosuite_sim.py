@@ -18,8 +18,8 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
+import robosuite_reference as reference  # noqa: E402  (before numpy: it sets the number of threads)
 import numpy as np  # noqa: E402
-import robosuite_reference as reference  # noqa: E402
 
 DATA = ROOT / "crates/re4-sim/tests/data/robosuite"
 EPISODES = 5

@@ -1,12 +1,14 @@
 //! Shared by the end-to-end tests: the program in a folder of its own, with a small dataset and a pipeline file.
 #![allow(dead_code)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use re4_artifact::{Artifact, Stage};
+use serde_json::Value;
 use tempfile::TempDir;
 
 pub(crate) mod dataset;
@@ -315,3 +317,54 @@ policy = "re4"
 seeds = "500..506"
 max_steps = 60
 "#;
+
+/// Compares the columns of every table below the artifacts of a place with its committed description; gives their names.
+pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
+    let mut compared = BTreeSet::new();
+    for kind in folders_in(&place.artifacts()) {
+        for artifact in folders_in(&kind)
+            .into_iter()
+            .filter(|folder| folder.join("manifest.json").exists())
+        {
+            for file in fs::read_dir(&artifact).unwrap().map(|entry| entry.unwrap().path()) {
+                if file.extension().is_none_or(|extension| extension != "parquet") {
+                    continue;
+                }
+                let name = file.file_stem().unwrap().to_str().unwrap();
+                let path = repository().join(format!("schemas/{name}.json"));
+                let described: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+                assert_eq!(described["file"], format!("{name}.parquet"));
+                let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
+                let found: Vec<[String; 5]> = reader
+                    .schema()
+                    .fields()
+                    .iter()
+                    .map(|field| {
+                        let metadata = |key| field.metadata().get(key).cloned().unwrap_or_default();
+                        let kind = field.data_type().to_string();
+                        [
+                            field.name().clone(),
+                            kind,
+                            field.is_nullable().to_string(),
+                            metadata("unit"),
+                            metadata("frame"),
+                        ]
+                    })
+                    .collect();
+                let columns: Vec<[String; 5]> = described["columns"]
+                    .as_array()
+                    .unwrap()
+                    .iter()
+                    .map(|column| {
+                        let text = |key: &str| column[key].as_str().unwrap().to_owned();
+                        let nullable = column["nullable"].as_bool().unwrap().to_string();
+                        [text("name"), text("arrow_type"), nullable, text("unit"), text("frame")]
+                    })
+                    .collect();
+                assert_eq!(found, columns, "{name}");
+                compared.insert(name.to_owned());
+            }
+        }
+    }
+    compared
+}

@@ -59,6 +59,8 @@ arrays! {
     qvel / qvel_mut: qvel, Model::nv;
     /// Controls of the actuators.
     ctrl / ctrl_mut: ctrl, Model::nu;
+    /// Accelerations that the solver of constraints starts from in the next step: those of the step before, or zeros.
+    qacc_warmstart / qacc_warmstart_mut: qacc_warmstart, Model::nv;
     /// Gravity, Coriolis and centrifugal forces on the degrees of freedom.
     qfrc_bias: qfrc_bias, Model::nv;
     /// Positions of all sites in the world, three numbers each.
@@ -148,6 +150,17 @@ impl Data {
             (self.functions().mj_fwdPosition)(self.model.pointer(), self.pointer());
             (self.functions().mj_fwdVelocity)(self.model.pointer(), self.pointer());
         }
+    }
+
+    /// Divides every quaternion of generalised coordinates by its length (`mj_normalizeQuat`), as MuJoCo 2.3.7 does with those
+    /// of a state wherever it computes poses. Once need not be enough: a quaternion of length 1 may change in its last bits.
+    ///
+    /// # Panics
+    /// When there are not [`Model::nq`] coordinates.
+    pub fn normalize_quaternions(&self, coordinates: &mut [f64]) {
+        assert!(coordinates.len() == self.model.nq());
+        // SAFETY: the slice holds all coordinates.
+        unsafe { (self.functions().mj_normalizeQuat)(self.model.pointer(), coordinates.as_mut_ptr()) }
     }
 
     /// Actuation, acceleration and constraint forces (`mj_fwdActuation`, `mj_fwdAcceleration`, `mj_fwdConstraint`): the second

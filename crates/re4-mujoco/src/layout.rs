@@ -132,6 +132,8 @@ layout! {
     qvel = "d.qvel",
     /// Controls.
     ctrl = "d.ctrl",
+    /// Accelerations that the solver starts from.
+    qacc_warmstart = "d.qacc_warmstart",
     /// Gravity, Coriolis and centrifugal forces.
     qfrc_bias = "d.qfrc_bias",
     /// Inertia, packed.
@@ -202,6 +204,12 @@ layout! {
     ngeom = "m.ngeom",
     /// Bounding boxes of geoms.
     geom_aabb = "m.geom_aabb",
+    /// Kinds of geoms.
+    model_geom_type = "m.geom_type",
+    /// Sizes of geoms.
+    model_geom_size = "m.geom_size",
+    /// Radii of spheres around geoms.
+    model_geom_rbound = "m.geom_rbound",
 }
 
 static LAYOUT_2_3_7: Layout = Layout {
@@ -221,6 +229,7 @@ static LAYOUT_2_3_7: Layout = Layout {
     qpos: 40432,
     qvel: 40440,
     ctrl: 40472,
+    qacc_warmstart: 40456,
     qfrc_bias: 40872,
     q_m: 40800,
     site_xpos: 40632,
@@ -256,6 +265,9 @@ static LAYOUT_2_3_7: Layout = Layout {
     eye_near: 48,
     ngeom: 28,
     geom_aabb: 1720,
+    model_geom_type: 1_608,
+    model_geom_size: 1_712,
+    model_geom_rbound: 1_728,
     sizes: Sizes {
         option: 76,
         camera: 64,
@@ -284,6 +296,7 @@ static LAYOUT_3_2_7: Layout = Layout {
     qpos: 161_656,
     qvel: 161_664,
     ctrl: 161_696,
+    qacc_warmstart: 161_680,
     qfrc_bias: 162_192,
     q_m: 162_112,
     site_xpos: 161_864,
@@ -319,6 +332,9 @@ static LAYOUT_3_2_7: Layout = Layout {
     eye_near: 52,
     ngeom: 36,
     geom_aabb: 1976,
+    model_geom_type: 1_856,
+    model_geom_size: 1_968,
+    model_geom_rbound: 1_984,
     sizes: Sizes {
         option: 92,
         camera: 72,

@@ -1,6 +1,8 @@
 //! The library and its functions.
 
 use std::ffi::{CStr, c_char, c_int, c_void};
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -41,6 +43,7 @@ macro_rules! functions {
 
 functions! {
     mj_loadXML: fn(*const c_char, *const c_void, *mut c_char, c_int) -> *mut c_void;
+    mj_copyModel: fn(*mut c_void, *const c_void) -> *mut c_void;
     mj_deleteModel: fn(*mut c_void);
     mj_makeData: fn(*const c_void) -> *mut c_void;
     mj_deleteData: fn(*mut c_void);
@@ -52,6 +55,7 @@ functions! {
     mj_fwdActuation: fn(*const c_void, *mut c_void);
     mj_fwdAcceleration: fn(*const c_void, *mut c_void);
     mj_fwdConstraint: fn(*const c_void, *mut c_void);
+    mj_normalizeQuat: fn(*const c_void, *mut f64);
     mj_Euler: fn(*const c_void, *mut c_void);
     mj_jacSite: fn(*const c_void, *const c_void, *mut f64, *mut f64, c_int);
     mj_fullM: fn(*const c_void, *mut f64, *const f64);
@@ -94,6 +98,25 @@ static WARNING: Mutex<String> = Mutex::new(String::new());
 /// Compiling a model touches state of the whole process (the locale), so it is done by one thread at a time.
 static COMPILING: Mutex<()> = Mutex::new(());
 
+/// Whether a file is a shared library to its end: the system's loader would end the process on one that was cut short. The
+/// table of sections, whose place the first 64 bytes of a 64-bit ELF file give, is the last thing in it.
+fn whole(path: &Path) -> Result<(), String> {
+    const CUT: &str = "the file is cut short";
+    let mut file = File::open(path).map_err(|error| error.to_string())?;
+    let length = file.metadata().map_err(|error| error.to_string())?.len();
+    let mut header = [0; 64];
+    file.read_exact(&mut header).map_err(|_| CUT.to_owned())?;
+    let offset = u64::from_le_bytes(std::array::from_fn(|i| header[0x28 + i]));
+    let [size, count] = [0x3a, 0x3c].map(|at| u64::from(u16::from_le_bytes([header[at], header[at + 1]])));
+    if header[..4] != *b"\x7fELF" {
+        Err("the file is no shared library".to_owned())
+    } else if offset.saturating_add(size * count) > length {
+        Err(CUT.to_owned())
+    } else {
+        Ok(())
+    }
+}
+
 impl Library {
     /// Loads `libmujoco.so` from `folder`, or hands out the one that was loaded from there before.
     ///
@@ -103,11 +126,24 @@ impl Library {
         let path = folder.join(FILE);
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, library)) = loaded.iter().find(|(known, _)| *known == path) {
-            return Ok(library.clone());
+            let found = library.version();
+            return if found == version {
+                Ok(library.clone())
+            } else {
+                Err(MujocoError::Version {
+                    path,
+                    found: found.to_string(),
+                    expected: version.to_string(),
+                })
+            };
         }
         if !path.is_file() {
             return Err(MujocoError::Missing { path });
         }
+        whole(&path).map_err(|reason| MujocoError::Load {
+            path: path.clone(),
+            reason,
+        })?;
         let library = Self::load(&path, version)?;
         loaded.push((path, library.clone()));
         Ok(library)

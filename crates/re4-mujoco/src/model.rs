@@ -7,6 +7,9 @@ use std::sync::Arc;
 
 use crate::{Library, MujocoError, Version};
 
+/// `mjGEOM_BOX`.
+const BOX: c_int = 6;
+
 /// Kinds of things that have names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -14,6 +17,8 @@ pub enum Kind {
     Body,
     /// A joint.
     Joint,
+    /// A geom.
+    Geom,
     /// A site.
     Site,
     /// A camera.
@@ -28,6 +33,7 @@ impl Kind {
         match self {
             Self::Body => 1,
             Self::Joint => 3,
+            Self::Geom => 5,
             Self::Site => 6,
             Self::Camera => 7,
             // Flexible bodies came in between.
@@ -40,6 +46,7 @@ impl Kind {
         match self {
             Self::Body => "body",
             Self::Joint => "joint",
+            Self::Geom => "geom",
             Self::Site => "site",
             Self::Camera => "camera",
             Self::Actuator => "actuator",
@@ -56,6 +63,8 @@ pub struct Model {
 struct Inner {
     library: Library,
     pointer: NonNull<c_void>,
+    /// The same in models that look the same but for sizes of boxes.
+    family: Arc<()>,
 }
 
 // SAFETY: the library only reads a model that it simulates or draws, and this crate never writes to one.
@@ -112,8 +121,66 @@ impl Model {
             inner: Arc::new(Inner {
                 library: library.clone(),
                 pointer,
+                family: Arc::new(()),
             }),
         })
+    }
+
+    /// The same model with other half sizes of named boxes, in metres: for pictures alone, since masses and inertias stay as
+    /// they were. That takes moments, where compiling takes seconds, and a [`Renderer`](crate::Renderer) of one model draws the
+    /// other, too.
+    ///
+    /// # Errors
+    /// When a name is not that of a box, or there is no memory.
+    pub fn with_boxes<'a>(&self, boxes: impl IntoIterator<Item = (&'a str, [f64; 3])>) -> Result<Self, MujocoError> {
+        // SAFETY: the model is whole, and a new one is asked for.
+        let pointer = unsafe { (self.library().functions().mj_copyModel)(std::ptr::null_mut(), self.pointer()) };
+        let copy = Inner {
+            library: self.library().clone(),
+            pointer: NonNull::new(pointer).ok_or(MujocoError::Memory)?,
+            family: Arc::clone(&self.inner.family),
+        };
+        let layout = self.layout();
+        for (name, size) in boxes {
+            let id = self.id(Kind::Geom, name)?;
+            // SAFETY: the fields are arrays with a place for every geom, of an `int` and of three, one and six doubles; the
+            // copy is nobody else's yet.
+            unsafe {
+                let start = |offset: usize| copy.pointer.as_ptr().byte_add(offset);
+                if start(layout.model_geom_type)
+                    .cast::<*const c_int>()
+                    .read()
+                    .add(id)
+                    .read()
+                    != BOX
+                {
+                    return Err(MujocoError::NoSuch {
+                        kind: "box",
+                        name: name.to_owned(),
+                    });
+                }
+                let [x, y, z] = size;
+                start(layout.model_geom_size)
+                    .cast::<*mut [f64; 3]>()
+                    .read()
+                    .add(id)
+                    .write(size);
+                let around = start(layout.model_geom_rbound).cast::<*mut f64>().read();
+                around.add(id).write((x * x + y * y + z * z).sqrt());
+                start(layout.geom_aabb)
+                    .cast::<*mut [f64; 6]>()
+                    .read()
+                    .add(id)
+                    .write([0.0, 0.0, 0.0, x, y, z]);
+            }
+        }
+        Ok(Self { inner: Arc::new(copy) })
+    }
+
+    /// Whether both are the same but for [`Model::with_boxes`].
+    #[must_use]
+    pub fn looks_like(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.inner.family, &other.inner.family)
     }
 
     /// The library that compiled it.

@@ -21,7 +21,7 @@ const MESH: c_int = 7;
 const GEOM: c_int = 5;
 
 /// `mjRND_REFLECTION`.
-const REFLECTION: usize = 2;
+pub(crate) const REFLECTION: usize = 2;
 
 /// The frustum and bounding boxes are taken larger by this factor, so that rounding decides nothing.
 const MARGIN: f64 = 1.02;
@@ -206,7 +206,8 @@ impl Geom {
     }
 }
 
-/// Leaves out of a scene, which was updated for the model, what cannot be seen in a picture of this aspect (width by height).
+/// Leaves out of a scene, which was updated for the model, what cannot be seen in a picture of this aspect (width by height):
+/// meshes, and where nothing of the mirror is seen, the flag [`REFLECTION`].
 ///
 /// # Safety
 /// The scene is one of this model, whole.
@@ -215,8 +216,6 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
     let size = layout.sizes.geom;
     // SAFETY: by the caller, and by the layout.
     unsafe {
-        let flag = scene.byte_add(layout.scene_flags).cast::<u8>().add(REFLECTION);
-        flag.write(1);
         let Some(view) = view(scene, model, aspect) else {
             return;
         };
@@ -242,7 +241,7 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
             let open = view.cells(CELLS).filter(|cell| !cell.filled(&covers, HALVINGS));
             mirrored.extend(open.map(|cell| cell.mirrored(point, normal)));
             if mirrored.is_empty() {
-                flag.write(0);
+                scene.byte_add(layout.scene_flags + REFLECTION).cast::<u8>().write(0);
             }
         }
         let mut kept = 0;

@@ -5,7 +5,7 @@ use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
 
-use crate::pipeline::{Pipeline, PoseSection, PoseSource, TaskName, Variant};
+use crate::pipeline::{Camera, IngestSection, Pipeline, PoseSection, PoseSource, TaskName, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
@@ -69,9 +69,14 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "ingest.images is false and ingest.cameras names cameras; leave one of the two out"
     );
     ensure!(
-        ingest.render.is_empty(),
-        "ingest.render draws Push-T's pictures; leave it out for robosuite's tasks"
+        !ingest.render.contains(&Camera::Image),
+        "ingest.render names the camera \"image\", which is Push-T's; robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
     );
+    ensure!(
+        ingest.render.is_empty() || ingest.cameras.is_none(),
+        "ingest.cameras chooses recorded pictures and ingest.render has pictures drawn; leave one of the two out"
+    );
+    check_render(ingest)?;
     ensure!(
         pipeline.scenes.is_none(),
         "the table [scenes] is for Push-T; leave it out, and give rollout.seeds"
@@ -110,6 +115,16 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     Ok(())
 }
 
+fn check_render(ingest: &IngestSection) -> Result<()> {
+    let repeated = (1..ingest.render.len()).any(|i| ingest.render[..i].contains(&ingest.render[i]));
+    ensure!(!repeated, "ingest.render names a camera twice; name each once");
+    ensure!(
+        ingest.images || ingest.render.is_empty(),
+        "ingest.images is false and ingest.render names a camera; leave one of the two out"
+    );
+    Ok(())
+}
+
 /// What Push-T needs, and what it does not have.
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ensure!(
@@ -128,6 +143,11 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
         bail!("ingest.{key} belongs to robosuite's tasks; leave it out");
     }
+    ensure!(
+        ingest.render.iter().all(|&camera| camera == Camera::Image),
+        "ingest.render names a camera of robosuite's tasks; Push-T's only one is \"image\""
+    );
+    check_render(ingest)?;
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
         ensure!(
@@ -152,14 +172,6 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
 /// What the policy sees and what is indexed have to come from the same source.
 fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> Result<()> {
     let ingest = &pipeline.ingest;
-    ensure!(
-        ingest.render.len() <= 1,
-        "ingest.render names a camera twice; name each once"
-    );
-    ensure!(
-        ingest.images || ingest.render.is_empty(),
-        "ingest.images is false and ingest.render names a camera; leave one of the two out"
-    );
     match (variant, pose.source) {
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {

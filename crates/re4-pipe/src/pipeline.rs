@@ -170,7 +170,7 @@ pub(crate) struct IngestSection {
     #[serde(default = "yes")]
     pub(crate) images: bool,
     /// Cameras whose pictures are drawn by the simulator's own renderer from the recorded states, for a dataset without
-    /// pictures.
+    /// pictures: `image` (Push-T); `agentview`, `robot0_eye_in_hand` (robosuite tasks, 84 x 84).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) render: Vec<Camera>,
     /// Which episodes to take.
@@ -180,10 +180,26 @@ pub(crate) struct IngestSection {
 
 /// Cameras of the tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum Camera {
     /// Push-T's only one: the window from above, 96 x 96.
     Image,
+    /// robosuite's camera that looks at robot and table from the front, 84 x 84.
+    Agentview,
+    /// robosuite's camera on the hand, 84 x 84.
+    #[serde(rename = "robot0_eye_in_hand")]
+    EyeInHand,
+}
+
+impl Camera {
+    /// Its name in files and tables.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Image => "image",
+            Self::Agentview => "agentview",
+            Self::EyeInHand => "robot0_eye_in_hand",
+        }
+    }
 }
 
 /// Where object poses come from.

@@ -75,6 +75,51 @@ pub fn with_assets(mjcf: &str, folder: &Path) -> Result<String, AssetsError> {
     Ok(rewritten)
 }
 
+/// What a model looks like, apart from the sizes of its boxes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Looks {
+    /// The text without those sizes; models with the same one differ in `boxes` alone, as far as pictures go.
+    pub rest: String,
+    /// Names and half sizes of the boxes, in metres.
+    pub boxes: Vec<(String, [f64; 3])>,
+}
+
+/// Takes a model apart into sizes of named boxes and the rest. robosuite draws the size of Lift's cube anew for every
+/// demonstration, so that each has a model of its own.
+///
+/// The mean size of everything (attribute `meansize` of `statistic`) is left out, too: only marks that are not drawn depend
+/// on it.
+///
+/// # Errors
+/// When the text is not XML.
+pub fn looks(mjcf: &str) -> Result<Looks, AssetsError> {
+    let document = Document::parse(mjcf).map_err(|error| AssetsError::Xml(error.to_string()))?;
+    let mut boxes = Vec::new();
+    let mut rest = String::with_capacity(mjcf.len());
+    let mut copied = 0;
+    for node in document.descendants() {
+        let attribute = match node.tag_name().name() {
+            "statistic" => node.attribute_node("meansize"),
+            "geom" if node.attribute("type") == Some("box") => node.attribute_node("size"),
+            _ => None,
+        };
+        let Some(attribute) = attribute else { continue };
+        if node.tag_name().name() == "geom" {
+            let numbers: Result<Vec<f64>, _> = attribute.value().split_ascii_whitespace().map(str::parse).collect();
+            let size = numbers.ok().and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+            let (Some(name), Some(size)) = (node.attribute("name"), size) else {
+                continue;
+            };
+            boxes.push((name.to_owned(), size));
+        }
+        let range = attribute.range_value();
+        rest.push_str(&mjcf[copied..range.start]);
+        copied = range.end;
+    }
+    rest.push_str(&mjcf[copied..]);
+    Ok(Looks { rest, boxes })
+}
+
 /// Where a file that a model names is here.
 fn place(named: &str, folder: &Path) -> Result<PathBuf, AssetsError> {
     let foreign = || AssetsError::Foreign(named.to_owned());

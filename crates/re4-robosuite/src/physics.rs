@@ -5,9 +5,11 @@ use std::ops::Range;
 
 use roxmltree::{Document, Node};
 
-/// A model without what is only drawn: geoms that touch nothing and weigh nothing, textures, materials, and the meshes that no
-/// other geom has. It compiles some twenty times faster, and moves as the whole model does but for the last bits: contacts
-/// come in another order.
+/// A model without what is only drawn: geoms that touch nothing and add no weight, textures, materials, and the meshes that no
+/// other geom has. It compiles some twenty times faster, and moves as the whole model does, to the bit.
+///
+/// A geom of no mass stays where the weight of a moving body comes from its geoms: MuJoCo turns the inertia of a body with
+/// several geoms to its principal axes by iteration, with an error of some 10⁻⁶ that the body would otherwise not have.
 ///
 /// # Errors
 /// When the text is not XML, with the parser's words.
@@ -84,7 +86,7 @@ pub fn without_contacts(mjcf: &str, bodies: &[&str]) -> Result<String, String> {
     Ok(text)
 }
 
-/// Whether a geom neither touches anything nor weighs anything.
+/// Whether a geom neither touches anything nor takes part in the weight of a body that moves.
 fn only_drawn(geom: &Node) -> bool {
     let zero = |name: &str| {
         geom.attribute(name)
@@ -100,7 +102,7 @@ fn only_drawn(geom: &Node) -> bool {
                 .any(|child| child.has_tag_name("joint") || child.has_tag_name("freejoint"))
         })
     });
-    zero("contype") && zero("conaffinity") && (zero("mass") || weighed || fixed)
+    zero("contype") && zero("conaffinity") && (weighed || fixed)
 }
 
 #[cfg(test)]
@@ -112,8 +114,9 @@ mod tests {
         let model = r#"<mujoco><asset><texture name="t"/><material name="m" texture="t"/><mesh name="seen"/><mesh name="felt"/></asset>
             <worldbody><geom name="floor" material="m"/><body><joint/>
             <geom name="a" mesh="felt" material="m" rgba="1 0 0 1"/>
-            <geom name="b" mesh="seen" contype="0" conaffinity="0" mass="0"/>
-            <geom name="c" contype="0" conaffinity="0"/><geom name="d" contype="0" mass="0"/></body></worldbody></mujoco>"#;
+            <geom name="b" contype="0" conaffinity="0" mass="0"/><geom name="c" contype="0" mass="0"/></body>
+            <body><joint/><inertial/><geom name="d" mesh="seen" contype="0" conaffinity="0"/></body>
+            <body><geom name="e" mesh="seen" contype="0" conaffinity="0"/></body></worldbody></mujoco>"#;
         let text = without_pictures(model).unwrap();
         let document = Document::parse(&text).unwrap();
         let names: Vec<_> = document
@@ -121,7 +124,7 @@ mod tests {
             .filter(|node| node.has_tag_name("geom"))
             .filter_map(|node| node.attribute("name"))
             .collect();
-        assert_eq!(names, ["floor", "a", "c", "d"]);
+        assert_eq!(names, ["floor", "a", "b", "c"]);
         assert!(
             !text.contains("material") && !text.contains("texture") && !text.contains("seen"),
             "{text}"

@@ -74,7 +74,8 @@ pub enum SimError {
     },
     /// A recorded state does not fit the model.
     #[error(
-        "cannot reset {task}: the state has {found} numbers, the model needs {expected} (time, {nq} coordinates, {nv} velocities); take states and model_file of the same demonstration"
+        "cannot reset {task}: the state has {found} numbers, the model needs {expected} ({}); take states and model_file of the same demonstration",
+        if *nv == 0 { "coordinates alone".to_owned() } else { format!("time, {nq} coordinates, {nv} velocities") }
     )]
     StateLength {
         /// The task.
@@ -85,7 +86,7 @@ pub enum SimError {
         expected: usize,
         /// Coordinates of the model.
         nq: usize,
-        /// Velocities of the model.
+        /// Velocities of the model; 0 where coordinates alone are asked for.
         nv: usize,
     },
     /// A number that is NaN or infinite.

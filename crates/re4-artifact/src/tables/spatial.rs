@@ -191,7 +191,7 @@ pub const MODELS: TableSpec = TableSpec {
 pub const CAMERA_IMAGES: TableSpec = TableSpec {
     name: "camera_images",
     version: 1,
-    description: "One row a picture, sorted by camera, episode and frame: the recorded picture, lossless. The pictures of one camera are in the order of table spatial_frames. Row groups are small, so that a picture can be read alone.",
+    description: "One row a picture, sorted by camera, episode and frame: the recorded picture, or the one drawn from the recorded state where the summary of the artifact says so, lossless. The pictures of one camera are in the order of table spatial_frames. Row groups are small, so that a picture can be read alone.",
     columns: &[
         category("camera", "Name of the camera: agentview, robot0_eye_in_hand, ..."),
         EPISODE,

@@ -1,7 +1,9 @@
 //! Ingest: raw dataset to `episodes`.
 
+mod drawn;
 mod robosuite;
 mod spatial;
+mod spool;
 mod worker;
 
 use std::path::{Path, PathBuf};

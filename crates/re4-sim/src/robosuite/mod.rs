@@ -25,7 +25,7 @@ pub use task::RobosuiteTask;
 
 use crate::{SimError, Simulator};
 use controller::{Controller, JOINTS};
-use model::Robot;
+use model::{ACTUATORS, Robot};
 use re4_robosuite::hand_to_site;
 
 /// Simulation steps in a control step.
@@ -115,8 +115,9 @@ pub struct RobosuiteStep {
 pub struct Robosuite {
     model: RobosuiteModel,
     data: Data,
-    /// Controls of the last simulation step.
     controller: Controller,
+    /// Work space.
+    coordinates: Vec<f64>,
 }
 
 impl Robosuite {
@@ -132,6 +133,7 @@ impl Robosuite {
         data.forward();
         Ok(Self {
             controller: Controller::new(model.profile, &model.robot, &data),
+            coordinates: vec![0.0; data.qpos().len()],
             model: model.clone(),
             data,
         })
@@ -204,19 +206,89 @@ impl Robosuite {
     /// When a row is not as long as the model has actuators.
     pub fn step_with_controls(&mut self, rows: &[Vec<f64>]) -> Result<RobosuiteStep, SimError> {
         for row in rows {
-            self.data.motion_stages();
-            if self.model.solves_thrice() {
-                self.data.force_stages();
-                if self.controller.reads_state() {
-                    self.data.force_stages();
-                }
-                self.controller.mark_used();
-            }
+            self.stages_before_controls();
+            self.controller.mark_used();
             self.data.ctrl_mut().copy_from_slice(row);
             self.data.force_stages();
             self.data.euler();
         }
         self.finish_step()
+    }
+
+    /// Takes an action as [`Simulator::step`] does. The controls of every simulation step, seven torques and two finger targets,
+    /// pass through `through`, which may look at them and replace them. It gets the simulation too, whose poses are then those
+    /// of the state that the simulation step starts from.
+    ///
+    /// # Errors
+    /// As [`Simulator::step`].
+    pub fn step_through(
+        &mut self,
+        action: &RobosuiteAction,
+        mut through: impl FnMut(&Self, &mut [f64; ACTUATORS]),
+    ) -> Result<RobosuiteStep, SimError> {
+        let (ArmAction::Delta(arm) | ArmAction::Absolute(arm)) = &action.arm;
+        let numbers = || arm.iter().chain(std::iter::once(&action.gripper));
+        if let Some(index) = numbers().position(|number| number.is_nan() || number.abs() >= GREATEST) {
+            return Err(SimError::NotFinite {
+                operation: "step",
+                task: self.model.task.environment(),
+                what: "action",
+                index,
+                value: numbers().nth(index).copied().unwrap_or(f64::NAN),
+            });
+        }
+        for substep in 0..SIMULATION_STEPS {
+            self.stages_before_controls();
+            if substep == 0 {
+                self.controller.set_goal(&action.arm, &self.model.robot, &self.data);
+            }
+            if substep == 0 || self.model.profile == Profile::V1_4 {
+                self.controller.move_gripper(action.gripper);
+            }
+            let torques = self.controller.torques(&self.model.robot, &self.data);
+            let fingers = self.controller.gripper_control(&self.model.robot);
+            let mut controls = [0.0; ACTUATORS];
+            controls[..JOINTS].copy_from_slice(&torques);
+            controls[JOINTS..].copy_from_slice(&fingers);
+            through(self, &mut controls);
+            self.data.ctrl_mut().copy_from_slice(&controls);
+            self.data.force_stages();
+            self.data.euler();
+        }
+        self.finish_step()
+    }
+
+    /// Sets what the solver of constraints starts from in the next step, one acceleration for every degree of freedom. It is not
+    /// part of a recorded state, but decides the last bits of what follows from it; resets start from zeros.
+    ///
+    /// # Panics
+    /// When it has another length.
+    pub fn set_solver_start(&mut self, accelerations: &[f64]) {
+        self.data.qacc_warmstart_mut().copy_from_slice(accelerations);
+    }
+
+    /// What is computed of a state before its controls are known.
+    fn stages_before_controls(&mut self) {
+        self.data.motion_stages();
+        // robosuite 1.4 computes everything up to three times a step: once itself, once when its controller looks, once
+        // in the step. Every time warm-starts the solver of the next.
+        if self.model.solves_thrice() {
+            let times = 1 + usize::from(self.controller.reads_state());
+            for _ in 0..times {
+                self.data.force_stages();
+                self.repeat_motion_stages();
+            }
+        }
+    }
+
+    /// Computes the motion stages of a state again if they would not give the same bits, which is where MuJoCo 2.3.7 finds other
+    /// quaternions.
+    fn repeat_motion_stages(&mut self) {
+        self.coordinates.copy_from_slice(self.data.qpos());
+        self.data.normalize_quaternions(&mut self.coordinates);
+        if self.coordinates != self.data.qpos() {
+            self.data.motion_stages();
+        }
     }
 
     fn finish_step(&self) -> Result<RobosuiteStep, SimError> {
@@ -295,43 +367,7 @@ impl Simulator for Robosuite {
     }
 
     fn step(&mut self, action: &RobosuiteAction) -> Result<RobosuiteStep, SimError> {
-        let (ArmAction::Delta(arm) | ArmAction::Absolute(arm)) = &action.arm;
-        let numbers = || arm.iter().chain(std::iter::once(&action.gripper));
-        if let Some(index) = numbers().position(|number| number.is_nan() || number.abs() >= GREATEST) {
-            return Err(SimError::NotFinite {
-                operation: "step",
-                task: self.model.task.environment(),
-                what: "action",
-                index,
-                value: numbers().nth(index).copied().unwrap_or(f64::NAN),
-            });
-        }
-        let robot = &self.model.robot;
-        for substep in 0..SIMULATION_STEPS {
-            self.data.motion_stages();
-            // robosuite 1.4 computes everything up to three times a step: once itself, once when its controller looks, once
-            // in the step. State and result are those of the last, but every time warm-starts the solver of the next.
-            if self.model.solves_thrice() {
-                self.data.force_stages();
-                if self.controller.reads_state() {
-                    self.data.force_stages();
-                }
-            }
-            if substep == 0 {
-                self.controller.set_goal(&action.arm, robot, &self.data);
-            }
-            if substep == 0 || self.model.profile == Profile::V1_4 {
-                self.controller.move_gripper(action.gripper);
-            }
-            let torques = self.controller.torques(robot, &self.data);
-            let fingers = self.controller.gripper_control(robot);
-            let controls = self.data.ctrl_mut();
-            controls[..JOINTS].copy_from_slice(&torques);
-            controls[JOINTS..].copy_from_slice(&fingers);
-            self.data.force_stages();
-            self.data.euler();
-        }
-        self.finish_step()
+        self.step_through(action, |_, _| ())
     }
 }
 
@@ -340,7 +376,8 @@ pub const INITIAL_JOINTS: [f64; JOINTS] = [
     0.0,
     std::f64::consts::PI / 16.0,
     0.0,
-    -std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_3,
+    // Not FRAC_PI_3, which is the number of floating point after this quotient.
+    -std::f64::consts::PI / 2.0 - std::f64::consts::PI / 3.0,
     0.0,
     std::f64::consts::PI - 0.2,
     std::f64::consts::FRAC_PI_4,

@@ -8,7 +8,7 @@ use super::{Fidelity, Profile, RobosuiteTask};
 use crate::SimError;
 
 /// Actuators of a Panda with its gripper: seven torque motors, two position actuators.
-const ACTUATORS: usize = 9;
+pub(super) const ACTUATORS: usize = 9;
 /// Policy steps are 0.05 s, simulation steps 0.002 s.
 pub(super) const TIMESTEP: f64 = 0.002;
 

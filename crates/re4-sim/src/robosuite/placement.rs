@@ -20,7 +20,7 @@
 //! (`mj_forward`) and takes no simulation step, so that objects start in the air and fall in the first steps.
 //!
 //! The two versions differ in what is not drawn here: names of the finger joints, and the state of controller and observations
-//! after a reset. robomimic's rollouts begin with `reset()` and `reset_to(get_state())`: the same state, on the model as it is
+//! after a reset; and MuJoCo 2.3.7 divides quaternions by their length when it computes the poses, which 3.2.7 does not. robomimic's rollouts begin with `reset()` and `reset_to(get_state())`: the same state, on the model as it is
 //! read back from its own MJCF with six digits a number. [`with_cube_size`] gives that MJCF from that of any demonstration.
 
 use std::f64::consts::PI;

@@ -8,7 +8,7 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::Path;
 
 use flate2::read::GzDecoder;
 use serde_json::Value;
@@ -34,11 +34,16 @@ impl<T> Array<T> {
 
 impl Reference {
     pub(crate) fn read(name: &str) -> Self {
-        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-            .join("tests/data/robosuite")
-            .join(name);
+        Self::open(
+            &Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join("tests/data/robosuite")
+                .join(name),
+        )
+    }
+
+    pub(crate) fn open(path: &Path) -> Self {
         let mut content = Vec::new();
-        GzDecoder::new(File::open(&path).unwrap())
+        GzDecoder::new(File::open(path).unwrap())
             .read_to_end(&mut content)
             .unwrap();
         let end = content.iter().position(|&byte| byte == b'\n').unwrap();

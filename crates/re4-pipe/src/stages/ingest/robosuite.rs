@@ -12,10 +12,13 @@ use re4_ingest::robomimic::{
 };
 use re4_ingest::{Warning, WarningCode};
 use re4_robosuite::conventions::{ActionKind, Task};
+use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
 
 use super::super::{Built, Runner};
+use super::drawn::{self, Drawing};
 use super::spatial::{Row, Written, write_conventions, write_tables};
+use super::spool::Spool;
 use super::worker::{self, Order, Word};
 use super::{PICTURES_IN_GROUP, encode_png, find_source};
 use crate::console::{sentence, tell};
@@ -41,6 +44,10 @@ impl Runner {
         let order = Order {
             hash: Key::from_bytes(source_hash(&source)?),
             compare_hash: compare.as_deref().map(source_hash).transpose()?.map(Key::from_bytes),
+            gl: (!section.render.is_empty())
+                .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
+                .transpose()
+                .with_context(|| format!("cannot draw the pictures of {}", source.display()))?,
             source,
             compare,
             pipeline: self.pipeline.clone(),
@@ -72,7 +79,7 @@ impl Runner {
 /// Everything that decides the bytes of the artifact.
 fn recipe(order: &Order, facts: Value) -> Result<Recipe> {
     let section = &order.pipeline.ingest;
-    let config = json!({
+    let mut config = json!({
         "cameras": section.cameras,
         "compare_blake3": order.compare_hash,
         "conventions": section.conventions,
@@ -83,6 +90,9 @@ fn recipe(order: &Order, facts: Value) -> Result<Recipe> {
         "select": section.select,
         "task": order.pipeline.task,
     });
+    if !section.render.is_empty() {
+        config["render"] = drawn::settings(&section.render, order.gl.as_deref());
+    }
     Ok(Recipe::new(Stage::Ingest, CODE_VERSION)
         .config(&config)?
         .source(order.hash.as_bytes(), facts))
@@ -100,7 +110,8 @@ pub(crate) fn serve_ingest() -> Result<()> {
     let order: Order =
         serde_json::from_str(&line).context("ingest-worker is started by re4-pipe itself; use re4-pipe ingest")?;
     // A process may always lower its own limits; where the system refuses, the file's sizes are checked all the same.
-    let _ = setrlimit(Resource::RLIMIT_DATA, worker::MEMORY, worker::MEMORY);
+    let memory = worker::memory(&order);
+    let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
     let interrupt = Interrupt::listen();
     let stop = interrupt.clone();
@@ -143,12 +154,20 @@ fn make(order: &Order, interrupt: Interrupt) -> Result<()> {
         "robosuite_version": env.env_version,
         "file": order.source.file_name().map(|name| name.to_string_lossy()),
     });
+    let drawing = ingest.drawing(env)?;
     let recipe = recipe(order, facts)?;
     let writer = Store::open(&order.artifacts)?.begin(&recipe)?;
-    let facts = ingest.write(&interpreter, &writer)?;
+    let drawn = match drawing {
+        Some(drawing) => Some((drawing, Spool::open(&order.artifacts, recipe.key())?)),
+        None => None,
+    };
+    let facts = ingest.write(&interpreter, drawn.as_ref(), &writer)?;
     ingest.interrupt.check("ingest")?;
     writer.publish(facts)?;
-    Ok(())
+    match drawn {
+        Some((_, spool)) => spool.remove(),
+        None => Ok(()),
+    }
 }
 
 fn choice(pipeline: &Pipeline) -> DemoChoice {
@@ -185,9 +204,27 @@ impl Ingest<'_> {
         &self.order.pipeline.ingest
     }
 
-    fn write(&self, interpreter: &Interpreter, writer: &Writer) -> Result<Facts> {
+    /// What draws the pictures that are asked for.
+    fn drawing(&self, env: &EnvArgs) -> Result<Option<Drawing<'_>>> {
+        let render = &self.section().render;
+        if render.is_empty() {
+            return Ok(None);
+        }
+        let recorded = self.reader.cameras(None)?;
+        anyhow::ensure!(
+            recorded.is_empty(),
+            "cannot render pictures for {}: it holds recorded ones ({}); leave ingest.render out",
+            self.order.source.display(),
+            recorded.join(", ")
+        );
+        Ok(Some(Drawing::new(render, env, &self.order.source)?))
+    }
+
+    fn write(&self, interpreter: &Interpreter, drawn: Option<&(Drawing<'_>, Spool)>, writer: &Writer) -> Result<Facts> {
         let comparison = self.order.compare.as_deref().map(Comparison::open).transpose()?;
-        let cameras = if self.section().images {
+        let cameras = if let Some((drawing, _)) = drawn {
+            drawing.cameras()
+        } else if self.section().images {
             self.reader.cameras(self.section().cameras.as_deref())?
         } else {
             Vec::new()
@@ -221,7 +258,10 @@ impl Ingest<'_> {
             self.order.compare.as_deref().unwrap_or(&self.order.source).display(),
             self.order.source.display()
         );
-        let pictures = self.write_pictures(&cameras, &written.lengths, writer)?;
+        let pictures = match drawn {
+            Some((drawing, spool)) => self.draw_pictures(drawing, spool, &written.lengths, writer)?,
+            None => self.write_pictures(&cameras, &written.lengths, writer)?,
+        };
         let warnings = self.warnings(interpreter, &cameras, &written, comparison.is_some())?;
         let mut summary = json!({
             "episodes": demos.len(),
@@ -233,10 +273,28 @@ impl Ingest<'_> {
                 ActionKind::Absolute => "absolute",
             },
         });
+        if let Some((drawing, _)) = drawn {
+            summary["drawn"] = drawing.facts();
+        }
         if let Some(errors) = GoalErrors::of(&written.goal_errors) {
             summary["goal_error"] = json!(errors);
         }
         Ok(Facts { summary, warnings })
+    }
+
+    fn draw_pictures(&self, drawing: &Drawing<'_>, spool: &Spool, lengths: &[usize], writer: &Writer) -> Result<usize> {
+        let all = (lengths.iter().sum::<usize>() * drawing.cameras().len()) as u64;
+        drawing.draw(
+            spool,
+            self.order.threads,
+            &self.interrupt,
+            &|pictures| tell(&Word::Progress(pictures as u64, all)),
+            |take| {
+                self.reader
+                    .for_each(|_, demo| anyhow::Ok(demo), |episode, demo| take(episode as u32, demo))
+            },
+        )?;
+        drawing.write(spool, lengths, writer)
     }
 
     fn write_pictures(&self, cameras: &[String], lengths: &[usize], writer: &Writer) -> Result<usize> {

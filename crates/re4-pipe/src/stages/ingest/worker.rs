@@ -32,8 +32,20 @@ const PATIENCE_VARIABLE: &str = "RE4_WORKER_PATIENCE";
 /// How long a worker that was asked to stop may take to clear up.
 const CLEARING: Duration = Duration::from_secs(5);
 
+/// Threads that Mesa's software renderer starts for each of its own.
+const MESA_THREADS: &str = "LP_NUM_THREADS";
+
 /// Most memory that a worker may write to, in bytes. Sizes in a damaged file can be anything.
-pub(super) const MEMORY: u64 = 4 << 30;
+const MEMORY: u64 = 4 << 30;
+
+/// What a thread that draws may take beyond that: MuJoCo sets aside far more for a simulation than it touches.
+const DRAWING: u64 = 2 << 30;
+
+/// Most memory that the worker of this order may write to, in bytes.
+pub(super) fn memory(order: &Order) -> u64 {
+    let drawing = if order.gl.is_some() { order.threads as u64 } else { 0 };
+    MEMORY + DRAWING.saturating_mul(drawing)
+}
 
 /// Most that is kept of what a worker prints on its standard error.
 const LAST_WORDS: u64 = 1 << 16;
@@ -51,6 +63,8 @@ pub(crate) struct Order {
     pub(crate) compare: Option<PathBuf>,
     /// Hash of that.
     pub(crate) compare_hash: Option<Key>,
+    /// The OpenGL library to draw with, where anything is drawn.
+    pub(crate) gl: Option<String>,
     /// The artifacts folder.
     pub(crate) artifacts: PathBuf,
     /// Threads.
@@ -74,8 +88,16 @@ pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Re
     let refuse = |why: String| anyhow!("cannot ingest {}: {why}", order.source.display());
     let program =
         std::env::current_exe().context("cannot find this program's own file to read HDF5 in another process")?;
-    let mut child = Command::new(program)
-        .arg(SUBCOMMAND)
+    let mut command = Command::new(program);
+    command.arg(SUBCOMMAND);
+    if let Some(gl) = &order.gl {
+        command.env("RE4_GL", gl);
+        // Every thread draws by itself, so Mesa needs no threads of its own.
+        if std::env::var_os(MESA_THREADS).is_none() {
+            command.env(MESA_THREADS, "0");
+        }
+    }
+    let mut child = command
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())

@@ -1,0 +1,138 @@
+//! Pictures of a small scene: what is left out of it changes nothing, and threads do not disturb each other.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+
+use std::path::PathBuf;
+
+use re4_mujoco::{Data, Gl, Library, Model, MujocoError, Renderer, Version};
+
+/// A table over a floor that reflects; a red box of a free joint over it, a box that collides (group 0), and a site. One wedge
+/// is seen in the mirror alone.
+const SCENE: &str = r#"<mujoco>
+  <asset>
+    <material name="mirror" reflectance="0.5" rgba="0.3 0.3 0.3 1"/>
+    <mesh name="wedge" vertex="0 0 0  0.3 0 0  0 0.3 0  0 0 0.3"/>
+  </asset>
+  <worldbody>
+    <light pos="0 0 3" castshadow="false"/>
+    <geom name="floor" type="plane" size="3 3 0.1" material="mirror" group="1"/>
+    <geom name="table" type="box" size="0.4 0.4 0.05" pos="0 0 0.5" group="1" rgba="0.4 0.4 0.4 1"/>
+    <geom type="mesh" mesh="wedge" pos="-1 0.8 1.5" rgba="0 1 0 1" group="1"/>
+    <geom type="mesh" mesh="wedge" pos="0 -0.8 0.3" rgba="0 0 1 1" group="1"/>
+    <body pos="0 0 0.7">
+      <freejoint name="free"/>
+      <geom name="cube" type="box" size="0.1 0.1 0.1" rgba="1 0 0 1" group="1"/>
+      <geom type="box" size="0.3 0.3 0.3" rgba="1 1 1 1"/>
+      <site pos="0 0 0.2" size="0.2"/>
+    </body>
+    <camera name="front" pos="2 0 1.5" xyaxes="0 1 0 -0.5 0 1"/>
+    <camera name="above" pos="0 0 1.2" xyaxes="0 1 0 -1 0 0"/>
+  </worldbody>
+</mujoco>"#;
+
+/// Compiles the scene, where there is a library, and something to draw with.
+fn model(version: Version) -> Option<Model> {
+    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../data/simulators");
+    let folder = std::env::var_os("RE4_SIMULATORS").map_or(beside, PathBuf::from);
+    if let Err(error) = Gl::of_process() {
+        println!("skipped: {error}");
+        return None;
+    }
+    let library = Library::open(&folder.join(format!("mujoco-{version}")), version);
+    if let Err(error @ MujocoError::Missing { .. }) = &library {
+        println!("skipped: {error}");
+        return None;
+    }
+    Some(Model::compile(&library.unwrap(), SCENE).unwrap())
+}
+
+/// Pictures of the cube at some heights, from both cameras.
+fn pictures(renderer: &mut Renderer, model: &Model) -> Vec<Vec<u8>> {
+    let mut data = Data::new(model).unwrap();
+    let mut pictures = Vec::new();
+    for step in 0..6 {
+        data.qpos_mut()[2] = 0.6 + 0.1 * f64::from(step);
+        data.forward();
+        for camera in ["front", "above"] {
+            pictures.push(renderer.draw(&mut data, camera).unwrap());
+        }
+    }
+    pictures
+}
+
+fn count(picture: &[u8], colour: impl Fn([u8; 3]) -> bool) -> usize {
+    let (pixels, _) = picture.as_chunks::<3>();
+    pixels.iter().filter(|&&pixel| colour(pixel)).count()
+}
+
+#[test]
+fn what_robosuite_shows_is_shown_the_right_way_up() {
+    for model in Version::ALL.into_iter().filter_map(model) {
+        let mut renderer = Renderer::new(&model, 60, 40).unwrap();
+        let mut data = Data::new(&model).unwrap();
+        data.qpos_mut()[2] = 1.2;
+        data.forward();
+        let picture = renderer.draw(&mut data, "front").unwrap();
+        assert_eq!(picture.len(), 60 * 40 * 3);
+        let red = |pixel: [u8; 3]| pixel[0] > 60 && pixel[1] < 30 && pixel[2] < 30;
+        let (top, bottom) = picture.split_at(60 * 20 * 3);
+        assert!(
+            count(top, red) > 10 && count(top, red) > count(bottom, red),
+            "the cube is above the middle"
+        );
+        let white = |pixel: [u8; 3]| pixel.iter().all(|&part| part > 150);
+        assert_eq!(count(&picture, white), 0, "geoms of group 0 and sites are not shown");
+        assert!(matches!(
+            renderer.draw(&mut data, "behind"),
+            Err(MujocoError::NoSuch { .. })
+        ));
+    }
+}
+
+#[test]
+fn leaving_out_what_is_not_seen_changes_nothing() {
+    for model in Version::ALL.into_iter().filter_map(model) {
+        let mut renderer = Renderer::new(&model, 84, 84).unwrap();
+        let trimmed = pictures(&mut renderer, &model);
+        renderer.set_trimmed(false);
+        let whole = pictures(&mut renderer, &model);
+        assert!(trimmed == whole);
+        let green = |pixel: [u8; 3]| pixel[1] > pixel[0].max(pixel[2]) + 5;
+        assert!(count(&whole[0], green) > 0, "the wedge is seen in the mirror");
+    }
+}
+
+#[test]
+fn renderers_in_many_threads_draw_the_same() {
+    for model in Version::ALL.into_iter().filter_map(model) {
+        let alone = pictures(&mut Renderer::new(&model, 84, 84).unwrap(), &model);
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    // Two in one thread, used in turn, and one of them gone before the other.
+                    let mut first = Renderer::new(&model, 84, 84).unwrap();
+                    let mut second = Renderer::new(&model, 84, 84).unwrap();
+                    assert!(pictures(&mut second, &model) == alone && pictures(&mut first, &model) == alone);
+                    drop(second);
+                    assert!(pictures(&mut first, &model) == alone);
+                });
+            }
+        });
+    }
+}
+
+#[test]
+fn boxes_of_another_size_look_as_if_compiled() {
+    for model in Version::ALL.into_iter().filter_map(model) {
+        let resized = model.with_boxes([("cube", [0.2, 0.05, 0.1])]).unwrap();
+        assert!(resized.looks_like(&model));
+        let text = SCENE.replace("size=\"0.1 0.1 0.1\"", "size=\"0.2 0.05 0.1\"");
+        let compiled = Model::compile(model.library(), &text).unwrap();
+        assert!(!compiled.looks_like(&model));
+        let mut renderer = Renderer::new(&model, 84, 84).unwrap();
+        let before = pictures(&mut renderer, &model);
+        let after = pictures(&mut renderer, &resized);
+        assert!(before != after && after == pictures(&mut Renderer::new(&compiled, 84, 84).unwrap(), &compiled));
+        assert!(before == pictures(&mut renderer, &model));
+        assert!(model.with_boxes([("floor", [1.0; 3])]).is_err() && model.with_boxes([("none", [1.0; 3])]).is_err());
+    }
+}

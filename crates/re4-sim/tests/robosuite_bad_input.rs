@@ -1,0 +1,261 @@
+//! What cannot be simulated is told in one sentence.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod reference;
+mod simulators;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use re4_mujoco::{Library, Version};
+use re4_robosuite::models::with_assets;
+use re4_sim::Simulator as _;
+use re4_sim::robosuite::{
+    ArmAction, FirstTorques, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene, RobosuiteTask,
+};
+use simulators::{Form, Trace, library, simulators};
+
+/// An empty folder of this name.
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
+        .join("robosuite_bad_input")
+        .join(name);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// The error as a user reads it.
+fn told<T>(result: Result<T, impl std::fmt::Display>) -> String {
+    let text = result.err().unwrap().to_string();
+    assert!(!text.contains('\n'), "{text}");
+    text
+}
+
+#[test]
+fn no_library() {
+    let folder = folder("none");
+    for version in Version::ALL {
+        assert_eq!(
+            told(Library::open(&folder, version)),
+            format!(
+                "MuJoCo's library is not at {}/libmujoco.so; run scripts/setup-simulators.sh, or name the folder that it made \
+                 in the environment variable RE4_SIMULATORS",
+                folder.display()
+            )
+        );
+    }
+}
+
+#[test]
+fn a_library_of_another_version() {
+    let Some(simulators) = simulators() else { return };
+    let other = simulators.join("mujoco-3.2.7");
+    let expected = format!(
+        "the library {}/libmujoco.so is MuJoCo 3.2.7, not 2.3.7; remove it and run scripts/setup-simulators.sh",
+        other.display()
+    );
+    assert_eq!(told(Library::open(&other, Version::V2_3_7)), expected);
+    // Also where it was loaded before as what it is.
+    Library::open(&other, Version::V3_2_7).unwrap();
+    assert_eq!(told(Library::open(&other, Version::V2_3_7)), expected);
+}
+
+#[test]
+fn a_library_that_is_not_whole() {
+    let Some(simulators) = simulators() else { return };
+    for version in Version::ALL {
+        let whole = fs::read(simulators.join(format!("mujoco-{version}/libmujoco.so"))).unwrap();
+        for (name, length) in [
+            ("empty", 0),
+            ("header", 40),
+            ("start", 5000),
+            ("half", whole.len() / 2),
+            ("end", whole.len() - 100),
+        ] {
+            let folder = folder(&format!("cut-{version}-{name}"));
+            fs::write(folder.join("libmujoco.so"), &whole[..length]).unwrap();
+            assert_eq!(
+                told(Library::open(&folder, version)),
+                format!(
+                    "cannot load MuJoCo's library {}/libmujoco.so: the file is cut short; remove it and run \
+                     scripts/setup-simulators.sh",
+                    folder.display()
+                )
+            );
+        }
+        let folder = folder(&format!("text-{version}"));
+        fs::write(
+            folder.join("libmujoco.so"),
+            "no library, but longer than a header of sixty-four bytes would be",
+        )
+        .unwrap();
+        assert_eq!(
+            told(Library::open(&folder, version)),
+            format!(
+                "cannot load MuJoCo's library {}/libmujoco.so: the file is no shared library; remove it and run \
+                 scripts/setup-simulators.sh",
+                folder.display()
+            )
+        );
+    }
+}
+
+#[test]
+fn a_model_that_does_not_parse() {
+    let Some(simulators) = simulators() else { return };
+    let trace = Trace::read("lift_1.4.1_absolute");
+    let library = library(&simulators, trace.profile);
+    let compile = |mjcf: &str| told(RobosuiteModel::compile(&library, trace.task, trace.profile, mjcf));
+    assert_eq!(
+        compile("<mujoco><worldbody><body></worldbody></mujoco>"),
+        "cannot simulate Lift: MuJoCo cannot compile the model: XML parse error 14: Error=XML_ERROR_MISMATCHED_ELEMENT ErrorID=14 (0xe) Line number=1: XMLElement name=body"
+    );
+    assert_eq!(
+        compile("<mujoco><worldbody><ball/></worldbody></mujoco>"),
+        "cannot simulate Lift: MuJoCo cannot compile the model: XML Error: Schema violation: unrecognized element Element 'ball', line 1"
+    );
+    assert_eq!(
+        told(with_assets("<mujoco><worldbody>", &simulators)),
+        "the model is not readable as XML: the root node was opened but never closed"
+    );
+    assert_eq!(
+        told(with_assets("<robot/>", &simulators)),
+        "the model's root element is <robot>, not <mujoco>"
+    );
+}
+
+#[test]
+fn a_model_whose_mesh_is_missing() {
+    let Some(simulators) = simulators() else { return };
+    let trace = Trace::read("lift_1.4.1_absolute");
+    let assets = simulators.join("robosuite-1.4.1");
+    let mesh = "/link0.stl";
+    let named = trace
+        .file
+        .text("xml")
+        .split('"')
+        .find(|text| text.ends_with(mesh))
+        .unwrap()
+        .to_owned();
+    let lost = named.replace(mesh, "/lost.stl");
+    let mjcf = trace.file.text("xml").replace(&named, &lost);
+    assert_eq!(
+        told(with_assets(&mjcf, &assets)),
+        format!(
+            "the model names the file {lost}, which is not at {}; run scripts/setup-simulators.sh, or name the folder that it \
+             made in the environment variable RE4_SIMULATORS",
+            lost.replacen("robosuite", &std::path::absolute(&assets).unwrap().to_string_lossy(), 1)
+        )
+    );
+    let library = library(&simulators, trace.profile);
+    let whole = trace.mjcf(&simulators);
+    let mjcf = whole.replace(mesh, "/lost.stl");
+    assert_eq!(
+        told(RobosuiteModel::compile(&library, trace.task, trace.profile, &mjcf)),
+        format!(
+            "cannot simulate Lift: MuJoCo cannot compile the model: Error: file not found: '{}/models/assets/robots/panda/meshes/lost.stl'",
+            std::path::absolute(&assets).unwrap().display()
+        )
+    );
+}
+
+#[test]
+fn a_model_of_another_task_or_version() {
+    let Some(simulators) = simulators() else { return };
+    let of = |name| Trace::read(name);
+    let compile = |name, task| {
+        let trace = of(name);
+        let mjcf = trace.mjcf(&simulators);
+        told(RobosuiteModel::compile(
+            &trace.library(&simulators),
+            task,
+            trace.profile,
+            &mjcf,
+        ))
+    };
+    assert_eq!(
+        compile("can_1.4.1_absolute", RobosuiteTask::Lift),
+        "cannot simulate Lift: the model has no joint cube_joint0; take the model_file of a demonstration of Lift"
+    );
+    assert_eq!(
+        compile("lift_1.5.1_absolute", RobosuiteTask::Square),
+        "cannot simulate NutAssemblySquare: the model has no joint SquareNut_joint0; take the model_file of a demonstration of NutAssemblySquare"
+    );
+    let (old, new) = (of("lift_1.4.1_absolute"), of("lift_1.5.1_absolute"));
+    assert_eq!(
+        told(RobosuiteModel::compile(
+            &new.library(&simulators),
+            new.task,
+            new.profile,
+            &old.mjcf(&simulators)
+        )),
+        "cannot simulate Lift: the model has no joint gripper0_right_finger_joint1; take the model_file of a demonstration of Lift"
+    );
+    let library = old.library(&simulators);
+    let empty = "<mujoco><worldbody/></mujoco>";
+    assert_eq!(
+        told(RobosuiteModel::compile(&library, old.task, old.profile, empty)),
+        "cannot simulate Lift: the model has 0 actuators, a Panda with its gripper has 9; take the model_file of a demonstration of Lift"
+    );
+    let slower = old.mjcf(&simulators).replace("<option ", "<option timestep=\"0.004\" ");
+    assert_eq!(
+        told(RobosuiteModel::compile(&library, old.task, old.profile, &slower)),
+        "cannot simulate Lift: the model's time step is 0.004 s, not 0.002 s; take the model_file of a demonstration of Lift"
+    );
+}
+
+#[test]
+fn states_and_actions_that_do_not_fit() {
+    let Some(simulators) = simulators() else { return };
+    let trace = Trace::read("lift_1.4.1_absolute");
+    let mut simulation = Robosuite::new(&trace.model(&simulators, Form::Physics)).unwrap();
+    let state = trace.file.f64s("initial_state").numbers;
+    let mut reset = |scene| told(simulation.reset(&scene, FirstTorques::AsRobosuite));
+    assert_eq!(
+        reset(RobosuiteScene::Recorded(state[1..].to_vec())),
+        "cannot reset Lift: the state has 31 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); take states and model_file of the same demonstration"
+    );
+    assert_eq!(
+        reset(RobosuiteScene::Recorded(Vec::new())),
+        "cannot reset Lift: the state has 0 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); take states and model_file of the same demonstration"
+    );
+    assert_eq!(
+        reset(RobosuiteScene::Placed(state.clone())),
+        "cannot reset Lift: the state has 32 numbers, the model needs 16 (coordinates alone); take states and model_file of the same demonstration"
+    );
+    for (value, at) in [(f64::NAN, 3), (f64::INFINITY, 0), (1e10, 31)] {
+        let mut state = state.clone();
+        state[at] = value;
+        assert_eq!(
+            reset(RobosuiteScene::Recorded(state)),
+            format!("cannot reset Lift: number {at} of the state is {value}; give finite numbers")
+        );
+    }
+    simulation.reset(&trace.scene(), FirstTorques::AsRobosuite).unwrap();
+    let before = simulation.state();
+    for at in 0..7 {
+        for (value, written) in [(f64::NAN, "NaN"), (f64::NEG_INFINITY, "-inf")] {
+            let mut numbers = [0.0; 7];
+            numbers[at] = value;
+            let arm: [f64; 6] = std::array::from_fn(|i| numbers[i]);
+            for arm in [ArmAction::Delta(arm), ArmAction::Absolute(arm)] {
+                let action = RobosuiteAction {
+                    arm,
+                    gripper: numbers[6],
+                };
+                assert_eq!(
+                    told(simulation.step(&action)),
+                    format!("cannot step Lift: number {at} of the action is {written}; give finite numbers")
+                );
+            }
+        }
+    }
+    assert_eq!(simulation.state(), before);
+    simulation.step(&trace.actions[0]).unwrap();
+}

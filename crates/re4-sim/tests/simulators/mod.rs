@@ -1,0 +1,204 @@
+//! MuJoCo's libraries and robosuite's assets where they are at hand, and the reference traces as simulations.
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "every test uses its part; a test may stop where it fails"
+)]
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use re4_mujoco::Library;
+use re4_robosuite::models::with_assets;
+use re4_robosuite::physics::{without_contacts, without_pictures};
+use re4_sim::Simulator as _;
+use re4_sim::robosuite::{
+    ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
+    RobosuiteTask,
+};
+
+use crate::reference::Reference;
+
+/// The folder that scripts/setup-simulators.sh made: `RE4_SIMULATORS`, else data/simulators.
+pub(crate) fn simulators() -> Option<PathBuf> {
+    let folder = std::env::var_os("RE4_SIMULATORS").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/simulators"),
+        PathBuf::from,
+    );
+    if !folder.is_dir() {
+        println!("skipped: no {}; run scripts/setup-simulators.sh", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+/// What is simulated of a trace's model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// All of it.
+    Whole,
+    /// What physics needs.
+    Physics,
+    /// What physics needs, and nothing that lies put away touches.
+    Apart,
+}
+
+pub(crate) struct Trace {
+    pub(crate) name: &'static str,
+    pub(crate) task: RobosuiteTask,
+    pub(crate) profile: Profile,
+    pub(crate) file: Reference,
+    pub(crate) actions: Vec<RobosuiteAction>,
+}
+
+/// All traces: task, version of robosuite, control.
+pub(crate) const TRACES: [&str; 8] = [
+    "lift_1.4.1_absolute",
+    "lift_1.4.1_delta",
+    "can_1.4.1_absolute",
+    "square_1.4.1_absolute",
+    "lift_1.5.1_absolute",
+    "lift_1.5.1_delta",
+    "can_1.5.1_absolute",
+    "square_1.5.1_absolute",
+];
+
+impl Trace {
+    pub(crate) fn read(name: &'static str) -> Self {
+        let file = Reference::read(&format!("trace_{name}.bin.gz"));
+        let numbers = file.f64s("actions");
+        let actions = (0..numbers.shape[0])
+            .map(|step| {
+                let row = numbers.row(step);
+                let arm = std::array::from_fn(|i| row[i]);
+                RobosuiteAction {
+                    arm: match file.text("control") {
+                        "delta" => ArmAction::Delta(arm),
+                        "absolute" => ArmAction::Absolute(arm),
+                        other => panic!("control is {other}"),
+                    },
+                    gripper: row[6],
+                }
+            })
+            .collect();
+        let task = |task: &RobosuiteTask| task.environment() == file.text("task");
+        Self {
+            name,
+            task: RobosuiteTask::ALL.into_iter().find(task).unwrap(),
+            profile: Profile::of(file.text("robosuite")).unwrap(),
+            actions,
+            file,
+        }
+    }
+
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        TRACES.into_iter().map(Self::read)
+    }
+
+    pub(crate) fn library(&self, simulators: &Path) -> Library {
+        library(simulators, self.profile)
+    }
+
+    /// MJCF with the paths of this machine.
+    pub(crate) fn mjcf(&self, simulators: &Path) -> String {
+        with_assets(self.file.text("xml"), &simulators.join("robosuite-1.4.1")).unwrap()
+    }
+
+    pub(crate) fn model(&self, simulators: &Path, form: Form) -> RobosuiteModel {
+        static COMPILED: Mutex<Vec<(&str, Form, RobosuiteModel)>> = Mutex::new(Vec::new());
+        let mut compiled = COMPILED.lock().unwrap();
+        if let Some((_, _, model)) = compiled.iter().find(|(name, of, _)| (*name, *of) == (self.name, form)) {
+            return model.clone();
+        }
+        let whole = self.mjcf(simulators);
+        let text = match form {
+            Form::Whole => whole,
+            Form::Physics => without_pictures(&whole).unwrap(),
+            Form::Apart => without_contacts(&without_pictures(&whole).unwrap(), self.task.put_away()).unwrap(),
+        };
+        let model = RobosuiteModel::compile(&self.library(simulators), self.task, self.profile, &text).unwrap();
+        compiled.push((self.name, form, model.clone()));
+        model
+    }
+
+    pub(crate) fn scene(&self) -> RobosuiteScene {
+        RobosuiteScene::Recorded(self.file.f64s("initial_state").numbers)
+    }
+
+    /// A simulation that stands where the trace starts, solver included.
+    pub(crate) fn start(&self, simulators: &Path, form: Form, fidelity: Fidelity) -> Robosuite {
+        let model = self.model(simulators, form).with_fidelity(fidelity);
+        let mut simulation = Robosuite::new(&model).unwrap();
+        simulation.reset(&self.scene(), FirstTorques::Fresh).unwrap();
+        simulation.set_solver_start(&self.file.f64s("qacc_warmstart").numbers);
+        simulation
+    }
+
+    /// Whole policy steps before a part of the robot first touches something: in the step after them MuJoCo's list of contacts,
+    /// with the recorded controls, has the first one of a body of the robot. It is the same in both versions.
+    pub(crate) fn steps_before_contact(&self) -> usize {
+        match (self.task, self.file.text("control")) {
+            (RobosuiteTask::Lift, "absolute") => 45,
+            (RobosuiteTask::Lift, _) => 49,
+            (RobosuiteTask::Can, _) => 40,
+            (RobosuiteTask::Square, _) => 38,
+        }
+    }
+
+    /// Coordinates of the objects that the task has put away.
+    pub(crate) fn coordinates_put_away(&self, model: &RobosuiteModel) -> Vec<usize> {
+        let joint = |body: &&str| model.mujoco().joint(&body.replace("_main", "_joint0")).unwrap().0;
+        let all = self.task.put_away().iter();
+        all.map(joint).flat_map(|at| at..at + 7).collect()
+    }
+
+    /// Those that push each other from the first step on, which magnifies any last bit: Can puts three objects away to one
+    /// place. The round nut of Square lies alone.
+    pub(crate) fn coordinates_in_contact_from_the_start(&self, simulation: &Robosuite) -> Vec<usize> {
+        match self.task {
+            RobosuiteTask::Can => self.coordinates_put_away(simulation.model()),
+            RobosuiteTask::Lift | RobosuiteTask::Square => Vec::new(),
+        }
+    }
+}
+
+pub(crate) fn library(simulators: &Path, profile: Profile) -> Library {
+    let version = profile.mujoco();
+    Library::open(&simulators.join(format!("mujoco-{version}")), version).unwrap()
+}
+
+/// Greatest absolute difference.
+pub(crate) fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
+    assert_eq!(ours.len(), theirs.len());
+    ours.iter()
+        .zip(theirs)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, |greatest, value| {
+            if value > greatest || value.is_nan() {
+                value
+            } else {
+                greatest
+            }
+        })
+}
+
+/// Greatest absolute difference but for some places.
+pub(crate) fn apart_without(ours: &[f64], theirs: &[f64], left_out: &[usize]) -> f64 {
+    let rest = |numbers: &[f64]| -> Vec<f64> {
+        let kept = numbers.iter().enumerate().filter(|(at, _)| !left_out.contains(at));
+        kept.map(|(_, number)| *number).collect()
+    };
+    apart(&rest(ours), &rest(theirs))
+}
+
+/// Greatest absolute difference of two quaternions, of which the negative one is the same rotation.
+pub(crate) fn apart_as_rotations(ours: &[f64], theirs: &[f64]) -> f64 {
+    let turned: Vec<f64> = theirs.iter().map(|part| -part).collect();
+    apart(ours, theirs).min(apart(ours, &turned))
+}
+
+pub(crate) fn bits(numbers: &[f64]) -> Vec<u64> {
+    numbers.iter().map(|number| number.to_bits()).collect()
+}
