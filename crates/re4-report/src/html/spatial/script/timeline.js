@@ -10,7 +10,7 @@ const PLACE = (() => {
   };
   const places = {};
   for (const [name, height, gap] of [
-    ["demosLabel", TIMELINE.label, 3], ["demos", TIMELINE.band, 3], ["phase", TIMELINE.thin, 2], ["mode", TIMELINE.thin, 2], ["gripper", TIMELINE.thin, 14],
+    ["demosLabel", TIMELINE.label, 12], ["demos", TIMELINE.band, 3], ["phase", TIMELINE.thin, 2], ["mode", TIMELINE.thin, 2], ["gripper", TIMELINE.thin, 14],
     ["fingersLabel", TIMELINE.label, 2], ["fingers", TIMELINE.plot, 12], ["heightLabel", TIMELINE.label, 2], ["height", TIMELINE.plot, 4], ["ticks", 16, 0],
   ]) places[name] = next(height, gap);
   return { ...places, end: y };
@@ -71,8 +71,8 @@ const bands = (data, x) => {
     const words = home ? "back to the initial pose" : `demonstration ${run.value}`;
     const width = rect(run, PLACE.demos, TIMELINE.band, home ? "demo none" : "demo", `${words}, ${span(run)}`, home ? null : demoStyle(run.value));
     const label = home ? "home" : String(run.value);
-    if (width > 7.5 * label.length + 6) {
-      group.append(svg("text", { class: "demo-label", x: near((x(run.start) + x(run.end)) / 2), y: PLACE.demos + 20, "text-anchor": "middle" }, label));
+    if (width > 7.5 * label.length + 8) {
+      group.append(svg("text", { class: "demo-label", x: near(x(run.start) + 5), y: PLACE.demos + 20 }, label));
     }
   }
   for (const run of runs(data, (i) => data.phase[i])) rect(run, PLACE.phase, TIMELINE.thin, `phase ${run.value}`, `${run.value}, ${span(run)}`);
