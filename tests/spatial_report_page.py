@@ -156,7 +156,8 @@ def main():
             steps_show_the_tables(page, artifacts[0])
             timeline_shows_what_was_followed(page, artifacts[0])
             chunks_begin_at_the_set_point(page, artifacts[0])
-            it_plays(page)
+            # The rollouts are short.
+            it_plays(page, "0.5")
             widths_and_schemes_hold(page)
             addresses_lead_to_a_step(page, path, artifacts[0])
             nothing_was_loaded(page)
