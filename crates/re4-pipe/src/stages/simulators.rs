@@ -125,6 +125,17 @@ impl Scenes {
         Ok(text.context("no demonstration has a model")?)
     }
 
+    /// The same MJCF with what is only drawn, and everything touching.
+    pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+        let first = self.of_demo.iter().flatten().next();
+        let number = *first.context("no demonstration has a model")?;
+        let table = episodes.table(&tables::MODELS)?.read_all()?;
+        let texts = col_text(&table, "mjcf")?;
+        let text = texts.get(number as usize).copied().flatten().unwrap_or_default();
+        with_assets(text, &assets_folder())
+            .with_context(|| format!("cannot draw the models of {}", episodes.path().display()))
+    }
+
     /// A scene from MJCF that is not a demonstration's own.
     pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
