@@ -1,8 +1,8 @@
 //! Plays the actions of a reference trace again and again on one thread, and prints how many policy steps a second that are.
 //!
 //! `cargo run --release -p re4-sim --example robosuite_rate TRACE [EPISODES]`, with the simulators in the folder that
-//! `RE4_SIMULATORS` names or in data/simulators. Resets are not timed. `steps_per_s_fast` is that of `Fidelity::Fast`; the differences are how far the coordinates got from those of the trace, in the
-//! first so many policy steps.
+//! `RE4_SIMULATORS` names or in data/simulators. Resets are not timed. `steps_per_s_fast` is that of `Fidelity::Fast`; the
+//! differences are how far the coordinates got from those of the trace, in the first so many policy steps.
 #![expect(clippy::print_stdout, reason = "printing is what this example is for")]
 
 #[path = "../tests/reference/mod.rs"]
@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
+use re4_robosuite::physics::{without_contacts, without_pictures};
 use re4_sim::Simulator;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -37,8 +38,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &simulators.join(format!("mujoco-{}", profile.mujoco())),
         profile.mujoco(),
     )?;
-    let mjcf = with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?;
-    let model = RobosuiteModel::compile(&library, task, profile, &mjcf)?;
+    // As demonstrations are simulated: without what is only drawn.
+    let mjcf = without_pictures(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
+    let apart = without_contacts(&mjcf, task.put_away())?;
 
     let numbers = trace.f64s("actions");
     let actions: Vec<RobosuiteAction> = (0..numbers.shape[0])
@@ -57,13 +59,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = RobosuiteScene::Recorded(trace.f64s("initial_state").numbers);
     let coordinates = trace.f64s("qpos");
 
-    let measure = |solves| -> Result<(f64, Vec<f64>), Box<dyn std::error::Error>> {
-        let mut simulator = Robosuite::new(&model.clone().with_solves(solves))?;
+    let measure = |mjcf: &str, fidelity| -> Result<(f64, Vec<f64>), Box<dyn std::error::Error>> {
+        let model = RobosuiteModel::compile(&library, task, profile, mjcf)?;
+        let mut simulator = Robosuite::new(&model.with_fidelity(fidelity))?;
         let mut spent = Duration::ZERO;
         let mut differences = Vec::new();
         for _ in 0..episodes {
             differences.clear();
             simulator.reset(&scene, FirstTorques::Fresh)?;
+            simulator.set_solver_start(&trace.f64s("qacc_warmstart").numbers);
             for (step, action) in actions.iter().enumerate() {
                 let start = Instant::now();
                 simulator.step(action)?;
@@ -77,14 +81,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             differences,
         ))
     };
-    let (steps_per_s, differences) = measure(Solves::AsRobosuite)?;
-    let (once, _) = measure(Solves::Once)?;
+    let (steps_per_s, differences) = measure(&mjcf, Fidelity::Robosuite)?;
+    let (fast, _) = measure(&apart, Fidelity::Fast)?;
     let differences = [10, 20, 30, 60].map(|steps| differences.iter().take(steps).copied().fold(0.0, f64::max));
     println!(
         "{}",
         json!({
+            "task": trace.text("task"),
+            "robosuite": trace.text("robosuite"),
             "steps_per_s": steps_per_s,
-            "steps_per_s_solving_once": once,
+            "steps_per_s_fast": fast,
             "greatest_difference_in_10_20_30_60_steps": differences,
         })
     );

@@ -91,12 +91,15 @@ impl Scenes {
         for (number, text) in numbers.iter().zip(col_text(&table, "mjcf")?) {
             let user = of_demo.iter().position(|model| model == &Some(*number));
             let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
-            let text = with_assets(text.unwrap_or_default(), &folder)
-                .with_context(|| format!("cannot simulate {demo} of {}", episodes.path().display()))?;
-            let mut text = without_pictures(&text).map_err(anyhow::Error::msg)?;
+            let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
+            // Files that are only drawn need not be here.
+            let mut text = without_pictures(text.unwrap_or_default())
+                .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
+                .with_context(place)?;
             if fidelity == Fidelity::Fast {
                 text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
             }
+            let text = with_assets(&text, &folder).with_context(place)?;
             mjcf.push(text);
         }
         Ok(Self {
