@@ -1,6 +1,6 @@
 //! The page and the film of rollouts of robosuite's tasks: their figures are the artifact's, the page works in a browser, and
-//! the film is the rollout. They run where RE4_DATA names the folder of the datasets (or it lies in ../shared/data) and
-//! RE4_SIMULATORS that of the simulators (or scripts/setup-simulators.sh has put them into data/simulators).
+//! the film is the rollout. They run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data) and
+//! `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh has put them into data/simulators).
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
 
 mod support;

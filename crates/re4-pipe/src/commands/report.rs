@@ -81,26 +81,26 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
 /// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
 pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, store: &Path) -> Result<Written> {
     let artifacts = open_all(paths)?;
-    let page = if spatial::all_spatial(&artifacts)? {
-        spatial_text(&artifacts, seeds, store)?
+    let made = if spatial::all_spatial(&artifacts)? {
+        in_space(&artifacts, seeds, store)?
     } else {
-        planar_text(&artifacts, seeds, store)?
+        planar(&artifacts, seeds, store)?
     };
-    let Text {
-        text,
+    let Page {
+        html,
         rollouts,
         demonstrations,
         mut warnings,
-    } = page;
-    if text.len() > LARGE_PAGE {
+    } = made;
+    if html.len() > LARGE_PAGE {
         warnings.push(format!(
             "the page is {} MB large; re4-pipe report --seeds limits the rollouts that the viewer holds",
-            text.len() / 1_000_000
+            html.len() / 1_000_000
         ));
     }
-    output.write(&text)?;
+    output.write(&html)?;
     Ok(Written {
-        bytes: text.len(),
+        bytes: html.len(),
         artifacts,
         rollouts,
         demonstrations,
@@ -109,14 +109,14 @@ pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, s
 }
 
 /// A page, and what it holds.
-struct Text {
-    text: String,
+struct Page {
+    html: String,
     rollouts: usize,
     demonstrations: usize,
     warnings: Vec<String>,
 }
 
-fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Text> {
+fn planar(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Page> {
     let mut sets = artifacts
         .iter()
         .map(rollouts::read)
@@ -145,11 +145,11 @@ fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> R
         }
     }
     let shown = |set: &Rollouts| set.rollouts.iter().filter(|rollout| rollout.shown).count();
-    Ok(Text {
+    Ok(Page {
         rollouts: sets.iter().map(shown).sum(),
         demonstrations: demonstrations.values().map(BTreeMap::len).sum(),
         warnings,
-        text: page(&Report {
+        html: page(&Report {
             tool_version: env!("CARGO_PKG_VERSION").to_owned(),
             world: world(),
             artifacts: sets,
@@ -158,7 +158,7 @@ fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> R
     })
 }
 
-fn spatial_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Text> {
+fn in_space(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Page> {
     let indices = artifacts
         .iter()
         .map(|artifact| find_index(artifact, store))
@@ -196,11 +196,11 @@ fn spatial_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> 
         demonstrations.insert(set.index_key.clone(), spatial::read_demonstrations(index, &needed)?);
     }
     let shown = |set: &SpatialRollouts| set.rollouts.iter().filter(|rollout| rollout.shown).count();
-    Ok(Text {
+    Ok(Page {
         rollouts: sets.iter().map(shown).sum(),
         demonstrations: demonstrations.values().map(BTreeMap::len).sum(),
         warnings,
-        text: spatial_page(&SpatialReport {
+        html: spatial_page(&SpatialReport {
             tool_version: env!("CARGO_PKG_VERSION").to_owned(),
             artifacts: sets,
             demonstrations,

@@ -152,7 +152,7 @@ fn strip(pixels: &mut Vec<u8>, size: u32, rollout: &SceneRollout, at: usize, pal
     let strip = &mut pixels[start..];
     let last = rollout.states.len() - 1;
     let (band, thin) = ((7 * scale).max(6), (3 * scale).max(3));
-    let reached = if last == 0 { side } else { side * at / last };
+    let reached = (side * at).checked_div(last).unwrap_or(side);
     for x in 0..side {
         let state = rollout.states[(x * last.max(1) / side).min(last)];
         let (demo, phase) = if x < reached {

@@ -207,11 +207,11 @@ impl Steps {
         let demos = col_u32_or_null(&self.decisions, "demo")?;
         let decisions = col_u32(&self.rows, "decision")?;
         let phases = col_text(&self.rows, "phase")?;
-        let of_step = |(decision, phase): (&u32, &Option<&str>)| SceneState {
+        let of_step = |(decision, phase): (&u32, Option<&str>)| SceneState {
             demo: demos.get(*decision as usize).copied().flatten(),
             phase: phase.and_then(SpatialPhase::from_name).unwrap_or(SpatialPhase::Replay),
         };
-        let mut states: Vec<SceneState> = decisions.iter().zip(&phases).map(of_step).collect();
+        let mut states: Vec<SceneState> = decisions.iter().zip(phases).map(of_step).collect();
         states.extend(states.last().copied());
         Ok(states)
     }
