@@ -42,6 +42,7 @@ ASSETS = [
     "textures/soda.png",
     "textures/steel-brushed.png",
     "textures/steel-scratched.png",
+    "textures/wood-tiles.png",
 ]
 # Scenes name textures as `arenas/../textures/…`: such a name is found only where the folder before `..` is.
 EMPTY_FOLDERS = ["arenas"]

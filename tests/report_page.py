@@ -307,9 +307,9 @@ def estimates_are_drawn(page):
     equal(page.one("#scene .observed").get_attribute("d"), "", "estimate after the last action")
 
 
-def it_plays(page):
+def it_plays(page, speed="5"):
     page.scrub(0)
-    Select(page.one("#speed")).select_by_value("5")
+    Select(page.one("#speed")).select_by_value(speed)
     page.one("#play").click()
     equal(page.one("#play").text, "Pause", "words on the button while playing")
     WebDriverWait(page.driver, 20).until(lambda _: page.step() > 5)

@@ -1,6 +1,4 @@
-//! Rollouts and replays of robosuite's tasks, from demonstrations to tables, in MuJoCo. They run where RE4_DATA names the folder
-//! of the datasets (or it lies in ../shared/data) and RE4_SIMULATORS that of the simulators (or scripts/setup-simulators.sh
-//! has put them into data/simulators).
+//! What is observed, and when a task is done, on robosuite's own states: skipped where data or simulators are missing.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -8,257 +6,146 @@
     reason = "a test may stop where it fails"
 )]
 
+#[path = "../crates/re4-sim/tests/reference/mod.rs"]
+mod reference;
 mod support;
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::sync::Arc;
 
-use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
-use support::{Answer, Place, artifact_bytes, assert_same_bytes, compare_with_schemas, filters, repository};
+use re4_ingest::IngestError;
+use re4_ingest::robomimic::{Demo, DemoChoice, RobomimicReader};
+use re4_mujoco::Library;
+use re4_robosuite::models::with_assets;
+use re4_robosuite::physics::without_pictures;
+use re4_sim::Simulator as _;
+use re4_sim::robosuite::{FirstTorques, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask};
+use reference::Reference;
+use support::repository;
 
-/// The datasets of scripted demonstrations, and the simulators; none where either is not there.
-fn folders() -> Option<(PathBuf, PathBuf)> {
-    let named = |variable: &str, beside: &str| {
-        std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
-    };
-    let data = named("RE4_DATA", "../shared/data").join("robomimic-scripted");
-    let simulators = named("RE4_SIMULATORS", "data/simulators");
-    for path in [&data, &simulators.join("mujoco-2.3.7/libmujoco.so")] {
-        if !path.exists() {
-            println!("skipped: no {}", path.display());
-            return None;
-        }
+const TASKS: [(RobosuiteTask, &str); 3] = [
+    (RobosuiteTask::Lift, "lift"),
+    (RobosuiteTask::Can, "can"),
+    (RobosuiteTask::Square, "square"),
+];
+
+/// The folder that a variable names, else one of the repository; says so where it is not there.
+fn folder(variable: &str, otherwise: &str, below: &str, how: &str) -> Option<PathBuf> {
+    let path = std::env::var_os(variable)
+        .map_or_else(|| repository().join(otherwise), PathBuf::from)
+        .join(below);
+    if !path.is_dir() {
+        println!("skipped: no {}; {how}", path.display());
     }
-    Some((data, simulators.canonicalize().unwrap()))
+    path.is_dir().then_some(path)
 }
 
-fn pipeline(task: &str, source: &Path) -> String {
-    format!(
-        r#"task = "{task}"
-variant = "state"
-[ingest]
-source = "{}"
-select = {{ first = 20 }}
-[segment]
-[pose]
-source = "recorded"
-[index]
-leave_out = ["missed_grasp", "lost_grasp"]
-[rollout]
-policy = "re4"
-seeds = "200000..200004"
-"#,
-        source.display()
-    )
+/// Demonstrations by number.
+fn demonstrations(path: &Path) -> BTreeMap<u32, Demo> {
+    let reader = RobomimicReader::open(path, &DemoChoice::default()).unwrap();
+    let mut demos = BTreeMap::new();
+    reader
+        .for_each::<Demo, IngestError>(
+            |_, demo| Ok(demo),
+            |at, demo| {
+                demos.insert(reader.demos()[at].number, demo);
+                Ok(())
+            },
+        )
+        .unwrap();
+    demos
 }
 
-fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
-    let mut command: Command = place.command();
-    command
-        .env("RE4_SIMULATORS", simulators)
-        .args(arguments.split_whitespace());
-    Answer::new(&command.output().unwrap(), place.path())
+/// Greatest absolute difference.
+fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
+    assert_eq!(ours.len(), theirs.len());
+    assert!(ours.iter().all(|number| number.is_finite()));
+    ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
-    let mut folders = support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
-    assert_eq!(folders.len(), 1);
-    Artifact::open(&folders.remove(0)).unwrap()
-}
-
-#[test]
-fn lift_succeeds_and_its_tables_hold_together() {
-    let Some((data, simulators)) = folders() else { return };
-    let place = Place::empty();
-    place.write("lift.toml", pipeline("lift", &data.join("lift/low_dim.hdf5")));
-    run(&place, &simulators, "rollout lift.toml --jobs 1 --artifacts one").done();
-    run(&place, &simulators, "rollout lift.toml --jobs 2 --artifacts two").done();
-    assert_same_bytes(
-        &artifact_bytes(&place.path().join("one")),
-        &artifact_bytes(&place.path().join("two")),
-    );
-
-    let rollouts = only(&place, "one", Stage::Rollout);
-    let results = rollouts.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
-    let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
-    let decisions = rollouts.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
-    let seeds = col_u32(&results, "seed").unwrap();
-    assert_eq!(seeds, [200_000, 200_001, 200_002, 200_003]);
-    assert!((0..4).all(|row| col_bool(&results, "success").unwrap().value(row)));
-    // Every step and every decision is counted once, and success is that of the last step.
-    let (of_steps, of_decisions) = (col_u32(&steps, "seed").unwrap(), col_u32(&decisions, "seed").unwrap());
-    let heights = col_f64(&steps, "object_z").unwrap();
-    for (row, seed) in seeds.iter().enumerate() {
-        let own: Vec<usize> = (0..of_steps.len()).filter(|at| of_steps[*at] == *seed).collect();
-        assert_eq!(own.len() as u32, col_u32(&results, "steps").unwrap()[row]);
-        let decided = of_decisions.iter().filter(|of| *of == seed).count();
-        assert_eq!(decided as u32, col_u32(&results, "decisions").unwrap()[row]);
-        // Lift's rule: the cube is 4 cm over the table.
-        let last = *own.last().unwrap();
-        assert!(heights[last] > 0.84 && heights[last - 1] <= 0.84);
-    }
-    // A frame that is followed is one that may be retrieved, in the mode of the query.
-    let index = only(&place, "one", Stage::Index);
-    let indexed = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
-    let (episodes, frames) = (
-        col_u32(&indexed, "episode").unwrap(),
-        col_u32(&indexed, "frame").unwrap(),
-    );
-    let modes = col_text(&indexed, "mode").unwrap();
-    let place_of: BTreeMap<(u32, u32), usize> = (0..episodes.len()).map(|i| ((episodes[i], frames[i]), i)).collect();
-    let kinds = col_text(&decisions, "kind").unwrap();
-    let query = col_text(&decisions, "mode").unwrap();
-    let demo = re4_artifact::col_u32_or_null(&decisions, "demo").unwrap();
-    let frame = re4_artifact::col_u32_or_null(&decisions, "demo_frame").unwrap();
-    let mut retrieved = 0;
-    for row in (0..kinds.len()).filter(|row| kinds[*row] == Some("retrieve")) {
-        let at = place_of[&(demo[row].unwrap(), frame[row].unwrap())];
-        assert_eq!(modes[at], query[row]);
-        assert!(col_bool(&indexed, "retrievable").unwrap().value(at));
-        retrieved += 1;
-    }
-    assert!(retrieved >= 4);
-    // The state after the reset is what robosuite draws for the seed: arm noise about the initial pose, fingers, cube at rest.
-    let states = col_f64_list(&results, "state").unwrap();
-    assert!(
-        states
-            .iter()
-            .all(|state| state.len() == 1 + 16 + 15 && state[0] == 0.0 && state[17..].iter().all(|v| *v == 0.0))
-    );
+/// The same of two quaternions, of which the negative one is the same rotation.
+fn apart_as_rotations(ours: &[f64], theirs: &[f64]) -> f64 {
+    let turned: Vec<f64> = theirs.iter().map(|part| -part).collect();
+    apart(ours, theirs).min(apart(ours, &turned))
 }
 
 #[test]
-fn replays_follow_the_recording_and_gate() {
-    let Some((data, simulators)) = folders() else { return };
-    let place = Place::empty();
-    let text = pipeline("lift", &data.join("lift/low_dim.hdf5")).replace("first = 20", "first = 3");
-    place.write("lift.toml", text);
-    run(&place, &simulators, "replay lift.toml --fail-under 1").done();
-    let replays = only(&place, "artifacts", Stage::Replay);
-    let table = replays.table(&tables::SPATIAL_REPLAYS).unwrap().read_all().unwrap();
-    assert_eq!(
-        col_text(&table, "actions").unwrap()[..2],
-        [Some("delta"), Some("absolute")]
-    );
-    assert_eq!(
-        col_text(&table, "origin").unwrap()[..2],
-        [Some("recorded"), Some("converted")]
-    );
-    for (kind, arm) in col_text(&table, "actions")
-        .unwrap()
-        .iter()
-        .zip(col_f64(&table, "arm_max").unwrap())
-    {
-        // Recorded deltas go through the controller's own arithmetic; a converted goal is rounded once more, to single
-        // precision.
-        let bound = if *kind == Some("delta") { 1e-7 } else { 1e-6 };
-        assert!(*arm < bound, "{kind:?}: {arm}");
-    }
-    run(&place, &simulators, "rollout lift.toml --seeds 200000..200001").done();
-    let compared = compare_with_schemas(&place);
-    for name in ["results", "steps", "decisions", "replays", "divergence", "index"] {
-        assert!(compared.contains(&format!("spatial_{name}")), "{name}");
-    }
-    // A demonstration of which the gripper never closes cannot lift: the gate says so.
-    let Some(python) = std::env::var_os("RE4_PYTHON") else {
-        println!("skipped the gate: RE4_PYTHON is not set");
+fn observations_and_success_are_those_of_robosuite() {
+    let setup = "run scripts/setup-simulators.sh";
+    let Some(simulators) = folder("RE4_SIMULATORS", "data/simulators", "", setup) else {
         return;
     };
-    let script = format!(
-        "import h5py, sys\nwith h5py.File({:?}) as a, h5py.File('open.hdf5', 'w') as b:\n    b.create_group('data')\n    b['data'].attrs.update(a['data'].attrs)\n    a.copy('data/demo_0', b['data'])\n    actions = b['data/demo_0/actions'][:]\n    actions[:, 6] = -1\n    b['data/demo_0/actions'][:] = actions\n",
-        data.join("lift/low_dim.hdf5")
-    );
-    let written = Command::new(python)
-        .args(["-c", &script])
-        .current_dir(place.path())
-        .output()
-        .unwrap();
-    assert!(written.status.success(), "{}", String::from_utf8_lossy(&written.stderr));
-    let text = "task = \"lift\"\n[ingest]\nsource = \"open.hdf5\"\n[ingest.conventions]\ngripper_sign = \"positive_closes\"\n[segment]\n";
-    place.write("open.toml", text);
-    let answer = run(&place, &simulators, "replay open.toml --fail-under 0.5");
-    assert_eq!(answer.code, Some(1), "{}{}", answer.stdout, answer.stderr);
-    assert!(answer.stdout.contains("0 of 1 succeed"), "{}", answer.stdout);
-    run(&place, &simulators, "replay open.toml").done();
-}
-
-/// What keeps a simulation from starting, each in one sentence with exit code 2.
-#[test]
-fn what_cannot_be_simulated_is_told_in_one_sentence() {
-    let Some((data, simulators)) = folders() else { return };
-    let place = Place::empty();
-    let lift = data.join("lift/low_dim.hdf5");
-    let text = pipeline("lift", &lift).replace("first = 20", "first = 1");
-    place.write("lift.toml", &text);
-    let empty = place.path().join("none");
-    let mut told = String::new();
-    let mut tell = |what: &str, simulators: &Path, arguments: &str| {
-        let sentence = run(&place, simulators, arguments).refused_at_once();
-        writeln!(told, "{what}\n  {}", sentence.trim_end()).unwrap();
+    let data = "set RE4_DATA to the folder of the datasets";
+    let Some(data) = folder("RE4_DATA", "../shared/data", "robomimic-scripted", data) else {
+        return;
     };
-    tell("no simulators", &empty, "rollout lift.toml");
-    tell("no simulators, replay", &empty, "replay lift.toml");
-    tell("--record", &simulators, "rollout lift.toml --record out.zarr");
-    tell("--plot", &simulators, "replay lift.toml --plot out.svg");
-    let settings = [
-        ("unknown policy", "rollout.policy=re5"),
-        ("unknown key", "rollout.retrieve.epsilon=1"),
-        ("no horizon", "rollout.replay.horizon=0"),
-        ("no steps", "rollout.max_steps=0"),
-        ("negative noise", "rollout.noise={translation=-1,rotation=0}"),
-        ("no axis", "rollout.symmetry={kind=\"full\",axis=[0,0,0]}"),
-        ("unknown check", "index.leave_out=[\"nonsense\"]"),
-        ("pictures", "variant=\"image\""),
-        ("log-polar", "pose.source=\"log_polar\""),
-        ("scenes", "scenes={kind=\"sparse_observations\"}"),
-        ("inner name", "spatial_rollout={policy=\"re4\"}"),
-        ("Push-T's key", "rollout.reset=\"legacy\""),
-        ("another task", "task=\"can\""),
-        ("any environment", "task=\"robosuite\""),
-    ];
-    for (what, setting) in settings {
-        tell(what, &simulators, &format!("rollout lift.toml --set {setting}"));
+    let profile = Profile::V1_4;
+    let version = profile.mujoco();
+    let library = Library::open(&simulators.join(format!("mujoco-{version}")), version).unwrap();
+    for (task, name) in TASKS {
+        let references = repository().join("crates/re4-sim/tests/data/robosuite");
+        let file = Reference::open(&references.join(format!("states_{name}_1.4.1.bin.gz")));
+        assert_eq!(
+            (file.text("task"), file.text("robosuite")),
+            (task.environment(), "1.4.1")
+        );
+        let demos = demonstrations(&data.join(name).join("low_dim.hdf5"));
+        let (numbers, frames) = (file.u32s("demo").numbers, file.u32s("frame").numbers);
+        let (moved, success) = (file.u8s("moved").numbers, file.u8s("success").numbers);
+        let (positions, objects) = (file.f64s("position"), file.f64s("object"));
+        let (eef, hand) = (file.f64s("robot0_eef_pos"), file.f64s("robot0_eef_quat"));
+        let fingers = file.f64s("robot0_gripper_qpos");
+        let mut last: Option<(Arc<str>, Robosuite)> = None;
+        let [mut poses, mut relative] = [0.0_f64; 2];
+        let mut verdicts = [[0; 2]; 2];
+        for row in 0..numbers.len() {
+            let demo = &demos[&numbers[row]];
+            let mjcf = demo.model.as_ref().unwrap();
+            if last.as_ref().is_none_or(|(of, _)| of != mjcf) {
+                let whole = with_assets(mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
+                let text = without_pictures(&whole).unwrap();
+                let model = RobosuiteModel::compile(&library, task, profile, &text).unwrap();
+                last = Some((Arc::clone(mjcf), Robosuite::new(&model).unwrap()));
+            }
+            let (_, simulation) = last.as_mut().unwrap();
+            let states = demo.states.as_ref().unwrap();
+            let mut state = states.values[frames[row] as usize * states.columns..][..states.columns].to_vec();
+            if moved[row] == 1 {
+                let at = 1 + simulation.model().mujoco().joint(file.text("joint")).unwrap().0;
+                state[at..at + 3].copy_from_slice(positions.row(row));
+            }
+            let scene = RobosuiteScene::Recorded(state);
+            let seen = simulation.reset(&scene, FirstTorques::AsRobosuite).unwrap();
+            let object = seen.object_state(task, profile);
+            let theirs = objects.row(row);
+            poses = poses
+                .max(apart(seen.grip_site.translation.vector.as_slice(), eef.row(row)))
+                .max(apart_as_rotations(seen.hand.coords.as_slice(), hand.row(row)))
+                .max(apart(&seen.fingers, fingers.row(row)))
+                .max(apart(&object[..3], &theirs[..3]))
+                .max(apart_as_rotations(&object[3..7], &theirs[3..7]));
+            relative = relative.max(apart(&object[7..10], &theirs[7..10]));
+            if object.len() > 10 {
+                relative = relative.max(apart_as_rotations(&object[10..], &theirs[10..]));
+            }
+            let ours = u8::from(simulation.success());
+            assert_eq!(
+                ours, success[row],
+                "{name}: row {row}, {} frame {}",
+                demo.name, frames[row]
+            );
+            verdicts[usize::from(moved[row])][usize::from(ours)] += 1;
+        }
+        let [recorded, constructed] = verdicts.map(|verdicts| (verdicts[0] + verdicts[1], verdicts[1]));
+        println!(
+            "{name}: {} recorded states, {} successes; {} constructed, {} successes; verdicts equal; poses within {poses:.1e}, \
+             relative pose within {relative:.1e}",
+            recorded.0, recorded.1, constructed.0, constructed.1
+        );
+        assert!(recorded.0 + constructed.0 >= 1000 && verdicts.iter().flatten().all(|&count| count > 0));
+        assert!(poses <= 1e-12, "{name}: {poses:e}");
+        // robosuite turns matrices into quaternions and back in single precision, which the relative pose goes through.
+        assert!(relative <= 1e-6, "{name}: {relative:e}");
     }
-    let mut filters = filters();
-    filters.push((data.to_str().unwrap(), "[data]"));
-    filters.push((simulators.to_str().unwrap(), "[simulators]"));
-    let folder = place.path().canonicalize().unwrap();
-    filters.push((folder.to_str().unwrap(), "[folder]"));
-    with_settings!({ filters => filters }, { assert_snapshot!(told) });
-}
-
-/// Every single step of the policy can be switched off, and optional tables, too.
-#[test]
-fn steps_of_the_policy_can_be_switched_off() {
-    let Some((data, simulators)) = folders() else { return };
-    let place = Place::empty();
-    place.write("lift.toml", pipeline("lift", &data.join("lift/low_dim.hdf5")));
-    let phases = |settings: &str, artifacts: &str| {
-        run(
-            &place,
-            &simulators,
-            &format!("rollout lift.toml --seeds 200000..200001 --artifacts {artifacts} {settings}"),
-        )
-        .done();
-        let rollouts = only(&place, artifacts, Stage::Rollout);
-        let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
-        let decisions = rollouts.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
-        let bridged = col_text(&steps, "phase").unwrap().contains(&Some("bridge"));
-        let moved = re4_artifact::col_f64_or_null(&decisions, "delta_x").unwrap();
-        (bridged, moved.iter().flatten().any(|x| *x != 0.0))
-    };
-    assert_eq!(phases("", "all"), (true, true));
-    assert_eq!(phases("--set rollout.replan.enabled=false", "no-bridge"), (false, true));
-    assert_eq!(phases("--set rollout.reframe.enabled=false", "no-reframe").1, false);
-    assert_eq!(phases("--policy re2", "re2"), (false, false));
-    phases(
-        "--set rollout.filter=false --set rollout.recovery.ban=false --set rollout.retrieve.commit_margin=false",
-        "plain",
-    );
-    let config = only(&place, "plain", Stage::Rollout).manifest().config.clone();
-    assert!(config["policy"]["filter"].is_null() && config["policy"]["recovery"]["ban"].is_null());
-    assert!(config["policy"]["retrieve"]["commit_margin"].is_null());
 }

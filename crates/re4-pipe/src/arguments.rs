@@ -171,7 +171,7 @@ pub(crate) struct FilmArguments {
     /// Width and height of a scene in pixels, from 64 to 512; text is below it from 256 on
     #[arg(long, value_name = "PIXELS", default_value_t = 256)]
     pub(crate) size: u32,
-    /// Speed, from 0.1 to 50; at 1, a second holds 10 control steps, as in the simulator
+    /// Speed, from 0.1 to 50; at 1, a second holds as many control steps as in the simulator: 10 of Push-T, 20 of robosuite's tasks
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub(crate) speed: f64,
     /// What all commands share.

@@ -58,7 +58,7 @@ pub(crate) struct Pipeline {
 }
 
 impl Pipeline {
-    fn missing(&self, table: &str) -> String {
+    fn missing(table: &str) -> String {
         format!(
             "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
         )
@@ -69,7 +69,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[pose]`.
     pub(crate) fn pose(&self) -> Result<&PoseSection> {
-        self.pose.as_ref().with_context(|| self.missing("pose"))
+        self.pose.as_ref().with_context(|| Self::missing("pose"))
     }
 
     /// How the index is made.
@@ -77,7 +77,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[index]`.
     pub(crate) fn index(&self) -> Result<&IndexSection> {
-        self.index.as_ref().with_context(|| self.missing("index"))
+        self.index.as_ref().with_context(|| Self::missing("index"))
     }
 
     /// How the policy is rolled out, for Push-T.
@@ -85,7 +85,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub(crate) fn rollout(&self) -> Result<&RolloutSection> {
-        self.rollout.as_ref().with_context(|| self.missing("rollout"))
+        self.rollout.as_ref().with_context(|| Self::missing("rollout"))
     }
 
     /// How the policy is rolled out, for robosuite's tasks.
@@ -93,7 +93,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub(crate) fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
-        self.spatial_rollout.as_ref().with_context(|| self.missing("rollout"))
+        self.spatial_rollout.as_ref().with_context(|| Self::missing("rollout"))
     }
 }
 

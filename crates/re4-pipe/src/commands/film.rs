@@ -1,5 +1,7 @@
 //! `re4-pipe film`: rollouts as a GIF.
 
+mod spatial;
+
 use std::io::BufWriter;
 use std::path::PathBuf;
 
@@ -8,7 +10,7 @@ use arrow::array::RecordBatch;
 use re4_artifact::{Artifact, ArtifactError, Stage, col_f64, col_f64_list, col_text, col_u32, tables};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
-use re4_report::{FilmDecision, FilmRollout, FilmSettings, FilmState, write_film};
+use re4_report::{FilmDecision, FilmRollout, FilmSettings, FilmState, write_film, write_scene_film};
 use re4_sim::{GOAL, coverage};
 use serde_json::json;
 
@@ -40,7 +42,15 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
         arguments.path.display()
     );
     artifact.verify_bytes()?;
-    let (rollouts, chunks) = read_films(&artifact, arguments.seeds.as_slice(), console)?;
+    let seeds = arguments.seeds.as_slice();
+    let in_space = artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name);
+    let mut films = if in_space {
+        let store = &arguments.common.artifacts;
+        Films::Spatial(spatial::Films::read(&artifact, seeds, arguments.size, store)?)
+    } else {
+        let (rollouts, chunks) = read_films(&artifact, seeds, console)?;
+        Films::Planar(rollouts, chunks)
+    };
 
     let output = Output::at(out, "film")?;
     let temporary = output.temporary()?;
@@ -48,12 +58,20 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
         size: arguments.size,
         speed: arguments.speed,
     };
-    let states = rollouts.iter().map(|rollout| rollout.states.len()).max().unwrap_or(0);
-    let bar = console.progress(states as u64, "film");
-    let facts = write_film(BufWriter::new(temporary.as_file()), &rollouts, settings, &mut || {
+    let bar = console.progress(films.states() as u64, "film");
+    let mut going = || {
         bar.inc(1);
         !interrupt.requested()
-    })
+    };
+    let file = BufWriter::new(temporary.as_file());
+    let facts = match &mut films {
+        Films::Planar(rollouts, _) => write_film(file, rollouts, settings, &mut going),
+        Films::Spatial(films) => {
+            let rollouts = films.rollouts.clone();
+            let mut draw = |rollout, state| films.draw(rollout, state).map_err(Into::into);
+            write_scene_film(file, &rollouts, settings, &mut draw, &mut going)
+        }
+    }
     .with_context(|| format!("cannot make the film {}", out.display()))?;
     bar.finish_and_clear();
     let bytes = temporary
@@ -64,15 +82,18 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
     output.keep(temporary)?;
 
     let seconds = f64::from(facts.duration_cs) / 100.0;
-    console.answer(&json!({
+    let mut answer = json!({
         "path": out,
         "bytes": bytes,
         "width": facts.width,
         "height": facts.height,
         "frames": facts.frames,
         "seconds": seconds,
-        "chunks": chunks,
-    }))?;
+    });
+    if let Films::Planar(_, chunks) = films {
+        answer["chunks"] = json!(chunks);
+    }
+    console.answer(&answer)?;
     console.say(&format!(
         "film in {}: {} x {} px, {} frames, {seconds} s, {bytes} bytes",
         out.display(),
@@ -81,6 +102,25 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
         facts.frames
     ))?;
     Ok(Outcome::Done)
+}
+
+/// What is filmed.
+enum Films {
+    /// Push-T's rollouts, and whether the film shows chunks.
+    Planar(Vec<FilmRollout>, bool),
+    /// Rollouts of a robosuite task.
+    Spatial(spatial::Films),
+}
+
+impl Films {
+    /// States of the longest rollout.
+    fn states(&self) -> usize {
+        let most = match self {
+            Self::Planar(rollouts, _) => rollouts.iter().map(|rollout| rollout.states.len()).max(),
+            Self::Spatial(films) => films.rollouts.iter().map(|rollout| rollout.states.len()).max(),
+        };
+        most.unwrap_or(0)
+    }
 }
 
 /// Films of some of an artifact's rollouts, in the order asked for, and whether they show chunks.

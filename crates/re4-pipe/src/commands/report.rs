@@ -18,6 +18,8 @@ use crate::seeds::Seeds;
 mod rollouts;
 mod spatial;
 
+pub(super) use rollouts::stated;
+
 /// A page beyond this many bytes takes a while to open, which is said.
 const LARGE_PAGE: usize = 12_000_000;
 
@@ -79,26 +81,26 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
 /// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
 pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, store: &Path) -> Result<Written> {
     let artifacts = open_all(paths)?;
-    let page = if spatial::all_spatial(&artifacts)? {
-        spatial_text(&artifacts, seeds, store)?
+    let made = if spatial::all_spatial(&artifacts)? {
+        in_space(&artifacts, seeds, store)?
     } else {
-        planar_text(&artifacts, seeds, store)?
+        planar(&artifacts, seeds, store)?
     };
-    let Text {
-        text,
+    let Page {
+        html,
         rollouts,
         demonstrations,
         mut warnings,
-    } = page;
-    if text.len() > LARGE_PAGE {
+    } = made;
+    if html.len() > LARGE_PAGE {
         warnings.push(format!(
             "the page is {} MB large; re4-pipe report --seeds limits the rollouts that the viewer holds",
-            text.len() / 1_000_000
+            html.len() / 1_000_000
         ));
     }
-    output.write(&text)?;
+    output.write(&html)?;
     Ok(Written {
-        bytes: text.len(),
+        bytes: html.len(),
         artifacts,
         rollouts,
         demonstrations,
@@ -107,14 +109,14 @@ pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, s
 }
 
 /// A page, and what it holds.
-struct Text {
-    text: String,
+struct Page {
+    html: String,
     rollouts: usize,
     demonstrations: usize,
     warnings: Vec<String>,
 }
 
-fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Text> {
+fn planar(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Page> {
     let mut sets = artifacts
         .iter()
         .map(rollouts::read)
@@ -143,11 +145,11 @@ fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> R
         }
     }
     let shown = |set: &Rollouts| set.rollouts.iter().filter(|rollout| rollout.shown).count();
-    Ok(Text {
+    Ok(Page {
         rollouts: sets.iter().map(shown).sum(),
         demonstrations: demonstrations.values().map(BTreeMap::len).sum(),
         warnings,
-        text: page(&Report {
+        html: page(&Report {
             tool_version: env!("CARGO_PKG_VERSION").to_owned(),
             world: world(),
             artifacts: sets,
@@ -156,7 +158,7 @@ fn planar_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> R
     })
 }
 
-fn spatial_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Text> {
+fn in_space(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Page> {
     let indices = artifacts
         .iter()
         .map(|artifact| find_index(artifact, store))
@@ -184,16 +186,21 @@ fn spatial_text(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> 
             .iter()
             .filter(|other| other.index_key == set.index_key)
             .flat_map(|other| other.rollouts.iter().filter(|rollout| rollout.shown))
-            .flat_map(|rollout| rollout.decisions.iter().filter_map(|decision| Some(decision.choice.as_ref()?.demo)))
+            .flat_map(|rollout| {
+                rollout
+                    .decisions
+                    .iter()
+                    .filter_map(|decision| Some(decision.choice.as_ref()?.demo))
+            })
             .collect();
         demonstrations.insert(set.index_key.clone(), spatial::read_demonstrations(index, &needed)?);
     }
     let shown = |set: &SpatialRollouts| set.rollouts.iter().filter(|rollout| rollout.shown).count();
-    Ok(Text {
+    Ok(Page {
         rollouts: sets.iter().map(shown).sum(),
         demonstrations: demonstrations.values().map(BTreeMap::len).sum(),
         warnings,
-        text: spatial_page(&SpatialReport {
+        html: spatial_page(&SpatialReport {
             tool_version: env!("CARGO_PKG_VERSION").to_owned(),
             artifacts: sets,
             demonstrations,
@@ -257,40 +264,47 @@ fn show_only<'a>(rollouts: impl Iterator<Item = (u32, &'a mut bool)>, seeds: &Se
 
 /// The index that an artifact's demonstrations were retrieved from: beside it, or in the artifacts folder.
 fn find_index(rollouts: &Artifact, store: &Path) -> Result<Option<Artifact>> {
-    let key = index_key(rollouts)?;
+    find_input(rollouts, Stage::Index, store)
+}
+
+/// An artifact that rollouts were made from: beside them, or in the artifacts folder.
+pub(super) fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Option<Artifact>> {
+    let key = input_key(rollouts, stage)?;
     let beside = std::fs::canonicalize(rollouts.path())
         .ok()
         .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
     let folders = beside.into_iter().chain([store.to_path_buf()]);
-    for folder in folders.map(|root| root.join(Stage::Index.artifact()).join(key.short())) {
+    for folder in folders.map(|root| root.join(stage.artifact()).join(key.short())) {
         if !folder.join(MANIFEST_NAME).exists() {
             continue;
         }
-        let index = Artifact::open(&folder)?;
+        let input = Artifact::open(&folder)?;
         ensure!(
-            index.key() == key,
-            "cannot read {}: it is the index {}, and the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
+            input.key() == key,
+            "cannot read {}: it is the {} {}, and the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
             folder.display(),
-            index.key(),
+            stage.artifact(),
+            input.key(),
             rollouts.path().display()
         );
-        index.verify_bytes()?;
-        return Ok(Some(index));
+        input.verify_bytes()?;
+        return Ok(Some(input));
     }
     Ok(None)
 }
 
 fn index_key(rollouts: &Artifact) -> Result<&Key> {
-    rollouts
-        .manifest()
-        .inputs
-        .get(Stage::Index.artifact())
-        .with_context(|| {
-            format!(
-                "cannot report on {}: its manifest names no index; run the rollout again",
-                rollouts.path().display()
-            )
-        })
+    input_key(rollouts, Stage::Index)
+}
+
+fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
+    rollouts.manifest().inputs.get(stage.artifact()).with_context(|| {
+        format!(
+            "cannot read the rollouts in {}: their manifest names no {}; run the rollout again",
+            rollouts.path().display(),
+            stage.artifact()
+        )
+    })
 }
 
 /// The frames of the demonstrations that are referred to.

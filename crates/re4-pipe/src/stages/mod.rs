@@ -28,6 +28,7 @@ use crate::pipeline::{Pipeline, load};
 pub(crate) use budgets::BUDGET_MEASURES;
 pub(crate) use ingest::{INGEST_WORKER, serve_ingest};
 pub(crate) use rollout::{metrics, read_rollouts};
+pub(crate) use simulators::Scenes;
 
 /// A pipeline with all that its stages need.
 pub(crate) struct Runner {

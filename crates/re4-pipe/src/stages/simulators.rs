@@ -91,12 +91,15 @@ impl Scenes {
         for (number, text) in numbers.iter().zip(col_text(&table, "mjcf")?) {
             let user = of_demo.iter().position(|model| model == &Some(*number));
             let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
-            let text = with_assets(text.unwrap_or_default(), &folder)
-                .with_context(|| format!("cannot simulate {demo} of {}", episodes.path().display()))?;
-            let mut text = without_pictures(&text).map_err(anyhow::Error::msg)?;
+            let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
+            // Files that are only drawn need not be here.
+            let mut text = without_pictures(text.unwrap_or_default())
+                .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
+                .with_context(place)?;
             if fidelity == Fidelity::Fast {
                 text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
             }
+            let text = with_assets(&text, &folder).with_context(place)?;
             mjcf.push(text);
         }
         Ok(Self {
@@ -120,6 +123,17 @@ impl Scenes {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
         Ok(text.context("no demonstration has a model")?)
+    }
+
+    /// The same MJCF with what is only drawn, and everything touching.
+    pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+        let first = self.of_demo.iter().flatten().next();
+        let number = *first.context("no demonstration has a model")?;
+        let table = episodes.table(&tables::MODELS)?.read_all()?;
+        let texts = col_text(&table, "mjcf")?;
+        let text = texts.get(number as usize).copied().flatten().unwrap_or_default();
+        with_assets(text, &assets_folder())
+            .with_context(|| format!("cannot draw the models of {}", episodes.path().display()))
     }
 
     /// A scene from MJCF that is not a demonstration's own.

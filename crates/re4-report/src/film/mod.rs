@@ -5,6 +5,7 @@
 //! films are small; frames are encoded one by one, so memory does not grow with their number.
 
 mod paint;
+mod scene;
 mod text;
 
 use std::borrow::Cow;
@@ -14,6 +15,8 @@ use gif::{DisposalMethod, Encoder, EncodingError, Frame, Repeat};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, SUCCESS_COVERAGE};
 use thiserror::Error;
+
+pub use scene::{DrawScene, SceneRollout, SceneState, write_scene_film};
 
 use paint::{Palette, Shrink, line_pixels};
 
@@ -52,6 +55,9 @@ pub enum FilmError {
     /// The settings are outside of [`FILM_SIZES`], [`FILM_SPEEDS`] and [`FILM_TILES`], or there is nothing to show.
     #[error("{0}")]
     Settings(String),
+    /// A picture could not be drawn.
+    #[error("{0}")]
+    Picture(Box<dyn std::error::Error + Send + Sync>),
     /// The encoder or the file refused.
     #[error(transparent)]
     Encoding(#[from] EncodingError),
@@ -132,7 +138,10 @@ pub fn write_film(
     settings: FilmSettings,
     going: &mut dyn FnMut() -> bool,
 ) -> Result<FilmFacts, FilmError> {
-    check(rollouts, settings)?;
+    check_settings(
+        rollouts.iter().map(|rollout| (rollout.seed, rollout.states.len())),
+        settings,
+    )?;
     let columns = (1..=FILM_TILES).find(|c| c * c >= rollouts.len()).unwrap_or(1);
     let rows = rollouts.len().div_ceil(columns);
     let tile_height = settings.size + strip_height(settings.size);
@@ -151,7 +160,7 @@ pub fn write_film(
     let mut painter = Painter::new(settings.size, palette);
     let mut page = Page::new(width as usize, height as usize);
     let last = rollouts.iter().map(|r| r.states.len() - 1).max().unwrap_or(0);
-    let times = shown(last, settings.speed);
+    let times = shown(last, settings.speed, STEP_CS);
     for (i, &(state, delay)) in times.iter().enumerate() {
         if !going() {
             return Err(FilmError::Interrupted);
@@ -176,16 +185,20 @@ pub fn write_film(
     })
 }
 
-fn check(rollouts: &[FilmRollout], settings: FilmSettings) -> Result<(), FilmError> {
+/// Checks the settings, and the rollouts by their seeds and counts of states.
+fn check_settings(
+    rollouts: impl ExactSizeIterator<Item = (u32, usize)>,
+    settings: FilmSettings,
+) -> Result<(), FilmError> {
     let refuse = |text: String| Err(FilmError::Settings(text));
-    if rollouts.is_empty() || rollouts.len() > FILM_TILES {
-        return refuse(format!(
-            "a film shows 1 to {FILM_TILES} rollouts, not {}",
-            rollouts.len()
-        ));
+    let count = rollouts.len();
+    if count == 0 || count > FILM_TILES {
+        return refuse(format!("a film shows 1 to {FILM_TILES} rollouts, not {count}"));
     }
-    if let Some(empty) = rollouts.iter().find(|r| r.states.is_empty()) {
-        return refuse(format!("the rollout of seed {} has no states to show", empty.seed));
+    for (seed, states) in rollouts {
+        if states == 0 {
+            return refuse(format!("the rollout of seed {seed} has no states to show"));
+        }
     }
     if !FILM_SIZES.contains(&settings.size) {
         let (least, most) = (FILM_SIZES.start(), FILM_SIZES.end());
@@ -198,10 +211,11 @@ fn check(rollouts: &[FilmRollout], settings: FilmSettings) -> Result<(), FilmErr
     Ok(())
 }
 
-/// Which states are shown, and each for how many hundredths of a second, so that times add up to those of the rollout.
-fn shown(last: usize, speed: f64) -> Vec<(usize, u16)> {
-    let stride = (SHORTEST_CS * speed / STEP_CS).ceil().max(1.0) as usize;
-    let time = |state: usize| (STEP_CS * state as f64 / speed).round() as u64;
+/// Which states are shown, and each for how many hundredths of a second, so that times add up to those of the rollout, whose
+/// steps last `step` hundredths.
+fn shown(last: usize, speed: f64, step: f64) -> Vec<(usize, u16)> {
+    let stride = (SHORTEST_CS * speed / step).ceil().max(1.0) as usize;
+    let time = |state: usize| (step * state as f64 / speed).round() as u64;
     let mut times: Vec<(usize, u16)> = (0..last)
         .step_by(stride)
         .map(|state| (state, (time((state + stride).min(last)) - time(state)) as u16))

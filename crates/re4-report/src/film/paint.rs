@@ -1,6 +1,6 @@
 //! Lines over a picture, shrinking it, and its colours.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use re4_geometry::Point2;
 
@@ -92,6 +92,59 @@ impl Shrink {
             }
         }
     }
+}
+
+/// At most `count` colours that stand for RGB pixels: boxes of colours are cut in two, again and again the one with most
+/// pixels times spread, at the median of its longest side; each is its mean.
+pub(super) fn median_cut(pixels: &[u8], count: usize) -> Vec<[u8; 3]> {
+    let mut counted: BTreeMap<[u8; 3], u64> = BTreeMap::new();
+    for pixel in pixels.as_chunks::<3>().0 {
+        *counted.entry(*pixel).or_default() += 1;
+    }
+    let mut boxes: Vec<Vec<([u8; 3], u64)>> = vec![counted.into_iter().collect()];
+    boxes.retain(|colours| !colours.is_empty());
+    while boxes.len() < count {
+        // The longest side of a box, and how long it is.
+        let longest = |colours: &[([u8; 3], u64)]| {
+            let side = |channel: usize| {
+                let values = || colours.iter().map(|(colour, _)| colour[channel]);
+                values().max().unwrap_or(0) - values().min().unwrap_or(0)
+            };
+            (0..3).map(|channel| (side(channel), channel)).max().unwrap_or((0, 0))
+        };
+        let weight = |colours: &[([u8; 3], u64)]| colours.iter().map(|(_, pixels)| pixels).sum::<u64>();
+        let worth = |colours: &[([u8; 3], u64)]| weight(colours) * u64::from(longest(colours).0).pow(2);
+        let Some((place, _)) = boxes.iter().enumerate().max_by_key(|(_, colours)| worth(colours)) else {
+            break;
+        };
+        let mut colours = boxes.swap_remove(place);
+        let (side, channel) = longest(&colours);
+        if side == 0 {
+            boxes.push(colours);
+            break;
+        }
+        colours.sort_by_key(|(colour, _)| (colour[channel], *colour));
+        let half = weight(&colours) / 2;
+        let mut before = 0;
+        let middle = colours.iter().position(|(_, pixels)| {
+            before += pixels;
+            before > half
+        });
+        // Both parts have a colour at least.
+        let rest = colours.split_off(middle.unwrap_or(0).clamp(1, colours.len() - 1));
+        boxes.extend([colours, rest]);
+    }
+    let mean = |colours: &Vec<([u8; 3], u64)>| {
+        let whole: u64 = colours.iter().map(|(_, pixels)| pixels).sum();
+        [0, 1, 2].map(|channel| {
+            let sum: u64 = colours
+                .iter()
+                .map(|(colour, pixels)| u64::from(colour[channel]) * pixels)
+                .sum();
+            ((sum + whole / 2) / whole) as u8
+        })
+    };
+    boxes.iter().map(mean).collect()
 }
 
 /// At most 255 colours and, after them, a see-through one.
@@ -195,6 +248,22 @@ mod tests {
         // Of four pixels to three: each is one and a third; the first red is (0 + 1/3 * 4 + 1/3 * 16 + 1/9 * 20) / (16/9) = 5.
         Shrink::new(4, 3).apply(&picture, &mut small);
         assert_eq!((small.len(), small[0], small[2]), (27, 5, 255));
+    }
+
+    #[test]
+    fn few_colours_are_kept_and_many_are_merged() {
+        let few = [[9, 9, 9], [200, 0, 0], [0, 0, 250], [9, 9, 9]];
+        let mut kept = median_cut(few.as_flattened(), 8);
+        kept.sort_unstable();
+        assert_eq!(kept, [[0, 0, 250], [9, 9, 9], [200, 0, 0]]);
+        let many: Vec<u8> = (0..=255).flat_map(|i| [i, i, 255 - i]).collect();
+        let merged = median_cut(&many, 16);
+        assert_eq!(merged.len(), 16);
+        for pixel in many.as_chunks::<3>().0 {
+            let near = |colour: &&[u8; 3]| colour.iter().zip(pixel).all(|(a, b)| a.abs_diff(*b) <= 16);
+            assert!(merged.iter().any(|colour| near(&colour)), "{pixel:?}");
+        }
+        assert!(median_cut(&[], 4).is_empty());
     }
 
     #[test]

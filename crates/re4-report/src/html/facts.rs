@@ -99,7 +99,10 @@ impl Facts {
 /// Names of what artifacts disagree on, each group of facts once.
 pub(super) fn differences(protocol: &[Row]) -> Vec<&str> {
     let mut names: Vec<&str> = Vec::new();
-    for row in protocol.iter().filter(|row| row.differs() && row.name != WITHOUT_EFFECT) {
+    for row in protocol
+        .iter()
+        .filter(|row| row.differs() && row.name != WITHOUT_EFFECT)
+    {
         let name = row.name.split('.').next().unwrap_or(&row.name);
         if !names.contains(&name) {
             names.push(name);

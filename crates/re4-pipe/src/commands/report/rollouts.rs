@@ -47,7 +47,12 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
 }
 
 /// What the manifest states under this name.
-pub(super) fn stated<T: DeserializeOwned>(artifact: &Artifact, place: &str, values: &Value, name: &str) -> Result<T> {
+pub(in crate::commands) fn stated<T: DeserializeOwned>(
+    artifact: &Artifact,
+    place: &str,
+    values: &Value,
+    name: &str,
+) -> Result<T> {
     serde_json::from_value(values[name].clone()).map_err(|_| {
         anyhow::anyhow!(
             "cannot report on {}: its manifest states no usable {place}.{name}; run the rollout again",
@@ -139,7 +144,13 @@ fn rollouts(artifact: &Artifact) -> Result<Vec<Rollout>> {
 }
 
 /// Rows of each rollout in a table that lists them in the order of the results.
-pub(super) fn rows(artifact: &Artifact, table: &str, column: &[u32], seeds: &[u32], counts: &[u32]) -> Result<Vec<Range<usize>>> {
+pub(super) fn rows(
+    artifact: &Artifact,
+    table: &str,
+    column: &[u32],
+    seeds: &[u32],
+    counts: &[u32],
+) -> Result<Vec<Range<usize>>> {
     let mut at = 0;
     let mut ranges = Vec::with_capacity(seeds.len());
     for (&seed, &count) in seeds.iter().zip(counts) {

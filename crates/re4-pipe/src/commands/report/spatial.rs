@@ -203,7 +203,11 @@ fn slice(rows: &RecordBatch, range: &Range<usize>) -> RecordBatch {
 
 fn read_steps(artifact: &Artifact, rows: &RecordBatch) -> Result<Vec<SpatialStep>> {
     let goal = columns(rows, "action", AXES)?;
-    let (eef, object, seen) = (columns(rows, "eef", POSE)?, columns(rows, "object", POSE)?, columns(rows, "seen", POSE)?);
+    let (eef, object, seen) = (
+        columns(rows, "eef", POSE)?,
+        columns(rows, "object", POSE)?,
+        columns(rows, "seen", POSE)?,
+    );
     let fingers = columns(rows, "finger", ["0", "1"])?;
     let gripper = col_f64(rows, "gripper")?;
     let decision = col_u32(rows, "decision")?;
@@ -260,8 +264,16 @@ fn read_decisions(rows: &RecordBatch) -> Result<Vec<SpatialDecision>> {
     };
     let (object, set_point) = (columns(rows, "query_object", POSE)?, columns(rows, "set_point", POSE)?);
     let fingers = col_f64(rows, "finger_separation")?;
-    let (step, banned, bridge) = (col_u32(rows, "step")?, col_u32(rows, "banned")?, col_bool(rows, "bridge")?);
-    let (kind, mode, reason) = (col_text(rows, "kind")?, col_text(rows, "mode")?, col_text(rows, "reason")?);
+    let (step, banned, bridge) = (
+        col_u32(rows, "step")?,
+        col_u32(rows, "banned")?,
+        col_bool(rows, "bridge")?,
+    );
+    let (kind, mode, reason) = (
+        col_text(rows, "kind")?,
+        col_text(rows, "mode")?,
+        col_text(rows, "reason")?,
+    );
     Ok((0..rows.num_rows())
         .map(|i| SpatialDecision {
             step: step[i],

@@ -81,13 +81,19 @@ fn steps_json(traces: &[&SpatialTrace]) -> Value {
 fn told_otherwise(trace: &SpatialTrace) -> bool {
     let before = std::iter::once(&trace.object).chain(trace.steps.iter().map(|step| &step.object));
     let away = |a: &Pose, b: &Pose| a[..3].iter().zip(&b[..3]).any(|(a, b)| (a - b).abs() > 1e-6);
-    trace.steps.iter().zip(before).any(|(step, before)| away(&step.seen, before))
+    trace
+        .steps
+        .iter()
+        .zip(before)
+        .any(|(step, before)| away(&step.seen, before))
 }
 
 fn decisions_json(decisions: &[&SpatialDecision]) -> Value {
     let number = |value: fn(&SpatialDecision) -> u32| u32s(decisions.iter().map(|d| value(d)));
-    let flag = |value: fn(&SpatialDecision) -> bool| u8s(&decisions.iter().map(|d| u8::from(value(d))).collect::<Vec<_>>());
-    let chosen = |value: fn(&SpatialChosen) -> u32| u32s(decisions.iter().map(|d| d.choice.as_ref().map_or(NONE, value)));
+    let flag =
+        |value: fn(&SpatialDecision) -> bool| u8s(&decisions.iter().map(|d| u8::from(value(d))).collect::<Vec<_>>());
+    let chosen =
+        |value: fn(&SpatialChosen) -> u32| u32s(decisions.iter().map(|d| d.choice.as_ref().map_or(NONE, value)));
     let measured =
         |value: fn(&SpatialChosen) -> f64| f64s(decisions.iter().map(|d| d.choice.as_ref().map_or(f64::NAN, value)));
     json!({

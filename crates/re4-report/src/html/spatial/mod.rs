@@ -261,7 +261,12 @@ impl Together {
         );
         tasks.dedup();
         let leaves = |value: fn(&SpatialRollouts) -> &Value| {
-            rows(&artifacts.iter().map(|artifact| flatten(value(artifact))).collect::<Vec<_>>())
+            rows(
+                &artifacts
+                    .iter()
+                    .map(|artifact| flatten(value(artifact)))
+                    .collect::<Vec<_>>(),
+            )
         };
         Self {
             labels,

@@ -139,7 +139,10 @@ pub(super) fn grid(together: &Together) -> Markup {
 
 /// The viewer; the script fills it.
 pub(super) fn viewer(report: &SpatialReport, together: &Together) -> Markup {
-    let nothing = report.artifacts.iter().all(|artifact| artifact.rollouts.iter().all(|rollout| !rollout.shown));
+    let nothing = report
+        .artifacts
+        .iter()
+        .all(|artifact| artifact.rollouts.iter().all(|rollout| !rollout.shown));
     html! {
         section #viewer aria-labelledby="viewer-title" tabindex="-1" {
             div.heading {

@@ -33,12 +33,15 @@ const inWords = ({ rollouts, label }, i) =>
   `${label}, seed ${rollouts.seed[i]}: ${rollouts.success[i] ? "succeeded" : "failed"} after ${times(rollouts.steps[i], "step", "steps")}, ` +
   `${times(rollouts.demos[i], "demonstration", "demonstrations")} followed, grasp lost ${times(rollouts.losses[i], "time", "times")}`;
 
+// Bars are as high as the longest rollout of all.
+const LONGEST = Math.max(1, ...REPORT.artifacts.flatMap(({ rollouts }) => rollouts.steps));
+
 const cellOf = (number, i) => {
   const artifact = REPORT.artifacts[number];
-  const { rollouts, max_steps } = artifact;
+  const { rollouts } = artifact;
   const kinds = ["cell", rollouts.success[i] ? "success" : "failure", rollouts.losses[i] > 0 ? "lost" : "", `series-${markOf(number)}`];
   const words = inWords(artifact, i) + (isShown(number, i) ? "" : " (not embedded in this page)");
-  const share = Math.max(6, (100 * rollouts.steps[i]) / max_steps);
+  const share = Math.max(6, (100 * rollouts.steps[i]) / LONGEST);
   const cell = html("button", { type: "button", class: kinds.join(" "), title: words, "aria-label": words, tabindex: -1, "data-rollout": i },
     html("i", { style: `--share:${near(share)}%` }));
   cell.disabled = !isShown(number, i);

@@ -10,7 +10,7 @@ const PLACE = (() => {
   };
   const places = {};
   for (const [name, height, gap] of [
-    ["demosLabel", TIMELINE.label, 3], ["demos", TIMELINE.band, 3], ["phase", TIMELINE.thin, 2], ["mode", TIMELINE.thin, 2], ["gripper", TIMELINE.thin, 14],
+    ["demosLabel", TIMELINE.label, 12], ["demos", TIMELINE.band, 3], ["phase", TIMELINE.thin, 2], ["mode", TIMELINE.thin, 2], ["gripper", TIMELINE.thin, 14],
     ["fingersLabel", TIMELINE.label, 2], ["fingers", TIMELINE.plot, 12], ["heightLabel", TIMELINE.label, 2], ["height", TIMELINE.plot, 4], ["ticks", 16, 0],
   ]) places[name] = next(height, gap);
   return { ...places, end: y };
@@ -34,6 +34,12 @@ const movePlayhead = () => {
   playhead.setAttribute("transform", `translate(${near(timelineX(width)(selection.step))} 0)`);
 };
 
+// Height above the top of the table, or of the bins' floor, m.
+const heightOf = (artifact, z) => {
+  const { centre, half } = REPORT.artifacts[artifact].fixtures.find(({ kind }) => kind === "table");
+  return z - centre[2] - half[2];
+};
+
 // Runs of steps with one value.
 const runs = (data, value) => {
   const found = [];
@@ -46,10 +52,9 @@ const runs = (data, value) => {
   return found;
 };
 
-const legendOf = (y, parts, width) => {
+const legendOf = (y, parts) => {
   const text = svg("text", { class: "tick", x: TIMELINE.pad, y: y + 11 });
   for (const [kind, words] of parts) text.append(svg("tspan", { class: kind }, words));
-  text.setAttribute("data-width", width);
   return text;
 };
 
@@ -66,8 +71,8 @@ const bands = (data, x) => {
     const words = home ? "back to the initial pose" : `demonstration ${run.value}`;
     const width = rect(run, PLACE.demos, TIMELINE.band, home ? "demo none" : "demo", `${words}, ${span(run)}`, home ? null : demoStyle(run.value));
     const label = home ? "home" : String(run.value);
-    if (width > 7.5 * label.length + 6) {
-      group.append(svg("text", { class: "demo-label", x: near((x(run.start) + x(run.end)) / 2), y: PLACE.demos + 20, "text-anchor": "middle" }, label));
+    if (width > 7.5 * label.length + 8) {
+      group.append(svg("text", { class: "demo-label", x: near(x(run.start) + 5), y: PLACE.demos + 20 }, label));
     }
   }
   for (const run of runs(data, (i) => data.phase[i])) rect(run, PLACE.phase, TIMELINE.thin, `phase ${run.value}`, `${run.value}, ${span(run)}`);
@@ -100,19 +105,13 @@ const curve = (values, [low, high], top, x, kind, width, unit) => {
   return group;
 };
 
-// Object heights above where it starts, in all rollouts of the artifact, cm.
+// Heights of the object in all rollouts of the artifact, cm.
 const heightsOf = remember((number) => {
-  let [low, high] = [0, 1];
-  const { places, starts, steps } = traces(number);
-  for (const [rollout, { place, step }] of places) {
-    const floor = starts[14 * place + 9];
-    for (let i = 0; i < REPORT.artifacts[number].rollouts.steps[rollout]; i += 1) {
-      const height = 100 * (steps.object[7 * (step + i) + 2] - floor);
-      low = Math.min(low, height);
-      high = Math.max(high, height);
-    }
-  }
-  return [Math.floor(low), Math.ceil(high)];
+  let high = 0.01;
+  const { starts, steps } = traces(number);
+  for (let i = 9; i < starts.length; i += 14) high = Math.max(high, heightOf(number, starts[i]));
+  for (let i = 2; i < steps.object.length; i += 7) high = Math.max(high, heightOf(number, steps.object[i]));
+  return [0, Math.ceil(100 * high)];
 });
 
 const drawTimeline = () => {
@@ -123,14 +122,15 @@ const drawTimeline = () => {
   const x = timelineX(width);
   const root = svg("svg", { class: "chart", width, height: PLACE.end, viewBox: `0 0 ${width} ${PLACE.end}`, role: "img",
     "aria-label": "Demonstrations followed over the steps, with phases, modes and gripper commands; below, the distance of the fingers and the height of the object" });
-  const heights = data.object.map((pose) => 100 * (pose[2] - data.object[0][2]));
+  const heights = data.object.map((pose) => 100 * heightOf(data.artifact, pose[2]));
+  const intro = width < 520 ? [] : [["", "demonstration followed, and below: "]];
   root.append(
-    legendOf(PLACE.demosLabel, [["", "demonstration followed, and below: "], ["bridge", "bridge "], ["replay", "replay "], ["home", "home"],
-      ["", " · "], ["transit", "transit "], ["transfer", "transfer"], ["", " · "], ["opening", "open "], ["closing", "close"]], width),
+    legendOf(PLACE.demosLabel, [...intro, ["bridge", "bridge "], ["replay", "replay "], ["home", "home"],
+      ["", " · "], ["transit", "transit "], ["transfer", "transfer"], ["", " · "], ["opening", "open "], ["closing", "close"]]),
     bands(data, x),
-    legendOf(PLACE.fingersLabel, [["", "fingers apart"]], width),
+    legendOf(PLACE.fingersLabel, [["", "fingers apart"]]),
     curve(data.fingers.map((value) => 1000 * value), [0, 80], PLACE.fingers, x, "fingers", width, "mm"),
-    legendOf(PLACE.heightLabel, [["", "object above its start"]], width),
+    legendOf(PLACE.heightLabel, [["", "object above the table"]]),
     curve(heights, heightsOf(data.artifact), PLACE.height, x, "height", width, "cm"),
     svg("text", { class: "tick", x: TIMELINE.pad, y: PLACE.ticks + 12 }, "0"),
     svg("text", { class: "tick", x: width - TIMELINE.pad, y: PLACE.ticks + 12, "text-anchor": "end" }, times(data.length, "step", "steps")),

@@ -13,7 +13,7 @@ const showStep = () => {
   byId("scrubber").value = step;
   byId("scrubber").setAttribute("aria-valuetext", `step ${step} of ${data.length}`);
   const demo = data.decisions[number]?.demo;
-  const height = data.object[step][2] - data.object[0][2];
+  const height = heightOf(data.artifact, data.object[step][2]);
   const text = byId("step-text");
   text.dataset.step = step;
   text.dataset.demo = demo ?? "";
@@ -22,7 +22,7 @@ const showStep = () => {
   text.replaceChildren(
     html("b", {}, `Step ${step}`), ` of ${data.length}`,
     demo === undefined ? " · on the way home" : html("span", {}, " · ", html("i", { class: "swatch", style: demoStyle(demo) }), " demonstration ", html("b", {}, String(demo))),
-    ` · fingers ${millimetres(data.fingers[step], 0)} apart · object ${digits(100 * height, 1)} cm above its start`,
+    ` · fingers ${millimetres(data.fingers[step], 0)} apart · object ${digits(100 * height, 1)} cm above the table`,
   );
   scene.root.setAttribute("aria-label", `Scene of seed ${data.seed} at step ${step} of ${data.length}, from above and from behind the robot`);
   movePlayhead();

@@ -130,11 +130,11 @@ const arrow = (points) => {
 const cross = ([x, y]) => `M${near(x - 5)} ${near(y)}H${near(x + 5)}M${near(x)} ${near(y - 5)}V${near(y + 5)}`;
 const ring = ([x, y], r = 5) => `M${near(x - r)} ${near(y)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`;
 
-// The grip site with its fingers, which move along its y axis and point along its z axis.
+// The grip site with its fingers, which move along its x axis and point along its z axis.
 const fingersAt = (pose, apart, view) => {
   const half = Number.isFinite(apart) ? apart / 2 : 0.04;
-  const at = (y, z) => view(placed(pose, [0, y, z]));
-  const finger = (y) => line([at(y, -0.05), at(y, 0.01)]);
+  const at = (x, z) => view(placed(pose, [x, 0, z]));
+  const finger = (x) => line([at(x, -0.05), at(x, 0.01)]);
   return `${finger(half)}${finger(-half)}${line([at(half, -0.05), at(-half, -0.05)])}${line([at(0, -0.05), at(0, -0.09)])}`;
 };
 

@@ -1,0 +1,218 @@
+//! Films of robosuite's tasks: the rollout is simulated again from its first state with its own actions, checked against the
+//! table, and drawn by MuJoCo's renderer.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use arrow::array::RecordBatch;
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, col_u32_or_null, tables};
+use re4_mujoco::{Data, Renderer};
+use re4_report::html::spatial::SpatialPhase;
+use re4_report::{SceneRollout, SceneState};
+use re4_sim::Simulator as _;
+use re4_sim::robosuite::{
+    ArmAction, Fidelity, FirstTorques, Placement, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
+    RobosuiteTask, with_cube_size,
+};
+
+use super::super::report::{find_input, stated};
+use crate::stages::Scenes;
+
+/// robosuite's camera in front of the robot.
+const CAMERA: &str = "agentview";
+/// How far the object may be from where the table has it, m.
+const TOLERANCE: f64 = 1e-6;
+
+/// Rollouts to be filmed, and what draws them.
+pub(super) struct Films {
+    /// What the strips below the pictures say.
+    pub(super) rollouts: Vec<SceneRollout>,
+    /// Coordinates of each rollout's states.
+    coordinates: Vec<Vec<Vec<f64>>>,
+    stages: Vec<Set>,
+    /// Which of them each rollout is played on.
+    stage_of: Vec<usize>,
+}
+
+/// A model with all that is drawn, and its renderer.
+struct Set {
+    data: Data,
+    renderer: Renderer,
+}
+
+impl Films {
+    /// Simulates the rollouts of these seeds again.
+    ///
+    /// # Errors
+    /// When the artifact has no such rollout, an input of it cannot be found, the simulation goes another way than the table,
+    /// or nothing can be drawn.
+    pub(super) fn read(artifact: &Artifact, seeds: &[u32], size: u32, store: &Path) -> Result<Self> {
+        let config = &artifact.manifest().config;
+        let task: RobosuiteTask = stated(artifact, "config", config, "task")?;
+        let fidelity: Fidelity = stated(artifact, "config", config, "fidelity")?;
+        let episodes = find_input(artifact, Stage::Ingest, store)?.with_context(|| {
+            format!(
+                "cannot film {}: the episodes artifact with its models is neither beside it nor in {}; name the artifacts folder with --artifacts",
+                artifact.path().display(),
+                store.display()
+            )
+        })?;
+        let scenes = Scenes::open(&episodes, task, fidelity)?;
+        let drawn = scenes.drawn_mjcf(&episodes)?;
+        let results = artifact.table(&tables::SPATIAL_RESULTS)?.read_all()?;
+        let steps = Steps::read(artifact)?;
+        let mut films = Self {
+            rollouts: Vec::new(),
+            coordinates: Vec::new(),
+            stages: Vec::new(),
+            stage_of: Vec::new(),
+        };
+        for &seed in seeds {
+            let row = col_u32(&results, "seed")?.iter().position(|other| *other == seed);
+            let row = row.with_context(|| {
+                format!(
+                    "cannot film seed {seed}: the artifact {} has no such rollout; give one of its seeds",
+                    artifact.path().display()
+                )
+            })?;
+            // The cube's size is a part of a seed's scene; other models serve all seeds.
+            let cube = Placement::draw(task, seed).cube;
+            let sized = |mjcf: &str| match cube {
+                Some(size) => with_cube_size(mjcf, size),
+                None => Ok(mjcf.to_owned()),
+            };
+            let model = scenes.compile(&sized(scenes.first_mjcf()?)?)?;
+            let state = col_f64_list(&results, "state")?[row].clone();
+            let of_seed = steps.of(seed)?;
+            films.coordinates.push(again(artifact, &model, seed, &state, &of_seed)?);
+            if films.stages.is_empty() || cube.is_some() {
+                films.stages.push(Set::new(&scenes.compile(&sized(&drawn)?)?, size)?);
+            }
+            films.stage_of.push(films.stages.len() - 1);
+            films.rollouts.push(SceneRollout {
+                seed,
+                success: col_bool(&results, "success")?.value(row),
+                states: of_seed.states()?,
+            });
+        }
+        Ok(films)
+    }
+
+    /// Draws a rollout in a state.
+    pub(super) fn draw(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
+        let set = self
+            .stages
+            .get_mut(self.stage_of[rollout])
+            .context("no model to draw")?;
+        set.data.qpos_mut().copy_from_slice(&self.coordinates[rollout][state]);
+        set.data.forward();
+        Ok(set.renderer.draw(&mut set.data, CAMERA)?)
+    }
+}
+
+impl Set {
+    fn new(model: &RobosuiteModel, size: u32) -> Result<Self> {
+        Ok(Self {
+            data: Data::new(model.mujoco())?,
+            renderer: Renderer::new(model.mujoco(), size as usize, size as usize)?,
+        })
+    }
+}
+
+/// Coordinates before each step and after the last, of the rollout simulated again.
+fn again(
+    artifact: &Artifact,
+    model: &RobosuiteModel,
+    seed: u32,
+    state: &[f64],
+    steps: &Steps,
+) -> Result<Vec<Vec<f64>>> {
+    let mut simulation = Robosuite::new(model)?;
+    let nq = model.mujoco().nq();
+    let path = artifact.path().display();
+    let Some(start) = state.get(1..=nq) else {
+        bail!(
+            "cannot film seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates; run the rollout again",
+            state.len()
+        );
+    };
+    simulation.reset(&RobosuiteScene::Placed(start.to_vec()), FirstTorques::AsRobosuite)?;
+    let mut coordinates = vec![simulation.data().qpos().to_vec()];
+    for step in 0..steps.count() {
+        let (action, object) = steps.row(step)?;
+        let after = simulation.step(&action)?;
+        let found = after.observation.object.translation.vector;
+        let away = (0..3).map(|k| (found[k] - object[k]).abs()).fold(0.0, f64::max);
+        ensure!(
+            away <= TOLERANCE,
+            "cannot film seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table spatial_steps has it after step {step}, so the film would show another rollout; run the rollout again on this machine"
+        );
+        coordinates.push(simulation.data().qpos().to_vec());
+    }
+    Ok(coordinates)
+}
+
+/// Steps of rollouts, and of a decision what it retrieved.
+struct Steps {
+    rows: RecordBatch,
+    decisions: RecordBatch,
+}
+
+impl Steps {
+    fn read(artifact: &Artifact) -> Result<Self> {
+        Ok(Self {
+            rows: artifact.table(&tables::SPATIAL_STEPS)?.read_all()?,
+            decisions: artifact.table(&tables::SPATIAL_DECISIONS)?.read_all()?,
+        })
+    }
+
+    /// Those of a seed, whose rows stand together.
+    fn of(&self, seed: u32) -> Result<Self> {
+        let part = |rows: &RecordBatch| -> Result<RecordBatch> {
+            let seeds = col_u32(rows, "seed")?;
+            let start = seeds.iter().position(|other| *other == seed).unwrap_or(seeds.len());
+            let count = seeds[start..].iter().take_while(|other| **other == seed).count();
+            Ok(rows.slice(start, count))
+        };
+        Ok(Self {
+            rows: part(&self.rows)?,
+            decisions: part(&self.decisions)?,
+        })
+    }
+
+    fn count(&self) -> usize {
+        self.rows.num_rows()
+    }
+
+    /// The action of a step, and where the object is after it.
+    fn row(&self, step: usize) -> Result<(RobosuiteAction, [f64; 3])> {
+        let at = |name: &str| -> Result<f64> { Ok(col_f64(&self.rows, name)?[step]) };
+        let arm = [
+            at("action_x")?,
+            at("action_y")?,
+            at("action_z")?,
+            at("action_rx")?,
+            at("action_ry")?,
+            at("action_rz")?,
+        ];
+        let action = RobosuiteAction {
+            arm: ArmAction::Absolute(arm),
+            gripper: at("gripper")?,
+        };
+        Ok((action, [at("object_x")?, at("object_y")?, at("object_z")?]))
+    }
+
+    /// States with the action that follows; the last one has that of the action before it.
+    fn states(&self) -> Result<Vec<SceneState>> {
+        let demos = col_u32_or_null(&self.decisions, "demo")?;
+        let decisions = col_u32(&self.rows, "decision")?;
+        let phases = col_text(&self.rows, "phase")?;
+        let of_step = |(decision, phase): (&u32, Option<&str>)| SceneState {
+            demo: demos.get(*decision as usize).copied().flatten(),
+            phase: phase.and_then(SpatialPhase::from_name).unwrap_or(SpatialPhase::Replay),
+        };
+        let mut states: Vec<SceneState> = decisions.iter().zip(phases).map(of_step).collect();
+        states.extend(states.last().copied());
+        Ok(states)
+    }
+}

@@ -1,0 +1,215 @@
+//! The page and the film of rollouts of robosuite's tasks: their figures are the artifact's, the page works in a browser, and
+//! the film is the rollout. They run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data) and
+//! `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh has put them into data/simulators).
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+
+mod support;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use insta::{assert_snapshot, with_settings};
+use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use serde_json::Value;
+use support::{Answer, Place, filters, folders_in, repository};
+
+/// The datasets of scripted demonstrations, and the simulators; none where either is not there.
+fn folders() -> Option<(PathBuf, PathBuf)> {
+    let named = |variable: &str, beside: &str| {
+        std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
+    };
+    let data = named("RE4_DATA", "../shared/data").join("robomimic-scripted");
+    let simulators = named("RE4_SIMULATORS", "data/simulators");
+    for path in [&data, &simulators.join("mujoco-2.3.7/libmujoco.so")] {
+        if !path.exists() {
+            println!("skipped: no {}", path.display());
+            return None;
+        }
+    }
+    Some((data, simulators.canonicalize().unwrap()))
+}
+
+fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
+    let mut command: Command = place.command();
+    command
+        .env("RE4_SIMULATORS", simulators)
+        .args(arguments.split_whitespace());
+    Answer::new(&command.output().unwrap(), place.path())
+}
+
+/// Four rollouts of Lift with few demonstrations, and the page that the run writes; the artifact's folder relative to the
+/// place.
+fn lift(place: &Place, data: &Path, simulators: &Path, policy: &str) -> String {
+    let text = format!(
+        "task = \"lift\"\nvariant = \"state\"\n[ingest]\nsource = \"{}\"\nselect = {{ first = 10 }}\n[segment]\n[pose]\nsource = \"recorded\"\n[index]\n[rollout]\npolicy = \"re4\"\nseeds = \"200000..200004\"\n",
+        data.join("lift/low_dim.hdf5").display()
+    );
+    place.write("lift.toml", text);
+    let told = run(
+        place,
+        simulators,
+        &format!("run lift.toml --policy {policy} --report run.html --json"),
+    )
+    .done();
+    assert!(
+        told.stderr.contains("  run.html  4 rollouts in the viewer, "),
+        "{}",
+        told.stderr
+    );
+    told.json()["artifact"].as_str().unwrap().to_owned()
+}
+
+fn data_of(page: &str) -> Value {
+    let (_, rest) = page.split_once("type=\"application/json\">").unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+fn numbers<T>(packed: &Value, from: impl Fn(&[u8]) -> T, size: usize) -> Vec<T> {
+    use base64::Engine as _;
+    let bytes = base64::prelude::BASE64_STANDARD
+        .decode(packed["data"].as_str().unwrap())
+        .unwrap();
+    bytes.chunks_exact(size).map(from).collect()
+}
+
+#[test]
+fn the_page_holds_what_the_artifact_holds() {
+    let Some((data, simulators)) = folders() else { return };
+    let place = Place::empty();
+    let folder = lift(&place, &data, &simulators, "re4");
+    run(&place, &simulators, &format!("report {folder} --output page.html")).done();
+    let page = fs::read_to_string(place.path().join("page.html")).unwrap();
+    assert!(page == fs::read_to_string(place.path().join("run.html")).unwrap());
+    let artifact = Artifact::open(&place.path().join(&folder)).unwrap();
+    let rate = &artifact.manifest().summary["metrics"]["success_rate"];
+    let stated = format!(
+        "data-metric=\"success_rate\" data-value=\"{}\" data-low=\"{}\" data-high=\"{}\"",
+        rate["value"].as_f64().unwrap(),
+        rate["low"].as_f64().unwrap(),
+        rate["high"].as_f64().unwrap()
+    );
+    assert!(page.contains(&stated), "{stated}");
+    assert!(page.contains("10 chosen demonstrations") && page.contains("MuJoCo 2.3.7"));
+    let shown = &data_of(&page)["artifacts"][0];
+    let table = |spec| artifact.table(spec).unwrap().read_all().unwrap();
+    let results = table(&tables::SPATIAL_RESULTS);
+    for name in ["seed", "steps", "decisions", "demos", "losses", "banned"] {
+        assert_eq!(
+            shown["rollouts"][name],
+            serde_json::json!(col_u32(&results, name).unwrap()),
+            "{name}"
+        );
+    }
+    let f64s = |packed: &Value| numbers(packed, |b| f64::from_le_bytes(b.try_into().unwrap()), 8);
+    let f32s = |packed: &Value| numbers(packed, |b| f32::from_le_bytes(b.try_into().unwrap()), 4);
+    let decisions = table(&tables::SPATIAL_DECISIONS);
+    for name in ["d_q", "d_o", "d_e"] {
+        let expected = col_f64_or_null(&decisions, name).unwrap();
+        let found = f64s(&shown["decisions"][name])
+            .into_iter()
+            .map(|v| (!v.is_nan()).then_some(v));
+        assert_eq!(found.collect::<Vec<_>>(), expected, "{name}");
+    }
+    let reasons: Vec<&str> = col_text(&decisions, "reason").unwrap().into_iter().flatten().collect();
+    assert_eq!(shown["decisions"]["reason"], serde_json::json!(reasons));
+    let steps = table(&tables::SPATIAL_STEPS);
+    let z: Vec<f32> = f32s(&shown["steps"]["object"]).into_iter().skip(2).step_by(7).collect();
+    let expected: Vec<f32> = col_f64(&steps, "object_z").unwrap().iter().map(|v| *v as f32).collect();
+    assert_eq!(z, expected);
+}
+
+#[test]
+fn what_cannot_be_shown_is_told_in_one_sentence() {
+    let Some((data, simulators)) = folders() else { return };
+    let place = Place::new();
+    let lift = lift(&place, &data, &simulators, "re4");
+    let planar = place.run("run small.toml --no-images --json").done().json()["artifact"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let mut sentences = Vec::new();
+    for arguments in [
+        format!("report {lift} {planar} --output page.html"),
+        format!("report {lift} --seeds 7 --output page.html"),
+        format!("film {lift} film.gif --seed 7"),
+        format!("film {lift} film.gif --seed 200000 --size 20"),
+    ] {
+        sentences.push(run(&place, &simulators, &arguments).refused_at_once());
+    }
+    fs::rename(place.artifacts().join("episodes"), place.path().join("away")).unwrap();
+    let film = format!("film {lift} film.gif --seed 200000");
+    sentences.push(run(&place, &simulators, &film).refused_at_once());
+    assert!(!place.path().join("film.gif").exists() && !place.path().join("page.html").exists());
+    assert!(place.temporaries().is_empty());
+    with_settings!({ filters => filters() }, { assert_snapshot!(sentences.join("\n")) });
+}
+
+#[test]
+fn the_film_is_the_rollout() {
+    let Some((data, simulators)) = folders() else { return };
+    let place = Place::empty();
+    let folder = lift(&place, &data, &simulators, "re4");
+    let film = format!("film {folder} film.gif --seeds 200000..200002 --size 96 --speed 10 --json");
+    let answer = run(&place, &simulators, &film);
+    if answer.stderr.contains("OpenGL") {
+        println!("skipped: {}", answer.stderr.trim());
+        return;
+    }
+    let told = answer.done().json();
+    let artifact = Artifact::open(&place.path().join(&folder)).unwrap();
+    let results = artifact.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
+    // At this speed every fourth state is shown, and the last.
+    let longest = col_u32(&results, "steps").unwrap()[..2].iter().max().copied().unwrap();
+    assert_eq!(
+        (&told["width"], &told["frames"]),
+        (&192.into(), &(longest.div_ceil(4) + 1).into())
+    );
+    let bytes = fs::read(place.path().join("film.gif")).unwrap();
+    run(&place, &simulators, &film).done();
+    assert!(
+        bytes == fs::read(place.path().join("film.gif")).unwrap(),
+        "another film of the same rollouts"
+    );
+    // The table of robosuite's Lift is bright and its walls are grey: a picture is not of one colour.
+    let mut decoder = gif::DecodeOptions::new().read_info(&bytes[..]).unwrap();
+    let frame = decoder.read_next_frame().unwrap().unwrap();
+    let mut colours = frame.buffer[..96 * 192].to_vec();
+    colours.sort_unstable();
+    colours.dedup();
+    assert!(colours.len() > 40, "{} colours", colours.len());
+}
+
+/// Opens pages of two policies in headless Chromium; see `tests/spatial_report_page.py` for what is looked at there.
+#[test]
+fn the_page_works_in_a_browser() {
+    let Some((data, simulators)) = folders() else { return };
+    let Some(python) = std::env::var_os("RE4_PYTHON") else {
+        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+        return;
+    };
+    let place = Place::empty();
+    for policy in ["re4", "re2"] {
+        lift(&place, &data, &simulators, policy);
+    }
+    let folders = folders_in(&place.artifacts().join("rollouts"));
+    let paths: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
+    run(
+        &place,
+        &simulators,
+        &format!("report {} --output page.html", paths.join(" ")),
+    )
+    .done();
+    let mut command = Command::new(&python);
+    command
+        .arg(repository().join("tests/spatial_report_page.py"))
+        .arg(place.path().join("page.html"))
+        .args(&folders);
+    let answer = command.output().unwrap();
+    assert!(
+        answer.status.success(),
+        "{}\n{}",
+        String::from_utf8_lossy(&answer.stdout),
+        String::from_utf8_lossy(&answer.stderr)
+    );
+}

@@ -1,0 +1,170 @@
+"""Looks at a page of rollouts of robosuite's tasks in headless Chromium and compares it with the artifacts that it was made from.
+
+    python tests/spatial_report_page.py PAGE.html ARTIFACT...
+
+Needs selenium, polars, and Debian's chromium and chromium-driver. Ends with exit code 1 and a sentence on the first thing
+that is not as it should be.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import polars as pl
+from report_page import Page, check, equal, it_plays, nothing_was_loaded, widths_and_schemes_hold
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+COLUMNS = ["seed", "success", "steps", "decisions", "demos", "losses", "banned"]
+
+
+class Artifact:
+    """Manifest and tables of a rollouts artifact."""
+
+    def __init__(self, folder):
+        self.manifest = json.loads((folder / "manifest.json").read_text())
+        tables = {name: pl.read_parquet(folder / f"spatial_{name}.parquet") for name in ["results", "steps", "decisions"]}
+        self.results, self.steps, self.decisions = tables["results"], tables["steps"], tables["decisions"]
+
+    def of(self, seed):
+        return [table.filter(pl.col("seed") == seed) for table in (self.steps, self.decisions)]
+
+
+def choose(page, filters="all"):
+    page.run(f"document.querySelector('input[name=filter][value={filters}]').click()")
+
+
+def rates_are_the_manifests(page, artifacts):
+    for artifact in artifacts:
+        cell = f"tr[data-artifact='{artifact.manifest['key']}'] [data-metric=success_rate]"
+        for part, value in artifact.manifest["summary"]["metrics"]["success_rate"].items():
+            equal(page.number(cell, f"data-{part}"), value, f"success rate, {part}")
+
+
+def cells_and_rows_follow_the_filter(page, artifacts):
+    for filters, holds in [
+        ("failure", ~pl.col("success")), ("lost", pl.col("losses") > 0), ("several", pl.col("demos") > 1), ("all", pl.lit(True)),
+    ]:
+        choose(page, filters)
+        for number, artifact in enumerate(artifacts):
+            kept = artifact.results.filter(holds)
+            equal(len(page.all(f".cells[data-artifact='{number}'] button")), kept.height, f"cells, {filters}")
+        Select(page.one("#pick-artifact")).select_by_value("0")
+        equal(len(page.all("#seeds tbody tr")), artifacts[0].results.filter(holds).height, f"rows, {filters}")
+    for number, artifact in enumerate(artifacts):
+        Select(page.one("#pick-artifact")).select_by_value(str(number))
+        cells = page.run("return [...document.querySelectorAll('#seeds tbody tr')].map(row => Object.fromEntries("
+                         "[...row.cells].map(cell => [cell.dataset.column, Number(cell.dataset.value)])))")
+        for shown, stated in zip(cells, artifact.results.sort("seed").iter_rows(named=True)):
+            for column in COLUMNS:
+                equal(shown[column], float(stated[column]), f"seed {stated['seed']}, {column}")
+
+
+def cells_can_be_walked(page, artifact):
+    Select(page.one("#pick-artifact")).select_by_value("0")
+    seeds = artifact.results["seed"].to_list()
+    cell = page.one(".cells[data-artifact='0'] button")
+    page.run("arguments[0].click(); arguments[0].focus()", cell)
+    page.driver.switch_to.active_element.send_keys(Keys.ARROW_RIGHT)
+    check(f"seed {seeds[1]} " in page.one("#scene-caption").text, "the right arrow key does not choose the next cell")
+    page.driver.switch_to.active_element.send_keys(Keys.ARROW_LEFT)
+    check(f"seed {seeds[0]} " in page.one("#scene-caption").text, "the left arrow key does not choose the cell before")
+
+
+def steps_show_the_tables(page, artifact):
+    for seed in artifact.results["seed"].to_list()[:2]:
+        Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
+        steps, decisions = artifact.of(seed)
+        pictures = set()
+        for step in sorted({0, 1, steps.height // 2, steps.height - 1, steps.height}):
+            page.scrub(step)
+            equal(page.step(), step, "step after scrubbing")
+            decision = decisions.row(steps["decision"][min(step, steps.height - 1)], named=True)
+            at = f"seed {seed}, step {step}"
+            equal(page.one("#reason").text.casefold(), (decision["reason"] + ".").casefold(), f"{at}, reason")
+            fact = lambda name: page.one(f"#facts [data-fact={name}]").get_attribute("data-value")
+            equal(fact("kind"), decision["kind"], f"{at}, kind")
+            equal(fact("mode"), decision["mode"], f"{at}, mode")
+            equal(int(fact("banned")), decision["banned"], f"{at}, banned")
+            if decision["demo"] is None:
+                check(not page.all("#facts [data-fact=demo]"), f"{at}: a demonstration is shown on the way home")
+            else:
+                for name in ["demo", "d_q", "d_o", "d_e", "symmetry_turn", "compared", "replay_steps"]:
+                    equal(float(fact(name)), float(decision[name]), f"{at}, {name}")
+                delta = [decision[f"delta_{part}"] for part in ["x", "y", "z", "rx", "ry", "rz"]]
+                equal([float(v) for v in fact("delta").split()], delta, f"{at}, delta")
+                equal(page.one("#step-text").get_attribute("data-demo"), str(decision["demo"]), f"{at}, demonstration")
+            if step > 0:
+                apart = abs(steps["finger_0"][step - 1] - steps["finger_1"][step - 1])
+                check(abs(page.number("#step-text", "data-fingers") - apart) < 1e-7, f"{at}: fingers {apart}")
+            pictures.add(page.picture())
+        check(len(pictures) >= 4, "the picture does not follow the scrubber")
+
+
+def timeline_shows_what_was_followed(page, artifact):
+    """As many bands as there are runs of one demonstration, each with its number."""
+    for seed in artifact.results["seed"].to_list():
+        Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
+        steps, decisions = artifact.of(seed)
+        demos = [decisions["demo"][number] for number in steps["decision"]]
+        runs = [demo for i, demo in enumerate(demos) if i == 0 or demos[i - 1] != demo]
+        titles = page.run("return [...document.querySelectorAll('#timeline .demo title')].map(title => title.textContent)")
+        equal(len(titles), len(runs), f"seed {seed}, bands")
+        for title, demo in zip(titles, runs):
+            words = "back to the initial pose" if demo is None else f"demonstration {demo},"
+            check(title.startswith(words), f"seed {seed}: {title!r} is not {words!r}")
+        equal(len(page.all("#timeline .decision")), decisions.height, f"seed {seed}, decision marks")
+
+
+def chunks_begin_at_the_set_point(page, artifact):
+    """In transit the reframed demonstration begins where the end effector goes first."""
+    for decision in artifact.decisions.iter_rows(named=True):
+        if decision["demo"] is None or decision["mode"] != "transit" or decision["kind"] != "retrieve":
+            continue
+        Select(page.one("#pick-seed")).select_by_visible_text(str(decision["seed"]))
+        page.scrub(decision["step"])
+        numbers = lambda layer: [float(v) for v in page.one(f"#scene .{layer}").get_attribute("d")[1:].replace("a", "L").split("L")[0].split()]
+        (x, y), (ring, middle) = numbers("chunk"), numbers("set-point")
+        check(abs(x - ring - 5) < 0.05 and abs(y - middle) < 0.05, f"the chunk begins at {x}, {y}, not at the set point")
+        return
+    check(False, "no decision in transit to look at")
+
+
+def addresses_lead_to_a_step(page, path, artifact):
+    seed = artifact.results["seed"][1]
+    page.driver.get(f"{path.resolve().as_uri()}#seed={seed}&step=7")
+    page.driver.refresh()
+    WebDriverWait(page.driver, 20).until(lambda d: d.find_elements(By.CSS_SELECTOR, "html[data-ready]"))
+    check(f"seed {seed} " in page.one("#scene-caption").text, "the address does not lead to its seed")
+    equal(page.step(), 7, "step of the address")
+    page.press(Keys.ARROW_RIGHT)
+    key = artifact.manifest["key"][:16]
+    WebDriverWait(page.driver, 5).until(lambda d: d.current_url.endswith(f"#rollout={key}/{seed}/8"))
+
+
+def main():
+    path, *folders = map(Path, sys.argv[1:])
+    artifacts = [Artifact(folder) for folder in folders]
+    with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
+        page = Page(path, profile)
+        try:
+            rates_are_the_manifests(page, artifacts)
+            cells_and_rows_follow_the_filter(page, artifacts)
+            cells_can_be_walked(page, artifacts[0])
+            steps_show_the_tables(page, artifacts[0])
+            timeline_shows_what_was_followed(page, artifacts[0])
+            chunks_begin_at_the_set_point(page, artifacts[0])
+            # The rollouts are short.
+            it_plays(page, "0.5")
+            widths_and_schemes_hold(page)
+            addresses_lead_to_a_step(page, path, artifacts[0])
+            nothing_was_loaded(page)
+        finally:
+            page.driver.quit()
+    print(f"{path.name}: the page shows what {len(artifacts)} artifacts hold")
+
+
+if __name__ == "__main__":
+    main()
