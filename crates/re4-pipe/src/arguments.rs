@@ -137,7 +137,7 @@ pub(crate) struct RolloutArguments {
     /// Also write the HTML page of the rollouts, as re4-pipe report does
     #[arg(long, value_name = "OUT.html")]
     pub(crate) report: Option<PathBuf>,
-    /// Also write the rollouts as a dataset in Push-T's own zarr format, to a folder that does not exist yet
+    /// Push-T: also write the rollouts as a dataset in its own zarr format, to a folder that does not exist yet
     #[arg(long, value_name = "OUT.zarr")]
     pub(crate) record: Option<PathBuf>,
 }
@@ -199,7 +199,7 @@ pub(crate) struct InspectArguments {
     /// Also print the first rows of every table
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) rows: usize,
-    /// Also draw the rollout of this seed as an SVG picture
+    /// Push-T: also draw the rollout of this seed as an SVG picture
     #[arg(long, value_name = "SEED", requires = "picture")]
     pub(crate) seed: Option<u32>,
     /// File that the picture is written to

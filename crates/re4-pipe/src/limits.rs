@@ -109,8 +109,8 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         bail!("rollout.{error}");
     }
     if let Some(noise) = &rollout.noise {
-        not_negative("rollout.noise.translation", noise.translation)?;
-        not_negative("rollout.noise.rotation", noise.rotation)?;
+        standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
+        standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
     }
     Ok(())
 }
@@ -234,6 +234,15 @@ fn between(name: &str, value: u32, least: u32, most: u32) -> Result<()> {
 
 /// Less would cut demonstrated poses off, more would leave the plane of the simulator or go round more than once.
 fn padding(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
+    ensure!(
+        (0.0..=most).contains(&value),
+        "{name} is {value} {unit}; give 0 to {most:.2}"
+    );
+    Ok(())
+}
+
+/// More would put the object where nothing is.
+fn standard_deviation(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     ensure!(
         (0.0..=most).contains(&value),
         "{name} is {value} {unit}; give 0 to {most:.2}"

@@ -334,9 +334,11 @@ pub(crate) struct SpatialRolloutSection {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct NoiseSection {
-    /// Standard deviation along each axis of the world, in metres.
+    /// Standard deviation along each axis of the world, in metres, 1 at most.
+    #[serde(default)]
     pub(crate) translation: f64,
-    /// Standard deviation of each component of a rotation vector, in rad.
+    /// Standard deviation of each component of a rotation vector, in rad, 3.14 at most.
+    #[serde(default)]
     pub(crate) rotation: f64,
 }
 

@@ -85,6 +85,10 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
             artifact.path().display()
         )
     };
+    anyhow::ensure!(
+        !artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name),
+        "cannot draw seed {seed}: --picture draws Push-T's rollouts; for those of robosuite's tasks use re4-pipe report or re4-pipe film"
+    );
     let results = artifact.table(&tables::RESULTS)?.read_all()?;
     let row = col_u32(&results, "seed")?
         .iter()

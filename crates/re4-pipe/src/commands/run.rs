@@ -45,6 +45,11 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
     anyhow::ensure!(
+        runner.pipeline.task.is_planar() || runner.pipeline.pose.is_none(),
+        "nothing to train: the recorded pose is the pose in {}, and this version has no poses from pictures for robosuite's tasks",
+        arguments.pipeline.display()
+    );
+    anyhow::ensure!(
         runner.pipeline.pose()?.source != PoseSource::Recorded,
         "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"log_polar\"",
         arguments.pipeline.display()
@@ -69,6 +74,10 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe scenes`.
 pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
+    anyhow::ensure!(
+        runner.pipeline.task.is_planar(),
+        "no scenes to choose: they are for Push-T; rollouts of robosuite's tasks start from rollout.seeds"
+    );
     anyhow::ensure!(
         runner.pipeline.scenes.is_some(),
         "no scenes to choose: {} has no table [scenes], its rollouts start from the scenes of seeds; add one with kind = \"sparse_observations\", and leave rollout.seeds out",

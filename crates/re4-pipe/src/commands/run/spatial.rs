@@ -48,12 +48,14 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         "policy {}, {rollouts} rollouts of at most {} steps; mean, 95 % interval\n  success rate  {value:.3}   [{low:.3}, {high:.3}]",
         section.policy, section.max_steps
     );
-    write!(
-        text,
-        "\n  median of {} steps where it succeeds; the grasp was lost {} times",
-        summary["medians"]["steps_of_successes"].as_f64().unwrap_or(f64::NAN),
-        summary["losses"]
-    )?;
+    let losses = &summary["losses"];
+    match summary["medians"]["steps_of_successes"].as_f64() {
+        Some(median) => write!(
+            text,
+            "\n  median of {median} steps where it succeeds; the grasp was lost {losses} times"
+        )?,
+        None => write!(text, "\n  no rollout succeeds; the grasp was lost {losses} times")?,
+    }
     runner.console.say(&text)?;
     Ok(Outcome::Done)
 }

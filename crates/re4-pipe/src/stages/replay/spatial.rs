@@ -102,8 +102,12 @@ impl Runner {
                     .with_max_len(1)
                     .flat_map_iter(|recording| Kind::ALL.map(|kind| (recording, kind)))
                     .map(|(recording, kind)| {
-                        let replay = play(&scenes, recording, kind, &to_site)
-                            .with_context(|| format!("cannot replay demonstration {}", recording.episode.source));
+                        let replay = play(&scenes, recording, kind, &to_site).with_context(|| {
+                            format!(
+                                "cannot replay demo_{}, which a filter key or ingest.select can leave out",
+                                recording.episode.source
+                            )
+                        });
                         bar.inc(1);
                         replay
                     })
