@@ -13,29 +13,7 @@ use std::time::{Duration, Instant};
 
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Stage, col_binary, col_text, col_u32, tables};
-use support::{Answer, Place, assert_same_bytes, filters, repository};
-
-/// The datasets of scripted demonstrations, and the simulators; none where either is not there.
-fn folders() -> Option<(PathBuf, PathBuf)> {
-    let named = |variable: &str, beside: &str| {
-        std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
-    };
-    let data = named("RE4_DATA", "../shared/data").join("robomimic-scripted");
-    let simulators = named("RE4_SIMULATORS", "data/simulators");
-    for (path, hint) in [
-        (&data, "set RE4_DATA to the folder of the datasets"),
-        (
-            &simulators.join("mujoco-2.3.7/libmujoco.so"),
-            "run scripts/setup-simulators.sh",
-        ),
-    ] {
-        if !path.exists() {
-            println!("skipped: no {}; {hint}", path.display());
-            return None;
-        }
-    }
-    Some((data, simulators.canonicalize().unwrap()))
-}
+use support::{Answer, Place, assert_same_bytes, filters, repository, scripted_and_simulators};
 
 fn pipeline(place: &Place, name: &str, task: &str, source: &Path, rest: &str) {
     let source = source.display();
@@ -77,7 +55,9 @@ fn pictures(place: &Place) -> Vec<(String, u32, u32, Vec<u8>)> {
 
 #[test]
 fn pictures_are_those_that_robosuite_recorded() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let all = std::env::var("RE4_PICTURES").is_ok_and(|value| value == "all");
     for (task, first) in [("lift", 2), ("can", 1), ("square", 1)] {
         let select = format!("select = {{ first = {} }}", if all { 5 } else { first });
@@ -134,7 +114,9 @@ fn kill_after(place: &Place, mut child: Child, demos: usize) {
 
 #[test]
 fn a_killed_run_goes_on_where_it_was() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let rest = "select = { first = 6 }\nrender = [\"robot0_eye_in_hand\"]";
     let place = || {
         let place = Place::empty();
@@ -208,7 +190,9 @@ fn settings_that_do_not_fit_are_refused() {
 
 #[test]
 fn what_cannot_be_drawn_is_told_in_one_sentence() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     let lift = data.join("lift/low_dim.hdf5");
     let rest = "select = { first = 2 }\nrender = [\"agentview\"]";

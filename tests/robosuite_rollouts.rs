@@ -12,28 +12,14 @@ mod support;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
-use support::{Answer, Place, artifact_bytes, assert_same_bytes, compare_with_schemas, filters, repository};
-
-/// The datasets of scripted demonstrations, and the simulators; none where either is not there.
-fn folders() -> Option<(PathBuf, PathBuf)> {
-    let named = |variable: &str, beside: &str| {
-        std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
-    };
-    let data = named("RE4_DATA", "../shared/data").join("robomimic-scripted");
-    let simulators = named("RE4_SIMULATORS", "data/simulators");
-    for path in [&data, &simulators.join("mujoco-2.3.7/libmujoco.so")] {
-        if !path.exists() {
-            println!("skipped: no {}", path.display());
-            return None;
-        }
-    }
-    Some((data, simulators.canonicalize().unwrap()))
-}
+use support::{
+    Answer, Place, artifact_bytes, assert_same_bytes, compare_with_schemas, filters, scripted_and_simulators,
+};
 
 fn pipeline(task: &str, source: &Path) -> String {
     format!(
@@ -71,7 +57,9 @@ fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
 
 #[test]
 fn lift_succeeds_and_its_tables_hold_together() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     place.write("lift.toml", pipeline("lift", &data.join("lift/low_dim.hdf5")));
     run(&place, &simulators, "rollout lift.toml --jobs 1 --artifacts one").done();
@@ -132,7 +120,9 @@ fn lift_succeeds_and_its_tables_hold_together() {
 
 #[test]
 fn replays_follow_the_recording_and_gate() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     let text = pipeline("lift", &data.join("lift/low_dim.hdf5")).replace("first = 20", "first = 3");
     place.write("lift.toml", text);
@@ -202,7 +192,9 @@ with h5py.File({:?}) as whole, h5py.File('cut.hdf5', 'w') as cut:
 /// What keeps a simulation from starting, each in one sentence with exit code 2.
 #[test]
 fn what_cannot_be_simulated_is_told_in_one_sentence() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     let lift = data.join("lift/low_dim.hdf5");
     let text = pipeline("lift", &lift).replace("first = 20", "first = 1");
@@ -247,7 +239,9 @@ fn what_cannot_be_simulated_is_told_in_one_sentence() {
 /// Every single step of the policy can be switched off, and optional tables, too.
 #[test]
 fn steps_of_the_policy_can_be_switched_off() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     place.write("lift.toml", pipeline("lift", &data.join("lift/low_dim.hdf5")));
     let phases = |settings: &str, artifacts: &str| {

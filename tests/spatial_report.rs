@@ -6,29 +6,13 @@
 mod support;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::Value;
-use support::{Answer, Place, filters, folders_in, repository};
-
-/// The datasets of scripted demonstrations, and the simulators; none where either is not there.
-fn folders() -> Option<(PathBuf, PathBuf)> {
-    let named = |variable: &str, beside: &str| {
-        std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
-    };
-    let data = named("RE4_DATA", "../shared/data").join("robomimic-scripted");
-    let simulators = named("RE4_SIMULATORS", "data/simulators");
-    for path in [&data, &simulators.join("mujoco-2.3.7/libmujoco.so")] {
-        if !path.exists() {
-            println!("skipped: no {}", path.display());
-            return None;
-        }
-    }
-    Some((data, simulators.canonicalize().unwrap()))
-}
+use support::{Answer, Place, filters, folders_in, repository, scripted_and_simulators};
 
 fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
     let mut command: Command = place.command();
@@ -75,7 +59,9 @@ fn numbers<T>(packed: &Value, from: impl Fn(&[u8]) -> T, size: usize) -> Vec<T> 
 
 #[test]
 fn the_page_holds_what_the_artifact_holds() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     let folder = lift(&place, &data, &simulators, "re4");
     run(&place, &simulators, &format!("report {folder} --output page.html")).done();
@@ -121,7 +107,9 @@ fn the_page_holds_what_the_artifact_holds() {
 
 #[test]
 fn what_cannot_be_shown_is_told_in_one_sentence() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::new();
     let lift = lift(&place, &data, &simulators, "re4");
     let planar = place.run("run small.toml --no-images --json").done().json()["artifact"]
@@ -147,7 +135,9 @@ fn what_cannot_be_shown_is_told_in_one_sentence() {
 
 #[test]
 fn the_film_is_the_rollout() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let place = Place::empty();
     let folder = lift(&place, &data, &simulators, "re4");
     let film = format!("film {folder} film.gif --seeds 200000..200002 --size 96 --speed 10 --json");
@@ -183,7 +173,9 @@ fn the_film_is_the_rollout() {
 /// Opens pages of two policies in headless Chromium; see `tests/spatial_report_page.py` for what is looked at there.
 #[test]
 fn the_page_works_in_a_browser() {
-    let Some((data, simulators)) = folders() else { return };
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
         println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
         return;

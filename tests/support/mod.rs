@@ -368,3 +368,25 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
     }
     compared
 }
+
+/// The datasets of scripted demonstrations, and the simulators; none, and a sentence, where either is not there.
+pub(crate) fn scripted_and_simulators() -> Option<(PathBuf, PathBuf)> {
+    let named = |variable: &str, beside: &str| {
+        std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
+    };
+    let data = named("RE4_DATA", "../shared/data").join("robomimic-scripted");
+    let simulators = named("RE4_SIMULATORS", "data/simulators");
+    for (path, hint) in [
+        (&data, "set RE4_DATA to the folder of the datasets"),
+        (
+            &simulators.join("mujoco-2.3.7/libmujoco.so"),
+            "run scripts/setup-simulators.sh",
+        ),
+    ] {
+        if !path.exists() {
+            println!("skipped: no {}; {hint}", path.display());
+            return None;
+        }
+    }
+    Some((data, simulators.canonicalize().unwrap()))
+}

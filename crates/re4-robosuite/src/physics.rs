@@ -6,7 +6,7 @@ use std::ops::Range;
 use roxmltree::{Document, Node};
 
 /// A model without what is only drawn: geoms that touch nothing and add no weight, textures, materials, and the meshes that no
-/// other geom has. It compiles some twenty times faster, and moves as the whole model does, to the bit.
+/// other geom has. It compiles much faster, and moves as the whole model does, to the bit.
 ///
 /// A geom of no mass stays where the weight of a moving body comes from its geoms: MuJoCo turns the inertia of a body with
 /// several geoms to its principal axes by iteration, with an error of some 10⁻⁶ that the body would otherwise not have.
