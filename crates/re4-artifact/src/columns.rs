@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use arrow::array::{
-    Array, ArrayRef, AsArray, BinaryArray, BooleanArray, DictionaryArray, Float64Array, Int32Array, Int64Array,
-    ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array,
+    Array, ArrayRef, AsArray, BinaryArray, BooleanArray, DictionaryArray, Float32Array, Float64Array, Int32Array,
+    Int64Array, ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array,
 };
 use arrow::buffer::{NullBuffer, OffsetBuffer};
 use arrow::datatypes::{
@@ -131,6 +131,16 @@ impl Columns {
         let rows = values.len().checked_div(columns).unwrap_or(0);
         let offsets = OffsetBuffer::from_lengths(std::iter::repeat_n(columns, rows));
         let values = Float64Array::from(values).slice(0, rows * columns);
+        self.array(name, Arc::new(ListArray::new(field, offsets, Arc::new(values), None)))
+    }
+
+    /// A column of lists of single precision floats, all of the same length, given one after the other.
+    #[must_use]
+    pub fn f32_rows(self, name: &str, values: Vec<f32>, columns: usize) -> Self {
+        let field = Arc::new(Field::new("element", DataType::Float32, false));
+        let rows = values.len().checked_div(columns).unwrap_or(0);
+        let offsets = OffsetBuffer::from_lengths(std::iter::repeat_n(columns, rows));
+        let values = Float32Array::from(values).slice(0, rows * columns);
         self.array(name, Arc::new(ListArray::new(field, offsets, Arc::new(values), None)))
     }
 

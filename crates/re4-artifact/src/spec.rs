@@ -61,6 +61,8 @@ pub enum ColumnKind {
     Binary,
     /// A list of double precision floats.
     F64List,
+    /// A list of single precision floats, stored bit for bit.
+    F32List,
 }
 
 impl ColumnKind {
@@ -76,6 +78,7 @@ impl ColumnKind {
             Self::Category => "category",
             Self::Binary => "binary",
             Self::F64List => "list of f64",
+            Self::F32List => "list of f32",
         }
     }
 
@@ -91,6 +94,7 @@ impl ColumnKind {
             Self::Category => DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8)),
             Self::Binary => DataType::Binary,
             Self::F64List => DataType::List(Arc::new(Field::new("element", DataType::Float64, false))),
+            Self::F32List => DataType::List(Arc::new(Field::new("element", DataType::Float32, false))),
         }
     }
 }

@@ -236,6 +236,12 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
                     .set_column_compression(path.clone(), Compression::UNCOMPRESSED)
                     .set_column_statistics_enabled(path, EnabledStatistics::None);
             }
+            ColumnKind::F32List => {
+                let path = ColumnPath::new(vec![column.name.to_owned(), "list".to_owned(), "element".to_owned()]);
+                builder = builder
+                    .set_column_dictionary_enabled(path.clone(), false)
+                    .set_column_statistics_enabled(path, EnabledStatistics::None);
+            }
             // Continuous values repeat too rarely for a dictionary to pay.
             ColumnKind::F64 => builder = builder.set_column_dictionary_enabled(path, false),
             // Pictures are compressed already, and have no order worth a statistic.

@@ -81,16 +81,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         pipeline.scenes.is_none(),
         "the table [scenes] is for Push-T; leave it out, and give rollout.seeds"
     );
-    if let Some(pose) = &pipeline.pose {
-        ensure!(
-            pose.source == PoseSource::Recorded,
-            "pose.source is \"log_polar\", which reads Push-T's pictures; set it to \"recorded\""
-        );
-    }
-    ensure!(
-        pipeline.variant != Some(Variant::Image),
-        "variant is \"image\", and this version has no poses from pictures for robosuite's tasks; set it to \"state\""
-    );
+    check_spatial_pose(pipeline)?;
     let Some(rollout) = &pipeline.spatial_rollout else {
         return Ok(());
     };
@@ -113,6 +104,29 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
     }
     Ok(())
+}
+
+/// What the policy sees and what is indexed have to come from the same source.
+fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
+    let Some(pose) = &pipeline.pose else {
+        return Ok(());
+    };
+    ensure!(
+        pose.encoder.is_none() || pose.source == PoseSource::Encoder,
+        "the table [pose.encoder] is for pose.source = \"encoder\"; leave it out, or set pose.source to it"
+    );
+    match (pipeline.variant, pose.source) {
+        (_, PoseSource::LogPolar) => bail!(
+            "pose.source is \"log_polar\", which reads Push-T's pictures; set it to \"encoder\", or to \"recorded\""
+        ),
+        (Some(Variant::State), PoseSource::Encoder) => bail!(
+            "variant is \"state\" and pose.source is \"encoder\"; poses from pictures belong to variant = \"image\""
+        ),
+        (Some(Variant::Image), PoseSource::Recorded) => bail!(
+            "variant is \"image\" and pose.source is \"recorded\"; what pictures show is estimated, so set pose.source = \"encoder\""
+        ),
+        _ => Ok(()),
+    }
 }
 
 fn check_render(ingest: &IngestSection) -> Result<()> {
@@ -173,6 +187,9 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
 fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> Result<()> {
     let ingest = &pipeline.ingest;
     match (variant, pose.source) {
+        (_, PoseSource::Encoder) => bail!(
+            "pose.source is \"encoder\", which is trained on robosuite's tasks; set it to \"log_polar\", or to \"recorded\""
+        ),
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {
             ensure!(

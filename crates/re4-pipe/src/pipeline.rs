@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use re4_audit::AuditConfig;
+use re4_encoder::EncoderConfig;
 use re4_geometry::Pose2;
 use re4_geometry::spatial::Symmetry;
 use re4_ingest::Selection;
@@ -215,6 +216,9 @@ pub(crate) struct PoseSection {
     /// default.
     #[serde(default = "goal")]
     pub(crate) goal: [f64; 3],
+    /// For `encoder`: the encoder and how it is trained; the paper's settings by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) encoder: Option<EncoderConfig>,
 }
 
 impl PoseSection {
@@ -234,6 +238,9 @@ pub(crate) enum PoseSource {
     /// The pose is estimated from the pictures in closed form: centroid of the block's colour, angle by the log-polar
     /// transform.
     LogPolar,
+    /// The pose is what an encoder says of the picture that was trained on the demonstrations' pictures and end-effector poses
+    /// (robosuite's tasks).
+    Encoder,
 }
 
 /// `episodes` and `modes` to `index`.

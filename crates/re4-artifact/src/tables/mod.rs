@@ -12,7 +12,10 @@ use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
-pub use spatial::{CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_SEGMENTS, STATES};
+pub use spatial::{
+    CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_POSES,
+    SPATIAL_SEGMENTS, STATES, TRAINING,
+};
 pub use spatial_rollouts::{
     SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS,
 };
@@ -642,7 +645,7 @@ pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
             &SPATIAL_DECISIONS,
         ],
         Stage::Replay => &[&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
-        Stage::TrainPose => &[&POSES, &ANCHOR],
+        Stage::TrainPose => &[&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
     }
 }
 

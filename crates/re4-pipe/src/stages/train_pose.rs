@@ -31,7 +31,7 @@ impl Runner {
     /// The `poses` artifact, where poses come from pictures.
     pub(crate) fn train_pose(&self, episodes: &Built) -> Result<Option<Built>> {
         match self.pipeline.pose()?.source {
-            PoseSource::Recorded => Ok(None),
+            PoseSource::Recorded | PoseSource::Encoder => Ok(None),
             PoseSource::LogPolar => self.estimate_poses(&episodes.artifact).map(Some),
         }
     }

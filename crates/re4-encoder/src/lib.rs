@@ -1,0 +1,12 @@
+//! The learned pose encoder of robosuite's tasks: a residual network in burn, its losses, its training and its weights.
+//!
+//! Training sees pictures, end-effector poses, gripper widths and modes. No type here holds a recorded object pose.
+
+pub mod config;
+mod error;
+mod predict;
+pub mod resnet;
+
+pub use config::{Backend, EncoderConfig, LossConfig};
+pub use error::EncoderError;
+pub use predict::{PICTURE_BYTES, Prediction, Predictor, SIDE};

@@ -1,0 +1,123 @@
+//! A residual network of 18 layers in torchvision's layout.
+
+use burn::module::Module;
+use burn::nn::conv::{Conv2d, Conv2dConfig};
+use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
+use burn::nn::{BatchNorm, BatchNormConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
+use burn::tensor::activation::relu;
+use burn::tensor::{Device, Tensor};
+
+/// Numbers of the embedding.
+pub const EMBEDDING: usize = 256;
+
+fn conv(channels: [usize; 2], kernel: usize, stride: usize, device: &Device) -> Conv2d {
+    let padding = kernel / 2;
+    Conv2dConfig::new(channels, [kernel, kernel])
+        .with_stride([stride, stride])
+        .with_padding(PaddingConfig2d::Explicit(padding, padding, padding, padding))
+        .with_bias(false)
+        .with_initializer(Initializer::KaimingNormal {
+            gain: std::f64::consts::SQRT_2,
+            fan_out_only: true,
+        })
+        .init(device)
+}
+
+fn norm(channels: usize, device: &Device) -> BatchNorm {
+    BatchNormConfig::new(channels).init(device)
+}
+
+#[derive(Module, Debug)]
+struct Downsample {
+    conv: Conv2d,
+    bn: BatchNorm,
+}
+
+#[derive(Module, Debug)]
+struct Block {
+    conv1: Conv2d,
+    bn1: BatchNorm,
+    conv2: Conv2d,
+    bn2: BatchNorm,
+    downsample: Option<Downsample>,
+}
+
+impl Block {
+    fn new(inside: usize, out: usize, stride: usize, device: &Device) -> Self {
+        Self {
+            conv1: conv([inside, out], 3, stride, device),
+            bn1: norm(out, device),
+            conv2: conv([out, out], 3, 1, device),
+            bn2: norm(out, device),
+            downsample: (stride != 1 || inside != out).then(|| Downsample {
+                conv: conv([inside, out], 1, stride, device),
+                bn: norm(out, device),
+            }),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let y = relu(self.bn1.forward(self.conv1.forward(x.clone())));
+        let y = self.bn2.forward(self.conv2.forward(y));
+        let x = match &self.downsample {
+            Some(down) => down.bn.forward(down.conv.forward(x)),
+            None => x,
+        };
+        relu(x + y)
+    }
+}
+
+/// The network.
+#[derive(Module, Debug)]
+pub struct Encoder {
+    conv1: Conv2d,
+    bn1: BatchNorm,
+    maxpool: MaxPool2d,
+    layer1: Vec<Block>,
+    layer2: Vec<Block>,
+    layer3: Vec<Block>,
+    layer4: Vec<Block>,
+    embedding: Linear,
+    head: Linear,
+}
+
+impl Encoder {
+    /// Random weights.
+    pub fn new(width: usize, device: &Device) -> Self {
+        let stage = |inside: usize, out: usize, stride: usize| {
+            vec![Block::new(inside, out, stride, device), Block::new(out, out, 1, device)]
+        };
+        Self {
+            conv1: conv([3, width], 7, 2, device),
+            bn1: norm(width, device),
+            maxpool: MaxPool2dConfig::new([3, 3])
+                .with_strides([2, 2])
+                .with_padding(PaddingConfig2d::Explicit(1, 1, 1, 1))
+                .init(),
+            layer1: stage(width, width, 1),
+            layer2: stage(width, 2 * width, 2),
+            layer3: stage(2 * width, 4 * width, 2),
+            layer4: stage(4 * width, 8 * width, 2),
+            embedding: LinearConfig::new(8 * width, EMBEDDING).init(device),
+            head: LinearConfig::new(EMBEDDING, 9).init(device),
+        }
+    }
+
+    /// Pictures `[batch, 3, height, width]` to embeddings `[batch, 256]` and raw poses `[batch, 9]`.
+    pub fn forward(&self, pictures: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
+        let mut x = self
+            .maxpool
+            .forward(relu(self.bn1.forward(self.conv1.forward(pictures))));
+        for block in [&self.layer1, &self.layer2, &self.layer3, &self.layer4]
+            .into_iter()
+            .flatten()
+        {
+            x = block.forward(x);
+        }
+        let [batch, channels, _, _] = x.dims();
+        let pooled = x.mean_dim(3).mean_dim(2).reshape([batch, channels]);
+        let embedding = self.embedding.forward(pooled);
+        let pose = self.head.forward(embedding.clone());
+        (embedding, pose)
+    }
+}
