@@ -17,6 +17,8 @@ use serde_json::{Value, json};
 use super::{Built, Runner};
 use crate::pipeline::{PoseSection, PoseSource};
 
+mod evaluate;
+
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
 
