@@ -9,8 +9,8 @@
 
 use std::ffi::{c_int, c_void};
 
+use crate::Model;
 use crate::layout::Layout;
-use crate::{Model, Version};
 
 /// `mjGEOM_PLANE`, `mjGEOM_BOX`, `mjGEOM_MESH`.
 const PLANE: c_int = 0;
@@ -45,14 +45,6 @@ fn minus(a: Vector, b: Vector) -> Vector {
 
 fn plus(a: Vector, b: Vector, factor: f64) -> Vector {
     [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]]
-}
-
-fn cross(a: Vector, b: Vector) -> Vector {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 /// What a camera sees, or a part of it: a pyramid.

@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use super::{Built, Runner};
 use crate::pipeline::{PoseSection, PoseSource};
 
+#[allow(dead_code, reason = "called at the end of an encoder's training")]
 mod evaluate;
 
 /// Raised whenever the same input gives other bytes.

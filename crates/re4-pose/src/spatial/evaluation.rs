@@ -122,8 +122,7 @@ fn measure(
     let Some(offset) = Offset::fit(&pairs, symmetry)? else {
         return Ok(None);
     };
-    let of_frame =
-        |own: &Demonstration, frame: usize| Some(offset.error(&estimate(own, frame)?, &own.recorded[frame]));
+    let of_frame = |own: &Demonstration, frame: usize| Some(offset.error(&estimate(own, frame)?, &own.recorded[frame]));
     let errors = demonstrations
         .iter()
         .map(|own| (0..own.phases.len()).map(|frame| of_frame(own, frame)).collect())

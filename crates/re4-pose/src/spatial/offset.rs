@@ -172,9 +172,7 @@ fn first_guess(
 ) -> Option<UnitQuaternion<f64>> {
     let some = |count: usize| relative.iter().step_by(relative.len().div_ceil(count).max(1));
     let sum = |guess: &UnitQuaternion<f64>| -> f64 {
-        some(JURY)
-            .map(|own| nearest(guess, own, symmetry, half_turns).1)
-            .sum()
+        some(JURY).map(|own| nearest(guess, own, symmetry, half_turns).1).sum()
     };
     some(GUESSES)
         .map(|guess| (sum(guess), guess))

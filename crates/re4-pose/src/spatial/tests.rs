@@ -13,9 +13,8 @@ const CUBE: Symmetry = Symmetry::Fold {
 const CAN: Symmetry = Symmetry::Full { axis: [0.0, 0.0, 1.0] };
 
 fn rotation() -> impl Strategy<Value = UnitQuaternion<f64>> {
-    (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64, 0.0..PI).prop_map(|(x, y, z, angle)| {
-        UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z + 1e-9).normalize() * angle)
-    })
+    (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64, 0.0..PI)
+        .prop_map(|(x, y, z, angle)| UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z + 1e-9).normalize() * angle))
 }
 
 fn pose() -> impl Strategy<Value = Isometry3<f64>> {
@@ -127,7 +126,12 @@ fn a_known_disturbance_is_the_error() {
 fn far_off_estimates_do_not_move_the_offset() {
     let offset = Isometry3::from_parts(Translation3::new(0.001, 0.002, 0.01), about_z(0.4));
     let estimates: Vec<_> = (0..100)
-        .map(|i| Isometry3::from_parts(Translation3::new(0.0, 0.01 * f64::from(i), 0.9), about_z(0.07 * f64::from(i))))
+        .map(|i| {
+            Isometry3::from_parts(
+                Translation3::new(0.0, 0.01 * f64::from(i), 0.9),
+                about_z(0.07 * f64::from(i)),
+            )
+        })
         .collect();
     let mut pairs = exact(&estimates, &offset, Symmetry::None, &[(0, false); 100]);
     for (i, [_, recorded]) in pairs.iter_mut().enumerate().filter(|(i, _)| i % 3 == 0) {
@@ -156,7 +160,9 @@ fn a_grasp_that_is_carried_arrives_where_it_should_but_for_the_error() {
     // The estimator's own frame, and quarters of a turn that it says differently, are no error.
     let offset = Isometry3::from_parts(Translation3::new(0.0, 0.0, 0.01), about_z(1.0));
     for quarter in 0..4 {
-        let estimated = query * offset.inverse() * Isometry3::from_parts(Translation3::identity(), about_z(f64::from(quarter) * FRAC_PI_2));
+        let estimated = query
+            * offset.inverse()
+            * Isometry3::from_parts(Translation3::identity(), about_z(f64::from(quarter) * FRAC_PI_2));
         let (distance, angle) = arrival_error(&cube, [&estimated, &query], [&(demo * offset.inverse()), &demo], &grasp);
         assert!(distance < 1e-12 && angle < 1e-9, "{quarter}: {distance} {angle}");
     }
@@ -165,7 +171,12 @@ fn a_grasp_that_is_carried_arrives_where_it_should_but_for_the_error() {
     assert!((distance - 0.005).abs() < 1e-12 && angle < 1e-9);
     // Without the symmetry a quarter of a turn is one.
     let none = Symmetry::None.group().unwrap();
-    let (_, angle) = arrival_error(&none, [&at(0.02, 0.01, 0.3 + FRAC_PI_2), &query], [&demo, &demo], &grasp);
+    let (_, angle) = arrival_error(
+        &none,
+        [&at(0.02, 0.01, 0.3 + FRAC_PI_2), &query],
+        [&demo, &demo],
+        &grasp,
+    );
     assert!((angle - FRAC_PI_2).abs() < 1e-9);
 }
 
@@ -205,7 +216,9 @@ fn demonstration(number: u32, trained_on: bool, estimate: impl Fn(&Isometry3<f64
 
 fn worst(measured: &Measured, demo: usize) -> f64 {
     let errors = measured.errors[demo].iter().flatten();
-    errors.map(|error| error.translation.max(error.rotation)).fold(0.0, f64::max)
+    errors
+        .map(|error| error.translation.max(error.rotation))
+        .fold(0.0, f64::max)
 }
 
 #[test]
@@ -231,14 +244,25 @@ fn held_out_frames_do_not_move_the_offset() {
 
 #[test]
 fn labels_and_the_mean_are_measured_in_the_same_way() {
-    let demos: Vec<_> = (0..9).map(|number| demonstration(number, number < 6, |pose| *pose)).collect();
-    let Evaluation { estimates, labels, mean, arrivals } = evaluate(&demos, CUBE).unwrap();
+    let demos: Vec<_> = (0..9)
+        .map(|number| demonstration(number, number < 6, |pose| *pose))
+        .collect();
+    let Evaluation {
+        estimates,
+        labels,
+        mean,
+        arrivals,
+    } = evaluate(&demos, CUBE).unwrap();
     // The object is held at its origin, so that labels are exact; there are none after the release.
     let labels = labels.unwrap();
     assert!((0..9).all(|demo| worst(&labels, demo) < 1e-9));
     assert!(labels.errors[0][9].is_some() && labels.errors[0][10].is_none());
     assert!((0..9).all(|demo| worst(estimates.as_ref().unwrap(), demo) < 1e-9));
-    assert!(arrivals.iter().all(|arrival| arrival.distance < 1e-9 && arrival.angle < 1e-9));
+    assert!(
+        arrivals
+            .iter()
+            .all(|arrival| arrival.distance < 1e-9 && arrival.angle < 1e-9)
+    );
     // Numbers 0 to 5 trained on: the mean is that of 2.5, and the median offset brings it there exactly.
     let mean = mean.unwrap();
     let expected = |demo: f64| (demo - 2.5).abs() * 0.01_f64.hypot(0.007);

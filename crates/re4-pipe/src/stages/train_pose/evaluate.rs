@@ -70,7 +70,12 @@ fn read(episodes: &Artifact, modes: &Artifact, estimates: &[EstimatedDemo]) -> R
                 episodes.path().display()
             )
         })?;
-        let held: Vec<bool> = demo.segmented.modes.iter().map(|mode| *mode == Mode::Transfer).collect();
+        let held: Vec<bool> = demo
+            .segmented
+            .modes
+            .iter()
+            .map(|mode| *mode == Mode::Transfer)
+            .collect();
         demonstrations.push(Demonstration {
             trained_on: own.trained_on,
             phases: GraspPhase::of(&held),
@@ -247,14 +252,23 @@ mod tests {
         let estimates = &told["estimates"];
         for (part, off) in [("trained_on", 0.0), ("held_out", 4.0)] {
             for phase in ["overall", "before_grasp", "held"] {
-                assert!(close(&estimates[part][phase]["translation_mm"]["p50"], off), "{part} {phase}");
+                assert!(
+                    close(&estimates[part][phase]["translation_mm"]["p50"], off),
+                    "{part} {phase}"
+                );
                 assert!(close(&estimates[part][phase]["rotation_deg"]["p90"], 0.0));
             }
         }
         assert!(close(&told["offset"]["translation_mm"][2], -20.0));
         // The mean of the labels is the third of the five; the outer ones are 1 or 2 cm away.
-        assert!(close(&told["mean_pose"]["trained_on"]["before_grasp"]["translation_mm"]["p50"], 10.0));
-        assert!(close(&told["labels"]["trained_on"]["held"]["translation_mm"]["p90"], 0.0));
+        assert!(close(
+            &told["mean_pose"]["trained_on"]["before_grasp"]["translation_mm"]["p50"],
+            10.0
+        ));
+        assert!(close(
+            &told["labels"]["trained_on"]["held"]["translation_mm"]["p90"],
+            0.0
+        ));
         assert_eq!(told["carried_grasps"]["queries"], 2);
         assert!(close(&told["carried_grasps"]["distance_mm"]["p50"], 4.0));
     }
