@@ -55,7 +55,8 @@ pub struct Measured {
     pub errors: Vec<Vec<Option<FrameError>>>,
 }
 
-/// Where a grasp that is carried to a held-out demonstration would arrive; see [`arrival_error`].
+/// Where a grasp that is carried to a held-out demonstration would arrive; see [`arrival_error`]. Both objects are taken to be
+/// where they are when they are grasped: in robosuite they still fall onto the table in the first frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrival {
     /// Distance from where it should, in metres.
@@ -74,8 +75,8 @@ pub struct Evaluation {
     pub labels: Option<Measured>,
     /// One and the same pose for every frame: the mean of the labels of the frames before the grasp that were trained on.
     pub mean: Option<Measured>,
-    /// Grasps of the demonstrations trained on, carried to frames before the grasp of those held out: each time from the frame
-    /// whose estimated pose is nearest.
+    /// Grasps of the demonstrations trained on, carried to frames before the first grasp of those held out: each time from the
+    /// frame whose estimated pose is nearest.
     pub arrivals: Vec<Arrival>,
 }
 
@@ -130,27 +131,44 @@ fn measure(
     Ok(Some(Measured { offset, errors }))
 }
 
+/// A frame before a demonstration's first grasp, and the frame of that.
+#[derive(Clone, Copy)]
+struct Waiting<'a> {
+    own: &'a Demonstration,
+    frame: usize,
+    grasp: usize,
+}
+
+impl Waiting<'_> {
+    fn estimated(&self) -> &Isometry3<f64> {
+        &self.own.estimated[self.frame]
+    }
+
+    /// Where the object is when it is grasped.
+    fn recorded(&self) -> &Isometry3<f64> {
+        &self.own.recorded[self.grasp]
+    }
+}
+
 fn arrivals(demonstrations: &[Demonstration], symmetry: &SymmetryGroup) -> Vec<Arrival> {
-    // Only while the object is where it is grasped.
-    let known: Vec<(&Demonstration, usize, Isometry3<f64>)> = demonstrations
-        .iter()
-        .filter(|own| own.trained_on)
-        .filter_map(|own| Some((own, own.grasp_frame()?)))
-        .flat_map(|(own, grasp)| (0..grasp).map(move |frame| (own, frame, own.eef[grasp])))
-        .collect();
+    let waiting = |own| {
+        let grasp = Demonstration::grasp_frame(own).unwrap_or(0);
+        (0..grasp).map(move |frame| Waiting { own, frame, grasp })
+    };
+    let of = |trained_on: bool| demonstrations.iter().filter(move |own| own.trained_on == trained_on);
+    let known: Vec<Waiting<'_>> = of(true).flat_map(waiting).collect();
     let mut arrivals = Vec::new();
-    for own in demonstrations.iter().filter(|own| !own.trained_on) {
-        let frames: Vec<usize> = own.before_grasp().collect();
-        for &frame in frames.iter().step_by(frames.len().div_ceil(QUERIES).max(1)) {
-            let query = &own.estimated[frame];
-            let Some((demo, at, grasp)) = nearest(query, &known, symmetry) else {
+    for own in of(false) {
+        let frames: Vec<Waiting<'_>> = waiting(own).collect();
+        for query in frames.iter().step_by(frames.len().div_ceil(QUERIES).max(1)) {
+            let Some(demo) = nearest(query.estimated(), &known, symmetry) else {
                 continue;
             };
             let (distance, angle) = arrival_error(
                 symmetry,
-                [query, &own.recorded[frame]],
-                [&demo.estimated[*at], &demo.recorded[*at]],
-                grasp,
+                [query.estimated(), query.recorded()],
+                [demo.estimated(), demo.recorded()],
+                &demo.own.eef[demo.grasp],
             );
             arrivals.push(Arrival { distance, angle });
         }
@@ -161,12 +179,12 @@ fn arrivals(demonstrations: &[Demonstration], symmetry: &SymmetryGroup) -> Vec<A
 /// The frame whose estimated pose is nearest; ties go to the first.
 fn nearest<'a, 'b>(
     query: &Isometry3<f64>,
-    known: &'b [(&'a Demonstration, usize, Isometry3<f64>)],
+    known: &'b [Waiting<'a>],
     symmetry: &SymmetryGroup,
-) -> Option<&'b (&'a Demonstration, usize, Isometry3<f64>)> {
+) -> Option<&'b Waiting<'a>> {
     let mut best = (f64::INFINITY, None);
     for candidate in known {
-        let estimated = &candidate.0.estimated[candidate.1];
+        let estimated = candidate.estimated();
         let apart = (estimated.translation.vector - query.translation.vector).norm() / METRES_PER_RAD;
         // Most are too far away for their turn to matter.
         if apart < best.0 {

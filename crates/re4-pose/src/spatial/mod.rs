@@ -59,7 +59,7 @@ impl GraspPhase {
 /// Reframe's motion `δ = o_q o_j⁻¹` (paper, Algorithm 2) with estimated poses: distance in metres and angle in rad between
 /// `δ x` with the estimated poses and `δ x` with the recorded ones, where `x` is the demonstration's end effector at its grasp.
 ///
-/// `query` and `demo` are the estimated and the recorded pose at the frame that asks and at the one that was retrieved. Turns
+/// `query` and `demo` are the estimated and the recorded pose of the object that asks and of the one that was retrieved. Turns
 /// that do not show are chosen as a policy does, so that the estimated `o_q` is nearest to `o_j`; the recorded `o_q` is turned
 /// so that its `δ` is nearest to the estimated one, for a grasp of the cube from another side is a grasp all the same.
 pub fn arrival_error(

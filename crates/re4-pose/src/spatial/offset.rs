@@ -3,9 +3,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use re4_geometry::spatial::{
-    Symmetry, SymmetryError, SymmetryGroup, rotation_angle, rotation_from_vector, rotation_vector,
-};
+use re4_geometry::spatial::{Symmetry, SymmetryError, SymmetryGroup, rotation_from_vector, rotation_vector};
 
 /// First guesses of the rotation; the one that most frames agree with is improved.
 const GUESSES: usize = 48;
@@ -15,6 +13,9 @@ const JURY: usize = 512;
 
 /// Steps of the rotation's median, at most.
 const STEPS: usize = 100;
+
+/// A step shorter than this is the last one, in rad.
+const ENOUGH: f64 = 1e-9;
 
 /// Angles nearer than this to the median count as if they were this far, in rad.
 const NEAREST: f64 = 1e-6;
@@ -157,7 +158,7 @@ impl Offset {
             let mut rotation = self.offset.rotation * rotation_from_vector(step);
             rotation.renormalize();
             self.offset.rotation = rotation;
-            if step.norm() < 1e-12 {
+            if step.norm() < ENOUGH {
                 break;
             }
         }
@@ -203,13 +204,4 @@ fn median(mut values: Vec<f64>) -> f64 {
         n if n % 2 == 0 => f64::midpoint(values[middle - 1], values[middle]),
         _ => values[middle],
     }
-}
-
-/// Angle in rad between two offsets, for tests and messages.
-#[cfg(test)]
-pub(super) fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
-    (
-        (a.translation.vector - b.translation.vector).norm(),
-        rotation_angle(&a.rotation, &b.rotation),
-    )
 }

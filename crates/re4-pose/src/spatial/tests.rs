@@ -140,7 +140,7 @@ fn far_off_estimates_do_not_move_the_offset() {
         recorded.translation.vector += Vector3::new(0.3, 0.1 * i as f64, -0.2);
     }
     let fitted = Offset::fit(&pairs, Symmetry::None).unwrap().unwrap();
-    let (translation, angle) = offset::apart(fitted.pose(), &offset);
+    let (translation, angle) = pose_distance(fitted.pose(), &offset);
     assert!(translation < 1e-9, "{translation}");
     assert!(angle < 1e-3, "{angle}");
 }
@@ -188,7 +188,7 @@ fn a_mean_pose_is_in_the_middle() {
         UnitQuaternion::new_unchecked(-about_z(0.3).into_inner()),
     );
     let mean = mean_pose([&at(0.0, -0.3), &at(1.0, 0.0), &negated]).unwrap();
-    let (translation, angle) = offset::apart(&mean, &at(1.0, 0.0));
+    let (translation, angle) = pose_distance(&mean, &at(1.0, 0.0));
     assert!(translation < 1e-12 && angle < 1e-9, "{translation} {angle}");
 }
 
