@@ -7,9 +7,17 @@ use std::path::PathBuf;
 pub enum EncoderError {
     /// This program was built without a backend.
     #[error(
-        "pose.encoder.backend is \"{0}\", and this program was built without it; build it with --features {0}, or set it to \"flex\""
+        "pose.encoder.backend is \"{0}\", and this program was built without it; build it with --features torch, or set it to \"flex\""
     )]
     NoBackend(&'static str),
+    /// No graphics card that `LibTorch` can use.
+    #[error(
+        "pose.encoder.backend is \"cuda\", and LibTorch finds no NVIDIA graphics card; check that nvidia-smi lists one and that the LibTorch of this program is one for CUDA, or set it to \"torch\""
+    )]
+    NoGraphicsCard,
+    /// The number of threads cannot be set.
+    #[error("cannot set the number of threads ({0}); set it once, before anything is computed")]
+    Threads(String),
     /// A file of weights is not what it should be.
     #[error("cannot use the weights {path}: {why}", path = .path.display())]
     Weights {

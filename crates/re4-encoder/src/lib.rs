@@ -2,17 +2,17 @@
 //!
 //! Training sees pictures, end-effector poses, gripper widths and modes. No type here holds a recorded object pose.
 
+mod backend;
 pub mod batches;
 pub mod checkpoint;
 pub mod config;
-mod devices;
 mod error;
 pub mod loss;
 pub mod pictures;
 mod predict;
 pub mod resnet;
 pub mod train;
-mod weights;
+pub mod weights;
 
 pub use config::{Backend, EncoderConfig, LossConfig};
 pub use error::EncoderError;

@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use crate::config::Backend;
 use crate::pictures::{INPUTS, MIDDLE, place};
 use crate::resnet::{EMBEDDING, Encoder};
-use crate::{CROP, EncoderError, devices};
+use crate::{CROP, EncoderError};
 
 /// Side of the pictures in pixels.
 pub const SIDE: usize = 84;
@@ -39,7 +39,7 @@ impl Predictor {
     /// # Errors
     /// When the file cannot be read or is not one of an encoder, or this program was built without the backend.
     pub fn open(weights: &Path, backend: Backend) -> Result<Self, EncoderError> {
-        let device = devices::device(backend)?;
+        let device = backend.device()?;
         Ok(Self::new(crate::weights::load(weights, &device)?))
     }
 

@@ -1,6 +1,6 @@
 //! A residual network of 18 layers in torchvision's layout.
 
-use burn::module::Module;
+use burn::module::{Module, Param, RunningState};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
@@ -68,6 +68,39 @@ impl Block {
         };
         relu(x + y)
     }
+}
+
+/// Where a tensor of the network lies.
+pub(crate) enum Slot<'a> {
+    /// Weight of a convolution, `[out, in, height, width]`.
+    Kernel(&'a mut Param<Tensor<4>>),
+    /// Weight of a linear layer, `[in, out]`: burn's layout, the transpose of PyTorch's.
+    Matrix(&'a mut Param<Tensor<2>>),
+    /// A bias, or a scale.
+    Vector(&'a mut Param<Tensor<1>>),
+    /// A running statistic of batch normalisation.
+    Running(&'a mut RunningState<Tensor<1>>),
+}
+
+type Named<'a> = (String, Slot<'a>);
+
+fn conv_slot<'a>(name: &str, conv: &'a mut Conv2d) -> Named<'a> {
+    (format!("{name}.weight"), Slot::Kernel(&mut conv.weight))
+}
+
+fn norm_slots<'a>(name: &str, norm: &'a mut BatchNorm) -> [Named<'a>; 4] {
+    [
+        (format!("{name}.weight"), Slot::Vector(&mut norm.gamma)),
+        (format!("{name}.bias"), Slot::Vector(&mut norm.beta)),
+        (format!("{name}.running_mean"), Slot::Running(&mut norm.running_mean)),
+        (format!("{name}.running_var"), Slot::Running(&mut norm.running_var)),
+    ]
+}
+
+fn linear_slots<'a>(name: &'a str, linear: &'a mut Linear) -> impl Iterator<Item = Named<'a>> {
+    let bias = linear.bias.as_mut();
+    std::iter::once((format!("{name}.weight"), Slot::Matrix(&mut linear.weight)))
+        .chain(bias.map(|bias| (format!("{name}.bias"), Slot::Vector(bias))))
 }
 
 /// The network.
@@ -142,6 +175,11 @@ impl Encoder {
         self
     }
 
+    /// Channels after the first convolution.
+    pub fn width(&self) -> usize {
+        self.conv1.weight.lazy_shape()[0]
+    }
+
     /// Pictures `[batch, 3, height, width]`, normalised, to the features behind the average pool, `[batch, 8 width]`.
     pub fn features(&self, pictures: Tensor<4>) -> Tensor<2> {
         let mut x = self
@@ -173,5 +211,28 @@ impl Encoder {
     /// Where it computes.
     pub fn device(&self) -> Device {
         self.head.weight.val().device()
+    }
+
+    /// Every tensor under the name that torchvision's `resnet18` has for it; `embedding` and `head` are this crate's own.
+    pub(crate) fn slots(&mut self) -> Vec<Named<'_>> {
+        let mut slots = vec![conv_slot("conv1", &mut self.conv1)];
+        slots.extend(norm_slots("bn1", &mut self.bn1));
+        let stages = [&mut self.layer1, &mut self.layer2, &mut self.layer3, &mut self.layer4];
+        for (stage, blocks) in (1..).zip(stages) {
+            for (index, block) in blocks.iter_mut().enumerate() {
+                let name = |part: &str| format!("layer{stage}.{index}.{part}");
+                slots.push(conv_slot(&name("conv1"), &mut block.conv1));
+                slots.extend(norm_slots(&name("bn1"), &mut block.bn1));
+                slots.push(conv_slot(&name("conv2"), &mut block.conv2));
+                slots.extend(norm_slots(&name("bn2"), &mut block.bn2));
+                if let Some(down) = &mut block.downsample {
+                    slots.push(conv_slot(&name("downsample.0"), &mut down.conv));
+                    slots.extend(norm_slots(&name("downsample.1"), &mut down.bn));
+                }
+            }
+        }
+        slots.extend(linear_slots("embedding", &mut self.embedding));
+        slots.extend(linear_slots("head", &mut self.head));
+        slots
     }
 }

@@ -17,7 +17,7 @@ use crate::config::EncoderConfig;
 use crate::loss::{GROUP, Losses, Poses, losses};
 use crate::pictures::{INPUTS, Loaded, MIDDLE, PictureFile, batches, load};
 use crate::resnet::Encoder;
-use crate::{CROP, EncoderError, devices};
+use crate::{CROP, EncoderError};
 
 /// Pictures at once where nothing is trained.
 const CHUNK: usize = 64;
@@ -97,7 +97,7 @@ pub fn train<E: From<EncoderError>>(
     mut going: impl FnMut(&Progress) -> Result<(), E>,
 ) -> Result<Trained, E> {
     let config = task.config;
-    let device = devices::device(config.backend)?.autodiff();
+    let device = config.backend.device()?.autodiff();
     let mut encoder = start(task, &device)?;
     let mut optimizer = AdamWConfig::new()
         .with_weight_decay(config.weight_decay as f32)

@@ -49,7 +49,11 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         source != PoseSource::Recorded,
         "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"{}\"",
         arguments.pipeline.display(),
-        if runner.pipeline.task.is_planar() { "log_polar" } else { "encoder" }
+        if runner.pipeline.task.is_planar() {
+            "log_polar"
+        } else {
+            "encoder"
+        }
     );
     let episodes = runner.ingest()?;
     if source == PoseSource::Encoder {
