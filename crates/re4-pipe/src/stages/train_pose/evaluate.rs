@@ -17,18 +17,9 @@ use crate::pipeline::TaskName;
 /// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
 const TURNED: f64 = std::f64::consts::FRAC_PI_2;
 
-/// What the encoder says of a demonstration.
-pub(super) struct EstimatedDemo {
-    /// Its number in the artifacts.
-    pub(super) episode: u32,
-    /// Whether its pictures were trained on.
-    pub(super) trained_on: bool,
-    /// Estimated pose of the object in every frame, world frame.
-    pub(super) poses: Vec<Isometry3<f64>>,
-}
-
-/// Measures the estimates of all demonstrations, which are in the order of the artifacts, against the recorded poses: writes
-/// table `pose_errors`, and returns what the summary says.
+/// Measures the estimates of all demonstrations against the recorded poses: writes table `pose_errors`, and returns what the
+/// summary says. `poses` are those of every demonstration's frames, world frame, in the order of the artifacts, and
+/// `trained_on` says of which demonstrations pictures were trained on.
 ///
 /// Demonstrations are read one after the other; what stays in memory is poses, some 200 bytes a frame.
 ///
@@ -38,13 +29,14 @@ pub(super) fn evaluate(
     writer: &Writer,
     episodes: &Artifact,
     modes: &Artifact,
-    estimates: &[EstimatedDemo],
+    poses: &[Vec<Isometry3<f64>>],
+    trained_on: &[bool],
     task: TaskName,
 ) -> Result<Value> {
     let symmetry = task.symmetry();
-    let demonstrations = read(episodes, modes, estimates)?;
+    let demonstrations = read(episodes, modes, poses, trained_on)?;
     let evaluation = measure(&demonstrations, symmetry)?;
-    write(writer, estimates, &demonstrations, evaluation.estimates.as_ref())?;
+    write(writer, &demonstrations, evaluation.estimates.as_ref())?;
     let mut summary = summary(&demonstrations, &evaluation);
     if let Some(summary) = summary.as_object_mut() {
         summary.insert("symmetry".to_owned(), serde_json::to_value(symmetry)?);
@@ -52,17 +44,20 @@ pub(super) fn evaluate(
     Ok(summary)
 }
 
-fn read(episodes: &Artifact, modes: &Artifact, estimates: &[EstimatedDemo]) -> Result<Vec<Demonstration>> {
+fn read(
+    episodes: &Artifact,
+    modes: &Artifact,
+    poses: &[Vec<Isometry3<f64>>],
+    trained_on: &[bool],
+) -> Result<Vec<Demonstration>> {
     let to_site = orientation_to_site(episodes)?;
-    let mut estimates = estimates.iter();
-    let mut demonstrations = Vec::with_capacity(estimates.len());
+    let mut estimates = poses.iter().zip(trained_on);
+    let mut demonstrations = Vec::with_capacity(poses.len());
     for demo in SegmentedEpisodes::open(episodes, modes)? {
         let demo = demo?;
         let frames = &demo.episode.frames;
-        let own = estimates
-            .next()
-            .filter(|own| own.episode == demo.number && own.poses.len() == frames.len());
-        let own = own.with_context(|| {
+        let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
+        let (poses, &trained_on) = own.with_context(|| {
             format!(
                 "cannot evaluate the estimated poses: they are not those of the {} frames of demonstration {} of {}; train again",
                 frames.len(),
@@ -77,9 +72,9 @@ fn read(episodes: &Artifact, modes: &Artifact, estimates: &[EstimatedDemo]) -> R
             .map(|mode| *mode == Mode::Transfer)
             .collect();
         demonstrations.push(Demonstration {
-            trained_on: own.trained_on,
+            trained_on,
             phases: GraspPhase::of(&held),
-            estimated: own.poses.clone(),
+            estimated: poses.clone(),
             recorded: frames.iter().map(|frame| frame.object).collect(),
             eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
         });
@@ -92,23 +87,18 @@ fn read(episodes: &Artifact, modes: &Artifact, estimates: &[EstimatedDemo]) -> R
     Ok(demonstrations)
 }
 
-fn write(
-    writer: &Writer,
-    estimates: &[EstimatedDemo],
-    demonstrations: &[Demonstration],
-    measured: Option<&Measured>,
-) -> Result<()> {
+fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Measured>) -> Result<()> {
     let mut table = writer.table(&tables::POSE_ERRORS)?;
     let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
-    for ((own, demo), errors) in estimates.iter().zip(demonstrations).zip(of_demos) {
+    for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
         // Every frame has an estimate.
         let errors: Vec<FrameError> = errors.iter().flatten().copied().collect();
         let column = |value: fn(&FrameError) -> f64| errors.iter().map(value).collect::<Vec<_>>();
         table.write_columns(
             Columns::new(&tables::POSE_ERRORS)
-                .u32("episode", vec![own.episode; errors.len()])
+                .u32("episode", vec![episode; errors.len()])
                 .u32("frame", (0..errors.len() as u32).collect())
-                .bool("trained_on", vec![own.trained_on; errors.len()])
+                .bool("trained_on", vec![demo.trained_on; errors.len()])
                 .text("phase", demo.phases.iter().map(|phase| phase.as_str()))
                 .f64("translation", column(|e| e.translation))
                 .f64("translation_at_grasp", column(|e| e.translation_at_grasp))
