@@ -48,8 +48,7 @@ const showPicture = (data, decision) => {
     "svg",
     { class: "plane seen-picture", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Picture of ${pictures.camera} at step ${decision.step}, with the frame of the object` },
     svg("image", { href: `data:image/png;base64,${picture.png}`, width: side, height: side }),
-    ...frameLines(picture.simulated, ["simulated", "simulated", "simulated"]),
-    ...frameMark(picture.simulated, "simulated"),
+    ...["simulated under", "simulated"].flatMap((name) => [...frameLines(picture.simulated, [name, name, name]), ...frameMark(picture.simulated, name)]),
     ...frameLines(picture.told, AXES.map((axis) => `told ${axis}`)),
   ));
 };
