@@ -96,10 +96,10 @@ fn weights_error(path: &Path, why: String) -> EncoderError {
 /// Shape in PyTorch's layout, and the values.
 fn values_of(slot: Slot<'_>) -> Result<(Vec<usize>, Vec<f32>), String> {
     let read = |data: TensorData| {
-        let shape: Vec<usize> = data.shape.iter().copied().collect();
+        let shape: Vec<usize> = data.shape().iter().copied().collect();
         let values = data
             .convert::<f32>()
-            .into_vec::<f32>()
+            .try_into_vec::<f32>()
             .map_err(|error| format!("{error:?}"))?;
         Ok((shape, values))
     };
