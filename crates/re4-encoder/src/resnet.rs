@@ -5,7 +5,10 @@ use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
 use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::loss::Poses;
 
 /// Numbers of the embedding.
 pub const EMBEDDING: usize = 256;
@@ -114,8 +117,12 @@ pub struct Encoder {
     head: Linear,
 }
 
+/// Metres that a 1 of the head's translation stands for: the head's numbers are then of the size that its initial weights
+/// give, and steps of the optimiser are millimetres.
+pub const SCALE: f64 = 0.1;
+
 impl Encoder {
-    /// Random weights.
+    /// An encoder with burn's initial weights.
     pub fn new(width: usize, device: &Device) -> Self {
         let stage = |inside: usize, out: usize, stride: usize| {
             vec![Block::new(inside, out, stride, device), Block::new(out, out, 1, device)]
@@ -136,13 +143,44 @@ impl Encoder {
         }
     }
 
+    /// The same, with a head whose estimates are spread about the mean of these poses at first.
+    #[must_use]
+    pub fn aimed(mut self, poses: &[Isometry3<f64>]) -> Self {
+        let count = poses.len().max(1) as f64;
+        let mean =
+            |part: &dyn Fn(&Isometry3<f64>) -> Vector3<f64>| poses.iter().map(part).sum::<Vector3<f64>>() / count;
+        let column =
+            |k: usize| move |pose: &Isometry3<f64>| pose.rotation.to_rotation_matrix().matrix().column(k).into_owned();
+        let parts = [
+            mean(&|pose| pose.translation.vector) / SCALE,
+            mean(&column(0)),
+            mean(&column(1)),
+        ];
+        let values: Vec<f32> = parts
+            .iter()
+            .flat_map(|part| [part.x, part.y, part.z])
+            .map(|x| x as f32)
+            .collect();
+        self.head.bias = self.head.bias.map(|bias| {
+            bias.map(|tensor| {
+                let device = tensor.device();
+                let aimed = Tensor::from_data(TensorData::new(values.clone(), [9]), &device);
+                if tensor.is_require_grad() {
+                    aimed.require_grad()
+                } else {
+                    aimed
+                }
+            })
+        });
+        self
+    }
+
     /// Channels after the first convolution.
     pub fn width(&self) -> usize {
         self.conv1.weight.lazy_shape()[0]
     }
 
-    /// Pictures `[batch, 3, height, width]` to what the residual blocks say of them, averaged over the picture:
-    /// `[batch, 8 x channels after the first convolution]`.
+    /// Pictures `[batch, 3, height, width]`, normalised, to the features behind the average pool, `[batch, 8 width]`.
     pub fn features(&self, pictures: Tensor<4>) -> Tensor<2> {
         let mut x = self
             .maxpool
@@ -157,11 +195,22 @@ impl Encoder {
         x.mean_dim(3).mean_dim(2).reshape([batch, channels])
     }
 
-    /// Pictures `[batch, 3, height, width]` to embeddings `[batch, 256]` and raw poses `[batch, 9]`.
+    /// Pictures `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and the head's numbers `[batch, 9]`.
     pub fn forward(&self, pictures: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
         let embedding = self.embedding.forward(self.features(pictures));
-        let pose = self.head.forward(embedding.clone());
-        (embedding, pose)
+        let raw = self.head.forward(embedding.clone());
+        (embedding, raw)
+    }
+
+    /// Pictures `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and poses in the world frame.
+    pub fn poses(&self, pictures: Tensor<4>) -> (Tensor<2>, Poses) {
+        let (embedding, raw) = self.forward(pictures);
+        (embedding, Poses::from_raw(&raw, SCALE))
+    }
+
+    /// Where it computes.
+    pub fn device(&self) -> Device {
+        self.head.weight.val().device()
     }
 
     /// Every tensor under the name that torchvision's `resnet18` has for it; `embedding` and `head` are this crate's own.

@@ -54,13 +54,12 @@ pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
     load().map_err(|why| weights_error(path, why))
 }
 
-/// Writes an encoder as safetensors, tensors sorted by name: equal weights are equal bytes. The file is written in place;
-/// where readers may look meanwhile, write a sibling and rename it.
+/// An encoder as the bytes of a safetensors file, tensors sorted by name: equal weights are equal bytes.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn save(encoder: &Encoder, path: &Path) -> Result<(), EncoderError> {
-    let write = || {
+/// When the weights cannot be had from their device.
+pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
+    let pack = || -> Result<Vec<u8>, String> {
         let mut tensors = BTreeMap::new();
         for (name, slot) in encoder.clone().slots() {
             let (shape, values) =
@@ -73,17 +72,28 @@ pub fn save(encoder: &Encoder, path: &Path) -> Result<(), EncoderError> {
             .map(|(name, (shape, bytes))| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
             .collect();
         // No metadata: its keys would come in an order of their own.
-        let bytes = views
+        views
             .and_then(|views| safetensors::serialize(views, None))
-            .map_err(|error: SafeTensorError| format!("they cannot be packed ({error})"))?;
-        fs::write(path, bytes).map_err(|error| match error.kind() {
+            .map_err(|error: SafeTensorError| format!("they cannot be packed ({error})"))
+    };
+    pack().map_err(|why| weights_error(Path::new("of the encoder in training"), why))
+}
+
+/// Writes an encoder to a file, as [`to_bytes`]. The file is written in place; where readers may look meanwhile, write a
+/// sibling and rename it.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn save(encoder: &Encoder, path: &Path) -> Result<(), EncoderError> {
+    fs::write(path, to_bytes(encoder)?).map_err(|error| {
+        let why = match error.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
                 format!("the file cannot be written ({error}); free some space")
             }
             _ => format!("the file cannot be written ({error}); choose a folder that can be written to"),
-        })
-    };
-    write().map_err(|why| weights_error(path, why))
+        };
+        weights_error(path, why)
+    })
 }
 
 fn weights_error(path: &Path, why: String) -> EncoderError {

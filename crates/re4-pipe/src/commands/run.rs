@@ -44,17 +44,23 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
+    let source = runner.pipeline.pose()?.source;
     anyhow::ensure!(
-        runner.pipeline.task.is_planar() || runner.pipeline.pose.is_none(),
-        "nothing to train: the recorded pose is the pose in {}, and this version has no poses from pictures for robosuite's tasks",
-        arguments.pipeline.display()
+        source != PoseSource::Recorded,
+        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"{}\"",
+        arguments.pipeline.display(),
+        if runner.pipeline.task.is_planar() {
+            "log_polar"
+        } else {
+            "encoder"
+        }
     );
-    anyhow::ensure!(
-        runner.pipeline.pose()?.source != PoseSource::Recorded,
-        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"log_polar\"",
-        arguments.pipeline.display()
-    );
-    let built = runner.train_pose(&runner.ingest()?)?.context("no pose estimator")?;
+    let episodes = runner.ingest()?;
+    if source == PoseSource::Encoder {
+        let modes = runner.segment(&episodes)?;
+        return answer(&runner, &runner.train_encoder(&episodes, &modes)?);
+    }
+    let built = runner.train_pose(&episodes)?.context("no pose estimator")?;
     answer(&runner, &built)
 }
 

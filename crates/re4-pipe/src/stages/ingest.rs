@@ -192,6 +192,16 @@ impl Runner {
     }
 }
 
+/// A file of weights, looked for as sources are.
+pub(super) fn find_weights(weights: &Path) -> Result<PathBuf> {
+    find_source(weights).map_err(|_| {
+        anyhow::anyhow!(
+            "cannot start from the weights {}: there is no such file; get ResNet-18's with re4-pipe fetch resnet18, or leave pose.encoder.weights out to start from random ones",
+            weights.display()
+        )
+    })
+}
+
 /// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.
 fn find_source(source: &Path) -> Result<PathBuf> {
     if source.is_absolute() {

@@ -1,5 +1,9 @@
 //! Train-pose: `episodes` to `poses`. Push-T's log-polar estimator learns nothing; it is calibrated by the goal pose.
 
+mod card;
+mod encoder;
+mod evaluate;
+
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
@@ -16,6 +20,8 @@ use serde_json::{Value, json};
 
 use super::{Built, Runner};
 use crate::pipeline::{PoseSection, PoseSource};
+
+pub(super) use encoder::open_encoder;
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
