@@ -1,6 +1,6 @@
 //! Weights from files, the encoder's own and torchvision's, and what torchvision says with the same ones.
 //!
-//! The files in `data` are those of tests/torchvision_reference.py.
+//! The files in `data` are those of `tests/torchvision_reference.py`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -40,7 +40,7 @@ fn crc32(bytes: &[u8]) -> u32 {
     })
 }
 
-/// `numbers` of tests/torchvision_reference.py.
+/// `numbers` of `tests/torchvision_reference.py`.
 fn numbers(name: &str, count: usize) -> Vec<f32> {
     let start = crc32(name.as_bytes());
     let number = |index: usize| {
@@ -55,7 +55,7 @@ fn numbers(name: &str, count: usize) -> Vec<f32> {
     (0..count).map(number).collect()
 }
 
-/// `tensor` of tests/torchvision_reference.py.
+/// `tensor` of `tests/torchvision_reference.py`.
 fn values(name: &str, shape: &[usize]) -> Vec<f32> {
     let mut values = numbers(name, shape.iter().product());
     for value in &mut values {
@@ -316,10 +316,10 @@ fn other_networks_are_refused() {
             tensors.get_mut("conv1.weight").unwrap().0 = vec![2, 7, 7, 3];
         }),
         changed(folder, "nan.safetensors", |tensors| {
-            set(tensors, "layer1.0.conv1.weight", f32::NAN)
+            set(tensors, "layer1.0.conv1.weight", f32::NAN);
         }),
         changed(folder, "variance.safetensors", |tensors| {
-            set(tensors, "bn1.running_var", -0.5)
+            set(tensors, "bn1.running_var", -0.5);
         }),
     ];
     sentences.extend(wrong.iter().map(|path| start(2, path)));
@@ -404,7 +404,7 @@ fn damaged_files_are_errors_wherever_the_damage_is() {
     let expected = json("narrow18.json");
     let (mut borne, mut refused) = (0, 0);
     for three in choice.chunks(3) {
-        let at = ((three[0] + 1.0) / 2.0 * torch.len() as f32) as usize;
+        let at = (f32::midpoint(three[0], 1.0) * torch.len() as f32) as usize;
         let mut bytes = torch.clone();
         for (byte, number) in bytes[at..].iter_mut().zip(&three[1..]) {
             *byte = (number * 128.0) as i8 as u8;
