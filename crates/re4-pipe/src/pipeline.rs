@@ -1,5 +1,6 @@
 //! The pipeline file: one experiment, stage by stage.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
@@ -137,7 +138,7 @@ impl TaskName {
 pub(crate) enum Variant {
     /// End-effector state and the object's true pose.
     State,
-    /// Pictures, and the end effector's position.
+    /// Pictures, and the end effector's state.
     Image,
 }
 
@@ -222,6 +223,14 @@ pub(crate) struct PoseSection {
 }
 
 impl PoseSection {
+    /// The encoder and how it is trained, where poses come from one.
+    pub(crate) fn encoder(&self) -> Cow<'_, EncoderConfig> {
+        match &self.encoder {
+            Some(config) => Cow::Borrowed(config),
+            None => Cow::Owned(EncoderConfig::default()),
+        }
+    }
+
     /// The goal pose, world frame.
     pub(crate) fn goal(&self) -> Pose2 {
         let [x, y, theta] = self.goal;
@@ -313,7 +322,9 @@ pub(crate) struct SpatialRolloutSection {
     #[serde(default = "robomimic_steps")]
     pub(crate) max_steps: u32,
     /// Turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's object: four
-    /// quarters of a turn for the cube, any turn for the can, none for the nut; with the other presets none.
+    /// quarters of a turn for the cube, any turn for the can, none for the nut; with the other presets none. With
+    /// `variant = "image"` none either: the frame that the encoder estimates is that of the gripper as it would hold the object,
+    /// whose axes are not the object's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) symmetry: Option<Symmetry>,
     /// Errors that the object poses which the policy is told are given on purpose.
@@ -363,7 +374,7 @@ impl SpatialRolloutSection {
     }
 
     /// Symmetry of the task's object that the policy uses.
-    pub(crate) fn symmetry(&self, task: RobosuiteTask) -> Symmetry {
+    pub(crate) fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>) -> Symmetry {
         let of_object = match task {
             RobosuiteTask::Lift => Symmetry::Fold {
                 axis: [0.0, 0.0, 1.0],
@@ -372,7 +383,7 @@ impl SpatialRolloutSection {
             RobosuiteTask::Can => Symmetry::Full { axis: [0.0, 0.0, 1.0] },
             RobosuiteTask::Square => Symmetry::None,
         };
-        let usual = if self.policy == "re4" {
+        let usual = if self.policy == "re4" && variant != Some(Variant::Image) {
             of_object
         } else {
             Symmetry::None
