@@ -12,7 +12,7 @@ use re4_policy::spatial::{MakeObserver, Observer};
 use re4_sim::robosuite::Robosuite;
 
 use crate::arguments::{Common, StageArguments};
-use crate::stages::{Built, Lens, Runner, Scenes, Studio, put_renderers_away, unseen};
+use crate::stages::{Built, Lens, Runner, Scenes, Studio, put_renderer_away, unseen};
 
 /// What an invented encoder says: of a picture, and, as no real one can, of the simulation that the picture is of.
 pub type Estimate = Arc<dyn Fn(&[u8], &Robosuite) -> Isometry3<f64> + Send + Sync>;
@@ -117,7 +117,7 @@ pub fn pictures(
         states.iter().map(|state| Ok(lens.draw(state)?.to_vec())).collect()
     };
     let pictures = drawn().map_err(told);
-    put_renderers_away();
+    put_renderer_away();
     pictures
 }
 

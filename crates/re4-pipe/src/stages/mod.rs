@@ -28,7 +28,7 @@ use crate::pipeline::{Pipeline, load};
 
 pub(crate) use budgets::BUDGET_MEASURES;
 pub(crate) use ingest::{INGEST_WORKER, serve_ingest};
-pub(crate) use rollout::{Lens, Studio, metrics, put_renderers_away, read_rollouts, unseen};
+pub(crate) use rollout::{Lens, Studio, metrics, put_renderer_away, read_rollouts, unseen};
 pub(crate) use simulators::Scenes;
 
 /// A pipeline with all that its stages need.

@@ -18,7 +18,7 @@ use re4_sim::{
 };
 use serde_json::{Value, json};
 
-pub(crate) use eye::{Lens, Studio, put_renderers_away, unseen};
+pub(crate) use eye::{Lens, Studio, put_renderer_away, unseen};
 
 use super::budgets::Budgets;
 use super::index::open_index;

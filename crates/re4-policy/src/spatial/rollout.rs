@@ -1,7 +1,7 @@
 //! Rollouts in space: a policy against robosuite's tasks, seed after seed.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use nalgebra::Isometry3;
 use rayon::prelude::*;
@@ -206,8 +206,8 @@ pub fn spatial_rollout<P: SpatialPolicy>(
     })
 }
 
-/// Rolls RE4 out from many seeds, in parallel on the current thread pool; results come in the order of `seeds` and do not
-/// depend on the number of threads. `start` makes the scene of a seed; `progress` is called after every episode and says
+/// Rolls RE4 out from many seeds, in parallel: on the current thread pool, or, with observers, in as many threads of their own.
+/// Results come in the order of `seeds` and do not depend on the number of threads. `start` makes the scene of a seed; `progress` is called after every episode and says
 /// whether to go on.
 ///
 /// # Errors
@@ -222,29 +222,54 @@ pub fn spatial_rollouts(
     progress: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<SpatialRollout>, RolloutError> {
     let stopped = AtomicBool::new(false);
-    seeds
-        .par_iter()
-        .with_max_len(1)
-        .map(|&seed| {
-            if stopped.load(Ordering::Relaxed) {
-                return Err(RolloutError::Interrupted);
-            }
-            let start = start(seed).map_err(|source| RolloutError::Simulator {
-                scene: seed,
-                step: 0,
-                source,
-            })?;
-            let episode = spatial_rollout(&start, sight, max_steps, |home| {
-                SpatialRe4::new(config.clone(), Arc::clone(knowledge), *home)
-            })?;
-            if progress() {
-                Ok(episode)
-            } else {
-                stopped.store(true, Ordering::Relaxed);
-                Err(RolloutError::Interrupted)
-            }
-        })
-        .collect::<Vec<_>>()
-        .into_iter()
-        .collect()
+    let one = |seed: u32| {
+        if stopped.load(Ordering::Relaxed) {
+            return Err(RolloutError::Interrupted);
+        }
+        let start = start(seed).map_err(|source| RolloutError::Simulator {
+            scene: seed,
+            step: 0,
+            source,
+        })?;
+        let episode = spatial_rollout(&start, sight, max_steps, |home| {
+            SpatialRe4::new(config.clone(), Arc::clone(knowledge), *home)
+        })?;
+        if progress() {
+            Ok(episode)
+        } else {
+            stopped.store(true, Ordering::Relaxed);
+            Err(RolloutError::Interrupted)
+        }
+    };
+    let rollouts: Vec<Result<SpatialRollout, RolloutError>> = match sight {
+        ObjectSight::Recorded(_) => seeds.par_iter().with_max_len(1).map(|&seed| one(seed)).collect(),
+        ObjectSight::Observed(_) => in_own_threads(seeds, &one),
+    };
+    rollouts.into_iter().collect()
+}
+
+/// The results for all seeds, in their order, from as many threads as the current thread pool has, but not from the pool itself:
+/// an estimator that all observers share may wait for work of its own that it gave to the pool, and a thread of the pool that
+/// waits takes up another episode, which would ask the same estimator.
+fn in_own_threads<T: Send>(seeds: &[u32], one: &(impl Fn(u32) -> T + Sync)) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut done = Vec::new();
+        loop {
+            let at = next.fetch_add(1, Ordering::Relaxed);
+            let Some(&seed) = seeds.get(at) else { break done };
+            done.push((at, one(seed)));
+        }
+    };
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let threads = rayon::current_num_threads().min(seeds.len());
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let joined = workers.into_iter().map(|worker| match worker.join() {
+            Ok(done) => done,
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        joined.flatten().collect()
+    });
+    done.sort_by_key(|(at, _)| *at);
+    done.into_iter().map(|(_, result)| result).collect()
 }

@@ -19,7 +19,8 @@ use super::super::simulators::{Scenes, set_state};
 const DRAWING_VERSION: u32 = 1;
 
 thread_local! {
-    /// A renderer works in the thread that made it alone, and takes longer to make than to draw a hundred pictures.
+    /// A renderer works in the thread that made it alone, and takes longer to make than to draw a picture. It goes with the
+    /// thread.
     static RENDERER: RefCell<Option<Renderer>> = const { RefCell::new(None) };
 }
 
@@ -111,9 +112,8 @@ impl Lens {
     }
 }
 
-/// Frees the renderers of all worker threads, and of this one.
-pub(crate) fn put_renderers_away() {
-    rayon::broadcast(|_| drop(RENDERER.take()));
+/// Frees the renderer of this thread.
+pub(crate) fn put_renderer_away() {
     drop(RENDERER.take());
 }
 

@@ -128,11 +128,8 @@ impl Runner {
             let mut tables = Tables::begin(writer)?;
             let mut outcomes = Outcomes::default();
             for batch in seeds.chunks(BATCH) {
-                let rollouts = spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going);
-                if watching.is_some() {
-                    eye::put_renderers_away();
-                }
-                let rollouts = rollouts?;
+                let rollouts =
+                    spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going)?;
                 outcomes.add(&rollouts);
                 tables.write(&rollouts)?;
             }
