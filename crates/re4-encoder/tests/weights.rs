@@ -111,7 +111,7 @@ fn difference(encoder: &Encoder, reference: &Value) -> f64 {
         .map(|value| 2.0 * value)
         .collect();
     let pictures = Tensor::from_data(TensorData::new(pictures, [count, 3, side, side]), &Device::flex());
-    let features: Vec<f32> = encoder.features(pictures).into_data().into_vec().unwrap();
+    let features: Vec<f32> = encoder.features(pictures).into_data().try_into_vec().unwrap();
     let expected = expected.concat();
     assert_eq!(features.len(), expected.len());
     let largest = expected
@@ -209,8 +209,8 @@ fn what_is_saved_is_loaded_bit_by_bit_under_torchvisions_names() {
 
     // PyTorch's layout: a pose is weight x embedding + bias.
     let (embedding, pose) = encoder.forward(Tensor::ones([1, 3, 76, 76], &Device::flex()));
-    let embedding: Vec<f32> = embedding.into_data().into_vec().unwrap();
-    let pose: Vec<f32> = pose.into_data().into_vec().unwrap();
+    let embedding: Vec<f32> = embedding.into_data().try_into_vec().unwrap();
+    let pose: Vec<f32> = pose.into_data().try_into_vec().unwrap();
     let floats = |name: &str| -> Vec<f32> {
         let chunks = stored[name].1.as_chunks().0.iter();
         chunks.map(|bytes| f32::from_le_bytes(*bytes)).collect()
