@@ -222,6 +222,13 @@ pub(crate) struct ReportArguments {
     /// Rollouts that the viewer holds, to keep the page small; all count in the figures [default: all]
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
+    /// Rollouts in the viewer, failures first, whose decisions are shown in the camera's picture, drawn by MuJoCo
+    #[arg(
+        long,
+        value_name = "N",
+        help = "Rollouts in the viewer, failures first, whose decisions are shown in the camera's picture, drawn by MuJoCo [default: 8 where poses come from pictures, else none]"
+    )]
+    pub(crate) pictures: Option<usize>,
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,

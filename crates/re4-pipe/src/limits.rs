@@ -59,6 +59,18 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     }
 }
 
+/// Checks of the audit that say something of the recorded object pose and nothing without it.
+const ABOUT_THE_OBJECT: [&str; 8] = [
+    "discontinuity_object",
+    "dropped",
+    "duplicate",
+    "early_release",
+    "frozen",
+    "non_rigid_rotation",
+    "non_rigid_transfer",
+    "pushed_in_transit",
+];
+
 /// What robosuite's tasks need, and what they do not have.
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     let ingest = &pipeline.ingest;
@@ -95,7 +107,11 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     pipeline.pose()?;
     ensure!(
         pipeline.variant.is_some(),
-        "nothing says what the policy observes; give variant = \"state\""
+        "nothing says what the policy observes; give variant = \"state\" or variant = \"image\""
+    );
+    ensure!(
+        pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
+        "variant is \"image\" and rollout.noise gives errors to recorded poses; leave it out"
     );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
     if let Err(error) = rollout.policy_config().check() {
@@ -118,7 +134,7 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
         "the table [pose.encoder] is for pose.source = \"encoder\"; leave it out, or set pose.source to it"
     );
     if let Some(encoder) = &pose.encoder {
-        check_encoder(encoder)?;
+        check_settings(encoder)?;
     }
     match (pipeline.variant, pose.source) {
         (_, PoseSource::LogPolar) => bail!(
@@ -130,6 +146,7 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
         (Some(Variant::Image), PoseSource::Recorded) => bail!(
             "variant is \"image\" and pose.source is \"recorded\"; what pictures show is estimated, so set pose.source = \"encoder\""
         ),
+        (_, PoseSource::Encoder) => check_encoder(pipeline, &pose.encoder().camera),
         _ => Ok(()),
     }
 }
@@ -143,7 +160,7 @@ const MOST_STEPS: u32 = 1_000_000;
 /// Largest batch, in pictures: what is computed with them is some megabytes each.
 const LARGEST_BATCH: u32 = 4096;
 
-fn check_encoder(encoder: &EncoderConfig) -> Result<()> {
+fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     let count = |name: &str, value: usize, least: u32, most: u32| {
         between(name, u32::try_from(value).unwrap_or(u32::MAX), least, most)
     };
@@ -187,6 +204,42 @@ fn check_encoder(encoder: &EncoderConfig) -> Result<()> {
         not_negative(&format!("pose.encoder.{name}"), value)?;
     }
     Ok(())
+}
+
+/// An encoder needs pictures, and nothing beside it may read recorded object poses.
+fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
+    let ingest = &pipeline.ingest;
+    ensure!(
+        ingest.images,
+        "pose.source is \"encoder\" and ingest.images is false, so there would be no pictures; leave it out"
+    );
+    ensure!(
+        ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
+        "pose.encoder.camera is {camera:?}, of which ingest.render draws no pictures; set ingest.render = [{camera:?}]"
+    );
+    if let Some(cameras) = &ingest.cameras {
+        ensure!(
+            cameras.iter().any(|taken| taken == camera),
+            "pose.encoder.camera is {camera:?}, whose pictures ingest.cameras leaves out; name it there"
+        );
+    }
+    ensure!(
+        pipeline.segment.rule == Rule::GripperCommand,
+        "pose.source is \"encoder\" and segment.rule reads recorded object poses; set it to \"gripper_command\""
+    );
+    let leave_out = pipeline
+        .index
+        .as_ref()
+        .map_or(&[] as &[String], |index| &index.leave_out);
+    match leave_out
+        .iter()
+        .find(|check| ABOUT_THE_OBJECT.contains(&check.as_str()))
+    {
+        Some(check) => bail!(
+            "index.leave_out names the check {check:?}, which reads recorded object poses, and pose.source is \"encoder\"; leave it out (missed_grasp and lost_grasp are then found by the fingers alone)"
+        ),
+        None => Ok(()),
+    }
 }
 
 fn check_render(ingest: &IngestSection) -> Result<()> {

@@ -232,7 +232,8 @@ fn find_source(source: &Path) -> Result<PathBuf> {
     )
 }
 
-fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+/// A picture as the bytes of a PNG file.
+pub(crate) fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(4096);
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(pixels, width, height, ExtendedColorType::Rgb8)

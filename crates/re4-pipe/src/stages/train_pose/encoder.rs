@@ -16,7 +16,7 @@ use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
+use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use serde_json::{Value, json};
 
@@ -34,7 +34,7 @@ const EEF_COLUMNS: [&str; 9] = [
 ];
 
 /// File of the weights in the artifact.
-pub(crate) const WEIGHTS: &str = "encoder.safetensors";
+pub(in super::super) const WEIGHTS: &str = "encoder.safetensors";
 
 /// Folder of checkpoints, below that of the artifacts.
 const CHECKPOINTS: &str = "checkpoints";
@@ -240,12 +240,6 @@ impl Runner {
         writer: &Writer,
     ) -> Result<PictureFile> {
         let path = episodes.path();
-        ensure!(
-            episodes.manifest().tables.contains_key(tables::CAMERA_IMAGES.name),
-            "cannot train on {}: it holds no pictures; have them drawn with ingest.render = [\"{}\"], or ingest a file that has them",
-            path.display(),
-            config.camera
-        );
         let table = episodes.table(&tables::CAMERA_IMAGES)?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.console.progress(frames as u64, "pictures");
@@ -448,15 +442,4 @@ fn summary(
         "loss": last.map(|epoch| epoch.losses[0]),
         "evaluation": evaluation,
     })
-}
-
-/// The encoder of a `poses` artifact.
-pub(in super::super) fn open_encoder(artifact: &Artifact, backend: Backend) -> Result<Predictor> {
-    let path = artifact.path().join(WEIGHTS);
-    ensure!(
-        artifact.manifest().files.contains_key(WEIGHTS),
-        "cannot read {}: it has no file {WEIGHTS}; train again",
-        artifact.path().display()
-    );
-    Ok(Predictor::open(&path, backend)?)
 }
