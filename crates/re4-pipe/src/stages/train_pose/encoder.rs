@@ -16,7 +16,7 @@ use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
+use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use serde_json::{Value, json};
 
@@ -191,6 +191,10 @@ impl Runner {
             "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame; look at its modes with re4-pipe audit",
             episodes.path().display()
         );
+        // The pure Rust backend computes in the program's own threads.
+        if config.backend != Backend::Flex {
+            config.backend.set_threads(rayon::current_num_threads())?;
+        }
         let pictures = self.unpack(config, episodes, &demos, writer)?;
         let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
         let task = Task {
