@@ -4,8 +4,8 @@
 //! encoder_rate [--width 64] [--batch 64] [--steps 5] [--threads 2] [--backend flex]
 //! ```
 //!
-//! Prints one JSON object with the seconds of every step after one that warms up. benches/encoder_rate.py runs it in turn with
-//! PyTorch. Backends are those of a pipeline file.
+//! Prints one JSON object with the seconds of every step after one that warms up. `benches/encoder_rate.py` runs it in turn with
+//! `PyTorch`. Backends are those of a pipeline file.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "its output is what it is for")]
 
 use std::process::ExitCode;

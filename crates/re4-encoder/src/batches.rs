@@ -92,7 +92,7 @@ impl Sampler {
     pub fn batch(&self, epoch: u32, step: u32) -> Batch {
         let mut rng = Pcg64::new(
             u128::from(self.seed) << 64 | u128::from(epoch) << 32 | u128::from(step),
-            0xa02b_dbf7_bb3c_0a7a_c28f_a16a_64ab_f96,
+            0x0a02_bdbf_7bb3_c0a7_ac28_fa16_a64a_bf96,
         );
         let mut samples = Vec::with_capacity(self.groups * GROUP);
         let mut near = Vec::with_capacity(self.groups);

@@ -74,7 +74,7 @@ impl Block {
 pub(crate) enum Slot<'a> {
     /// Weight of a convolution, `[out, in, height, width]`.
     Kernel(&'a mut Param<Tensor<4>>),
-    /// Weight of a linear layer, `[in, out]`: burn's layout, the transpose of PyTorch's.
+    /// Weight of a linear layer, `[in, out]`: burn's layout, the transpose of `PyTorch`'s.
     Matrix(&'a mut Param<Tensor<2>>),
     /// A bias, or a scale.
     Vector(&'a mut Param<Tensor<1>>),

@@ -2,7 +2,7 @@
 //!
 //! Both have torchvision's names (`conv1.weight`, `layer2.0.downsample.1.running_var`), so that Python reads the encoder's trunk
 //! with `safetensors` and `torchvision.models.resnet.ResNet.load_state_dict(..., strict=False)`. The encoder's own layers are
-//! `embedding` and `head`, in PyTorch's layout `[out, in]`.
+//! `embedding` and `head`, in `PyTorch`'s layout `[out, in]`.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -103,7 +103,7 @@ fn weights_error(path: &Path, why: String) -> EncoderError {
     }
 }
 
-/// Shape in PyTorch's layout, and the values.
+/// Shape in `PyTorch`'s layout, and the values.
 fn values_of(slot: Slot<'_>) -> Result<(Vec<usize>, Vec<f32>), String> {
     let read = |data: TensorData| {
         let shape: Vec<usize> = data.shape().iter().copied().collect();
@@ -189,7 +189,7 @@ fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, St
 }
 
 impl Slot<'_> {
-    /// In PyTorch's layout.
+    /// In `PyTorch`'s layout.
     fn shape(&self) -> Vec<usize> {
         let mut shape: Vec<usize> = match self {
             Self::Kernel(param) => param.lazy_shape().iter().copied().collect(),
@@ -203,7 +203,7 @@ impl Slot<'_> {
         shape
     }
 
-    /// Puts values in PyTorch's layout, as many as [`Slot::shape`] says.
+    /// Puts values in `PyTorch`'s layout, as many as [`Slot::shape`] says.
     fn put(&mut self, values: Vec<f32>) {
         let shape = self.shape();
         match self {
@@ -439,7 +439,7 @@ fn read_torch(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, 
         .collect())
 }
 
-/// Runs the reader of PyTorch's files, whose authors mean it to bear any file; should it stop on one, that is an error too.
+/// Runs the reader of `PyTorch`'s files, whose authors mean it to bear any file; should it stop on one, that is an error too.
 fn guarded<T>(read: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err("its reader stopped".to_owned()))
 }

@@ -1,6 +1,6 @@
 //! Weights from files, the encoder's own and torchvision's, and what torchvision says with the same ones.
 //!
-//! The files in `data` are those of tests/torchvision_reference.py.
+//! The files in `data` are those of `tests/torchvision_reference.py`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -40,7 +40,7 @@ fn crc32(bytes: &[u8]) -> u32 {
     })
 }
 
-/// `numbers` of tests/torchvision_reference.py.
+/// `numbers` of `tests/torchvision_reference.py`.
 fn numbers(name: &str, count: usize) -> Vec<f32> {
     let start = crc32(name.as_bytes());
     let number = |index: usize| {
@@ -55,7 +55,7 @@ fn numbers(name: &str, count: usize) -> Vec<f32> {
     (0..count).map(number).collect()
 }
 
-/// `tensor` of tests/torchvision_reference.py.
+/// `tensor` of `tests/torchvision_reference.py`.
 fn values(name: &str, shape: &[usize]) -> Vec<f32> {
     let mut values = numbers(name, shape.iter().product());
     for value in &mut values {
@@ -111,7 +111,7 @@ fn difference(encoder: &Encoder, reference: &Value) -> f64 {
         .map(|value| 2.0 * value)
         .collect();
     let pictures = Tensor::from_data(TensorData::new(pictures, [count, 3, side, side]), &Device::flex());
-    let features: Vec<f32> = encoder.features(pictures).into_data().into_vec().unwrap();
+    let features: Vec<f32> = encoder.features(pictures).into_data().try_into_vec().unwrap();
     let expected = expected.concat();
     assert_eq!(features.len(), expected.len());
     let largest = expected
@@ -209,8 +209,8 @@ fn what_is_saved_is_loaded_bit_by_bit_under_torchvisions_names() {
 
     // PyTorch's layout: a pose is weight x embedding + bias.
     let (embedding, pose) = encoder.forward(Tensor::ones([1, 3, 76, 76], &Device::flex()));
-    let embedding: Vec<f32> = embedding.into_data().into_vec().unwrap();
-    let pose: Vec<f32> = pose.into_data().into_vec().unwrap();
+    let embedding: Vec<f32> = embedding.into_data().try_into_vec().unwrap();
+    let pose: Vec<f32> = pose.into_data().try_into_vec().unwrap();
     let floats = |name: &str| -> Vec<f32> {
         let chunks = stored[name].1.as_chunks().0.iter();
         chunks.map(|bytes| f32::from_le_bytes(*bytes)).collect()
@@ -316,10 +316,10 @@ fn other_networks_are_refused() {
             tensors.get_mut("conv1.weight").unwrap().0 = vec![2, 7, 7, 3];
         }),
         changed(folder, "nan.safetensors", |tensors| {
-            set(tensors, "layer1.0.conv1.weight", f32::NAN)
+            set(tensors, "layer1.0.conv1.weight", f32::NAN);
         }),
         changed(folder, "variance.safetensors", |tensors| {
-            set(tensors, "bn1.running_var", -0.5)
+            set(tensors, "bn1.running_var", -0.5);
         }),
     ];
     sentences.extend(wrong.iter().map(|path| start(2, path)));
@@ -404,7 +404,7 @@ fn damaged_files_are_errors_wherever_the_damage_is() {
     let expected = json("narrow18.json");
     let (mut borne, mut refused) = (0, 0);
     for three in choice.chunks(3) {
-        let at = ((three[0] + 1.0) / 2.0 * torch.len() as f32) as usize;
+        let at = (f32::midpoint(three[0], 1.0) * torch.len() as f32) as usize;
         let mut bytes = torch.clone();
         for (byte, number) in bytes[at..].iter_mut().zip(&three[1..]) {
             *byte = (number * 128.0) as i8 as u8;

@@ -16,6 +16,8 @@ mod pipeline;
 mod poses;
 mod seeds;
 mod stages;
+#[doc(hidden)]
+pub mod testing;
 
 use std::process::ExitCode;
 

@@ -1,6 +1,8 @@
 //! Values that fit their type and still make no sense.
 
 use anyhow::{Result, bail, ensure};
+use re4_encoder::EncoderConfig;
+use re4_encoder::loss::GROUP;
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
@@ -57,6 +59,18 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     }
 }
 
+/// Checks of the audit that say something of the recorded object pose and nothing without it.
+const ABOUT_THE_OBJECT: [&str; 8] = [
+    "discontinuity_object",
+    "dropped",
+    "duplicate",
+    "early_release",
+    "frozen",
+    "non_rigid_rotation",
+    "non_rigid_transfer",
+    "pushed_in_transit",
+];
+
 /// What robosuite's tasks need, and what they do not have.
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     let ingest = &pipeline.ingest;
@@ -93,7 +107,11 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     pipeline.pose()?;
     ensure!(
         pipeline.variant.is_some(),
-        "nothing says what the policy observes; give variant = \"state\""
+        "nothing says what the policy observes; give variant = \"state\" or variant = \"image\""
+    );
+    ensure!(
+        pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
+        "variant is \"image\" and rollout.noise gives errors to recorded poses; leave it out"
     );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
     if let Err(error) = rollout.policy_config().check() {
@@ -115,6 +133,9 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
         pose.encoder.is_none() || pose.source == PoseSource::Encoder,
         "the table [pose.encoder] is for pose.source = \"encoder\"; leave it out, or set pose.source to it"
     );
+    if let Some(encoder) = &pose.encoder {
+        check_settings(encoder)?;
+    }
     match (pipeline.variant, pose.source) {
         (_, PoseSource::LogPolar) => bail!(
             "pose.source is \"log_polar\", which reads Push-T's pictures; set it to \"encoder\", or to \"recorded\""
@@ -125,7 +146,99 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
         (Some(Variant::Image), PoseSource::Recorded) => bail!(
             "variant is \"image\" and pose.source is \"recorded\"; what pictures show is estimated, so set pose.source = \"encoder\""
         ),
+        (_, PoseSource::Encoder) => check_encoder(pipeline, &pose.encoder().camera),
         _ => Ok(()),
+    }
+}
+
+/// Widest network: sixteen times the weights of ResNet-18.
+const WIDEST: u32 = 256;
+
+/// Most epochs, and most steps of one.
+const MOST_STEPS: u32 = 1_000_000;
+
+/// Largest batch, in pictures: what is computed with them is some megabytes each.
+const LARGEST_BATCH: u32 = 4096;
+
+fn check_settings(encoder: &EncoderConfig) -> Result<()> {
+    let count = |name: &str, value: usize, least: u32, most: u32| {
+        between(name, u32::try_from(value).unwrap_or(u32::MAX), least, most)
+    };
+    count("pose.encoder.width", encoder.width, 1, WIDEST)?;
+    count("pose.encoder.batch", encoder.batch, GROUP as u32, LARGEST_BATCH)?;
+    ensure!(
+        encoder.batch.is_multiple_of(GROUP),
+        "pose.encoder.batch is {}; give a multiple of {GROUP}: groups of two demonstrations with four pictures each",
+        encoder.batch
+    );
+    between("pose.encoder.epochs", encoder.epochs, 1, MOST_STEPS)?;
+    if let Some(steps) = encoder.steps {
+        between("pose.encoder.steps", steps, 1, MOST_STEPS)?;
+    }
+    ensure!(
+        encoder.learning_rate > 0.0,
+        "pose.encoder.learning_rate is {}; give a number above 0",
+        encoder.learning_rate
+    );
+    ensure!(
+        (0.0..=0.5).contains(&encoder.held_out),
+        "pose.encoder.held_out is {}; it is a share, from 0 to 0.5",
+        encoder.held_out
+    );
+    let losses = &encoder.losses;
+    ensure!(
+        (0.0..=1.0).contains(&losses.absolute_held),
+        "pose.encoder.losses.absolute_held is {}; it is a share, from 0 to 1",
+        losses.absolute_held
+    );
+    for (name, value) in [
+        ("weight_decay", encoder.weight_decay),
+        ("radius", encoder.radius),
+        ("losses.absolute", losses.absolute),
+        ("losses.relative", losses.relative),
+        ("losses.cross", losses.cross),
+        ("losses.relative_held", losses.relative_held),
+        ("losses.relative_before", losses.relative_before),
+        ("losses.translation", losses.translation),
+    ] {
+        not_negative(&format!("pose.encoder.{name}"), value)?;
+    }
+    Ok(())
+}
+
+/// An encoder needs pictures, and nothing beside it may read recorded object poses.
+fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
+    let ingest = &pipeline.ingest;
+    ensure!(
+        ingest.images,
+        "pose.source is \"encoder\" and ingest.images is false, so there would be no pictures; leave it out"
+    );
+    ensure!(
+        ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
+        "pose.encoder.camera is {camera:?}, of which ingest.render draws no pictures; set ingest.render = [{camera:?}]"
+    );
+    if let Some(cameras) = &ingest.cameras {
+        ensure!(
+            cameras.iter().any(|taken| taken == camera),
+            "pose.encoder.camera is {camera:?}, whose pictures ingest.cameras leaves out; name it there"
+        );
+    }
+    ensure!(
+        pipeline.segment.rule == Rule::GripperCommand,
+        "pose.source is \"encoder\" and segment.rule reads recorded object poses; set it to \"gripper_command\""
+    );
+    let leave_out = pipeline
+        .index
+        .as_ref()
+        .map_or(&[] as &[String], |index| &index.leave_out);
+    match leave_out
+        .iter()
+        .find(|check| ABOUT_THE_OBJECT.contains(&check.as_str()))
+    {
+        Some(check) => bail!(
+            "index.leave_out names the check {check:?}, which reads recorded object poses, and pose.source is \"encoder\"; leave it out (missed_grasp and lost_grasp are then found by the fingers alone)"
+        ),
+        None => Ok(()),
     }
 }
 

@@ -1,5 +1,6 @@
 //! The pipeline file: one experiment, stage by stage.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
@@ -152,7 +153,7 @@ fn symmetry_of(task: RobosuiteTask) -> Symmetry {
 pub(crate) enum Variant {
     /// End-effector state and the object's true pose.
     State,
-    /// Pictures, and the end effector's position.
+    /// Pictures, and the end effector's state.
     Image,
 }
 
@@ -237,6 +238,14 @@ pub(crate) struct PoseSection {
 }
 
 impl PoseSection {
+    /// The encoder and how it is trained, where poses come from one.
+    pub(crate) fn encoder(&self) -> Cow<'_, EncoderConfig> {
+        match &self.encoder {
+            Some(config) => Cow::Borrowed(config),
+            None => Cow::Owned(EncoderConfig::default()),
+        }
+    }
+
     /// The goal pose, world frame.
     pub(crate) fn goal(&self) -> Pose2 {
         let [x, y, theta] = self.goal;
@@ -328,7 +337,9 @@ pub(crate) struct SpatialRolloutSection {
     #[serde(default = "robomimic_steps")]
     pub(crate) max_steps: u32,
     /// Turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's object: four
-    /// quarters of a turn for the cube, any turn for the can, none for the nut; with the other presets none.
+    /// quarters of a turn for the cube, any turn for the can, none for the nut; with the other presets none. With
+    /// `variant = "image"` none either: the frame that the encoder estimates is that of the gripper as it would hold the object,
+    /// whose axes are not the object's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) symmetry: Option<Symmetry>,
     /// Errors that the object poses which the policy is told are given on purpose.
@@ -378,8 +389,8 @@ impl SpatialRolloutSection {
     }
 
     /// Symmetry of the task's object that the policy uses.
-    pub(crate) fn symmetry(&self, task: RobosuiteTask) -> Symmetry {
-        let usual = if self.policy == "re4" {
+    pub(crate) fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>) -> Symmetry {
+        let usual = if self.policy == "re4" && variant != Some(Variant::Image) {
             symmetry_of(task)
         } else {
             Symmetry::None

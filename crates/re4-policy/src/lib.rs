@@ -87,6 +87,12 @@ pub enum PolicyError {
         /// What the tree library reports.
         reason: String,
     },
+    /// A policy in space has nobody who tells it where the object is.
+    #[error("cannot retrieve: the object's pose is not known, since {reason}")]
+    Look {
+        /// Why, in words that go on from there.
+        reason: String,
+    },
     /// A decision gave no command.
     #[error("cannot act: the decision gave no command; report this together with the pipeline file")]
     NothingToDo,

@@ -44,23 +44,20 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let runner = Runner::new(arguments, &[])?;
-    let source = runner.pipeline.pose()?.source;
+    let planar = runner.pipeline.task.is_planar();
     anyhow::ensure!(
-        source != PoseSource::Recorded,
+        runner.pipeline.pose()?.source != PoseSource::Recorded,
         "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"{}\"",
         arguments.pipeline.display(),
-        if runner.pipeline.task.is_planar() {
-            "log_polar"
-        } else {
-            "encoder"
-        }
+        if planar { "log_polar" } else { "encoder" }
     );
     let episodes = runner.ingest()?;
-    if source == PoseSource::Encoder {
-        let modes = runner.segment(&episodes)?;
-        return answer(&runner, &runner.train_encoder(&episodes, &modes)?);
-    }
-    let built = runner.train_pose(&episodes)?.context("no pose estimator")?;
+    let built = if planar {
+        runner.train_pose(&episodes)?
+    } else {
+        runner.train_spatial(&episodes, &runner.segment(&episodes)?)?
+    };
+    let built = built.context("no pose estimator")?;
     answer(&runner, &built)
 }
 
@@ -70,7 +67,8 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     if !runner.pipeline.task.is_planar() {
-        return answer(&runner, &runner.index_spatial(&episodes, &modes)?);
+        let poses = runner.train_spatial(&episodes, &modes)?;
+        return answer(&runner, &runner.index_spatial(&episodes, &modes, poses.as_ref())?);
     }
     let poses = runner.train_pose(&episodes)?;
     let built = runner.index(&episodes, &modes, poses.as_ref())?;

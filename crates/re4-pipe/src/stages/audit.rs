@@ -68,7 +68,7 @@ impl Runner {
             let mut audited = if self.pipeline.task.is_planar() {
                 self.audit_planar(&episodes.artifact)?
             } else {
-                self.audit_spatial(&episodes.artifact, &modes.artifact)?
+                self.audit_spatial(&episodes.artifact, &modes.artifact, &Ok)?
             };
             audited
                 .findings
@@ -82,11 +82,27 @@ impl Runner {
     }
 
     /// What the findings depend on beside the inputs. The goal of Push-T is built in.
-    fn audit_config(&self) -> serde_json::Value {
+    pub(super) fn audit_config(&self) -> serde_json::Value {
         serde_json::json!({ "audit": self.pipeline.audit, "segment": self.pipeline.segment })
     }
 
-    fn audit_spatial(&self, episodes: &Artifact, modes: &Artifact) -> Result<Audited> {
+    /// The findings alone, over demonstrations as `look` leaves them.
+    pub(super) fn findings(
+        &self,
+        episodes: &Artifact,
+        modes: &Artifact,
+        look: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+    ) -> Result<Vec<Finding>> {
+        Ok(self.audit_spatial(episodes, modes, look)?.findings)
+    }
+
+    fn audit_spatial(
+        &self,
+        episodes: &Artifact,
+        modes: &Artifact,
+        look: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+    ) -> Result<Audited> {
+        let read = || -> Result<_> { Ok(SegmentedEpisodes::open(episodes, modes)?.map(|demo| look(demo?))) };
         let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
         let named = names(episodes)?;
         let bar = self.console.progress(2 * named.len() as u64, "audit");
@@ -98,7 +114,7 @@ impl Runner {
         };
         let mut observations = Vec::with_capacity(named.len());
         let mut listed = Vec::with_capacity(named.len());
-        for portion in in_portions(SegmentedEpisodes::open(episodes, modes)?) {
+        for portion in in_portions(read()?) {
             self.interrupt.check("audit")?;
             let demos = portion?;
             observations.par_extend(demos.par_iter().map(|demo| observe_spatial(demo, &limits)));
@@ -111,7 +127,7 @@ impl Runner {
         let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, false, gripper.closed);
         let mut findings = audit_copies(&observations, &thresholds);
         let mut grasps = Vec::new();
-        for portion in in_portions(SegmentedEpisodes::open(episodes, modes)?) {
+        for portion in in_portions(read()?) {
             self.interrupt.check("audit")?;
             let demos = portion?;
             let audits: Vec<_> = demos

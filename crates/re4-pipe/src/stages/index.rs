@@ -1,5 +1,6 @@
 //! Index: `episodes`, `modes` and perhaps `poses` to `index`.
 
+mod estimated;
 mod spatial;
 
 use std::collections::BTreeSet;

@@ -5,6 +5,7 @@ mod budgets;
 mod demos;
 mod index;
 mod ingest;
+mod pictures;
 mod replay;
 mod rollout;
 mod scenes;
@@ -27,7 +28,7 @@ use crate::pipeline::{Pipeline, load};
 
 pub(crate) use budgets::BUDGET_MEASURES;
 pub(crate) use ingest::{INGEST_WORKER, encode_png, serve_ingest};
-pub(crate) use rollout::{metrics, read_rollouts};
+pub(crate) use rollout::{Lens, Studio, metrics, put_renderer_away, read_rollouts, unseen};
 pub(crate) use simulators::Scenes;
 
 /// A pipeline with all that its stages need.

@@ -1,5 +1,6 @@
 //! Rollout: `index` and perhaps `scenes` to `rollouts`.
 
+mod eye;
 mod spatial;
 
 use std::sync::Arc;
@@ -16,6 +17,8 @@ use re4_sim::{
     chipmunk_version,
 };
 use serde_json::{Value, json};
+
+pub(crate) use eye::{Lens, Studio, put_renderer_away, unseen};
 
 use super::budgets::Budgets;
 use super::index::open_index;

@@ -18,10 +18,11 @@ use re4_report::quantile;
 use re4_sim::{OUTLINE_RADIUS, tee_rectangles};
 use serde_json::{Value, json};
 
+pub(super) use encoder::WEIGHTS;
+
+use super::pictures::check_pictures;
 use super::{Built, Runner};
 use crate::pipeline::{PoseSection, PoseSource};
-
-pub(super) use encoder::open_encoder;
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
@@ -40,6 +41,16 @@ impl Runner {
             PoseSource::Recorded | PoseSource::Encoder => Ok(None),
             PoseSource::LogPolar => self.estimate_poses(&episodes.artifact).map(Some),
         }
+    }
+
+    /// The `poses` artifact of a robosuite task, where poses come from pictures.
+    pub(crate) fn train_spatial(&self, episodes: &Built, modes: &Built) -> Result<Option<Built>> {
+        let pose = self.pipeline.pose()?;
+        if pose.source != PoseSource::Encoder {
+            return Ok(None);
+        }
+        check_pictures(&episodes.artifact, &pose.encoder().camera)?;
+        self.train_encoder(episodes, modes).map(Some)
     }
 
     fn estimate_poses(&self, episodes: &Artifact) -> Result<Built> {

@@ -64,7 +64,8 @@ pub struct SpatialDecision {
     pub mode: Mode,
     /// Grip site of the query.
     pub eef: Isometry3<f64>,
-    /// Object of the query: the observed pose, or the average of those observed where they are averaged.
+    /// Object of the query: the observed pose, or the average of those observed where they are averaged. On the way home, for
+    /// which no policy looks, the last one, at rest in the world or in the gripper.
     pub object: Isometry3<f64>,
     /// Finger joints of the query.
     pub fingers: [f64; 2],

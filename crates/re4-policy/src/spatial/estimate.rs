@@ -45,6 +45,33 @@ struct State {
     last: Option<Isometry3<f64>>,
 }
 
+/// The frame in which the object rests.
+fn frame_of(mode: Mode, eef: &Isometry3<f64>) -> Isometry3<f64> {
+    match mode {
+        Mode::Transit => Isometry3::identity(),
+        Mode::Transfer => *eef,
+    }
+}
+
+impl State {
+    /// Goes over to the frame of a mode.
+    fn rest_in(&mut self, mode: Mode, eef: &Isometry3<f64>) {
+        if self.mode != mode {
+            // The gripper has hardly moved since the mode was the other one.
+            let world = match self.mode {
+                Mode::Transit => self.average,
+                Mode::Transfer => eef * self.average,
+            };
+            *self = Self {
+                mode,
+                average: frame_of(mode, eef).inv_mul(&world),
+                count: self.count.min(CARRIED_OVER),
+                last: None,
+            };
+        }
+    }
+}
+
 impl ObjectEstimate {
     /// No pose observed yet. Without a configuration every observation is the estimate.
     pub fn new(config: Option<PoseFilterConfig>, group: SymmetryGroup) -> Self {
@@ -58,15 +85,9 @@ impl ObjectEstimate {
 
     /// Takes an observation, with the mode at it, and gives the estimate of the object's pose. World frame.
     pub fn observe(&mut self, mode: Mode, eef: &Isometry3<f64>, object: &Isometry3<f64>) -> Isometry3<f64> {
-        let Some(config) = self.config.clone() else {
-            return *object;
-        };
-        let frame = match mode {
-            Mode::Transit => Isometry3::identity(),
-            Mode::Transfer => *eef,
-        };
+        let frame = frame_of(mode, eef);
         let seen = frame.inv_mul(object);
-        let Some(mut state) = self.state.take() else {
+        let (Some(config), Some(mut state)) = (self.config.clone(), self.state.take()) else {
             self.state = Some(State {
                 mode,
                 average: seen,
@@ -75,19 +96,7 @@ impl ObjectEstimate {
             });
             return *object;
         };
-        if state.mode != mode {
-            // The gripper has hardly moved since the last observation.
-            let world = match state.mode {
-                Mode::Transit => state.average,
-                Mode::Transfer => eef * state.average,
-            };
-            state = State {
-                mode,
-                average: frame.inv_mul(&world),
-                count: state.count.min(CARRIED_OVER),
-                last: None,
-            };
-        }
+        state.rest_in(mode, eef);
         let (seen, _) = self.group.align(&seen, &state.average);
         if let Some(last) = state.last {
             let (moved, turned) = pose_distance(&self.group.align(&last, &state.average).0, &seen);
@@ -112,6 +121,14 @@ impl ObjectEstimate {
         let estimate = frame * state.average;
         self.state = Some(state);
         estimate
+    }
+
+    /// The estimate at a step without an observation: the object rests, in the world or in the gripper. None where nothing was
+    /// observed yet. World frame. To be asked at every such step, so that the change of the mode is noticed where it happens.
+    pub fn carry(&mut self, mode: Mode, eef: &Isometry3<f64>) -> Option<Isometry3<f64>> {
+        let state = self.state.as_mut()?;
+        state.rest_in(mode, eef);
+        Some(frame_of(mode, eef) * state.average)
     }
 
     /// Standard deviations of an observation's errors along one axis, in metres and rad; none while too little is known.

@@ -13,6 +13,7 @@ mod decision;
 mod demos;
 mod estimate;
 mod noise;
+mod observer;
 mod policy;
 mod reframe;
 mod rollout;
@@ -26,6 +27,7 @@ pub use decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};
 pub use estimate::ObjectEstimate;
 pub use noise::PoseNoise;
+pub use observer::{MakeObserver, ObjectSight, Observer};
 pub use policy::SpatialRe4;
 pub use reframe::{Carry, reframe_spatial, without_reframe_spatial};
 pub use rollout::{
@@ -53,6 +55,15 @@ impl SpatialObservation {
     pub fn finger_separation(&self) -> f64 {
         (self.fingers[0] - self.fingers[1]).abs()
     }
+}
+
+/// What a policy feels of its own body before a control step, without looking. World frame, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpatialBody {
+    /// Pose of the grip site.
+    pub eef: Isometry3<f64>,
+    /// Joint positions of the two fingers, of opposite signs.
+    pub fingers: [f64; 2],
 }
 
 /// What a policy commands.
@@ -95,6 +106,9 @@ pub struct SpatialAct {
     pub phase: SpatialPhase,
     /// The decision that the action starts, if it starts one.
     pub decision: Option<SpatialDecision>,
+    /// Where the policy takes the object to be at this step, world frame: the pose that it was told, or the average of those,
+    /// or, where it was not told any at this step, the last of them, at rest in the world or in the gripper.
+    pub object: Isometry3<f64>,
 }
 
 /// A policy in the middle of an episode in space.
@@ -104,4 +118,16 @@ pub trait SpatialPolicy {
     /// # Errors
     /// When the policy has no action for it.
     fn act(&mut self, observation: &SpatialObservation) -> Result<SpatialAct, PolicyError>;
+
+    /// The next action, for a policy that is not told where the object is and has to look: `look` gives the object's pose as
+    /// far as it can be seen now, world frame. It is called where the policy chooses what to do next, once a step at the most,
+    /// and not at other steps.
+    ///
+    /// # Errors
+    /// When the policy has no action, or nothing can be seen.
+    fn act_looking(
+        &mut self,
+        body: &SpatialBody,
+        look: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
+    ) -> Result<SpatialAct, PolicyError>;
 }

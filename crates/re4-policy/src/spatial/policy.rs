@@ -14,7 +14,7 @@ use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKi
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
 use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
-use crate::spatial::{SpatialAct, SpatialAction, SpatialObservation, SpatialPhase, SpatialPolicy};
+use crate::spatial::{SpatialAct, SpatialAction, SpatialBody, SpatialObservation, SpatialPhase, SpatialPolicy};
 
 /// Command that opens the gripper.
 const OPEN: f64 = -1.0;
@@ -85,6 +85,14 @@ struct Followed {
     next: Option<u32>,
 }
 
+/// Where the object's pose of a step comes from.
+enum Sight<'a> {
+    /// It was asked for.
+    Look(&'a mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>),
+    /// It is known.
+    Done,
+}
+
 /// What is seen at a step, with the estimate of the object's pose.
 #[derive(Clone, Copy)]
 struct Seen {
@@ -97,6 +105,19 @@ struct Seen {
 impl Seen {
     fn separation(&self) -> f64 {
         (self.fingers[0] - self.fingers[1]).abs()
+    }
+
+    /// Looks, unless the object's pose was told.
+    fn look(&mut self, sight: &mut Sight<'_>, estimate: &mut ObjectEstimate) -> Result<(), PolicyError> {
+        if let Sight::Look(look) = sight {
+            let object = look()?;
+            if !is_sound(&object) {
+                return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
+            }
+            self.object = estimate.observe(self.mode, &self.eef, &object);
+            *sight = Sight::Done;
+        }
+        Ok(())
     }
 
     fn query(&self) -> SpatialQuery {
@@ -141,23 +162,63 @@ impl SpatialRe4 {
 
 impl SpatialPolicy for SpatialRe4 {
     fn act(&mut self, observation: &SpatialObservation) -> Result<SpatialAct, PolicyError> {
-        let fingers = observation.fingers;
-        let sound =
-            is_sound(&observation.eef) && is_sound(&observation.object) && fingers.iter().all(|f| f.is_finite());
-        if !sound {
+        let (eef, fingers) = (observation.eef, observation.fingers);
+        self.feel(&SpatialBody { eef, fingers })?;
+        if !is_sound(&observation.object) {
             return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
         }
-        let mode = if self.gripper > 0.0 {
+        let mode = self.mode();
+        let seen = Seen {
+            mode,
+            eef,
+            object: self.estimate.observe(mode, &eef, &observation.object),
+            fingers,
+        };
+        self.step(seen, Sight::Done)
+    }
+
+    fn act_looking(
+        &mut self,
+        body: &SpatialBody,
+        look: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
+    ) -> Result<SpatialAct, PolicyError> {
+        self.feel(body)?;
+        let mode = self.mode();
+        let carried = self.estimate.carry(mode, &body.eef);
+        let mut sight = Sight::Look(look);
+        let mut seen = Seen {
+            mode,
+            eef: body.eef,
+            object: carried.unwrap_or_default(),
+            fingers: body.fingers,
+        };
+        if carried.is_none() {
+            seen.look(&mut sight, &mut self.estimate)?;
+        }
+        self.step(seen, sight)
+    }
+}
+
+impl SpatialRe4 {
+    /// Refuses a body that is nowhere.
+    fn feel(&self, body: &SpatialBody) -> Result<(), PolicyError> {
+        if is_sound(&body.eef) && body.fingers.iter().all(|f| f.is_finite()) {
+            Ok(())
+        } else {
+            Err(PolicyError::Retrieve(IndexError::QueryNotFinite))
+        }
+    }
+
+    fn mode(&self) -> Mode {
+        if self.gripper > 0.0 {
             Mode::Transfer
         } else {
             Mode::Transit
-        };
-        let seen = Seen {
-            mode,
-            eef: observation.eef,
-            object: self.estimate.observe(mode, &observation.eef, &observation.object),
-            fingers,
-        };
+        }
+    }
+
+    /// One control step.
+    fn step(&mut self, mut seen: Seen, mut sight: Sight<'_>) -> Result<SpatialAct, PolicyError> {
         let mut decision = None;
         if self.config.recovery.check == GraspCheck::Step && self.grasp_is_lost(&seen) {
             decision = Some(self.give_the_grasp_up(&seen));
@@ -166,7 +227,7 @@ impl SpatialPolicy for SpatialRe4 {
         // home has at least one, and so has every chunk.
         let (action, phase) = loop {
             match std::mem::replace(&mut self.doing, Doing::Nothing) {
-                Doing::Nothing => decision = Some(self.decide(&seen)?),
+                Doing::Nothing => decision = Some(self.decide(&mut seen, &mut sight)?),
                 Doing::Home { taken } => {
                     let arrived = taken > 0 && self.is_at(&seen.eef, &self.home);
                     if !arrived && taken < self.config.recovery.home_steps.max(1) {
@@ -190,17 +251,16 @@ impl SpatialPolicy for SpatialRe4 {
             self.since_change.saturating_add(1)
         };
         self.gripper = action.gripper;
-        self.separation = Some(observation.finger_separation());
+        self.separation = Some(seen.separation());
         self.step += 1;
         Ok(SpatialAct {
             action,
             phase,
             decision,
+            object: seen.object,
         })
     }
-}
 
-impl SpatialRe4 {
     /// The next action of a chunk, if there is one left; where a bridge ends without a grasp, the decision to go home.
     #[expect(clippy::type_complexity, reason = "an action with its phase, or a decision")]
     fn carry_on(
@@ -352,7 +412,7 @@ impl SpatialRe4 {
         }
     }
 
-    fn decide(&mut self, seen: &Seen) -> Result<SpatialDecision, PolicyError> {
+    fn decide(&mut self, seen: &mut Seen, sight: &mut Sight<'_>) -> Result<SpatialDecision, PolicyError> {
         if self.grasp_is_lost(seen) {
             return Ok(self.give_the_grasp_up(seen));
         }
@@ -364,6 +424,9 @@ impl SpatialRe4 {
                 return Ok(self.go_home(SpatialDecisionKind::DemoEnded, seen));
             }
         }
+        // Whatever is chosen from here on depends on where the object is; the way home does not.
+        seen.look(sight, &mut self.estimate)?;
+        let seen = &*seen;
         let (kind, demo, frame, distances) = loop {
             let (kind, demo, frame, distances) = self.retrieve(seen)?;
             if !self.bans.leads_nowhere(seen.mode, demo, frame) {

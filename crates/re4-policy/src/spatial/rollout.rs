@@ -1,8 +1,9 @@
 //! Rollouts in space: a policy against robosuite's tasks, seed after seed.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
+use nalgebra::Isometry3;
 use rayon::prelude::*;
 use re4_sim::robosuite::{
     ArmAction, FirstTorques, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteObservation, RobosuiteScene,
@@ -11,8 +12,8 @@ use re4_sim::robosuite::{
 use re4_sim::{SimError, Simulator as _};
 
 use crate::spatial::{
-    PoseNoise, SpatialAction, SpatialDecision, SpatialKnowledge, SpatialObservation, SpatialPhase, SpatialPolicy,
-    SpatialPolicyConfig, SpatialRe4,
+    MakeObserver, ObjectSight, Observer, PoseNoise, SpatialAct, SpatialAction, SpatialBody, SpatialDecision,
+    SpatialKnowledge, SpatialObservation, SpatialPhase, SpatialPolicy, SpatialPolicyConfig, SpatialRe4,
 };
 use crate::{PolicyError, RolloutError};
 
@@ -39,7 +40,8 @@ pub struct NoiseLevel {
 /// One control step of a rollout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialStepRecord {
-    /// What the policy saw before the step.
+    /// What the policy saw before the step. Where it looked at the object, the pose that it was told; at steps at which it did
+    /// not look, the one that it went by.
     pub seen: SpatialObservation,
     /// What it commanded.
     pub action: SpatialAction,
@@ -64,6 +66,8 @@ pub struct SpatialRollout {
     pub steps: Vec<SpatialStepRecord>,
     /// Decisions.
     pub decisions: Vec<SpatialDecision>,
+    /// How often an observer was asked where the object is; 0 without one.
+    pub looks: u32,
 }
 
 impl SpatialRollout {
@@ -91,15 +95,75 @@ pub fn to_robosuite(action: &SpatialAction) -> RobosuiteAction {
     }
 }
 
-/// Rolls a policy out from one seed, until success or the step budget. The policy is made when the scene is known.
+/// Tells a policy of the object in one episode.
+enum Eyes<'a> {
+    Recorded(Option<PoseNoise>),
+    Observed(Box<dyn Observer + 'a>),
+}
+
+impl<'a> Eyes<'a> {
+    fn open(sight: ObjectSight<'a>, start: &SpatialStart) -> Result<Self, PolicyError> {
+        match sight {
+            ObjectSight::Recorded(noise) => {
+                let errors = || PoseNoise::new(u64::from(start.seed), noise.translation, noise.rotation);
+                Ok(Self::Recorded((noise != NoiseLevel::default()).then(errors)))
+            }
+            ObjectSight::Observed(make) => {
+                let make: &MakeObserver<'a> = make;
+                Ok(Self::Observed(make(start)?))
+            }
+        }
+    }
+
+    /// Lets the policy act, and says what it saw and whether it looked.
+    fn act(
+        &mut self,
+        policy: &mut impl SpatialPolicy,
+        simulator: &Robosuite,
+        now: &RobosuiteObservation,
+    ) -> Result<(SpatialObservation, SpatialAct, bool), PolicyError> {
+        match self {
+            Self::Recorded(errors) => {
+                let mut seen = observe(now);
+                if let Some(errors) = errors {
+                    seen.object = errors.perturb(&seen.object);
+                }
+                let act = policy.act(&seen)?;
+                Ok((seen, act, false))
+            }
+            Self::Observed(observer) => {
+                // From here on, nothing leads from the object's recorded pose to the policy but the observer.
+                let body = SpatialBody {
+                    eef: now.grip_site,
+                    fingers: now.fingers,
+                };
+                let mut told = None;
+                let act = policy.act_looking(&body, &mut || {
+                    let object = observer.object(simulator)?;
+                    told = Some(object);
+                    Ok(object)
+                })?;
+                let seen = SpatialObservation {
+                    eef: body.eef,
+                    object: told.unwrap_or(act.object),
+                    fingers: body.fingers,
+                };
+                Ok((seen, act, told.is_some()))
+            }
+        }
+    }
+}
+
+/// Rolls a policy out from one seed, until success or the step budget. The policy is made when the pose of the grip site after
+/// the reset is known.
 ///
 /// # Errors
 /// When the simulator refuses, or the policy has no action.
 pub fn spatial_rollout<P: SpatialPolicy>(
     start: &SpatialStart,
-    noise: NoiseLevel,
+    sight: ObjectSight<'_>,
     max_steps: u32,
-    policy: impl FnOnce(&SpatialObservation) -> P,
+    policy: impl FnOnce(&Isometry3<f64>) -> P,
 ) -> Result<SpatialRollout, RolloutError> {
     let scene = start.seed;
     let refused = |step: usize| move |source: SimError| RolloutError::Simulator { scene, step, source };
@@ -108,19 +172,16 @@ pub fn spatial_rollout<P: SpatialPolicy>(
         .reset(&start.scene, FirstTorques::AsRobosuite)
         .map_err(refused(0))?;
     let first_state = simulator.state();
-    let mut errors = PoseNoise::new(u64::from(scene), noise.translation, noise.rotation);
-    let mut policy = policy(&observe(&first));
+    let refuses = |step: usize| move |source: PolicyError| RolloutError::Policy { scene, step, source };
+    let mut eyes = Eyes::open(sight, start).map_err(refuses(0))?;
+    let mut policy = policy(&first.grip_site);
     let mut now = first;
     let mut steps: Vec<SpatialStepRecord> = Vec::new();
     let mut decisions = Vec::new();
+    let mut looks = 0;
     for step in 0..max_steps as usize {
-        let mut seen = observe(&now);
-        if noise != NoiseLevel::default() {
-            seen.object = errors.perturb(&seen.object);
-        }
-        let act = policy
-            .act(&seen)
-            .map_err(|source: PolicyError| RolloutError::Policy { scene, step, source })?;
+        let (seen, act, looked) = eyes.act(&mut policy, &simulator, &now).map_err(refuses(step))?;
+        looks += u32::from(looked);
         decisions.extend(act.decision);
         let after = simulator.step(&to_robosuite(&act.action)).map_err(refused(step))?;
         steps.push(SpatialStepRecord {
@@ -141,11 +202,12 @@ pub fn spatial_rollout<P: SpatialPolicy>(
         first_state,
         steps,
         decisions,
+        looks,
     })
 }
 
-/// Rolls RE4 out from many seeds, in parallel on the current thread pool; results come in the order of `seeds` and do not
-/// depend on the number of threads. `start` makes the scene of a seed; `progress` is called after every episode and says
+/// Rolls RE4 out from many seeds, in parallel: on the current thread pool, or, with observers, in as many threads of their own.
+/// Results come in the order of `seeds` and do not depend on the number of threads. `start` makes the scene of a seed; `progress` is called after every episode and says
 /// whether to go on.
 ///
 /// # Errors
@@ -154,35 +216,60 @@ pub fn spatial_rollouts(
     config: &SpatialPolicyConfig,
     knowledge: &Arc<SpatialKnowledge>,
     seeds: &[u32],
-    noise: NoiseLevel,
+    sight: ObjectSight<'_>,
     max_steps: u32,
     start: &(dyn Fn(u32) -> Result<SpatialStart, SimError> + Sync),
     progress: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<SpatialRollout>, RolloutError> {
     let stopped = AtomicBool::new(false);
-    seeds
-        .par_iter()
-        .with_max_len(1)
-        .map(|&seed| {
-            if stopped.load(Ordering::Relaxed) {
-                return Err(RolloutError::Interrupted);
-            }
-            let start = start(seed).map_err(|source| RolloutError::Simulator {
-                scene: seed,
-                step: 0,
-                source,
-            })?;
-            let episode = spatial_rollout(&start, noise, max_steps, |seen| {
-                SpatialRe4::new(config.clone(), Arc::clone(knowledge), seen.eef)
-            })?;
-            if progress() {
-                Ok(episode)
-            } else {
-                stopped.store(true, Ordering::Relaxed);
-                Err(RolloutError::Interrupted)
-            }
-        })
-        .collect::<Vec<_>>()
-        .into_iter()
-        .collect()
+    let one = |seed: u32| {
+        if stopped.load(Ordering::Relaxed) {
+            return Err(RolloutError::Interrupted);
+        }
+        let start = start(seed).map_err(|source| RolloutError::Simulator {
+            scene: seed,
+            step: 0,
+            source,
+        })?;
+        let episode = spatial_rollout(&start, sight, max_steps, |home| {
+            SpatialRe4::new(config.clone(), Arc::clone(knowledge), *home)
+        })?;
+        if progress() {
+            Ok(episode)
+        } else {
+            stopped.store(true, Ordering::Relaxed);
+            Err(RolloutError::Interrupted)
+        }
+    };
+    let rollouts: Vec<Result<SpatialRollout, RolloutError>> = match sight {
+        ObjectSight::Recorded(_) => seeds.par_iter().with_max_len(1).map(|&seed| one(seed)).collect(),
+        ObjectSight::Observed(_) => in_own_threads(seeds, &one),
+    };
+    rollouts.into_iter().collect()
+}
+
+/// The results for all seeds, in their order, from as many threads as the current thread pool has, but not from the pool itself:
+/// an estimator that all observers share may wait for work of its own that it gave to the pool, and a thread of the pool that
+/// waits takes up another episode, which would ask the same estimator.
+fn in_own_threads<T: Send>(seeds: &[u32], one: &(impl Fn(u32) -> T + Sync)) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut done = Vec::new();
+        loop {
+            let at = next.fetch_add(1, Ordering::Relaxed);
+            let Some(&seed) = seeds.get(at) else { break done };
+            done.push((at, one(seed)));
+        }
+    };
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let threads = rayon::current_num_threads().min(seeds.len());
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let joined = workers.into_iter().map(|worker| match worker.join() {
+            Ok(done) => done,
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        joined.flatten().collect()
+    });
+    done.sort_by_key(|(at, _)| *at);
+    done.into_iter().map(|(_, result)| result).collect()
 }

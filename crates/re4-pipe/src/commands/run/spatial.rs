@@ -22,8 +22,9 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     let page = Page::at(runner, arguments)?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
-    let index = runner.index_spatial(&episodes, &modes)?;
-    let built = runner.rollout_spatial(&episodes, &index)?;
+    let poses = runner.train_spatial(&episodes, &modes)?;
+    let index = runner.index_spatial(&episodes, &modes, poses.as_ref())?;
+    let built = runner.rollout_spatial(&episodes, poses.as_ref(), &index)?;
     if let Some(page) = &page {
         page.write(runner, arguments, &built)?;
     }
@@ -31,7 +32,7 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     let section = runner.pipeline.spatial_rollout()?;
     let rollouts = built.artifact.table(&tables::SPATIAL_RESULTS)?.rows();
     let rate = &summary["metrics"]["success_rate"];
-    runner.console.answer(&json!({
+    let mut answer = json!({
         "task": runner.pipeline.task,
         "variant": runner.pipeline.variant,
         "policy": section.policy,
@@ -42,7 +43,12 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         "losses": summary["losses"],
         "artifact": built.artifact.path(),
         "wall_s": start.elapsed().as_secs_f64(),
-    }))?;
+    });
+    let pictures = summary["pictures"].as_u64();
+    if let Some(pictures) = pictures {
+        answer["pictures"] = json!(pictures);
+    }
+    runner.console.answer(&answer)?;
     let [value, low, high] = ["value", "low", "high"].map(|key| rate[key].as_f64().unwrap_or(f64::NAN));
     let mut text = format!(
         "policy {}, {rollouts} rollouts of at most {} steps; mean, 95 % interval\n  success rate  {value:.3}   [{low:.3}, {high:.3}]",
@@ -55,6 +61,10 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
             "\n  median of {median} steps where it succeeds; the grasp was lost {losses} times"
         )?,
         None => write!(text, "\n  no rollout succeeds; the grasp was lost {losses} times")?,
+    }
+    if let Some(pictures) = pictures {
+        let steps = built.artifact.table(&tables::SPATIAL_STEPS)?.rows();
+        write!(text, "\n  {pictures} pictures looked at in {steps} steps")?;
     }
     runner.console.say(&text)?;
     Ok(Outcome::Done)

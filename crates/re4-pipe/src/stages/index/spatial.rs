@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context as _, Result, bail};
+use arrow::array::RecordBatch;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_bool, col_f64, col_text, col_u32, tables};
 use re4_audit::SpatialDemo;
@@ -14,43 +15,59 @@ use serde_json::json;
 
 use super::super::demos::SegmentedEpisodes;
 use super::super::{Built, Runner};
-use crate::poses::pose_columns;
+use super::estimated::EstimatedPoses;
+use crate::poses::{PARTS, pose_columns};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 1;
 
 impl Runner {
-    /// The `index` artifact of a robosuite task.
-    pub(crate) fn index_spatial(&self, episodes: &Built, modes: &Built) -> Result<Built> {
+    /// The `index` artifact of a robosuite task, over the poses of the `poses` artifact where there is one, over the recorded
+    /// ones otherwise. With a `poses` artifact, the recorded object pose is read for nothing: what `index.leave_out` names is
+    /// then found by the fingers alone.
+    pub(crate) fn index_spatial(&self, episodes: &Built, modes: &Built, poses: Option<&Built>) -> Result<Built> {
         let leave_out = &self.pipeline.index()?.leave_out;
-        let audit = if leave_out.is_empty() {
+        let audit = if leave_out.is_empty() || poses.is_some() {
             None
         } else {
             Some(self.audit(episodes, modes)?)
         };
+        let mut config = json!({
+            "task": self.pipeline.task,
+            "leave_out": leave_out,
+            "pose": { "source": self.pipeline.pose()?.source },
+        });
+        if poses.is_some() && !leave_out.is_empty() {
+            config["by_fingers"] = self.audit_config();
+        }
         let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
-            .config(&json!({
-                "task": self.pipeline.task,
-                "leave_out": leave_out,
-                "pose": { "source": self.pipeline.pose()?.source },
-            }))?
+            .config(&config)?
             .input("episodes", episodes.artifact.key())
             .input("modes", modes.artifact.key());
         if let Some(audit) = &audit {
             recipe = recipe.input("audit", audit.artifact.key());
         }
+        if let Some(poses) = poses {
+            recipe = recipe.input("poses", poses.artifact.key());
+        }
         self.build(&recipe, |writer| {
-            let ends = audit
-                .as_ref()
-                .map(|audit| left_out(&audit.artifact, leave_out))
-                .transpose()?
-                .unwrap_or_default();
+            let ends = match (&audit, poses) {
+                (Some(audit), _) => left_out(&audit.artifact, leave_out)?,
+                (None, Some(_)) if !leave_out.is_empty() => {
+                    self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)?
+                }
+                _ => BTreeMap::new(),
+            };
+            let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
             let to_site = orientation_to_site(&episodes.artifact)?;
             let (mut demos, mut frames, mut retrievable) = (0_u64, 0_u64, 0_u64);
             let mut table = writer.table(&tables::SPATIAL_INDEX)?;
             for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
                 self.interrupt.check("index")?;
-                let demo = demo?;
+                let mut demo = demo?;
+                if let Some(estimated) = &estimated {
+                    estimated.put_into(&mut demo)?;
+                }
                 let end = ends.get(&demo.number).copied().unwrap_or(0) as usize;
                 let count = demo.episode.frames.len();
                 demos += 1;
@@ -59,6 +76,9 @@ impl Runner {
                 table.write_columns(columns(&demo, &to_site, end))?;
             }
             table.finish()?;
+            if let Some(estimated) = &estimated {
+                estimated.check_count(demos)?;
+            }
             if retrievable == 0 {
                 bail!(
                     "cannot index {}: every frame is left out by index.leave_out; name fewer checks",
@@ -76,16 +96,7 @@ impl Runner {
 /// The end of the last finding of one of these checks, by demonstration.
 fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
     let known = audit.table(&tables::CHECKS)?.read_columns(&["code"])?;
-    let known = col_text(&known, "code")?;
-    for check in checks {
-        if !known.contains(&Some(check.as_str())) {
-            let names: Vec<&str> = known.iter().copied().flatten().collect();
-            bail!(
-                "index.leave_out names the check {check:?}, which the audit does not have; its checks are {}",
-                names.join(", ")
-            );
-        }
-    }
+    check_names(checks, col_text(&known, "code")?.into_iter().flatten())?;
     let findings = audit
         .table(&tables::FINDINGS)?
         .read_columns(&["episode", "code", "end_frame"])?;
@@ -98,6 +109,18 @@ fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
         }
     }
     Ok(last)
+}
+
+/// Refuses names that no check has.
+pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a str>) -> Result<()> {
+    let known: Vec<&str> = known.collect();
+    match checks.iter().find(|check| !known.contains(&check.as_str())) {
+        Some(check) => bail!(
+            "index.leave_out names the check {check:?}, which the audit does not have; its checks are {}",
+            known.join(", ")
+        ),
+        None => Ok(()),
+    }
 }
 
 /// The rotation from the end effector's recorded frame to that of the grip site.
@@ -142,6 +165,23 @@ fn columns(demo: &SpatialDemo, to_site: &UnitQuaternion<f64>, end: usize) -> Col
         .bool("retrievable", (0..frames.len()).map(|frame| frame >= end).collect())
 }
 
+/// Poses of seven columns each, whose names begin with `prefix`.
+pub(super) fn read_poses(table: &RecordBatch, prefix: &str) -> Result<Vec<Isometry3<f64>>> {
+    let parts = PARTS
+        .iter()
+        .map(|part| col_f64(table, &format!("{prefix}_{part}")))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok((0..table.num_rows())
+        .map(|i| {
+            let part = |k: usize| parts[k][i];
+            Isometry3::from_parts(
+                Translation3::new(part(0), part(1), part(2)),
+                UnitQuaternion::new_unchecked(Quaternion::new(part(6), part(3), part(4), part(5))),
+            )
+        })
+        .collect())
+}
+
 /// What a policy needs of an `index` artifact.
 pub(in super::super) fn open_spatial_index(
     artifact: &Artifact,
@@ -150,22 +190,7 @@ pub(in super::super) fn open_spatial_index(
 ) -> Result<SpatialKnowledge> {
     let table = artifact.table(&tables::SPATIAL_INDEX)?.read_all()?;
     let column = |name: &str| col_f64(&table, name);
-    let pose = |prefix: &str| -> Result<Vec<Isometry3<f64>>> {
-        let parts = ["x", "y", "z", "qx", "qy", "qz", "qw"]
-            .iter()
-            .map(|part| column(&format!("{prefix}_{part}")))
-            .collect::<Result<Vec<_>, _>>()?;
-        Ok((0..table.num_rows())
-            .map(|i| {
-                let part = |k: usize| parts[k][i];
-                Isometry3::from_parts(
-                    Translation3::new(part(0), part(1), part(2)),
-                    UnitQuaternion::new_unchecked(Quaternion::new(part(6), part(3), part(4), part(5))),
-                )
-            })
-            .collect())
-    };
-    let (eef, object) = (pose("eef")?, pose("object")?);
+    let (eef, object) = (read_poses(&table, "eef")?, read_poses(&table, "object")?);
     let goals = ["x", "y", "z", "rx", "ry", "rz"]
         .iter()
         .map(|part| column(&format!("goal_{part}")))

@@ -217,10 +217,7 @@ impl<'a> Drawing<'a> {
             if interrupt.requested() {
                 return Ok(());
             }
-            data.set_time(state[0]);
-            data.qpos_mut().copy_from_slice(&state[1..=nq]);
-            data.qvel_mut().copy_from_slice(&state[1 + nq..]);
-            data.forward();
+            simulators::set_state(&mut data, state)?;
             for (&camera, pictures) in cameras.iter().zip(&mut pictures) {
                 renderer.draw_into(&mut data, camera, &mut pixels)?;
                 pictures.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);

@@ -6,9 +6,10 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Columns, Facts, Recipe, Stage, TableWriter, Writer, tables};
+use re4_encoder::Predictor;
 use re4_policy::spatial::{
-    NoiseLevel, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout, SpatialStart, SpatialStepRecord,
-    spatial_rollouts,
+    MakeObserver, NoiseLevel, ObjectSight, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout,
+    SpatialStart, SpatialStepRecord, spatial_rollouts,
 };
 use re4_report::{median, wilson_interval};
 use re4_sim::SimError;
@@ -17,7 +18,9 @@ use serde_json::json;
 
 use super::super::index::open_spatial_index;
 use super::super::simulators::{Scenes, profile};
+use super::super::train_pose::WEIGHTS;
 use super::super::{Built, Runner};
+use super::eye::{self, Eye, Studio, unseen};
 use super::interval;
 use crate::poses::pose_columns;
 
@@ -27,20 +30,47 @@ const CODE_VERSION: u32 = 1;
 /// Seeds rolled out before their rows are written.
 const BATCH: usize = 128;
 
+/// Makes the observers of rollouts, once the scene is there to be drawn.
+pub(crate) type OpenEyes<'a> = dyn Fn(Studio) -> Result<Box<MakeObserver<'static>>> + 'a;
+
 impl Runner {
-    /// The `rollouts` artifact of a robosuite task.
-    pub(crate) fn rollout_spatial(&self, episodes: &Built, index: &Built) -> Result<Built> {
+    /// The `rollouts` artifact of a robosuite task: with the simulator's own object poses, or, where there is a `poses` artifact,
+    /// with what its encoder says of pictures.
+    pub(crate) fn rollout_spatial(&self, episodes: &Built, poses: Option<&Built>, index: &Built) -> Result<Built> {
+        let Some(poses) = poses else {
+            return self.rollout_watching(episodes, None, index);
+        };
+        let backend = self.pipeline.pose()?.encoder().backend;
+        let open = |studio: Studio| -> Result<Box<MakeObserver<'static>>> {
+            let weights = poses.artifact.path().join(WEIGHTS);
+            let predictor = Predictor::open(&weights, backend)?;
+            Ok(Box::new(move |start| {
+                Ok(Box::new(Eye {
+                    lens: studio.lens(start.seed).map_err(unseen)?,
+                    predictor: predictor.clone(),
+                }))
+            }))
+        };
+        self.rollout_watching(episodes, Some((poses, &open)), index)
+    }
+
+    /// The `rollouts` artifact, with the observers that `open` makes for a `poses` artifact.
+    pub(crate) fn rollout_watching(
+        &self,
+        episodes: &Built,
+        watching: Option<(&Built, &OpenEyes<'_>)>,
+        index: &Built,
+    ) -> Result<Built> {
         let section = self.pipeline.spatial_rollout()?;
         let task = self.pipeline.task.simulated().context("no simulator for this task")?;
         let policy = section.policy_config();
-        let symmetry = section.symmetry(task);
+        let symmetry = section.symmetry(task, self.pipeline.variant);
         let noise = section.noise.map_or_else(NoiseLevel::default, |noise| NoiseLevel {
             translation: noise.translation,
             rotation: noise.rotation,
         });
         let profile = profile(&episodes.artifact)?;
-        let recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
-            .config(&json!({
+        let mut config = json!({
                 "task": self.pipeline.task,
                 "variant": self.pipeline.variant,
                 "preset": section.policy,
@@ -51,9 +81,18 @@ impl Runner {
                 "robosuite": profile,
                 "seeds": section.seeds,
                 "max_steps": section.max_steps,
-            }))?
+        });
+        let camera = self.pipeline.pose()?.encoder().camera.clone();
+        if watching.is_some() {
+            config["pictures"] = eye::settings(&camera)?;
+        }
+        let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
+            .config(&config)?
             .input("episodes", episodes.artifact.key())
             .input("index", index.artifact.key());
+        if let Some((poses, _)) = watching {
+            recipe = recipe.input("poses", poses.artifact.key());
+        }
         self.build(&recipe, |writer| {
             let knowledge = Arc::new(open_spatial_index(&index.artifact, &policy.retrieve, symmetry)?);
             let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
@@ -73,6 +112,14 @@ impl Runner {
                     scene: RobosuiteScene::Placed(placement.coordinates()),
                 })
             };
+            let eyes = watching
+                .map(|(_, open)| open(Studio::open(&scenes, &episodes.artifact, task, &camera)?))
+                .transpose()?;
+            let look = eyes.map(|make| move |start: &SpatialStart| make(start));
+            let sight = match &look {
+                Some(look) => ObjectSight::Observed(look),
+                None => ObjectSight::Recorded(noise),
+            };
             let seeds = section.seeds.as_slice();
             let bar = self.console.progress(seeds.len() as u64, "rollouts");
             let going = || {
@@ -83,15 +130,14 @@ impl Runner {
             let mut outcomes = Outcomes::default();
             for batch in seeds.chunks(BATCH) {
                 let rollouts =
-                    spatial_rollouts(&policy, &knowledge, batch, noise, section.max_steps, &start, &going)?;
+                    spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going)?;
                 outcomes.add(&rollouts);
                 tables.write(&rollouts)?;
             }
             bar.finish_and_clear();
             tables.finish()?;
             let success = wilson_interval(outcomes.successes, outcomes.steps.len() as u64);
-            Ok(Facts {
-                summary: json!({
+            let mut summary = json!({
                     "rollouts": outcomes.steps.len(),
                     "successes": outcomes.successes,
                     "metrics": { "success_rate": interval(success) },
@@ -114,7 +160,15 @@ impl Runner {
                         "control_frequency_hz": 20,
                         "controller": "OSC_POSE, absolute goals of the grip site",
                     },
-                }),
+                });
+            if watching.is_some() {
+                summary["pictures"] = json!(outcomes.looks);
+                summary["protocol"]["observation"] = json!(
+                    "grip site, fingers, and at decisions the picture of the camera, 84 x 84; no recorded object pose"
+                );
+            }
+            Ok(Facts {
+                summary,
                 warnings: Vec::new(),
             })
         })
@@ -127,6 +181,7 @@ struct Outcomes {
     success_steps: Vec<f64>,
     successes: u64,
     losses: u64,
+    looks: u64,
 }
 
 impl Outcomes {
@@ -139,6 +194,7 @@ impl Outcomes {
                 self.success_steps.push(steps);
             }
             self.losses += u64::from(losses(rollout));
+            self.looks += u64::from(rollout.looks);
         }
     }
 }

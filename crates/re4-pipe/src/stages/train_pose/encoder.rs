@@ -34,7 +34,7 @@ const EEF_COLUMNS: [&str; 9] = [
 ];
 
 /// File of the weights in the artifact.
-pub(crate) const WEIGHTS: &str = "encoder.safetensors";
+pub(in super::super) const WEIGHTS: &str = "encoder.safetensors";
 
 /// Folder of checkpoints, below that of the artifacts.
 const CHECKPOINTS: &str = "checkpoints";
@@ -191,6 +191,10 @@ impl Runner {
             "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame; look at its modes with re4-pipe audit",
             episodes.path().display()
         );
+        // The pure Rust backend computes in the program's own threads.
+        if config.backend != Backend::Flex {
+            config.backend.set_threads(rayon::current_num_threads())?;
+        }
         let pictures = self.unpack(config, episodes, &demos, writer)?;
         let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
         let task = Task {
@@ -240,12 +244,6 @@ impl Runner {
         writer: &Writer,
     ) -> Result<PictureFile> {
         let path = episodes.path();
-        ensure!(
-            episodes.manifest().tables.contains_key(tables::CAMERA_IMAGES.name),
-            "cannot train on {}: it holds no pictures; have them drawn with ingest.render = [\"{}\"], or ingest a file that has them",
-            path.display(),
-            config.camera
-        );
         let table = episodes.table(&tables::CAMERA_IMAGES)?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.console.progress(frames as u64, "pictures");
@@ -448,15 +446,4 @@ fn summary(
         "loss": last.map(|epoch| epoch.losses[0]),
         "evaluation": evaluation,
     })
-}
-
-/// The encoder of a `poses` artifact.
-pub(in super::super) fn open_encoder(artifact: &Artifact, backend: Backend) -> Result<Predictor> {
-    let path = artifact.path().join(WEIGHTS);
-    ensure!(
-        artifact.manifest().files.contains_key(WEIGHTS),
-        "cannot read {}: it has no file {WEIGHTS}; train again",
-        artifact.path().display()
-    );
-    Ok(Predictor::open(&path, backend)?)
 }
