@@ -31,4 +31,4 @@ pub enum ObjectSight<'a> {
 }
 
 /// Makes the observer of an episode.
-pub type MakeObserver<'a> = dyn Fn(&SpatialStart) -> Result<Box<dyn Observer + 'a>, PolicyError> + Sync + 'a;
+pub type MakeObserver<'a> = dyn Fn(&SpatialStart) -> Result<Box<dyn Observer>, PolicyError> + Sync + 'a;

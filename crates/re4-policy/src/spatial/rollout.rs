@@ -12,8 +12,8 @@ use re4_sim::robosuite::{
 use re4_sim::{SimError, Simulator as _};
 
 use crate::spatial::{
-    MakeObserver, ObjectSight, Observer, PoseNoise, SpatialAct, SpatialAction, SpatialBody, SpatialDecision,
-    SpatialKnowledge, SpatialObservation, SpatialPhase, SpatialPolicy, SpatialPolicyConfig, SpatialRe4,
+    ObjectSight, Observer, PoseNoise, SpatialAct, SpatialAction, SpatialBody, SpatialDecision, SpatialKnowledge,
+    SpatialObservation, SpatialPhase, SpatialPolicy, SpatialPolicyConfig, SpatialRe4,
 };
 use crate::{PolicyError, RolloutError};
 
@@ -96,22 +96,19 @@ pub fn to_robosuite(action: &SpatialAction) -> RobosuiteAction {
 }
 
 /// Tells a policy of the object in one episode.
-enum Eyes<'a> {
+enum Eyes {
     Recorded(Option<PoseNoise>),
-    Observed(Box<dyn Observer + 'a>),
+    Observed(Box<dyn Observer>),
 }
 
-impl<'a> Eyes<'a> {
-    fn open(sight: ObjectSight<'a>, start: &SpatialStart) -> Result<Self, PolicyError> {
+impl Eyes {
+    fn open(sight: ObjectSight<'_>, start: &SpatialStart) -> Result<Self, PolicyError> {
         match sight {
             ObjectSight::Recorded(noise) => {
                 let errors = || PoseNoise::new(u64::from(start.seed), noise.translation, noise.rotation);
                 Ok(Self::Recorded((noise != NoiseLevel::default()).then(errors)))
             }
-            ObjectSight::Observed(make) => {
-                let make: &MakeObserver<'a> = make;
-                Ok(Self::Observed(make(start)?))
-            }
+            ObjectSight::Observed(make) => Ok(Self::Observed(make(start)?)),
         }
     }
 
