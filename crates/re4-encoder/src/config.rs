@@ -49,11 +49,11 @@ pub struct EncoderConfig {
     pub steps: Option<u32>,
     /// Pictures a step, a multiple of 8: groups of two demonstrations with four pictures each.
     pub batch: usize,
-    /// Learning rate of `AdamW`.
+    /// Learning rate of AdamW.
     pub learning_rate: f64,
     /// Whether the learning rate falls to zero along half a cosine; it is constant otherwise.
     pub cosine: bool,
-    /// Weight decay of `AdamW`.
+    /// Weight decay of AdamW.
     pub weight_decay: f64,
     /// Weights of the losses.
     pub losses: LossConfig,

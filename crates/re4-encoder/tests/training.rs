@@ -1,5 +1,5 @@
 //! A training for real, on pictures that this test draws: a square on a table where the object is, and a cross for the gripper.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop where it fails")]
 
 use std::cell::Cell;
 use std::path::Path;

@@ -163,7 +163,7 @@ impl SpatialRe4 {
 impl SpatialPolicy for SpatialRe4 {
     fn act(&mut self, observation: &SpatialObservation) -> Result<SpatialAct, PolicyError> {
         let (eef, fingers) = (observation.eef, observation.fingers);
-        self.feel(&SpatialBody { eef, fingers })?;
+        Self::feel(&SpatialBody { eef, fingers })?;
         if !is_sound(&observation.object) {
             return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
         }
@@ -182,7 +182,7 @@ impl SpatialPolicy for SpatialRe4 {
         body: &SpatialBody,
         look: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
     ) -> Result<SpatialAct, PolicyError> {
-        self.feel(body)?;
+        Self::feel(body)?;
         let mode = self.mode();
         let carried = self.estimate.carry(mode, &body.eef);
         let mut sight = Sight::Look(look);
@@ -201,7 +201,7 @@ impl SpatialPolicy for SpatialRe4 {
 
 impl SpatialRe4 {
     /// Refuses a body that is nowhere.
-    fn feel(&self, body: &SpatialBody) -> Result<(), PolicyError> {
+    fn feel(body: &SpatialBody) -> Result<(), PolicyError> {
         if is_sound(&body.eef) && body.fingers.iter().all(|f| f.is_finite()) {
             Ok(())
         } else {

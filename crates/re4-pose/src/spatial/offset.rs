@@ -34,7 +34,7 @@ const NEAREST: f64 = 1e-6;
 /// that leave the least angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Offset {
-    offset: Isometry3<f64>,
+    motion: Isometry3<f64>,
     symmetry: SymmetryGroup,
     half_turns: bool,
 }
@@ -85,7 +85,7 @@ impl Offset {
             return Ok(None);
         };
         let mut found = Self {
-            offset: Isometry3::from_parts(Translation3::identity(), rotation),
+            motion: Isometry3::from_parts(Translation3::identity(), rotation),
             symmetry: group,
             half_turns,
         };
@@ -99,13 +99,13 @@ impl Offset {
             }
         }
         let [x, y, z] = components.map(median);
-        found.offset.translation = Translation3::new(x, y, z);
+        found.motion.translation = Translation3::new(x, y, z);
         Ok(Some(found))
     }
 
     /// The offset C: the recorded frame as seen from the estimated one.
     pub fn pose(&self) -> &Isometry3<f64> {
-        &self.offset
+        &self.motion
     }
 
     /// Whether half a turn of the gripper is told apart from the object's own symmetry.
@@ -116,10 +116,10 @@ impl Offset {
     /// How far an estimate is from the recorded pose.
     pub fn error(&self, estimated: &Isometry3<f64>, recorded: &Isometry3<f64>) -> FrameError {
         let (half_turn, rotation) = self.nearest(&(estimated.rotation.inverse() * recorded.rotation));
-        let corrected = self.turned(estimated, half_turn) * self.offset;
+        let corrected = self.turned(estimated, half_turn) * self.motion;
         let (aligned, _) = self.symmetry.align(recorded, &corrected);
         // Z leaves the origin of the estimated frame where it is.
-        let grasp = aligned * self.offset.inverse();
+        let grasp = aligned * self.motion.inverse();
         let apart = |a: &Isometry3<f64>, b: &Isometry3<f64>| (a.translation.vector - b.translation.vector).norm();
         FrameError {
             translation: apart(&corrected, recorded),
@@ -138,7 +138,7 @@ impl Offset {
 
     /// Whether Z is half a turn for a recorded orientation as seen from the estimated one, and the angle that is left.
     fn nearest(&self, relative: &UnitQuaternion<f64>) -> (bool, f64) {
-        nearest(&self.offset.rotation, relative, &self.symmetry, self.half_turns)
+        nearest(&self.motion.rotation, relative, &self.symmetry, self.half_turns)
     }
 
     /// Weiszfeld's steps towards the geodesic median.
@@ -148,16 +148,16 @@ impl Offset {
             for own in relative {
                 let (half, angle) = self.nearest(own);
                 let own = if half { half_turn().inverse() * own } else { *own };
-                let (turn, _) = self.symmetry.nearest_turn(&own, &self.offset.rotation);
-                let away = rotation_vector(&(self.offset.rotation.inverse() * own * self.symmetry.rotation(turn)));
+                let (turn, _) = self.symmetry.nearest_turn(&own, &self.motion.rotation);
+                let away = rotation_vector(&(self.motion.rotation.inverse() * own * self.symmetry.rotation(turn)));
                 let weight = 1.0 / angle.max(NEAREST);
                 step += away * weight;
                 weights += weight;
             }
             let step = step / weights;
-            let mut rotation = self.offset.rotation * rotation_from_vector(step);
+            let mut rotation = self.motion.rotation * rotation_from_vector(step);
             rotation.renormalize();
-            self.offset.rotation = rotation;
+            self.motion.rotation = rotation;
             if step.norm() < ENOUGH {
                 break;
             }

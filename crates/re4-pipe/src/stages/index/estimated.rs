@@ -106,7 +106,7 @@ impl Runner {
             .filter(|finding| checks.iter().any(|check| check == finding.code))
         {
             let entry = last.entry(finding.episode).or_default();
-            *entry = (*entry).max(finding.frames.end as u32);
+            *entry = (*entry).max(finding.frames.end);
         }
         Ok(last)
     }

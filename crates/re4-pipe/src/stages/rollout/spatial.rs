@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
-use re4_artifact::{Columns, Facts, Recipe, Stage, TableWriter, Writer, tables};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, TableWriter, Writer, tables};
 use re4_encoder::Predictor;
 use re4_policy::spatial::{
     MakeObserver, NoiseLevel, ObjectSight, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout,
@@ -14,7 +14,7 @@ use re4_policy::spatial::{
 use re4_report::{median, wilson_interval};
 use re4_sim::SimError;
 use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, SIMULATION_STEPS, with_cube_size};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::super::index::open_spatial_index;
 use super::super::simulators::{Scenes, profile};
@@ -22,6 +22,7 @@ use super::super::train_pose::WEIGHTS;
 use super::super::{Built, Runner};
 use super::eye::{self, Eye, Studio, unseen};
 use super::interval;
+use crate::pipeline::SpatialRolloutSection;
 use crate::poses::pose_columns;
 
 /// Raised whenever the same input gives other bytes.
@@ -98,7 +99,9 @@ impl Runner {
             let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
             // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
-            let shared = (task != RobosuiteTask::Lift).then(|| scenes.compile(mjcf)).transpose()?;
+            let shared = (task != RobosuiteTask::Lift)
+                .then(|| scenes.compile(mjcf))
+                .transpose()?;
             let start = |seed: u32| -> Result<SpatialStart, SimError> {
                 let placement = Placement::draw(task, seed);
                 let model: RobosuiteModel = match (&shared, placement.cube) {
@@ -129,44 +132,13 @@ impl Runner {
             let mut tables = Tables::begin(writer)?;
             let mut outcomes = Outcomes::default();
             for batch in seeds.chunks(BATCH) {
-                let rollouts =
-                    spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going)?;
+                let rollouts = spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going)?;
                 outcomes.add(&rollouts);
                 tables.write(&rollouts)?;
             }
             bar.finish_and_clear();
             tables.finish()?;
-            let success = wilson_interval(outcomes.successes, outcomes.steps.len() as u64);
-            let mut summary = json!({
-                    "rollouts": outcomes.steps.len(),
-                    "successes": outcomes.successes,
-                    "metrics": { "success_rate": interval(success) },
-                    "medians": { "steps_of_successes": median(&outcomes.success_steps) },
-                    "longest_success": outcomes.success_steps.iter().copied().fold(0.0, f64::max),
-                    "losses": outcomes.losses,
-                    "protocol": {
-                        "dataset": episodes.artifact.manifest().source,
-                        "dataset_blake3": episodes.artifact.manifest().source_blake3,
-                        "demonstrations": episodes.artifact.manifest().config,
-                        "max_steps": section.max_steps,
-                        "measure": "success of the task's own rule after any control step",
-                        "intervals": "95 %, Wilson",
-                        "seeds": section.seeds,
-                        "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube's size of the seed",
-                        "robosuite": scenes.profile(),
-                        "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
-                        "fidelity": section.fidelity,
-                        "simulation_steps_per_control_step": SIMULATION_STEPS,
-                        "control_frequency_hz": 20,
-                        "controller": "OSC_POSE, absolute goals of the grip site",
-                    },
-                });
-            if watching.is_some() {
-                summary["pictures"] = json!(outcomes.looks);
-                summary["protocol"]["observation"] = json!(
-                    "grip site, fingers, and at decisions the picture of the camera, 84 x 84; no recorded object pose"
-                );
-            }
+            let summary = outcomes.summary(section, &scenes, &episodes.artifact, watching.is_some());
             Ok(Facts {
                 summary,
                 warnings: Vec::new(),
@@ -185,6 +157,41 @@ struct Outcomes {
 }
 
 impl Outcomes {
+    fn summary(&self, section: &SpatialRolloutSection, scenes: &Scenes, episodes: &Artifact, watched: bool) -> Value {
+        let success = wilson_interval(self.successes, self.steps.len() as u64);
+        let mut summary = json!({
+            "rollouts": self.steps.len(),
+            "successes": self.successes,
+            "metrics": { "success_rate": interval(success) },
+            "medians": { "steps_of_successes": median(&self.success_steps) },
+            "longest_success": self.success_steps.iter().copied().fold(0.0, f64::max),
+            "losses": self.losses,
+            "protocol": {
+                "dataset": episodes.manifest().source,
+                "dataset_blake3": episodes.manifest().source_blake3,
+                "demonstrations": episodes.manifest().config,
+                "max_steps": section.max_steps,
+                "measure": "success of the task's own rule after any control step",
+                "intervals": "95 %, Wilson",
+                "seeds": section.seeds,
+                "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube's size of the seed",
+                "robosuite": scenes.profile(),
+                "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
+                "fidelity": section.fidelity,
+                "simulation_steps_per_control_step": SIMULATION_STEPS,
+                "control_frequency_hz": 20,
+                "controller": "OSC_POSE, absolute goals of the grip site",
+            },
+        });
+        if watched {
+            summary["pictures"] = json!(self.looks);
+            summary["protocol"]["observation"] = json!(
+                "grip site, fingers, and at decisions the picture of the camera, 84 x 84; no recorded object pose"
+            );
+        }
+        summary
+    }
+
     fn add(&mut self, rollouts: &[SpatialRollout]) {
         for rollout in rollouts {
             let steps = rollout.steps.len() as f64;

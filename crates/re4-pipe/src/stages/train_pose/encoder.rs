@@ -119,10 +119,10 @@ impl Runner {
             recipe = recipe.source(hash.as_bytes(), json!({ "weights": config.weights }));
         }
         let key = recipe.key();
+        let folder = self.store.root().join(CHECKPOINTS).join(key.short());
         let mut checkpoints = None;
         let mut rate = None;
         let built = self.build(&recipe, |writer| {
-            let folder = self.store.root().join(CHECKPOINTS).join(key.short());
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (facts, measured) =
                 self.fit_encoder(&config, weights.as_ref(), (episodes, modes), &key, kept, writer)?;
@@ -131,14 +131,11 @@ impl Runner {
         })?;
         // A run that only finds the artifact has no checkpoints of its own; one that was killed between publishing and here
         // left some.
-        match checkpoints {
-            Some(checkpoints) => checkpoints.remove()?,
-            None => {
-                let folder = self.store.root().join(CHECKPOINTS).join(key.short());
-                if folder.is_dir() {
-                    Checkpoints::open(&folder, *key.as_bytes())?.remove()?;
-                }
-            }
+        if checkpoints.is_none() && folder.is_dir() {
+            checkpoints = Some(Checkpoints::open(&folder, *key.as_bytes())?);
+        }
+        if let Some(checkpoints) = checkpoints {
+            checkpoints.remove()?;
         }
         if let Some(rate) = rate {
             // Beside the artifact, as it differs from run to run.
@@ -224,7 +221,7 @@ impl Runner {
         // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
         let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
-        let summary = summary(config, &trained, &demos, &sampler, weights.is_some(), evaluation);
+        let summary = summary(config, &trained, &demos, &sampler, weights.is_some(), &evaluation);
         card::write(
             config,
             &summary,
@@ -429,7 +426,7 @@ fn summary(
     demos: &[Demo],
     sampler: &Sampler,
     pretrained: bool,
-    evaluation: Value,
+    evaluation: &Value,
 ) -> Value {
     let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
     let last = trained.epochs.last();
