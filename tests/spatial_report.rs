@@ -133,6 +133,73 @@ fn what_cannot_be_shown_is_told_in_one_sentence() {
     with_settings!({ filters => filters() }, { assert_snapshot!(sentences.join("\n")) });
 }
 
+/// Pictures are drawn when the page is made; the object's origin, as the page places it, is where the cube is red.
+#[test]
+fn the_page_shows_what_the_camera_saw() {
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
+    let place = Place::empty();
+    let folder = lift(&place, &data, &simulators, "re4");
+    let report = format!("report {folder} --output page.html --pictures 1");
+    let answer = run(&place, &simulators, &report);
+    if answer.stderr.contains("OpenGL") {
+        println!("skipped: {}", answer.stderr.trim());
+        return;
+    }
+    answer.done();
+    let page = fs::read_to_string(place.path().join("page.html")).unwrap();
+    let shown = &data_of(&page)["artifacts"][0];
+    let pictures = &shown["pictures"];
+    let png = pictures["png"].as_array().unwrap();
+    // All of one rollout's decisions: of the first one that failed, or of the first one.
+    let success = shown["rollouts"]["success"].as_array().unwrap();
+    let chosen = success.iter().position(|success| success == 0).unwrap_or(0);
+    let counts: Vec<usize> = serde_json::from_value(shown["rollouts"]["decisions"].clone()).unwrap();
+    let first: usize = counts[..chosen].iter().sum();
+    let numbered = numbers(&pictures["decision"], |b| u32::from_le_bytes(b.try_into().unwrap()), 4);
+    assert_eq!(
+        numbered,
+        (first as u32..(first + counts[chosen]) as u32).collect::<Vec<_>>()
+    );
+    assert_eq!(png.len(), counts[chosen]);
+    let places = numbers(&pictures["places"], |b| f32::from_le_bytes(b.try_into().unwrap()), 4);
+    assert_eq!(places.len(), 16 * png.len());
+    // The policy is told the very pose.
+    assert!(places.chunks_exact(16).all(|both| both[..8] == both[8..]));
+    // At the start nothing is before the cube.
+    let bytes = {
+        use base64::Engine as _;
+        base64::prelude::BASE64_STANDARD
+            .decode(png[0].as_str().unwrap())
+            .unwrap()
+    };
+    let picture = image::load_from_memory(&bytes).unwrap().into_rgb8();
+    assert_eq!(picture.dimensions(), (84, 84));
+    let red: Vec<[f64; 2]> = picture
+        .enumerate_pixels()
+        .filter(|(_, _, pixel)| f64::from(pixel[0]) > 1.8 * f64::from(pixel[1].max(pixel[2])) && pixel[0] > 60)
+        .map(|(x, y, _)| [f64::from(x) + 0.5, f64::from(y) + 0.5])
+        .collect();
+    let middle = [0, 1].map(|k| red.iter().map(|place| place[k]).sum::<f64>() / red.len() as f64);
+    let away = (middle[0] - f64::from(places[0])).hypot(middle[1] - f64::from(places[1]));
+    assert!(
+        red.len() > 8 && away < 1.5,
+        "{} red pixels about {middle:?}, the page says {:?}",
+        red.len(),
+        &places[..2]
+    );
+    // The same page again; and none where there is nothing to draw with.
+    run(&place, &simulators, &report).done();
+    assert!(page == fs::read_to_string(place.path().join("page.html")).unwrap());
+    fs::rename(place.artifacts().join("episodes"), place.path().join("away")).unwrap();
+    let refused = run(&place, &simulators, &report).refused_at_once();
+    assert!(
+        refused.contains("cannot show pictures of") && refused.contains("episodes artifact"),
+        "{refused}"
+    );
+}
+
 #[test]
 fn the_film_is_the_rollout() {
     let Some((data, simulators)) = scripted_and_simulators() else {
@@ -189,7 +256,7 @@ fn the_page_works_in_a_browser() {
     run(
         &place,
         &simulators,
-        &format!("report {} --output page.html", paths.join(" ")),
+        &format!("report {} --output page.html --pictures 1", paths.join(" ")),
     )
     .done();
     let mut command = Command::new(&python);

@@ -103,6 +103,32 @@ def steps_show_the_tables(page, artifact):
         check(len(pictures) >= 4, "the picture does not follow the scrubber")
 
 
+def pictures_are_those_of_decisions(page, artifact):
+    """Shown at the decisions that have one, with the frame's axes in it, and how far what was told is from what was."""
+    data = page.run("return JSON.parse(document.getElementById('report-data').textContent).artifacts[0]")
+    pictures = data["pictures"]
+    check(pictures is not None and page.run("return document.querySelectorAll('#camera').length") == 1, "no pictures")
+    seen = set()
+    seed = artifact.results.sort("success", "episode")["seed"][0]
+    Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
+    steps, decisions = artifact.of(seed)
+    start = artifact.results.filter(pl.col("seed") == seed).row(0, named=True)
+    for decision in decisions.iter_rows(named=True):
+        page.scrub(decision["step"])
+        at = f"seed {seed}, step {decision['step']}, picture"
+        check(not page.run("return document.getElementById('camera').hidden"), f"{at}: hidden")
+        equal(len(page.all("#camera .told")) - len(page.all("#camera .sample .told")), 3, f"{at}, axes")
+        before = start if decision["step"] == 0 else steps.row(decision["step"] - 1, named=True)
+        apart = sum((decision[f"query_object_{axis}"] - before[f"object_{axis}"]) ** 2 for axis in "xyz") ** 0.5
+        check(abs(page.number("#camera-caption", "data-distance") - apart) < 1e-6, f"{at}: {apart}")
+        seen.add(page.run("return document.querySelector('#camera image').getAttribute('href')"))
+    check(len(seen) == decisions.height, "two decisions have the same picture")
+    other = next((s for s in artifact.results["seed"].to_list() if s != seed), None)
+    Select(page.one("#pick-seed")).select_by_visible_text(str(other))
+    page.scrub(0)
+    check(page.run("return document.getElementById('camera').hidden"), "a rollout without pictures shows one")
+
+
 def timeline_shows_what_was_followed(page, artifact):
     """As many bands as there are runs of one demonstration, each with its number."""
     for seed in artifact.results["seed"].to_list():
@@ -156,6 +182,7 @@ def main():
             steps_show_the_tables(page, artifacts[0])
             timeline_shows_what_was_followed(page, artifacts[0])
             chunks_begin_at_the_set_point(page, artifacts[0])
+            pictures_are_those_of_decisions(page, artifacts[0])
             # The rollouts are short.
             it_plays(page, "0.5")
             widths_and_schemes_hold(page)

@@ -220,6 +220,7 @@ fn rows(spec: &'static TableSpec) -> Columns {
             ColumnKind::Text | ColumnKind::Category => columns.text(name, numbers.map(|i| format!("word {}", i / 2))),
             ColumnKind::Binary => columns.binary(name, numbers.map(|i| vec![7; i as usize])),
             ColumnKind::F64List => columns.f64_list(name, numbers.map(|i| vec![0.5; i as usize % 3])),
+            ColumnKind::F32List => columns.f32_rows(name, vec![0.5; 2 * ROWS as usize], 2),
         };
     }
     columns

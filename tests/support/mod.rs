@@ -369,6 +369,21 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
     compared
 }
 
+/// The datasets of scripted demonstrations; none, and a sentence, where they are not there.
+pub(crate) fn scripted() -> Option<PathBuf> {
+    let beside = || repository().join("../shared/data");
+    let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
+    let data = data.join("robomimic-scripted");
+    if !data.is_dir() {
+        println!(
+            "skipped: no {}; set RE4_DATA to the folder of the datasets",
+            data.display()
+        );
+        return None;
+    }
+    Some(data.canonicalize().unwrap())
+}
+
 /// The datasets of scripted demonstrations, and the simulators; none, and a sentence, where either is not there.
 pub(crate) fn scripted_and_simulators() -> Option<(PathBuf, PathBuf)> {
     let named = |variable: &str, beside: &str| {

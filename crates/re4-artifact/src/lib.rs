@@ -54,7 +54,7 @@ pub use columns::{
 };
 pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
-pub use manifest::{MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
+pub use manifest::{FileFacts, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
 pub use reader::{Artifact, Batches, Table};
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;

@@ -48,6 +48,9 @@ pub struct Manifest {
     pub source: Value,
     /// The tables, by name.
     pub tables: BTreeMap<String, TableFacts>,
+    /// Files that are not tables, such as weights, by name; left out where there are none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, FileFacts>,
     /// Figures that sum up the content.
     pub summary: Value,
     /// Warnings of the stage, structured.
@@ -75,10 +78,21 @@ pub struct TableFacts {
     pub blake3: Key,
 }
 
+/// What the manifest says of a file that is not a table.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FileFacts {
+    /// Length of the file in bytes.
+    pub bytes: u64,
+    /// BLAKE3 of the file; 64 hexadecimal digits.
+    #[schemars(with = "String")]
+    pub blake3: Key,
+}
+
 impl Manifest {
     pub(crate) fn new(
         recipe: &Recipe,
         tables: BTreeMap<String, TableFacts>,
+        files: BTreeMap<String, FileFacts>,
         summary: Value,
         warnings: Vec<Value>,
     ) -> Result<Self, ArtifactError> {
@@ -95,6 +109,7 @@ impl Manifest {
             source_blake3: source.map(|source| source.hash),
             source: source.map_or(Value::Null, |source| source.facts.clone()),
             tables,
+            files,
             summary,
             warnings,
             manifest_blake3: Key::from_bytes([0; 32]),
@@ -157,6 +172,11 @@ impl Manifest {
         {
             return Err(damaged(Damage::Manifest {
                 reason: format!("names a file outside the artifact for table {name}"),
+            }));
+        }
+        if let Some(name) = manifest.files.keys().find(|name| name.contains(['/', '\\'])) {
+            return Err(damaged(Damage::Manifest {
+                reason: format!("names a file outside the artifact, {name}"),
             }));
         }
         Ok(manifest)

@@ -97,8 +97,12 @@ impl Artifact {
         let mut expected: BTreeSet<String> = BTreeSet::from([MANIFEST_NAME.to_owned()]);
         for (name, facts) in &self.manifest.tables {
             self.refuse_newer(name, facts)?;
-            self.verify_file(facts)?;
+            self.verify_file(&facts.file, facts.bytes, &facts.blake3)?;
             expected.insert(facts.file.clone());
+        }
+        for (name, facts) in &self.manifest.files {
+            self.verify_file(name, facts.bytes, &facts.blake3)?;
+            expected.insert(name.clone());
         }
         let mut found = Vec::new();
         for entry in fs::read_dir(&self.path).map_err(ArtifactError::io("list", &self.path))? {
@@ -112,9 +116,9 @@ impl Artifact {
         }
     }
 
-    fn verify_file(&self, facts: &TableFacts) -> Result<(), ArtifactError> {
-        let path = self.path.join(&facts.file);
-        let file = facts.file.clone();
+    fn verify_file(&self, file: &str, bytes: u64, blake3: &Key) -> Result<(), ArtifactError> {
+        let path = self.path.join(file);
+        let file = file.to_owned();
         let found = match fs::metadata(&path) {
             Ok(metadata) if metadata.is_file() => metadata.len(),
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
@@ -122,12 +126,12 @@ impl Artifact {
             }
             _ => return Err(ArtifactError::damaged(&self.path, Damage::Missing { file })),
         };
-        if found != facts.bytes {
-            let expected = facts.bytes;
+        if found != bytes {
+            let expected = bytes;
             let damage = Damage::Length { file, expected, found };
             return Err(ArtifactError::damaged(&self.path, damage));
         }
-        if hash_file(&path).map_err(ArtifactError::io("read", &path))? != facts.blake3 {
+        if hash_file(&path).map_err(ArtifactError::io("read", &path))? != *blake3 {
             return Err(ArtifactError::damaged(&self.path, Damage::Content { file }));
         }
         Ok(())

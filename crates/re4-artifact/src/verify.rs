@@ -65,6 +65,14 @@ pub fn verify(path: &Path) -> Result<VerifyReport, ArtifactError> {
             blake3: facts.blake3,
         });
     }
+    for (name, facts) in &manifest.files {
+        files.push(VerifiedFile {
+            file: name.clone(),
+            bytes: facts.bytes,
+            rows: None,
+            blake3: facts.blake3,
+        });
+    }
     Ok(VerifyReport {
         folder: path.to_path_buf(),
         manifest: manifest.clone(),

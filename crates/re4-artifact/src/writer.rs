@@ -22,7 +22,7 @@ use crate::columns::{Columns, check_rows};
 use crate::disk::{LOCK_NAME, TEMPORARY_PREFIX, lock, sync_folder};
 use crate::error::ArtifactError;
 use crate::key::Recipe;
-use crate::manifest::{MANIFEST_NAME, Manifest, TableFacts};
+use crate::manifest::{FileFacts, MANIFEST_NAME, Manifest, TableFacts};
 use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
 use crate::store::Store;
@@ -53,6 +53,7 @@ pub struct Writer {
     temporary: TempDir,
     lock: File,
     tables: Arc<Mutex<BTreeMap<&'static str, Option<TableFacts>>>>,
+    files: Mutex<BTreeMap<String, FileFacts>>,
 }
 
 impl Writer {
@@ -75,6 +76,7 @@ impl Writer {
             temporary,
             lock: own_lock,
             tables: Arc::default(),
+            files: Mutex::default(),
         })
     }
 
@@ -125,6 +127,31 @@ impl Writer {
         })
     }
 
+    /// Writes a file that is not a table, such as weights.
+    ///
+    /// # Errors
+    /// [`ArtifactError::Io`] when it cannot be written, or was written before.
+    pub fn file(&self, name: &str, contents: &[u8]) -> Result<(), ArtifactError> {
+        let path = self.temporary.path().join(name);
+        File::create_new(&path)
+            .and_then(|mut file| {
+                file.write_all(contents)?;
+                file.sync_all()
+            })
+            .map_err(ArtifactError::io("write", &path))?;
+        let facts = FileFacts {
+            bytes: contents.len() as u64,
+            blake3: blake3::hash(contents).into(),
+        };
+        locked(&self.files).insert(name.to_owned(), facts);
+        Ok(())
+    }
+
+    /// A folder for files that are gone when the artifact is published.
+    pub fn scratch(&self) -> &Path {
+        self.temporary.path()
+    }
+
     /// Where the artifact will be.
     pub fn folder(&self) -> &Path {
         &self.folder
@@ -142,7 +169,13 @@ impl Writer {
             let table = table.clone().ok_or_else(|| self.unfinished(name, "was not finished"))?;
             tables.insert(name.to_owned(), table);
         }
-        let manifest = Manifest::new(&self.recipe, tables, facts.summary, facts.warnings)?;
+        let manifest = Manifest::new(
+            &self.recipe,
+            tables,
+            locked(&self.files).clone(),
+            facts.summary,
+            facts.warnings,
+        )?;
         let path = self.temporary.path().join(MANIFEST_NAME);
         File::create_new(&path)
             .and_then(|mut file| {
@@ -190,6 +223,8 @@ fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactErr
             .iter()
             .find(|(name, facts)| theirs.manifest().tables.get(*name) != Some(facts));
         format!("table {}", differing.map_or("list", |(name, _)| name))
+    } else if theirs.manifest().files != ours.files {
+        "a file that is not a table".to_owned()
     } else if theirs.manifest().summary != ours.summary || theirs.manifest().warnings != ours.warnings {
         "its summary or warnings".to_owned()
     } else {

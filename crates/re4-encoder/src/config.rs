@@ -13,7 +13,7 @@ pub enum Backend {
     Flex,
     /// `LibTorch` on the processor; built with `--features torch`.
     Torch,
-    /// An NVIDIA graphics card; built with `--features cuda`.
+    /// `LibTorch` on an NVIDIA graphics card; built with `--features torch`.
     Cuda,
 }
 

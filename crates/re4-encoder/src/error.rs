@@ -7,9 +7,17 @@ use std::path::PathBuf;
 pub enum EncoderError {
     /// This program was built without a backend.
     #[error(
-        "pose.encoder.backend is \"{0}\", and this program was built without it; build it with --features {0}, or set it to \"flex\""
+        "pose.encoder.backend is \"{0}\", and this program was built without it; build it with --features torch, or set it to \"flex\""
     )]
     NoBackend(&'static str),
+    /// No graphics card that `LibTorch` can use.
+    #[error(
+        "pose.encoder.backend is \"cuda\", and LibTorch finds no NVIDIA graphics card; check that nvidia-smi lists one and that the LibTorch of this program is one for CUDA, or set it to \"torch\""
+    )]
+    NoGraphicsCard,
+    /// The number of threads cannot be set.
+    #[error("cannot set the number of threads ({0}); set it once, before anything is computed")]
+    Threads(String),
     /// A file of weights is not what it should be.
     #[error("cannot use the weights {path}: {why}", path = .path.display())]
     Weights {
@@ -17,6 +25,48 @@ pub enum EncoderError {
         path: PathBuf,
         /// What is wrong, and how to mend it.
         why: String,
+    },
+    /// Scratch space cannot be written.
+    #[error("cannot write pictures to a scratch file in {folder}: {source}; free some space and run again, training goes on from the last checkpoint", folder = .folder.display())]
+    Scratch {
+        /// Where.
+        folder: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Scratch space cannot be read.
+    #[error("cannot read the scratch file of pictures: {0}; run again, training goes on from the last checkpoint")]
+    ScratchRead(std::io::Error),
+    /// The thread that loads pictures ended.
+    #[error(
+        "the thread that loads pictures ended before the epoch did; run again, training goes on from the last checkpoint"
+    )]
+    Loader,
+    /// A checkpoint cannot be written or read.
+    #[error("cannot keep or read the checkpoint {path}: {source}; free some space, or remove it, and run again", path = .path.display())]
+    Checkpoint {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A checkpoint of another training.
+    #[error("the checkpoint {path} is of another training, with other data or settings; remove it and run again", path = .path.display())]
+    ForeignCheckpoint {
+        /// Which.
+        path: PathBuf,
+    },
+    /// The training diverged.
+    #[error(
+        "the loss is not a finite number in step {step} of epoch {epoch}; {kept}; lower pose.encoder.learning_rate and run again"
+    )]
+    NotFinite {
+        /// Epoch, from 1.
+        epoch: u32,
+        /// Step of the epoch, from 1.
+        step: u32,
+        /// What is kept.
+        kept: String,
     },
     /// A picture of another size.
     #[error("a picture has {0} bytes where 84 x 84 pixels of three colours have 21168; use pictures of that size")]

@@ -2,11 +2,22 @@
 //!
 //! Training sees pictures, end-effector poses, gripper widths and modes. No type here holds a recorded object pose.
 
+mod backend;
+pub mod batches;
+pub mod checkpoint;
 pub mod config;
 mod error;
+pub mod loss;
+pub mod pictures;
 mod predict;
 pub mod resnet;
+pub mod train;
+pub mod weights;
 
 pub use config::{Backend, EncoderConfig, LossConfig};
 pub use error::EncoderError;
 pub use predict::{PICTURE_BYTES, Prediction, Predictor, SIDE};
+pub use weights::to_bytes;
+
+/// Side of the part of a picture that the encoder sees, in pixels.
+pub const CROP: usize = 76;

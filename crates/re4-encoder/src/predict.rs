@@ -3,10 +3,13 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use nalgebra::Isometry3;
+use burn::tensor::{Tensor, TensorData};
+use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-use crate::EncoderError;
 use crate::config::Backend;
+use crate::pictures::{INPUTS, MIDDLE, place};
+use crate::resnet::{EMBEDDING, Encoder};
+use crate::{CROP, EncoderError};
 
 /// Side of the pictures in pixels.
 pub const SIDE: usize = 84;
@@ -23,15 +26,11 @@ pub struct Prediction {
     pub embedding: Vec<f32>,
 }
 
-/// The network behind a [`Predictor`], whatever computes it.
-trait Network: Send {
-    fn predict(&self, pictures: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError>;
-}
-
-/// A trained encoder. Clones share its weights; estimates do not depend on which pictures are asked for together.
+/// A trained encoder. Clones share its weights; an estimate does not depend on which pictures are asked for together.
 #[derive(Clone)]
 pub struct Predictor {
-    network: Arc<Mutex<dyn Network>>,
+    // Weights of burn may be sent to another thread, and not be shared by two.
+    encoder: Arc<Mutex<Encoder>>,
 }
 
 impl Predictor {
@@ -39,17 +38,52 @@ impl Predictor {
     ///
     /// # Errors
     /// When the file cannot be read or is not one of an encoder, or this program was built without the backend.
-    pub fn open(_weights: &Path, _backend: Backend) -> Result<Self, EncoderError> {
-        todo!("arrives with the training")
+    pub fn open(weights: &Path, backend: Backend) -> Result<Self, EncoderError> {
+        let device = backend.device()?;
+        Ok(Self::new(crate::weights::load(weights, &device)?))
     }
 
-    /// What the encoder says of pictures of [`PICTURE_BYTES`] bytes each, in their order.
+    /// An encoder that was just trained.
+    pub fn new(encoder: Encoder) -> Self {
+        Self {
+            encoder: Arc::new(Mutex::new(encoder)),
+        }
+    }
+
+    /// What the encoder says of pictures of [`PICTURE_BYTES`] bytes each, in their order, cropped in the middle.
     ///
     /// # Errors
     /// When a picture has another size.
     pub fn predict(&self, pictures: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError> {
+        if let Some(odd) = pictures.iter().find(|picture| picture.len() != PICTURE_BYTES) {
+            return Err(EncoderError::Picture(odd.len()));
+        }
         // A panic elsewhere leaves the weights as they are.
-        let network = self.network.lock().unwrap_or_else(PoisonError::into_inner);
-        network.predict(pictures)
+        let encoder = self.encoder.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let device = encoder.device();
+        let mut inputs = vec![0.0; pictures.len() * INPUTS];
+        for (picture, into) in pictures.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
+            place(picture, MIDDLE, into);
+        }
+        let inputs = Tensor::<4>::from_data(TensorData::new(inputs, [pictures.len(), 3, CROP, CROP]), &device);
+        let (embeddings, poses) = encoder.poses(inputs);
+        let numbers = |tensor: Tensor<2>| -> Vec<f32> { tensor.into_data().iter::<f32>().collect() };
+        let translations = numbers(poses.translation);
+        let columns = poses.columns.map(numbers);
+        let embeddings = numbers(embeddings);
+        Ok((0..pictures.len())
+            .map(|i| {
+                let vector = |values: &[f32]| Vector3::from_fn(|k, _| f64::from(values[3 * i + k]));
+                let [a, b, c] = [0, 1, 2].map(|k| vector(&columns[k]));
+                let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[a, b, c]));
+                Prediction {
+                    pose: Isometry3::from_parts(
+                        vector(&translations).into(),
+                        UnitQuaternion::from_rotation_matrix(&rotation),
+                    ),
+                    embedding: embeddings[i * EMBEDDING..(i + 1) * EMBEDDING].to_vec(),
+                }
+            })
+            .collect())
     }
 }

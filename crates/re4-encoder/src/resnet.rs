@@ -1,11 +1,14 @@
 //! A residual network of 18 layers in torchvision's layout.
 
-use burn::module::Module;
+use burn::module::{Module, Param, RunningState};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
 use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::loss::Poses;
 
 /// Numbers of the embedding.
 pub const EMBEDDING: usize = 256;
@@ -67,6 +70,39 @@ impl Block {
     }
 }
 
+/// Where a tensor of the network lies.
+pub(crate) enum Slot<'a> {
+    /// Weight of a convolution, `[out, in, height, width]`.
+    Kernel(&'a mut Param<Tensor<4>>),
+    /// Weight of a linear layer, `[in, out]`: burn's layout, the transpose of `PyTorch`'s.
+    Matrix(&'a mut Param<Tensor<2>>),
+    /// A bias, or a scale.
+    Vector(&'a mut Param<Tensor<1>>),
+    /// A running statistic of batch normalisation.
+    Running(&'a mut RunningState<Tensor<1>>),
+}
+
+type Named<'a> = (String, Slot<'a>);
+
+fn conv_slot<'a>(name: &str, conv: &'a mut Conv2d) -> Named<'a> {
+    (format!("{name}.weight"), Slot::Kernel(&mut conv.weight))
+}
+
+fn norm_slots<'a>(name: &str, norm: &'a mut BatchNorm) -> [Named<'a>; 4] {
+    [
+        (format!("{name}.weight"), Slot::Vector(&mut norm.gamma)),
+        (format!("{name}.bias"), Slot::Vector(&mut norm.beta)),
+        (format!("{name}.running_mean"), Slot::Running(&mut norm.running_mean)),
+        (format!("{name}.running_var"), Slot::Running(&mut norm.running_var)),
+    ]
+}
+
+fn linear_slots<'a>(name: &'a str, linear: &'a mut Linear) -> impl Iterator<Item = Named<'a>> {
+    let bias = linear.bias.as_mut();
+    std::iter::once((format!("{name}.weight"), Slot::Matrix(&mut linear.weight)))
+        .chain(bias.map(|bias| (format!("{name}.bias"), Slot::Vector(bias))))
+}
+
 /// The network.
 #[derive(Module, Debug)]
 pub struct Encoder {
@@ -81,8 +117,12 @@ pub struct Encoder {
     head: Linear,
 }
 
+/// Metres that a 1 of the head's translation stands for: the head's numbers are then of the size that its initial weights
+/// give, and steps of the optimiser are millimetres.
+pub const SCALE: f64 = 0.1;
+
 impl Encoder {
-    /// Random weights.
+    /// An encoder with burn's initial weights.
     pub fn new(width: usize, device: &Device) -> Self {
         let stage = |inside: usize, out: usize, stride: usize| {
             vec![Block::new(inside, out, stride, device), Block::new(out, out, 1, device)]
@@ -103,8 +143,45 @@ impl Encoder {
         }
     }
 
-    /// Pictures `[batch, 3, height, width]` to embeddings `[batch, 256]` and raw poses `[batch, 9]`.
-    pub fn forward(&self, pictures: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
+    /// The same, with a head whose estimates are spread about the mean of these poses at first.
+    #[must_use]
+    pub fn aimed(mut self, poses: &[Isometry3<f64>]) -> Self {
+        let count = poses.len().max(1) as f64;
+        let mean =
+            |part: &dyn Fn(&Isometry3<f64>) -> Vector3<f64>| poses.iter().map(part).sum::<Vector3<f64>>() / count;
+        let column =
+            |k: usize| move |pose: &Isometry3<f64>| pose.rotation.to_rotation_matrix().matrix().column(k).into_owned();
+        let parts = [
+            mean(&|pose| pose.translation.vector) / SCALE,
+            mean(&column(0)),
+            mean(&column(1)),
+        ];
+        let values: Vec<f32> = parts
+            .iter()
+            .flat_map(|part| [part.x, part.y, part.z])
+            .map(|x| x as f32)
+            .collect();
+        self.head.bias = self.head.bias.map(|bias| {
+            bias.map(|tensor| {
+                let device = tensor.device();
+                let aimed = Tensor::from_data(TensorData::new(values.clone(), [9]), &device);
+                if tensor.is_require_grad() {
+                    aimed.require_grad()
+                } else {
+                    aimed
+                }
+            })
+        });
+        self
+    }
+
+    /// Channels after the first convolution.
+    pub fn width(&self) -> usize {
+        self.conv1.weight.lazy_shape()[0]
+    }
+
+    /// Pictures `[batch, 3, height, width]`, normalised, to the features behind the average pool, `[batch, 8 width]`.
+    pub fn features(&self, pictures: Tensor<4>) -> Tensor<2> {
         let mut x = self
             .maxpool
             .forward(relu(self.bn1.forward(self.conv1.forward(pictures))));
@@ -115,9 +192,47 @@ impl Encoder {
             x = block.forward(x);
         }
         let [batch, channels, _, _] = x.dims();
-        let pooled = x.mean_dim(3).mean_dim(2).reshape([batch, channels]);
-        let embedding = self.embedding.forward(pooled);
-        let pose = self.head.forward(embedding.clone());
-        (embedding, pose)
+        x.mean_dim(3).mean_dim(2).reshape([batch, channels])
+    }
+
+    /// Pictures `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and the head's numbers `[batch, 9]`.
+    pub fn forward(&self, pictures: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
+        let embedding = self.embedding.forward(self.features(pictures));
+        let raw = self.head.forward(embedding.clone());
+        (embedding, raw)
+    }
+
+    /// Pictures `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and poses in the world frame.
+    pub fn poses(&self, pictures: Tensor<4>) -> (Tensor<2>, Poses) {
+        let (embedding, raw) = self.forward(pictures);
+        (embedding, Poses::from_raw(&raw, SCALE))
+    }
+
+    /// Where it computes.
+    pub fn device(&self) -> Device {
+        self.head.weight.val().device()
+    }
+
+    /// Every tensor under the name that torchvision's `resnet18` has for it; `embedding` and `head` are this crate's own.
+    pub(crate) fn slots(&mut self) -> Vec<Named<'_>> {
+        let mut slots = vec![conv_slot("conv1", &mut self.conv1)];
+        slots.extend(norm_slots("bn1", &mut self.bn1));
+        let stages = [&mut self.layer1, &mut self.layer2, &mut self.layer3, &mut self.layer4];
+        for (stage, blocks) in (1..).zip(stages) {
+            for (index, block) in blocks.iter_mut().enumerate() {
+                let name = |part: &str| format!("layer{stage}.{index}.{part}");
+                slots.push(conv_slot(&name("conv1"), &mut block.conv1));
+                slots.extend(norm_slots(&name("bn1"), &mut block.bn1));
+                slots.push(conv_slot(&name("conv2"), &mut block.conv2));
+                slots.extend(norm_slots(&name("bn2"), &mut block.bn2));
+                if let Some(down) = &mut block.downsample {
+                    slots.push(conv_slot(&name("downsample.0"), &mut down.conv));
+                    slots.extend(norm_slots(&name("downsample.1"), &mut down.bn));
+                }
+            }
+        }
+        slots.extend(linear_slots("embedding", &mut self.embedding));
+        slots.extend(linear_slots("head", &mut self.head));
+        slots
     }
 }

@@ -1,10 +1,21 @@
-//! The datasets that are known by name.
+//! The datasets and weights that are known by name.
 
 use serde::Deserialize;
 
 use crate::error::{Fault, FetchError};
 
-/// A dataset that can be downloaded.
+/// What a downloaded file is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Form {
+    /// A zip file, to be unpacked.
+    #[default]
+    Zip,
+    /// What is wanted itself. Weights of PyTorch are zip files inside, and are used as they are.
+    File,
+}
+
+/// A dataset that can be downloaded, or weights.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dataset {
@@ -12,15 +23,18 @@ pub struct Dataset {
     pub name: String,
     /// One sentence about it.
     pub description: String,
-    /// Address of a zip file.
+    /// Address of a file.
     pub url: String,
-    /// Size of the zip file, where it is known.
+    /// Size of the file, where it is known.
     pub bytes: Option<u64>,
-    /// SHA-256 of the zip file in hexadecimal, where it is known.
+    /// SHA-256 of the file in hexadecimal, where it is known.
     pub sha256: Option<String>,
     /// Licence and holder of the rights.
     pub licence: String,
-    /// Path below the destination at which the dataset will lie. In the zip file it is at this path or at its last part.
+    /// What the file is.
+    #[serde(default)]
+    pub form: Form,
+    /// Path below the destination at which the dataset will lie. In a zip file it is at this path or at its last part.
     pub provides: String,
 }
 
@@ -83,16 +97,24 @@ mod tests {
     #[test]
     fn the_catalogue_is_sound() {
         let known = catalogue().unwrap();
-        assert!(known.iter().any(|dataset| dataset.name == "pusht"));
+        assert_eq!(
+            known.iter().map(|dataset| &dataset.name).collect::<Vec<_>>(),
+            ["pusht", "resnet18"]
+        );
         for dataset in known {
             assert_eq!(find(&dataset.name).unwrap(), dataset);
             assert!(dataset.url.starts_with("https://"), "{}", dataset.url);
             assert!(!dataset.licence.is_empty() && !dataset.description.is_empty());
-            assert!(
-                dataset.provides.starts_with(&format!("{}/", dataset.name)),
-                "{}",
-                dataset.provides
-            );
+            let folder = match dataset.form {
+                Form::Zip => dataset.name.as_str(),
+                // Only its hash tells whether it is whole.
+                Form::File => {
+                    assert!(dataset.sha256.is_some() && dataset.bytes.is_some());
+                    "weights"
+                }
+            };
+            let inside = dataset.provides.strip_prefix(folder);
+            assert!(inside.is_some_and(|path| path.starts_with('/')), "{}", dataset.provides);
             if let Some(sha256) = &dataset.sha256 {
                 assert!(sha256.len() == 64 && sha256.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f')));
             }
@@ -104,7 +126,7 @@ mod tests {
         let sentence = find("push-t").unwrap_err().to_string();
         assert_eq!(
             sentence,
-            "cannot fetch push-t from the catalogue: there is no such dataset; known are: pusht"
+            "cannot fetch push-t from the catalogue: there is no such dataset; known are: pusht, resnet18"
         );
     }
 }

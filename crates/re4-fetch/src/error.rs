@@ -34,7 +34,9 @@ pub enum Fault {
         known: String,
     },
     /// No connection, or none that works.
-    #[error("the server cannot be reached ({why}); check the network, or download the file elsewhere and unpack it")]
+    #[error(
+        "the server cannot be reached ({why}); check the network, or run this on another machine and copy what it fetches"
+    )]
     Unreachable {
         /// The network's words.
         why: String,

@@ -1,4 +1,4 @@
-//! Download of datasets: resumable, size and hash checked, unpacked whole or not at all.
+//! Download of datasets and weights: resumable, size and hash checked, put in place whole or not at all.
 
 mod catalogue;
 mod download;
@@ -9,7 +9,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-pub use catalogue::{Dataset, catalogue, find};
+pub use catalogue::{Dataset, Form, catalogue, find};
 pub use error::{Fault, FetchError};
 
 use download::Download;
@@ -30,7 +30,7 @@ pub struct FetchReport {
 pub enum Outcome {
     /// It was there already; nothing was downloaded.
     AlreadyThere,
-    /// It was downloaded and unpacked.
+    /// It was downloaded and put in place.
     Fetched {
         /// Bytes of the downloaded file.
         bytes: u64,
@@ -43,8 +43,8 @@ pub enum Outcome {
     },
 }
 
-/// Downloads a dataset to `<destination>/<name>.part`, checks it, unpacks it and puts it at
-/// `<destination>/<provides>`.
+/// Downloads a dataset to `<destination>/<name>.part`, checks it, unpacks it if it is a zip file, and puts
+/// it at `<destination>/<provides>`.
 ///
 /// A part file of an interrupted fetch is continued if the server allows it and its file has not changed, else the
 /// download starts again. A dataset that is there already is left as it is. `progress` is called with the bytes on disk
@@ -93,7 +93,10 @@ fn fetch_checked(
         }
     };
     let checked = download.check(dataset).and_then(|(bytes, sha256)| {
-        unpack::unpack(&download.part, destination, Path::new(&dataset.provides))?;
+        match dataset.form {
+            Form::Zip => unpack::unpack(&download.part, destination, Path::new(&dataset.provides))?,
+            Form::File => unpack::put(&download.part, &path)?,
+        }
         Ok(report(Outcome::Fetched {
             bytes,
             resumed_from,

@@ -1,4 +1,4 @@
-//! Unpacking of a zip file, whole or not at all.
+//! What becomes of a whole, checked download: a zip file is unpacked, whole or not at all; another file is moved.
 
 use std::fs::{self, File};
 use std::io;
@@ -26,11 +26,19 @@ pub(crate) fn unpack(archive: &Path, destination: &Path, provides: &Path) -> Res
         .ok_or_else(|| Fault::Incomplete {
             expected: provides.display().to_string(),
         })?;
-    let target = destination.join(provides);
+    move_to(&unpacked, &destination.join(provides), "move the unpacked dataset to")
+}
+
+/// Moves a downloaded file to its place.
+pub(crate) fn put(file: &Path, target: &Path) -> Result<(), Fault> {
+    move_to(file, target, "move the downloaded file to")
+}
+
+fn move_to(from: &Path, target: &Path, action: &'static str) -> Result<(), Fault> {
     if let Some(parent) = target.parent() {
         fs::create_dir_all(parent).map_err(|error| Fault::io("create", parent, error))?;
     }
-    fs::rename(unpacked, &target).map_err(|error| Fault::io("move the unpacked dataset to", &target, error))
+    fs::rename(from, target).map_err(|error| Fault::io(action, target, error))
 }
 
 fn unpack_all(archive: &Path, target: &Path) -> Result<(), Fault> {

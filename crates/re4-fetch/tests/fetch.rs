@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use re4_fetch::{Dataset, FetchError, FetchReport, Outcome, fetch};
+use re4_fetch::{Dataset, FetchError, FetchReport, Form, Outcome, fetch};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
@@ -193,6 +193,7 @@ fn dataset(url: &str) -> Dataset {
         bytes: None,
         sha256: None,
         licence: "MIT".to_owned(),
+        form: Form::Zip,
         provides: "pusht/pusht.zarr".to_owned(),
     }
 }
@@ -261,6 +262,62 @@ fn a_dataset_is_fetched_once() {
         assert_eq!(get(&dataset, &destination).unwrap().outcome, Outcome::AlreadyThere);
         assert_eq!(server.seen().len(), 1);
     }
+}
+
+#[test]
+fn weights_are_put_in_place_as_they_are() {
+    // PyTorch's files are zip files themselves, and must not be unpacked.
+    let file = archive("");
+    let server = Server::start(Behaviour {
+        cut_after: Some(100_000),
+        ..Behaviour::good(&file)
+    });
+    let folder = TempDir::new().unwrap();
+    let weights = |url: &str, right: &[u8]| {
+        let known = re4_fetch::find("resnet18").unwrap().with_url(url);
+        Dataset {
+            bytes: Some(right.len() as u64),
+            sha256: Some(sha256(right)),
+            ..known
+        }
+    };
+    let whole = weights(&server.address, &file);
+    assert!(get(&whole, folder.path()).is_err());
+    assert_eq!(
+        names(folder.path()),
+        ["resnet18.part", "resnet18.part.origin"],
+        "nothing is in place before it is whole"
+    );
+    server.set(|behaviour| behaviour.cut_after = None);
+    let report = get(&whole, folder.path()).unwrap();
+    let path = folder.path().join("weights/resnet18-f37072fd.pth");
+    assert_eq!(report.path, path);
+    assert!(matches!(
+        report.outcome,
+        Outcome::Fetched {
+            resumed_from: 100_000,
+            verified: true,
+            ..
+        }
+    ));
+    assert_eq!(fs::read(&path).unwrap(), file);
+    assert_eq!(names(folder.path()), ["weights"]);
+    assert_eq!(get(&whole, folder.path()).unwrap().outcome, Outcome::AlreadyThere);
+
+    // Of the right size, but another file.
+    let mut other = file.clone();
+    other[1000] ^= 1;
+    let folder = TempDir::new().unwrap();
+    let failed = sentence(
+        get(&weights(&server.address, &other), folder.path()),
+        &server.address,
+        folder.path(),
+    );
+    assert!(
+        failed.contains("the file has SHA-256") && failed.contains("so it was deleted"),
+        "{failed}"
+    );
+    assert!(names(folder.path()).is_empty());
 }
 
 #[test]

@@ -17,6 +17,7 @@ mod library;
 mod model;
 mod render;
 mod trim;
+mod view;
 
 pub use data::Data;
 pub use error::MujocoError;
@@ -25,3 +26,4 @@ pub use layout::Version;
 pub use library::Library;
 pub use model::{Kind, Model};
 pub use render::Renderer;
+pub use view::View;

@@ -6,7 +6,7 @@ use std::sync::PoisonError;
 use crate::gl::{Context, MAKING};
 use crate::library::Viewport;
 use crate::trim::{REFLECTION, trim};
-use crate::{Data, Gl, Kind, Model, MujocoError};
+use crate::{Data, Gl, Kind, Model, MujocoError, View};
 
 /// Things that a scene may hold, as robosuite has it.
 const MAX_GEOMS: c_int = 1_000;
@@ -141,6 +141,12 @@ impl Renderer {
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
+    }
+
+    /// What the camera of the last picture saw; none before the first one.
+    pub fn view(&mut self) -> Option<View> {
+        // SAFETY: the scene was made for the model and is whole; before the first picture its eyes are zeros.
+        unsafe { View::of_scene(self.scene.pointer(), &self.model) }
     }
 
     /// Draws what a camera of the model sees: rows from top to bottom, three bytes (red, green, blue) a pixel. Poses must be up

@@ -9,8 +9,8 @@
 
 use std::ffi::{c_int, c_void};
 
+use crate::Model;
 use crate::layout::Layout;
-use crate::{Model, Version};
 
 /// `mjGEOM_PLANE`, `mjGEOM_BOX`, `mjGEOM_MESH`.
 const PLANE: c_int = 0;
@@ -45,14 +45,6 @@ fn minus(a: Vector, b: Vector) -> Vector {
 
 fn plus(a: Vector, b: Vector, factor: f64) -> Vector {
     [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]]
-}
-
-fn cross(a: Vector, b: Vector) -> Vector {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 /// What a camera sees, or a part of it: a pyramid.
@@ -216,9 +208,10 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
     let size = layout.sizes.geom;
     // SAFETY: by the caller, and by the layout.
     unsafe {
-        let Some(view) = view(scene, model, aspect) else {
+        let Some(seen) = crate::View::of_scene(scene, model) else {
             return;
         };
+        let view = view_of(&seen, aspect);
         let geoms = scene.byte_add(layout.scene_geoms).cast::<*mut c_void>().read();
         let count_at = scene.byte_add(layout.scene_ngeom).cast::<c_int>();
         let count = usize::try_from(count_at.read()).unwrap_or(0);
@@ -265,61 +258,18 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
     }
 }
 
-/// What the camera of the scene sees; none where it is not a plain pyramid.
-///
-/// # Safety
-/// As for [`trim`].
-unsafe fn view(scene: *const c_void, model: &Model, aspect: f64) -> Option<View> {
-    let version = model.library().version();
-    let layout = version.layout();
-    // SAFETY: by the caller: the scene has two eyes, which have three vectors and then numbers.
-    let (eyes, parallel) = unsafe {
-        let start = scene.byte_add(layout.scene_camera);
-        let eyes = [0, layout.sizes.eye].map(|offset| {
-            let eye = start.byte_add(offset);
-            let number = |offset: usize| f64::from(eye.byte_add(offset).cast::<f32>().read());
-            let vector = |offset: usize| eye.byte_add(offset).cast::<[f32; 3]>().read().map(f64::from);
-            (
-                [
-                    vector(layout.eye_pos),
-                    vector(layout.eye_forward),
-                    vector(layout.eye_up),
-                ],
-                [
-                    number(layout.eye_center),
-                    number(layout.eye_bottom),
-                    number(layout.eye_top),
-                    number(layout.eye_near),
-                ],
-            )
-        });
-        let parallel = match version {
-            Version::V2_3_7 => 0,
-            Version::V3_2_7 => start
-                .byte_add(layout.sizes.eye - size_of::<c_int>())
-                .cast::<c_int>()
-                .read(),
-        };
-        (eyes, parallel)
-    };
-    let [(left, numbers), (right_eye, others)] = eyes;
-    let [_, bottom, top, near] = numbers;
-    let off_centre = (numbers[0] + others[0]).abs() / 2.0 + (bottom + top).abs();
-    // Not so near as to be off by rounding, and without the shift of a stereo picture.
-    if parallel != 0 || near <= 0.0 || top <= 0.0 || off_centre > 1e-6 * top {
-        return None;
-    }
-    let [position, forward, up] = left;
-    let half = MARGIN * top / near;
-    Some(View {
-        position: plus(position, minus(right_eye[0], position), 0.5),
-        forward,
-        up,
-        right: cross(forward, up),
+/// What a picture of this aspect shows, and a margin beside it.
+fn view_of(seen: &crate::View, aspect: f64) -> View {
+    let half = MARGIN * seen.half;
+    View {
+        position: seen.position,
+        forward: seen.forward,
+        up: seen.up,
+        right: seen.right(),
         vertical: [-half, half],
         horizontal: [-half * aspect, half * aspect],
-        near,
-    })
+        near: seen.near,
+    }
 }
 
 /// Centre and half axes of a geom's bounding box (centre and half sizes in its frame).

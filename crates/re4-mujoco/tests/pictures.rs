@@ -89,6 +89,29 @@ fn what_robosuite_shows_is_shown_the_right_way_up() {
 }
 
 #[test]
+fn what_is_seen_is_where_its_view_says() {
+    for model in Version::ALL.into_iter().filter_map(model) {
+        let mut renderer = Renderer::new(&model, 90, 60).unwrap();
+        assert_eq!(renderer.view(), None, "nothing was drawn yet");
+        let mut data = Data::new(&model).unwrap();
+        for centre in [[0.0, 0.0, 1.2], [0.3, -0.4, 1.0], [-0.2, 0.5, 1.5]] {
+            data.qpos_mut()[..3].copy_from_slice(&centre);
+            data.forward();
+            let picture = renderer.draw(&mut data, "front").unwrap();
+            let (pixels, _) = picture.as_chunks::<3>();
+            let red: Vec<usize> = (0..pixels.len())
+                .filter(|&i| pixels[i][0] > 60 && pixels[i][1] < 30 && pixels[i][2] < 30)
+                .collect();
+            let mean = |of: fn(usize) -> usize| red.iter().map(|&i| of(i) as f64 + 0.5).sum::<f64>() / red.len() as f64;
+            let found = [mean(|i| i % 90), mean(|i| i / 90)];
+            let told = renderer.view().unwrap().pixel(centre, 90, 60).unwrap();
+            let away = (found[0] - told[0]).hypot(found[1] - told[1]);
+            assert!(red.len() > 10 && away < 1.5, "{centre:?}: {found:?}, {told:?}");
+        }
+    }
+}
+
+#[test]
 fn leaving_out_what_is_not_seen_changes_nothing() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let mut renderer = Renderer::new(&model, 84, 84).unwrap();

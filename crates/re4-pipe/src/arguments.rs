@@ -49,7 +49,7 @@ pub(crate) enum Command {
     Inspect(InspectArguments),
     /// Write one HTML page over rollouts: scores, every seed, step budgets, and a viewer of each decision
     Report(ReportArguments),
-    /// Download a dataset into the data folder
+    /// Download a dataset, or weights to start an encoder from, into the data folder
     Fetch(FetchArguments),
     /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
     Schemas(SchemasArguments),
@@ -222,6 +222,13 @@ pub(crate) struct ReportArguments {
     /// Rollouts that the viewer holds, to keep the page small; all count in the figures [default: all]
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
+    /// Rollouts in the viewer, failures first, whose decisions are shown in the camera's picture, drawn by MuJoCo
+    #[arg(
+        long,
+        value_name = "N",
+        help = "Rollouts in the viewer, failures first, whose decisions are shown in the camera's picture, drawn by MuJoCo [default: 8 where poses come from pictures, else none]"
+    )]
+    pub(crate) pictures: Option<usize>,
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,
@@ -230,7 +237,7 @@ pub(crate) struct ReportArguments {
 /// Arguments of `fetch`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct FetchArguments {
-    /// Dataset, as data/datasets.toml names it
+    /// Dataset or weights, as data/datasets.toml names them
     #[arg(value_name = "DATASET")]
     pub(crate) dataset: String,
     /// Folder to put it into.

@@ -1,6 +1,8 @@
 //! Values that fit their type and still make no sense.
 
 use anyhow::{Result, bail, ensure};
+use re4_encoder::EncoderConfig;
+use re4_encoder::loss::GROUP;
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
@@ -131,6 +133,9 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
         pose.encoder.is_none() || pose.source == PoseSource::Encoder,
         "the table [pose.encoder] is for pose.source = \"encoder\"; leave it out, or set pose.source to it"
     );
+    if let Some(encoder) = &pose.encoder {
+        check_settings(encoder)?;
+    }
     match (pipeline.variant, pose.source) {
         (_, PoseSource::LogPolar) => bail!(
             "pose.source is \"log_polar\", which reads Push-T's pictures; set it to \"encoder\", or to \"recorded\""
@@ -144,6 +149,61 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
         (_, PoseSource::Encoder) => check_encoder(pipeline, &pose.encoder().camera),
         _ => Ok(()),
     }
+}
+
+/// Widest network: sixteen times the weights of ResNet-18.
+const WIDEST: u32 = 256;
+
+/// Most epochs, and most steps of one.
+const MOST_STEPS: u32 = 1_000_000;
+
+/// Largest batch, in pictures: what is computed with them is some megabytes each.
+const LARGEST_BATCH: u32 = 4096;
+
+fn check_settings(encoder: &EncoderConfig) -> Result<()> {
+    let count = |name: &str, value: usize, least: u32, most: u32| {
+        between(name, u32::try_from(value).unwrap_or(u32::MAX), least, most)
+    };
+    count("pose.encoder.width", encoder.width, 1, WIDEST)?;
+    count("pose.encoder.batch", encoder.batch, GROUP as u32, LARGEST_BATCH)?;
+    ensure!(
+        encoder.batch.is_multiple_of(GROUP),
+        "pose.encoder.batch is {}; give a multiple of {GROUP}: groups of two demonstrations with four pictures each",
+        encoder.batch
+    );
+    between("pose.encoder.epochs", encoder.epochs, 1, MOST_STEPS)?;
+    if let Some(steps) = encoder.steps {
+        between("pose.encoder.steps", steps, 1, MOST_STEPS)?;
+    }
+    ensure!(
+        encoder.learning_rate > 0.0,
+        "pose.encoder.learning_rate is {}; give a number above 0",
+        encoder.learning_rate
+    );
+    ensure!(
+        (0.0..=0.5).contains(&encoder.held_out),
+        "pose.encoder.held_out is {}; it is a share, from 0 to 0.5",
+        encoder.held_out
+    );
+    let losses = &encoder.losses;
+    ensure!(
+        (0.0..=1.0).contains(&losses.absolute_held),
+        "pose.encoder.losses.absolute_held is {}; it is a share, from 0 to 1",
+        losses.absolute_held
+    );
+    for (name, value) in [
+        ("weight_decay", encoder.weight_decay),
+        ("radius", encoder.radius),
+        ("losses.absolute", losses.absolute),
+        ("losses.relative", losses.relative),
+        ("losses.cross", losses.cross),
+        ("losses.relative_held", losses.relative_held),
+        ("losses.relative_before", losses.relative_before),
+        ("losses.translation", losses.translation),
+    ] {
+        not_negative(&format!("pose.encoder.{name}"), value)?;
+    }
+    Ok(())
 }
 
 /// An encoder needs pictures, and nothing beside it may read recorded object poses.

@@ -130,6 +130,21 @@ impl TaskName {
             Self::PushT | Self::Robosuite => None,
         }
     }
+
+    /// Turns after which the manipulated object looks the same: four quarters of a turn for the cube, any turn for the can.
+    pub(crate) fn symmetry(self) -> Symmetry {
+        self.simulated().map_or(Symmetry::None, symmetry_of)
+    }
+}
+
+/// Turns after which the object of a task looks the same, in its own frame.
+fn symmetry_of(task: RobosuiteTask) -> Symmetry {
+    let axis = [0.0, 0.0, 1.0];
+    match task {
+        RobosuiteTask::Lift => Symmetry::Fold { axis, n: 4 },
+        RobosuiteTask::Can => Symmetry::Full { axis },
+        RobosuiteTask::Square => Symmetry::None,
+    }
 }
 
 /// What the policy observes.
@@ -375,16 +390,8 @@ impl SpatialRolloutSection {
 
     /// Symmetry of the task's object that the policy uses.
     pub(crate) fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>) -> Symmetry {
-        let of_object = match task {
-            RobosuiteTask::Lift => Symmetry::Fold {
-                axis: [0.0, 0.0, 1.0],
-                n: 4,
-            },
-            RobosuiteTask::Can => Symmetry::Full { axis: [0.0, 0.0, 1.0] },
-            RobosuiteTask::Square => Symmetry::None,
-        };
         let usual = if self.policy == "re4" && variant != Some(Variant::Image) {
-            of_object
+            symmetry_of(task)
         } else {
             Symmetry::None
         };

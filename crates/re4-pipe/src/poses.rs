@@ -1,6 +1,6 @@
 //! Poses in space as columns of tables.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use re4_artifact::Columns;
 
 /// Parts of a pose, as the names of columns end: position in metres, then a unit quaternion.
@@ -10,6 +10,14 @@ pub(crate) const PARTS: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 pub(crate) fn numbers(pose: &Isometry3<f64>) -> [f64; 7] {
     let (t, q) = (pose.translation.vector, pose.rotation.coords);
     [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
+/// The pose that [`numbers`] are of. The quaternion is taken as it is, sign and all.
+pub(crate) fn from_numbers([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::new(x, y, z),
+        UnitQuaternion::new_unchecked(Quaternion::new(qw, qx, qy, qz)),
+    )
 }
 
 /// Adds the seven columns of poses, whose names begin with `prefix`.

@@ -4,6 +4,8 @@
 //! by its colour, its largest connected region gives the position by its centroid and a fixed pixel-to-world affine, and
 //! the log-polar transform of the region gives the angle by a cross-correlation with one anchor. The block's outline is then
 //! aligned with the picture. Every estimate says how far it is to be trusted.
+//!
+//! Poses in space come from a learned encoder, which is elsewhere; how good they are is measured in [`spatial`].
 
 mod anchor;
 mod component;
@@ -12,6 +14,7 @@ mod log_polar;
 mod outline;
 mod picture;
 mod refine;
+pub mod spatial;
 
 pub use anchor::{Anchor, AnchorBuilder, AnchorError};
 pub use estimator::{Estimate, Flag, LogPolarEstimator};

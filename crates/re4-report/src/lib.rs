@@ -11,5 +11,5 @@ pub use film::{
     DrawScene, FILM_SIZES, FILM_SPEEDS, FILM_TILES, FilmDecision, FilmError, FilmFacts, FilmRollout, FilmSettings,
     FilmState, SceneRollout, SceneState, write_film, write_scene_film,
 };
-pub use picture::{PictureDecision, PictureError, RolloutPicture, divergence_plot, rollout_picture};
+pub use picture::{PictureDecision, PictureError, RolloutPicture, divergence_plot, rollout_picture, training_plot};
 pub use statistics::{Interval, RESAMPLES, mean, mean_interval, median, quantile, wilson_interval};

@@ -213,6 +213,58 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Pict
     Ok(svg)
 }
 
+/// Draws the course of a training: curves over epochs from 1 on, each with its name; a curve may lack values.
+///
+/// # Errors
+/// When the drawing library refuses.
+pub fn training_plot(curves: &[(&str, Vec<Option<f64>>)]) -> Result<String, PictureError> {
+    let points = |values: &[Option<f64>]| -> Vec<(f64, f64)> {
+        let numbered = values.iter().enumerate();
+        numbered
+            .filter_map(|(i, value)| value.map(|value| ((i + 1) as f64, value.max(FLOOR))))
+            .collect()
+    };
+    let all: Vec<f64> = curves
+        .iter()
+        .flat_map(|(_, values)| points(values))
+        .map(|(_, y)| y)
+        .collect();
+    let top = all.iter().copied().fold(FLOOR, f64::max) * 1.5;
+    let bottom = all.iter().copied().fold(top, f64::min) / 1.5;
+    let last = curves.iter().map(|(_, values)| values.len()).max().unwrap_or(0).max(2);
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (760, 400)).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(&root)
+            .margin(12)
+            .x_label_area_size(40)
+            .y_label_area_size(64)
+            .build_cartesian_2d(1.0..last as f64, (bottom..top).log_scale())?;
+        chart
+            .configure_mesh()
+            .x_desc("epoch")
+            .x_label_formatter(&|epoch| format!("{epoch:.0}"))
+            .y_desc("loss")
+            .light_line_style(WHITE.mix(0.0))
+            .draw()?;
+        for ((label, values), colour) in curves.iter().zip([PLAN, BLOCK, REPLAY, BLACK].into_iter().cycle()) {
+            chart
+                .draw_series(LineSeries::new(points(values), colour.stroke_width(2)))?
+                .label(*label)
+                .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], colour.stroke_width(2)));
+        }
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperRight)
+            .background_style(WHITE.mix(0.8))
+            .border_style(BLACK.mix(0.2))
+            .draw()?;
+        root.present()?;
+    }
+    Ok(svg)
+}
+
 /// Distances below this, in pixels, are drawn here: the axis is logarithmic, and recorded states are rounded to float32.
 const FLOOR: f64 = 1e-5;
 

@@ -259,16 +259,30 @@ pub const TRAINING: TableSpec = TableSpec {
 pub const POSE_ERRORS: TableSpec = TableSpec {
     name: "pose_errors",
     version: 1,
-    description: "One row a frame of every demonstration, made after training from the recorded object poses, which nothing before it has read: error of the estimated pose after one constant rigid offset, fitted on frames before the grasp of the demonstrations trained on, is removed. Sorted by episode and frame.",
+    description: "One row a frame of every demonstration, made after training from the recorded object poses, which nothing before it has read: error of the estimated pose after one constant rigid offset is removed, which is fitted on frames before the grasp of the demonstrations trained on. Turns of the object that do not show are no error; of an object without such turns neither is half a turn of the two-finger gripper about its axis of approach. Sorted by episode and frame.",
     columns: &[
         EPISODE,
         FRAME,
         flag("trained_on", "Whether pictures of this demonstration were trained on."),
-        category("phase", "before_grasp, held or after_release."),
-        length("translation", "Distance between estimated and recorded position."),
+        category(
+            "phase",
+            "before_grasp: transit that transfer follows, or no transfer at all; held: transfer; after_release: transit after the last transfer.",
+        ),
+        length(
+            "translation",
+            "Distance between estimated and recorded position, at the origin of the recorded frame.",
+        ),
+        length(
+            "translation_at_grasp",
+            "The same at the origin of the estimated frame, which is where the gripper grasps.",
+        ),
         turn(
             "rotation",
-            "Angle between estimated and recorded orientation, up to the symmetry of the object.",
+            "Angle between estimated and recorded orientation, up to those turns.",
+        ),
+        flag(
+            "half_turn",
+            "Whether the estimated frame was taken to be turned by half a turn about the axis of approach.",
         ),
     ],
 };

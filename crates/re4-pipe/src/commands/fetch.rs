@@ -1,4 +1,4 @@
-//! `re4-pipe fetch`: download a dataset.
+//! `re4-pipe fetch`: download a dataset, or weights.
 
 use anyhow::Result;
 use re4_fetch::{Outcome as Fetched, find};
@@ -9,7 +9,7 @@ use crate::arguments::FetchArguments;
 use crate::console::Console;
 use crate::stages::data_folders;
 
-/// Downloads, checks and unpacks.
+/// Downloads, checks and puts in place.
 pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let destination = arguments

@@ -1,6 +1,6 @@
 //! `re4-pipe film`: rollouts as a GIF.
 
-mod spatial;
+pub(super) mod spatial;
 
 use std::io::BufWriter;
 use std::path::PathBuf;

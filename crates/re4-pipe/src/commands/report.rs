@@ -15,6 +15,7 @@ use crate::console::Console;
 use crate::output::Output;
 use crate::seeds::Seeds;
 
+mod pictures;
 mod rollouts;
 mod spatial;
 
@@ -22,6 +23,15 @@ pub(super) use rollouts::stated;
 
 /// A page beyond this many bytes takes a while to open, which is said.
 const LARGE_PAGE: usize = 12_000_000;
+
+/// What the viewer holds.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Shown<'a> {
+    /// Seeds of its rollouts; all where there are none.
+    pub(crate) seeds: Option<&'a Seeds>,
+    /// How many of the rollouts have pictures; where it is left open, it depends on where poses come from.
+    pub(crate) pictures: Option<usize>,
+}
 
 /// What was written.
 pub(crate) struct Written {
@@ -60,7 +70,11 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let seeds = arguments.seeds.as_deref().map(str::parse).transpose()?;
     let output = Output::at(&arguments.output, "report")?;
-    let written = write(&arguments.paths, seeds.as_ref(), &output, &arguments.common.artifacts)?;
+    let shown = Shown {
+        seeds: seeds.as_ref(),
+        pictures: arguments.pictures,
+    };
+    let written = write(&arguments.paths, shown, &output, &arguments.common.artifacts)?;
     written.say_warnings(console);
     console.answer(&json!({
         "report": arguments.output,
@@ -79,12 +93,17 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
 }
 
 /// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
-pub(crate) fn write(paths: &[PathBuf], seeds: Option<&Seeds>, output: &Output, store: &Path) -> Result<Written> {
+pub(crate) fn write(paths: &[PathBuf], shown: Shown<'_>, output: &Output, store: &Path) -> Result<Written> {
     let artifacts = open_all(paths)?;
     let made = if spatial::all_spatial(&artifacts)? {
-        in_space(&artifacts, seeds, store)?
+        in_space(&artifacts, shown, store)?
     } else {
-        planar(&artifacts, seeds, store)?
+        ensure!(
+            shown.pictures.unwrap_or(0) == 0,
+            "cannot show pictures of {}: its rollouts are Push-T's, which the page draws itself; leave --pictures out",
+            artifacts[0].path().display()
+        );
+        planar(&artifacts, shown.seeds, store)?
     };
     let Page {
         html,
@@ -158,7 +177,7 @@ fn planar(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result
     })
 }
 
-fn in_space(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Result<Page> {
+fn in_space(artifacts: &[Artifact], viewer: Shown<'_>, store: &Path) -> Result<Page> {
     let indices = artifacts
         .iter()
         .map(|artifact| find_index(artifact, store))
@@ -168,11 +187,14 @@ fn in_space(artifacts: &[Artifact], seeds: Option<&Seeds>, store: &Path) -> Resu
         .zip(&indices)
         .map(|(artifact, index)| spatial::read(artifact, index.as_ref()))
         .collect::<Result<Vec<SpatialRollouts>>>()?;
-    if let Some(seeds) = seeds {
+    if let Some(seeds) = viewer.seeds {
         let all = sets.iter_mut().flat_map(|set| &mut set.rollouts);
         show_only(all.map(|rollout| (rollout.seed, &mut rollout.shown)), seeds)?;
     }
     let mut warnings = Vec::new();
+    for (artifact, set) in artifacts.iter().zip(&mut sets) {
+        warnings.extend(pictures::add(artifact, set, viewer.pictures, store)?);
+    }
     let mut demonstrations = BTreeMap::new();
     for ((artifact, index), set) in artifacts.iter().zip(&indices).zip(&sets) {
         if demonstrations.contains_key(&set.index_key) {

@@ -161,7 +161,12 @@ impl<'a> Page<'a> {
 
     fn write(&self, runner: &Runner, arguments: &RolloutArguments, built: &Built) -> Result<()> {
         let store = &arguments.stage.common.artifacts;
-        let written = report::write(&[built.artifact.path().to_path_buf()], None, &self.output, store)?;
+        let written = report::write(
+            &[built.artifact.path().to_path_buf()],
+            report::Shown::default(),
+            &self.output,
+            store,
+        )?;
         written.say_warnings(runner.console);
         let path = self.path.display();
         let headline = written.headline();

@@ -192,6 +192,16 @@ impl Runner {
     }
 }
 
+/// A file of weights, looked for as sources are.
+pub(super) fn find_weights(weights: &Path) -> Result<PathBuf> {
+    find_source(weights).map_err(|_| {
+        anyhow::anyhow!(
+            "cannot start from the weights {}: there is no such file; get ResNet-18's with re4-pipe fetch resnet18, or leave pose.encoder.weights out to start from random ones",
+            weights.display()
+        )
+    })
+}
+
 /// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.
 fn find_source(source: &Path) -> Result<PathBuf> {
     if source.is_absolute() {
@@ -222,7 +232,8 @@ fn find_source(source: &Path) -> Result<PathBuf> {
     )
 }
 
-fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+/// A picture as the bytes of a PNG file.
+pub(crate) fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(4096);
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(pixels, width, height, ExtendedColorType::Rgb8)

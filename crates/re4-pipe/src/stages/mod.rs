@@ -27,7 +27,7 @@ use crate::interrupt::Interrupt;
 use crate::pipeline::{Pipeline, load};
 
 pub(crate) use budgets::BUDGET_MEASURES;
-pub(crate) use ingest::{INGEST_WORKER, serve_ingest};
+pub(crate) use ingest::{INGEST_WORKER, encode_png, serve_ingest};
 pub(crate) use rollout::{Lens, Studio, metrics, put_renderer_away, read_rollouts, unseen};
 pub(crate) use simulators::Scenes;
 

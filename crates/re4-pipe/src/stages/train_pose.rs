@@ -1,6 +1,8 @@
 //! Train-pose: `episodes` to `poses`. Push-T's log-polar estimator learns nothing; it is calibrated by the goal pose.
 
+mod card;
 mod encoder;
+mod evaluate;
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

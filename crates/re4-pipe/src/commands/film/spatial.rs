@@ -6,9 +6,10 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, col_u32_or_null, tables};
-use re4_mujoco::{Data, Renderer};
+use re4_mujoco::{Data, Model, Renderer, View};
 use re4_report::html::spatial::SpatialPhase;
 use re4_report::{SceneRollout, SceneState};
+use re4_robosuite::models::looks;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Placement, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -19,25 +20,20 @@ use super::super::report::{find_input, stated};
 use crate::stages::Scenes;
 
 /// robosuite's camera in front of the robot.
-const CAMERA: &str = "agentview";
+pub(in super::super) const CAMERA: &str = "agentview";
 /// How far the object may be from where the table has it, m.
 const TOLERANCE: f64 = 1e-6;
 
-/// Rollouts to be filmed, and what draws them.
-pub(super) struct Films {
+/// Rollouts to be drawn, and what draws them.
+pub(in super::super) struct Films {
     /// What the strips below the pictures say.
     pub(super) rollouts: Vec<SceneRollout>,
     /// Coordinates of each rollout's states.
     coordinates: Vec<Vec<Vec<f64>>>,
-    stages: Vec<Set>,
-    /// Which of them each rollout is played on.
-    stage_of: Vec<usize>,
-}
-
-/// A model with all that is drawn, and its renderer.
-struct Set {
-    data: Data,
-    renderer: Renderer,
+    /// Each rollout's model with all that is drawn.
+    sets: Vec<Data>,
+    /// None where there are no rollouts.
+    renderer: Option<Renderer>,
 }
 
 impl Films {
@@ -46,13 +42,13 @@ impl Films {
     /// # Errors
     /// When the artifact has no such rollout, an input of it cannot be found, the simulation goes another way than the table,
     /// or nothing can be drawn.
-    pub(super) fn read(artifact: &Artifact, seeds: &[u32], size: u32, store: &Path) -> Result<Self> {
+    pub(in super::super) fn read(artifact: &Artifact, seeds: &[u32], size: u32, store: &Path) -> Result<Self> {
         let config = &artifact.manifest().config;
         let task: RobosuiteTask = stated(artifact, "config", config, "task")?;
         let fidelity: Fidelity = stated(artifact, "config", config, "fidelity")?;
         let episodes = find_input(artifact, Stage::Ingest, store)?.with_context(|| {
             format!(
-                "cannot film {}: the episodes artifact with its models is neither beside it nor in {}; name the artifacts folder with --artifacts",
+                "cannot draw the rollouts of {}: the episodes artifact with their models is neither beside it nor in {}; name the artifacts folder with --artifacts",
                 artifact.path().display(),
                 store.display()
             )
@@ -64,8 +60,8 @@ impl Films {
         let mut films = Self {
             rollouts: Vec::new(),
             coordinates: Vec::new(),
-            stages: Vec::new(),
-            stage_of: Vec::new(),
+            sets: Vec::new(),
+            renderer: None,
         };
         for &seed in seeds {
             let row = col_u32(&results, "seed")?.iter().position(|other| *other == seed);
@@ -85,10 +81,7 @@ impl Films {
             let state = col_f64_list(&results, "state")?[row].clone();
             let of_seed = steps.of(seed)?;
             films.coordinates.push(again(artifact, &model, seed, &state, &of_seed)?);
-            if films.stages.is_empty() || cube.is_some() {
-                films.stages.push(Set::new(&scenes.compile(&sized(&drawn)?)?, size)?);
-            }
-            films.stage_of.push(films.stages.len() - 1);
+            films.set(&sized(&drawn)?, &scenes, size)?;
             films.rollouts.push(SceneRollout {
                 seed,
                 success: col_bool(&results, "success")?.value(row),
@@ -98,24 +91,34 @@ impl Films {
         Ok(films)
     }
 
-    /// Draws a rollout in a state.
-    pub(super) fn draw(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
-        let set = self
-            .stages
-            .get_mut(self.stage_of[rollout])
-            .context("no model to draw")?;
-        set.data.qpos_mut().copy_from_slice(&self.coordinates[rollout][state]);
-        set.data.forward();
-        Ok(set.renderer.draw(&mut set.data, CAMERA)?)
+    /// The next rollout's model. Compiling one with all that is drawn takes seconds, so it is done once: seeds differ in the
+    /// sizes of boxes alone.
+    fn set(&mut self, mjcf: &str, scenes: &Scenes, size: u32) -> Result<()> {
+        let model: Model = if let Some(renderer) = &self.renderer {
+            let boxes = looks(mjcf)?.boxes;
+            let boxes = boxes.iter().map(|(name, size)| (name.as_str(), *size));
+            renderer.model().with_boxes(boxes)?
+        } else {
+            let model = scenes.compile(mjcf)?.mujoco().clone();
+            self.renderer = Some(Renderer::new(&model, size as usize, size as usize)?);
+            model
+        };
+        self.sets.push(Data::new(&model)?);
+        Ok(())
     }
-}
 
-impl Set {
-    fn new(model: &RobosuiteModel, size: u32) -> Result<Self> {
-        Ok(Self {
-            data: Data::new(model.mujoco())?,
-            renderer: Renderer::new(model.mujoco(), size as usize, size as usize)?,
-        })
+    /// Draws a rollout in a state.
+    pub(in super::super) fn draw(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
+        let data = &mut self.sets[rollout];
+        let renderer = self.renderer.as_mut().context("no model to draw")?;
+        data.qpos_mut().copy_from_slice(&self.coordinates[rollout][state]);
+        data.forward();
+        Ok(renderer.draw(data, CAMERA)?)
+    }
+
+    /// What the camera of the last picture saw.
+    pub(in super::super) fn view(&mut self) -> Option<View> {
+        self.renderer.as_mut()?.view()
     }
 }
 
@@ -132,7 +135,7 @@ fn again(
     let path = artifact.path().display();
     let Some(start) = state.get(1..=nq) else {
         bail!(
-            "cannot film seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates; run the rollout again",
+            "cannot draw seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates; run the rollout again",
             state.len()
         );
     };
@@ -145,7 +148,7 @@ fn again(
         let away = (0..3).map(|k| (found[k] - object[k]).abs()).fold(0.0, f64::max);
         ensure!(
             away <= TOLERANCE,
-            "cannot film seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table spatial_steps has it after step {step}, so the film would show another rollout; run the rollout again on this machine"
+            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table spatial_steps has it after step {step}, so pictures would show another rollout; run the rollout again on this machine"
         );
         coordinates.push(simulation.data().qpos().to_vec());
     }

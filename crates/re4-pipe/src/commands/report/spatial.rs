@@ -286,6 +286,7 @@ fn read_decisions(rows: &RecordBatch) -> Result<Vec<SpatialDecision>> {
             bridge: bridge.value(i),
             banned: banned[i],
             reason: reason[i].unwrap_or_default().to_owned(),
+            picture: None,
         })
         .collect())
 }

@@ -115,8 +115,9 @@ impl Runner {
             let eyes = watching
                 .map(|(_, open)| open(Studio::open(&scenes, &episodes.artifact, task, &camera)?))
                 .transpose()?;
-            let sight = match &eyes {
-                Some(make) => ObjectSight::Observed(make.as_ref()),
+            let look = eyes.map(|make| move |start: &SpatialStart| make(start));
+            let sight = match &look {
+                Some(look) => ObjectSight::Observed(look),
                 None => ObjectSight::Recorded(noise),
             };
             let seeds = section.seeds.as_slice();

@@ -3,9 +3,13 @@
 //! Poses are packed as 32-bit floats (a hundredth of a micrometre); distances, set points and motions of decisions are the
 //! artifact's own 64-bit floats.
 
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
 use serde_json::{Map, Value, json};
 
-use super::{Pose, Solid, SpatialChosen, SpatialDecision, SpatialDemonstration, SpatialReport, SpatialRollouts};
+use super::{
+    DecisionPicture, Pose, Solid, SpatialChosen, SpatialDecision, SpatialDemonstration, SpatialReport, SpatialRollouts,
+};
 use super::{SpatialStep, SpatialTrace};
 use crate::html::common::{f32s, f64s, u8s, u32s};
 
@@ -53,6 +57,7 @@ fn artifact_json(artifact: &SpatialRollouts, label: &str) -> Value {
         "starts": f32s(traced().flat_map(|r| r.eef.into_iter().chain(r.object))),
         "steps": steps_json(&traced().collect::<Vec<_>>()),
         "decisions": decisions_json(&traced().flat_map(|r| &r.decisions).collect::<Vec<_>>()),
+        "pictures": pictures_json(traced().flat_map(|r| &r.decisions)),
     })
 }
 
@@ -116,6 +121,29 @@ fn decisions_json(decisions: &[&SpatialDecision]) -> Value {
         "delta": f64s(decisions.iter().flat_map(|d| d.choice.as_ref().map_or([f64::NAN; 6], |c| c.delta))),
         "kind": decisions.iter().map(|d| d.kind.as_str()).collect::<Vec<_>>(),
         "reason": decisions.iter().map(|d| d.reason.as_str()).collect::<Vec<_>>(),
+    })
+}
+
+/// Pictures of some decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers each, the
+/// places of both frames. Null where there are none.
+fn pictures_json<'a>(decisions: impl Iterator<Item = &'a SpatialDecision>) -> Value {
+    let shown: Vec<(u32, &DecisionPicture)> = (0..)
+        .zip(decisions)
+        .filter_map(|(number, decision)| Some((number, decision.picture.as_ref()?)))
+        .collect();
+    let Some((_, first)) = shown.first() else {
+        return Value::Null;
+    };
+    let places = shown
+        .iter()
+        .flat_map(|(_, picture)| picture.told.iter().chain(&picture.simulated))
+        .flat_map(|place| place.unwrap_or([f64::NAN; 2]));
+    json!({
+        "camera": first.camera,
+        "side": first.side,
+        "decision": u32s(shown.iter().map(|(number, _)| *number)),
+        "places": f32s(places),
+        "png": shown.iter().map(|(_, picture)| BASE64_STANDARD.encode(&picture.png)).collect::<Vec<_>>(),
     })
 }
 

@@ -184,7 +184,28 @@ pub struct SpatialDecision {
     pub banned: u32,
     /// The decision in words.
     pub reason: String,
+    /// What the camera saw, where the page shows it.
+    pub picture: Option<DecisionPicture>,
 }
+
+/// What a camera saw when a decision was taken.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DecisionPicture {
+    /// Name of the camera.
+    pub camera: &'static str,
+    /// Its side in pixels.
+    pub side: u32,
+    /// The picture as the bytes of a PNG file.
+    pub png: Vec<u8>,
+    /// The object's frame as the policy was told it.
+    pub told: FrameInPicture,
+    /// The object's frame as it was in the simulator.
+    pub simulated: FrameInPicture,
+}
+
+/// Origin and ends of the three axes of a frame in a picture, in pixels from its corner at the top left; none for what is
+/// behind the camera.
+pub type FrameInPicture = [Option<[f64; 2]>; 4];
 
 /// What a decision retrieved.
 #[derive(Debug, Clone, PartialEq)]
@@ -215,11 +236,12 @@ pub struct SpatialChosen {
 pub type SpatialDemonstration = Vec<([f64; 3], Pose)>;
 
 /// The script, part by part, after what all pages share.
-const SCRIPT: [&str; 9] = [
+const SCRIPT: [&str; 10] = [
     include_str!("script/data.js"),
     include_str!("../script/selection.js"),
     include_str!("script/grid.js"),
     include_str!("script/views.js"),
+    include_str!("script/picture.js"),
     include_str!("script/decision.js"),
     include_str!("script/timeline.js"),
     include_str!("script/viewer.js"),

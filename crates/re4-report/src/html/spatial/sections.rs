@@ -143,6 +143,12 @@ pub(super) fn viewer(report: &SpatialReport, together: &Together) -> Markup {
         .artifacts
         .iter()
         .all(|artifact| artifact.rollouts.iter().all(|rollout| !rollout.shown));
+    let mut decisions = report
+        .artifacts
+        .iter()
+        .flat_map(|artifact| artifact.rollouts.iter().filter(|rollout| rollout.shown))
+        .flat_map(|rollout| &rollout.decisions);
+    let pictures = decisions.any(|decision| decision.picture.is_some());
     html! {
         section #viewer aria-labelledby="viewer-title" tabindex="-1" {
             div.heading {
@@ -177,7 +183,37 @@ pub(super) fn viewer(report: &SpatialReport, together: &Together) -> Markup {
                     p.reason #reason aria-live="polite" {}
                     dl.facts #facts {}
                     p.hint #demo-note {}
+                    @if pictures { (picture()) }
                 }
+            }
+        }
+    }
+}
+
+/// The place for what the camera saw at a decision.
+fn picture() -> Markup {
+    html! {
+        figure.camera #camera {
+            figcaption {
+                h3 { "What the camera saw" }
+                p #camera-caption {}
+            }
+            div #camera-picture {}
+            ul.legend {
+                li {
+                    svg.plane.sample viewBox="0 0 24 18" aria-hidden="true" {
+                        path.told.x d="M4 14H14" {} path.told.y d="M4 14L11 7" {} path.told.z d="M4 14V3" {}
+                    }
+                    "frame that the policy was told: x, y, z"
+                }
+                li {
+                    svg.plane.sample viewBox="0 0 24 18" aria-hidden="true" { path.simulated d="M4 14H14M4 14L11 7M4 14V3" {} }
+                    "the object’s own frame in the simulator"
+                }
+            }
+            p.hint #camera-note {
+                "A frame estimated from a picture is that of the gripper that would hold the object. "
+                "It is a constant rigid motion away from the object’s own at best, which is not taken away here."
             }
         }
     }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::html::common::{f32s, u32s};
 
 const AT: Pose = [0.1, -0.2, 0.83, 0.0, 0.0, 0.0, 1.0];
 
@@ -45,6 +46,7 @@ fn trace(seed: u32, success: bool) -> SpatialTrace {
         bridge: true,
         banned: 1,
         reason: "because </script> of it".to_owned(),
+        picture: None,
     };
     SpatialTrace {
         seed,
@@ -181,4 +183,43 @@ fn rollouts_that_are_not_shown_are_counted_alone() {
         serde_json::json!([200_000, 200_001])
     );
     assert_eq!(page["artifacts"][0]["decisions"]["kind"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn pictures_of_decisions_stand_beside_their_numbers() {
+    let bare = spatial_page(&report(vec![rollouts("Lift", "re4")]));
+    assert!(!bare.contains("id=\"camera\"") && data(&bare)["artifacts"][0]["pictures"].is_null());
+
+    let mut artifact = rollouts("Lift", "re4");
+    let behind = [None, Some([3.0, 4.0]), None, None];
+    artifact.rollouts[1].decisions[1].picture = Some(DecisionPicture {
+        camera: "agentview",
+        side: 84,
+        png: b"picture".to_vec(),
+        told: [Some([1.0, 2.0]); 4],
+        simulated: behind,
+    });
+    let page = spatial_page(&report(vec![artifact.clone()]));
+    assert!(page.contains("id=\"camera\""));
+    let pictures = &data(&page)["artifacts"][0]["pictures"];
+    assert_eq!(
+        (&pictures["camera"], &pictures["side"]),
+        (&"agentview".into(), &84.into())
+    );
+    assert_eq!(pictures["png"], serde_json::json!(["cGljdHVyZQ=="]));
+    // The second decision of the second rollout, of two decisions each.
+    assert_eq!(pictures["decision"], u32s([3].into_iter()));
+    let nan = f64::NAN;
+    let places = [
+        [1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0],
+        [nan, nan, 3.0, 4.0, nan, nan, nan, nan],
+    ];
+    assert_eq!(pictures["places"], f32s(places.into_iter().flatten()));
+    // What the viewer does not hold has no picture, and does not count.
+    artifact.rollouts[0].shown = false;
+    let fewer = spatial_page(&report(vec![artifact]));
+    assert_eq!(
+        data(&fewer)["artifacts"][0]["pictures"]["decision"],
+        u32s([1].into_iter())
+    );
 }

@@ -20,6 +20,7 @@ const traces = remember((number) => {
 const row = (values, count, i) => Array.from(values.subarray(count * i, count * i + count));
 
 const decisionAt = (columns, i) => ({
+  row: i,
   step: columns.step[i],
   kind: columns.kind[i],
   transfer: columns.transfer[i] === 1,

@@ -45,6 +45,7 @@ const showDecision = (data, step, number) => {
   const key = [data.artifact, data.rollout, number].join();
   if (key === shownDecision) return;
   shownDecision = key;
+  showPicture(data, decision);
   byId("decision-title").textContent = decision === undefined ? "No decision" : `Decision ${number + 1} of ${data.decisions.length}, taken at step ${decision.step}`;
   byId("reason").textContent = decision === undefined ? "" : `${decision.reason}.`;
   byId("demo-note").textContent = decision?.demo === undefined || chunk !== undefined ? ""

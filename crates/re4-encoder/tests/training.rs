@@ -1,0 +1,320 @@
+//! A training for real, on pictures that this test draws: a square on a table where the object is, and a cross for the gripper.
+#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+
+use std::cell::Cell;
+use std::path::Path;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
+use re4_encoder::checkpoint::Checkpoints;
+use re4_encoder::pictures::{MIDDLE, PictureFile};
+use re4_encoder::train::{Task, Trained, train};
+use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor, SIDE};
+
+/// Frames before the grasp, and that hold.
+const BEFORE: usize = 6;
+const HELD: usize = 4;
+
+/// Spread along a line that fills a rectangle evenly.
+fn place(demo: usize) -> [f64; 2] {
+    let even = |ratio: f64| (demo as f64 * ratio).fract() - 0.5;
+    [0.3 * even(0.754_877_666), 0.3 * even(0.569_840_291)]
+}
+
+fn pose(at: [f64; 2], height: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::new(at[0], at[1], height),
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI),
+    )
+}
+
+fn draw(object: [f64; 2], gripper: [f64; 2]) -> Vec<u8> {
+    let mut picture = vec![60; PICTURE_BYTES];
+    let pixel = |at: [f64; 2]| at.map(|x| (SIDE as f64 * (0.5 + x / 0.5)) as i64);
+    let mut paint = |column: i64, row: i64, colour: [u8; 3]| {
+        let at = (row as usize * SIDE + column as usize) * 3;
+        picture[at..at + 3].copy_from_slice(&colour);
+    };
+    let ([x, y], [u, v]) = (pixel(object), pixel(gripper));
+    for i in -4..=4 {
+        for j in -4..=4 {
+            paint(x + i, y + j, [220, 40, 30]);
+        }
+        paint(u + i, v, [230, 230, 230]);
+        paint(u, v + i, [230, 230, 230]);
+    }
+    picture
+}
+
+struct Scenes {
+    demos: Vec<TrainingDemo>,
+    pictures: PictureFile,
+    folder: tempfile::TempDir,
+}
+
+/// Demonstrations that come from a corner, grasp, and carry towards the middle.
+fn scenes(count: usize) -> Scenes {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pictures = Vec::new();
+    let demos = (0..count)
+        .map(|demo| {
+            let at = place(demo);
+            let first = pictures.len() as u64;
+            let mut eef = Vec::new();
+            for frame in 0..BEFORE + HELD {
+                let share = (frame.min(BEFORE) as f64) / BEFORE as f64;
+                let carried = (frame.saturating_sub(BEFORE)) as f64 * 0.1;
+                let object = at.map(|x| x * (1.0 - carried));
+                let gripper = if frame < BEFORE {
+                    [-0.2 + share * (at[0] + 0.2), -0.2 + share * (at[1] + 0.2)]
+                } else {
+                    object
+                };
+                pictures.push(draw(object, gripper));
+                eef.push(pose(gripper, 0.8));
+            }
+            TrainingDemo {
+                first,
+                before: (0..BEFORE as u32).collect(),
+                held: (BEFORE as u32..(BEFORE + HELD) as u32).collect(),
+                anchor: pose(at, 0.8),
+                eef,
+            }
+        })
+        .collect();
+    let pictures = PictureFile::write(folder.path(), pictures.into_iter().map(Ok::<_, EncoderError>)).unwrap();
+    Scenes {
+        demos,
+        pictures,
+        folder,
+    }
+}
+
+fn config() -> EncoderConfig {
+    EncoderConfig {
+        width: 4,
+        epochs: 5,
+        steps: Some(40),
+        batch: 32,
+        learning_rate: 2e-3,
+        cosine: true,
+        losses: re4_encoder::LossConfig {
+            translation: 300.0,
+            ..re4_encoder::LossConfig::default()
+        },
+        ..EncoderConfig::default()
+    }
+}
+
+struct Ended;
+
+impl From<EncoderError> for Ended {
+    fn from(error: EncoderError) -> Self {
+        panic!("{error}")
+    }
+}
+
+/// Trains on all but every fifth demonstration, for so many steps at most.
+fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Option<Trained> {
+    let (held_out, taught): (Vec<_>, Vec<_>) = (0..scenes.demos.len()).partition(|demo| demo % 5 == 0);
+    let held_out: Vec<Sample> = held_out
+        .into_iter()
+        .flat_map(|demo| {
+            let demo = &scenes.demos[demo];
+            demo.before.iter().map(|&frame| Sample {
+                picture: demo.first + u64::from(frame),
+                crop: MIDDLE,
+                target: demo.anchor,
+            })
+        })
+        .collect();
+    let taught = taught.into_iter().map(|demo| scenes.demos[demo].clone()).collect();
+    let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
+    let task = Task {
+        config,
+        sampler: &sampler,
+        pictures: &scenes.pictures,
+        held_out: &held_out,
+        weights: None,
+    };
+    let done = Cell::new(0);
+    train(&task, &Checkpoints::open(folder, [7; 32]).unwrap(), |_| {
+        done.set(done.get() + 1);
+        if done.get() < steps { Ok(()) } else { Err(Ended) }
+    })
+    .ok()
+}
+
+#[test]
+fn the_loss_falls_and_places_that_were_held_out_are_found() {
+    let scenes = scenes(60);
+    let folder = tempfile::tempdir().unwrap();
+    let trained = fit(&scenes, &config(), folder.path(), u64::MAX).unwrap();
+    let course: Vec<f64> = trained.epochs.iter().map(|epoch| epoch.losses[0]).collect();
+    assert!(course[4] < 0.25 * course[0], "{course:?}");
+    let held_out: Vec<f64> = trained.epochs.iter().filter_map(|epoch| epoch.held_out).collect();
+    assert!(held_out[4] < 0.5 * held_out[0], "{held_out:?}");
+
+    let predictor = Predictor::new(trained.encoder);
+    let taught: Vec<usize> = (0..60).filter(|demo| demo % 5 != 0).collect();
+    let mean = taught
+        .iter()
+        .map(|&demo| scenes.demos[demo].anchor.translation.vector)
+        .sum::<Vector3<f64>>()
+        / taught.len() as f64;
+    let (mut errors, mut of_mean) = (Vec::new(), Vec::new());
+    for demo in scenes.demos.iter().step_by(5) {
+        let mut picture = vec![0; PICTURE_BYTES];
+        scenes.pictures.read(demo.first + 1, &mut picture).unwrap();
+        let found = &predictor.predict(&[&picture]).unwrap()[0];
+        assert_eq!(found.embedding.len(), 256);
+        errors.push((found.pose.translation.vector - demo.anchor.translation.vector).norm());
+        of_mean.push((mean - demo.anchor.translation.vector).norm());
+    }
+    errors.sort_by(f64::total_cmp);
+    of_mean.sort_by(f64::total_cmp);
+    let (error, baseline) = (errors[errors.len() / 2], of_mean[of_mean.len() / 2]);
+    assert!(
+        error < 0.3 * baseline,
+        "median error {error:.4} m, of the mean pose {baseline:.4} m"
+    );
+}
+
+#[test]
+fn a_training_that_was_ended_goes_on_to_the_same_bytes() {
+    let scenes = scenes(20);
+    let config = EncoderConfig {
+        epochs: 3,
+        steps: Some(6),
+        ..config()
+    };
+    let whole = tempfile::tempdir().unwrap();
+    let whole = fit(&scenes, &config, whole.path(), u64::MAX).unwrap();
+    assert_eq!(whole.resumed, 0);
+    // In the middle of the second epoch, and in the third.
+    let folder = tempfile::tempdir().unwrap();
+    assert!(fit(&scenes, &config, folder.path(), 9).is_none());
+    assert!(fit(&scenes, &config, folder.path(), 8).is_none());
+    let resumed = fit(&scenes, &config, folder.path(), u64::MAX).unwrap();
+    assert_eq!(resumed.resumed, 2);
+    assert_eq!(resumed.epochs, whole.epochs);
+    let bytes = |trained: &Trained| re4_encoder::to_bytes(&trained.encoder).unwrap();
+    assert!(bytes(&resumed) == bytes(&whole), "weights differ");
+    assert_eq!(std::fs::read_dir(scenes.folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn checkpoints_that_are_not_ours_or_not_whole_are_not_taken() {
+    let scenes = scenes(10);
+    let config = EncoderConfig {
+        epochs: 2,
+        steps: Some(2),
+        ..config()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let whole = fit(&scenes, &config, folder.path(), u64::MAX).unwrap();
+    let file = folder.path().join("epoch-00002");
+    let bytes = std::fs::read(&file).unwrap();
+    // A flipped bit, and half of it: as if there were none.
+    for damaged in [
+        {
+            let mut bytes = bytes.clone();
+            *bytes.last_mut().unwrap() ^= 1;
+            bytes
+        },
+        bytes[..bytes.len() / 2].to_vec(),
+        Vec::new(),
+    ] {
+        std::fs::write(&file, damaged).unwrap();
+        let again = fit(&scenes, &config, folder.path(), u64::MAX).unwrap();
+        assert_eq!(again.resumed, 0);
+        assert_eq!(again.epochs, whole.epochs);
+    }
+    let sampler = Sampler::new(scenes.demos.clone(), 0.02, 0, 32);
+    let task = Task {
+        config: &config,
+        sampler: &sampler,
+        pictures: &scenes.pictures,
+        held_out: &[],
+        weights: None,
+    };
+    let foreign = Checkpoints::open(folder.path(), [8; 32]).unwrap();
+    let Err(error) = train(&task, &foreign, |_| Ok::<_, EncoderError>(())) else {
+        panic!("a foreign checkpoint was taken")
+    };
+    assert!(
+        error
+            .to_string()
+            .contains("is of another training, with other data or settings; remove it")
+    );
+}
+
+#[test]
+fn a_loss_that_is_not_finite_ends_the_training_and_keeps_the_last_good_checkpoint() {
+    let scenes = scenes(10);
+    let good = EncoderConfig {
+        epochs: 1,
+        steps: Some(2),
+        ..config()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    fit(&scenes, &good, folder.path(), u64::MAX).unwrap();
+    let bad = EncoderConfig {
+        epochs: 3,
+        learning_rate: 1e30,
+        cosine: false,
+        ..good
+    };
+    let sampler = Sampler::new(scenes.demos.clone(), 0.02, 0, 32);
+    let task = Task {
+        config: &bad,
+        sampler: &sampler,
+        pictures: &scenes.pictures,
+        held_out: &[],
+        weights: None,
+    };
+    let checkpoints = Checkpoints::open(folder.path(), [7; 32]).unwrap();
+    let Err(error) = train(&task, &checkpoints, |_| Ok::<_, EncoderError>(())) else {
+        panic!("a loss of 1e30 was taken")
+    };
+    let text = error.to_string();
+    assert!(
+        text.contains("the loss is not a finite number in step 2 of epoch 2"),
+        "{text}"
+    );
+    assert!(text.contains("the checkpoint of epoch 1 is kept as"), "{text}");
+    assert!(folder.path().join("epoch-00001").exists());
+}
+
+#[test]
+fn batches_follow_from_seed_epoch_and_step_and_pair_what_is_near() {
+    let scenes = scenes(40);
+    let sampler = Sampler::new(scenes.demos.clone(), 0.05, 3, 64);
+    let batch = sampler.batch(2, 5);
+    assert_eq!(batch.samples.len(), 64);
+    assert_eq!(batch.samples, sampler.batch(2, 5).samples);
+    assert_ne!(batch.samples, sampler.batch(2, 6).samples);
+    assert_ne!(batch.samples, sampler.batch(3, 5).samples);
+    let demo_of = |sample: &Sample| (sample.picture as usize) / (BEFORE + HELD);
+    let mut crops = std::collections::BTreeSet::new();
+    for step in 0..50 {
+        let batch = sampler.batch(0, step);
+        for (group, near) in batch.samples.chunks(8).zip(&batch.near) {
+            let (first, second) = (demo_of(&group[0]), demo_of(&group[4]));
+            let way = scenes.demos[first].anchor.translation.vector - scenes.demos[second].anchor.translation.vector;
+            assert_eq!(*near, first != second);
+            assert!(way.norm() < 0.05);
+            for (k, sample) in group.iter().enumerate() {
+                let demo = &scenes.demos[demo_of(sample)];
+                let frame = (sample.picture - demo.first) as usize;
+                assert_eq!(frame >= BEFORE, k % 4 >= 2);
+                let target = if frame < BEFORE { demo.anchor } else { demo.eef[frame] };
+                assert_eq!(sample.target, target);
+                crops.insert(sample.crop);
+            }
+        }
+    }
+    // 9 x 9 crops, all of them drawn.
+    assert_eq!(crops.len(), 81);
+    assert!(crops.iter().all(|crop| crop.iter().all(|&at| at <= 8)));
+}

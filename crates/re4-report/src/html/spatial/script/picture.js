@@ -1,0 +1,54 @@
+// What the camera saw at a decision, with the object's frame as the policy was told it and as it was.
+const picturesOf = remember((number) => {
+  const { pictures } = REPORT.artifacts[number];
+  if (!pictures) return undefined;
+  const places = unpack(pictures.places);
+  const of = new Map();
+  unpack(pictures.decision).forEach((decision, i) => {
+    const points = Array.from({ length: 8 }, (_, k) => row(places, 2, 8 * i + k));
+    of.set(decision, { png: pictures.png[i], told: points.slice(0, 4), simulated: points.slice(4) });
+  });
+  return of;
+});
+
+const AXES = ["x", "y", "z"];
+const visible = (points) => points.every((point) => point.every(Number.isFinite));
+
+const frameLines = (points, classes) =>
+  points.slice(1).flatMap((end, i) => (visible([points[0], end]) ? [svg("path", { class: classes[i], d: line([points[0], end]) })] : []));
+
+const frameMark = (points, name) => {
+  if (!visible([points[0]])) return [];
+  const [x, y] = points[0].map(near);
+  return [svg("path", { class: name, d: `M${x - 1.6} ${y}h3.2M${x} ${y - 1.6}v3.2` })];
+};
+
+// The angle between two orientations.
+const turnBetween = (a, b) => {
+  const w = Math.abs(a.slice(3).reduce((sum, value, k) => sum + value * b[3 + k], 0));
+  return 2 * Math.acos(Math.min(1, w));
+};
+
+const showPicture = (data, decision) => {
+  const place = byId("camera");
+  if (place === null) return;
+  const { pictures } = REPORT.artifacts[data.artifact];
+  const picture = picturesOf(data.artifact)?.get(decision?.row);
+  place.hidden = picture === undefined;
+  if (picture === undefined) return;
+  const side = pictures.side;
+  const simulated = data.object[decision.step];
+  const off = decision.object.slice(0, 3).map((value, k) => value - simulated[k]);
+  const away = apart(decision.object, simulated);
+  const turn = turnBetween(decision.object, simulated);
+  const caption = byId("camera-caption");
+  caption.textContent = `${pictures.camera} · origins ${millimetres(away)} apart (${off.map((value) => digits(1000 * value, 1)).join(", ")}) · axes ${degrees(turn)}`;
+  Object.assign(caption.dataset, { decision: decision.row, distance: away, turn });
+  byId("camera-picture").replaceChildren(svg(
+    "svg",
+    { class: "plane seen-picture", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Picture of ${pictures.camera} at step ${decision.step}, with the frame of the object` },
+    svg("image", { href: `data:image/png;base64,${picture.png}`, width: side, height: side }),
+    ...["simulated under", "simulated"].flatMap((name) => [...frameLines(picture.simulated, [name, name, name]), ...frameMark(picture.simulated, name)]),
+    ...frameLines(picture.told, AXES.map((axis) => `told ${axis}`)),
+  ));
+};

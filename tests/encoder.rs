@@ -1,0 +1,197 @@
+//! The pose encoder, from demonstrations with pictures to the `poses` artifact. These tests train for real, on the five
+//! recorded demonstrations of Lift; they run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data).
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::path::Path;
+
+use arrow::array::RecordBatch;
+use insta::{assert_snapshot, with_settings};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Store, col_f64, col_u32, tables};
+use support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
+
+const SETTINGS: &str = r#"
+[pose]
+source = "encoder"
+[pose.encoder]
+width = 4
+epochs = 3
+steps = 12
+batch = 32
+learning_rate = 2e-3
+held_out = 0.2
+losses = { translation = 300.0 }
+"#;
+
+fn pipeline(source: &Path) -> String {
+    format!(
+        "task = \"lift\"\nvariant = \"image\"\n[ingest]\nsource = \"{}\"\ncameras = [\"agentview\"]\n[segment]\n{SETTINGS}",
+        source.display()
+    )
+}
+
+fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
+    let mut folders = support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
+    assert_eq!(folders.len(), 1);
+    Artifact::open(&folders.remove(0)).unwrap()
+}
+
+fn train(place: &Place, arguments: &str) -> Answer {
+    place.run(&format!("train-pose lift.toml {arguments}"))
+}
+
+/// Lift's five demonstrations with pictures, in a pipeline file.
+fn lift() -> Option<Place> {
+    let data = scripted()?;
+    let place = Place::empty();
+    place.write("lift.toml", pipeline(&data.join("lift/image_5.hdf5")));
+    Some(place)
+}
+
+#[test]
+fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
+    let Some(place) = lift() else { return };
+    train(&place, "--jobs 1 --artifacts one").done();
+    train(&place, "--jobs 2 --artifacts two").done();
+    assert_same_bytes(
+        &artifact_bytes(&place.path().join("one")),
+        &artifact_bytes(&place.path().join("two")),
+    );
+    let poses = only(&place, "one", Stage::TrainPose);
+    re4_artifact::verify(poses.path()).unwrap();
+    let files: Vec<&str> = poses.manifest().files.keys().map(String::as_str).collect();
+    assert_eq!(files, ["encoder.safetensors", "model_card.md", "training.svg"]);
+    let frames = only(&place, "one", Stage::Ingest)
+        .table(&tables::SPATIAL_FRAMES)
+        .unwrap()
+        .rows();
+    let table = poses.table(&tables::SPATIAL_POSES).unwrap();
+    assert_eq!(table.rows(), frames);
+    let course = poses.table(&tables::TRAINING).unwrap().read_all().unwrap();
+    let losses = col_f64(&course, "loss").unwrap();
+    assert_eq!(col_u32(&course, "steps").unwrap(), [12, 24, 36]);
+    assert!(losses[2] < 0.7 * losses[0], "{losses:?}");
+    // One demonstration in five is held out, and told so.
+    assert_eq!(poses.manifest().summary["trained_on"], 4);
+    // Nothing but the artifact is left.
+    assert!(!place.path().join("one/checkpoints").exists());
+    // And a second run has nothing to do.
+    let again = train(&place, "--artifacts one");
+    assert!(again.done().stderr.contains("unchanged, skipped"));
+}
+
+/// What is recorded of the object moves a metre and turns; everything else stays.
+fn disturbed(batch: &RecordBatch) -> RecordBatch {
+    let mut columns = Columns::new(&tables::SPATIAL_FRAMES);
+    for spec in tables::SPATIAL_FRAMES.columns {
+        let array = batch.column_by_name(spec.name).unwrap();
+        columns = match spec.name {
+            "object_x" | "object_y" | "object_z" => {
+                let values = col_f64(batch, spec.name).unwrap();
+                columns.f64(spec.name, values.iter().map(|x| 1.0 - 3.0 * x).collect())
+            }
+            "object_qx" => columns.f64(spec.name, vec![0.6; batch.num_rows()]),
+            "object_qy" => columns.f64(spec.name, vec![0.8; batch.num_rows()]),
+            "object_qz" | "object_qw" => columns.f64(spec.name, vec![0.0; batch.num_rows()]),
+            name => columns.array(name, array.clone()),
+        };
+    }
+    columns.finish().unwrap()
+}
+
+/// The same artifact in another store, with other recorded object poses under the same key.
+fn forge(original: &Artifact, store: &Path) {
+    let manifest = original.manifest();
+    let recipe = Recipe::new(Stage::Ingest, manifest.code_version)
+        .config(&manifest.config)
+        .unwrap()
+        .source(manifest.source_blake3.unwrap().as_bytes(), manifest.source.clone());
+    assert_eq!(recipe.key(), manifest.key);
+    let writer = Store::open(store).unwrap().begin(&recipe).unwrap();
+    for (name, facts) in &manifest.tables {
+        let spec = tables::find(name).unwrap();
+        let mut out = writer.table_in_groups(spec, facts.row_group_rows as usize).unwrap();
+        for batch in original.table(spec).unwrap().batches().unwrap() {
+            let batch = batch.unwrap();
+            let frames = spec.name == tables::SPATIAL_FRAMES.name;
+            out.write(if frames { disturbed(&batch) } else { batch }).unwrap();
+        }
+        out.finish().unwrap();
+    }
+    writer
+        .publish(Facts {
+            summary: manifest.summary.clone(),
+            warnings: manifest.warnings.clone(),
+        })
+        .unwrap();
+}
+
+#[test]
+fn no_recorded_object_pose_reaches_training_or_estimates() {
+    let Some(place) = lift() else { return };
+    train(&place, "--artifacts true").done();
+    forge(&only(&place, "true", Stage::Ingest), &place.path().join("false"));
+    train(&place, "--artifacts false").done();
+    let (real, fake) = (
+        only(&place, "true", Stage::TrainPose),
+        only(&place, "false", Stage::TrainPose),
+    );
+    let bytes = |artifact: &Artifact, file: &str| std::fs::read(artifact.path().join(file)).unwrap();
+    for file in [
+        "encoder.safetensors",
+        "spatial_poses.parquet",
+        "training.parquet",
+        "training.svg",
+    ] {
+        assert!(
+            bytes(&real, file) == bytes(&fake, file),
+            "{file} depends on recorded object poses"
+        );
+    }
+    // The disturbance was there: what is measured afterwards saw it.
+    assert!(bytes(&real, "pose_errors.parquet") != bytes(&fake, "pose_errors.parquet"));
+}
+
+#[test]
+fn what_cannot_be_trained_on_is_told_in_one_sentence() {
+    let Some(place) = lift() else { return };
+    let data = scripted().unwrap();
+    place.write(
+        "states.toml",
+        pipeline(&data.join("lift/low_dim.hdf5")).replace("cameras = [\"agentview\"]\n", "select = { first = 2 }\n"),
+    );
+    place.write("weights.bin", "not weights");
+    let mut told = String::new();
+    for arguments in [
+        "states.toml",
+        "lift.toml --set pose.encoder.camera=frontview",
+        "lift.toml --set pose.encoder.weights=nowhere.pth",
+        "lift.toml --set pose.encoder.weights=weights.bin",
+        "lift.toml --set pose.encoder.backend=torch",
+        "lift.toml --set pose.encoder.learning_rate=1e30",
+        "lift.toml --set pose.encoder.batch=12",
+        "lift.toml --set pose.encoder.epochs=0",
+        "lift.toml --set pose.encoder.width=0",
+        "lift.toml --set pose.encoder.held_out=1.0",
+        "lift.toml --set pose.encoder.losses.absolute=-1.0",
+        "lift.toml --set variant=state",
+        "lift.toml --set pose.source=recorded",
+        "lift.toml --set pose.source=log_polar",
+        "lift.toml --set segment.rule=rigid_motion",
+    ] {
+        if cfg!(feature = "torch") && arguments.contains("torch") {
+            continue;
+        }
+        let answer = place.run(&format!("train-pose {arguments} --artifacts artifacts"));
+        told.push_str(&format!("$ train-pose {arguments}\n{}\n", answer.refused()));
+    }
+    with_settings!({ filters => filters() }, { assert_snapshot!(told) });
+    // The training that diverged in its first epoch left no artifact, and the others none either.
+    assert!(support::folders_in(&place.path().join("artifacts/poses")).is_empty());
+}
