@@ -9,6 +9,7 @@
 
 mod support;
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use arrow::array::RecordBatch;
@@ -189,7 +190,7 @@ fn what_cannot_be_trained_on_is_told_in_one_sentence() {
             continue;
         }
         let answer = place.run(&format!("train-pose {arguments} --artifacts artifacts"));
-        told.push_str(&format!("$ train-pose {arguments}\n{}\n", answer.refused()));
+        writeln!(told, "$ train-pose {arguments}\n{}", answer.refused()).unwrap();
     }
     with_settings!({ filters => filters() }, { assert_snapshot!(told) });
     // The training that diverged in its first epoch left no artifact, and the others none either.
