@@ -84,14 +84,17 @@ fn the_schemas_describe_the_columns_that_are_written() {
         .map(|(_, table)| table.name)
         .filter(|name| !compared.contains(*name))
         .collect();
-    // The invented demonstrations have neither simulator states nor pictures; rollouts in robosuite's simulator are tested
-    // elsewhere.
+    // The invented demonstrations have neither simulator states nor pictures; encoders and rollouts in robosuite's simulator
+    // are tested elsewhere.
     assert_eq!(
         missing,
         [
             "states",
             "models",
             "camera_images",
+            "spatial_poses",
+            "training",
+            "pose_errors",
             "spatial_results",
             "spatial_steps",
             "spatial_decisions",

@@ -86,8 +86,9 @@ impl Checkpoints {
         };
         let other = |error: &dyn std::fmt::Display| failed(std::io::Error::other(error.to_string()));
         let course = serde_json::to_vec(epochs).map_err(|error| other(&error))?;
+        // Without gradients, so that the statistics of batch normalisation are those after the last step.
         let encoder = encoder
-            .clone()
+            .valid()
             .into_record()
             .into_bytes()
             .map_err(|error| other(&error))?;

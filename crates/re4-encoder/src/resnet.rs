@@ -30,6 +30,13 @@ fn norm(channels: usize, device: &Device) -> BatchNorm {
     BatchNormConfig::new(channels).init(device)
 }
 
+/// Zeros, which training draws weights in the place of: burn would draw biases, too.
+fn linear([inputs, outputs]: [usize; 2], device: &Device) -> Linear {
+    LinearConfig::new(inputs, outputs)
+        .with_initializer(Initializer::Zeros)
+        .init(device)
+}
+
 #[derive(Module, Debug)]
 struct Downsample {
     conv: Conv2d,
@@ -138,8 +145,8 @@ impl Encoder {
             layer2: stage(width, 2 * width, 2),
             layer3: stage(2 * width, 4 * width, 2),
             layer4: stage(4 * width, 8 * width, 2),
-            embedding: LinearConfig::new(8 * width, EMBEDDING).init(device),
-            head: LinearConfig::new(EMBEDDING, 9).init(device),
+            embedding: linear([8 * width, EMBEDDING], device),
+            head: linear([EMBEDDING, 9], device),
         }
     }
 
