@@ -3,6 +3,7 @@
 use anyhow::{Result, bail, ensure};
 use re4_encoder::EncoderConfig;
 use re4_encoder::loss::GROUP;
+use re4_policy::spatial::WhileHeld;
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
@@ -117,6 +118,10 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     if let Err(error) = rollout.policy_config().check() {
         bail!("rollout.{error}");
     }
+    ensure!(
+        pipeline.variant == Some(Variant::Image) || rollout.reframe.held == WhileHeld::Seen,
+        "rollout.reframe.held is \"carried\", which belongs to variant = \"image\"; leave it out"
+    );
     if let Some(noise) = &rollout.noise {
         standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
         standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;

@@ -278,6 +278,28 @@ pub(crate) struct IndexSection {
     /// are not retrieved.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) leave_out: Vec<String>,
+    /// robosuite tasks from pictures: which of the encoder's estimates stand in the index.
+    #[serde(default, skip_serializing_if = "Estimates::is_default")]
+    pub(crate) estimates: Estimates,
+}
+
+/// Which estimates of an encoder stand in an index.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Estimates {
+    /// Each frame's own, as in the paper.
+    #[default]
+    EachFrame,
+    /// What the modes make of them: before a grasp the object lies still, at the median of the estimates of these frames; from the
+    /// grasp on it moves with the gripper; and after the last release it lies where it was let go.
+    ByMode,
+}
+
+impl Estimates {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks by reference")]
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// `index` to `rollouts`.

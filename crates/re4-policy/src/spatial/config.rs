@@ -89,6 +89,28 @@ pub struct SpatialReframeConfig {
     pub transfer: TransferReplay,
     /// When the motion between the two objects is measured.
     pub measure: Measuring,
+    /// Where the object is said to be while it is held, with poses from pictures.
+    #[serde(default, skip_serializing_if = "WhileHeld::is_default")]
+    pub held: WhileHeld,
+}
+
+/// Where an object is said to be while the gripper holds it, for a policy that looks at pictures.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WhileHeld {
+    /// Where the picture shows it.
+    #[default]
+    Seen,
+    /// Where it was seen before the grasp, moving with the gripper since, as a mode of transfer says: what the hand hides need
+    /// not be seen.
+    Carried,
+}
+
+impl WhileHeld {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks by reference")]
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// Replan: a closed-loop bridge to the start of the chunk. Every step, the set-point is the start itself or a point a lead
@@ -244,6 +266,7 @@ impl SpatialPolicyConfig {
                 enabled: true,
                 transfer: TransferReplay::Verbatim,
                 measure: Measuring::Decision,
+                held: WhileHeld::Seen,
             },
             replan: SpatialReplanConfig {
                 enabled: true,

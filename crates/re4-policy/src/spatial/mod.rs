@@ -21,7 +21,7 @@ mod rollout;
 pub use config::{
     BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SettleConfig, SpatialConfigError,
     SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig,
-    SpatialRetrieveConfig, TransferReplay,
+    SpatialRetrieveConfig, TransferReplay, WhileHeld,
 };
 pub use decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};

@@ -9,7 +9,7 @@ use re4_index::{IndexError, SpatialDistances, SpatialQuery};
 
 use crate::PolicyError;
 use crate::spatial::bans::Bans;
-use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConfig};
+use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConfig, WhileHeld};
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
@@ -185,7 +185,12 @@ impl SpatialPolicy for SpatialRe4 {
         Self::feel(body)?;
         let mode = self.mode();
         let carried = self.estimate.carry(mode, &body.eef);
-        let mut sight = Sight::Look(look);
+        let mut sight = if mode == Mode::Transfer && carried.is_some() && self.config.reframe.held == WhileHeld::Carried
+        {
+            Sight::Done
+        } else {
+            Sight::Look(look)
+        };
         let mut seen = Seen {
             mode,
             eef: body.eef,

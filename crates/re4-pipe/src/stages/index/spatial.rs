@@ -16,6 +16,7 @@ use serde_json::json;
 use super::super::demos::SegmentedEpisodes;
 use super::super::{Built, Runner};
 use super::estimated::EstimatedPoses;
+use crate::pipeline::Estimates;
 use crate::poses::{PARTS, pose_columns};
 
 /// Raised whenever the same input gives other bytes.
@@ -39,6 +40,10 @@ impl Runner {
         });
         if poses.is_some() && !leave_out.is_empty() {
             config["by_fingers"] = self.audit_config();
+        }
+        let estimates = self.pipeline.index()?.estimates;
+        if poses.is_some() && estimates != Estimates::default() {
+            config["estimates"] = json!(estimates);
         }
         let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
             .config(&config)?
@@ -66,7 +71,7 @@ impl Runner {
                 self.interrupt.check("index")?;
                 let mut demo = demo?;
                 if let Some(estimated) = &estimated {
-                    estimated.put_into(&mut demo)?;
+                    estimated.put_into(&mut demo, estimates)?;
                 }
                 let end = ends.get(&demo.number).copied().unwrap_or(0) as usize;
                 let count = demo.episode.frames.len();
