@@ -690,6 +690,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 35);
+        assert_eq!(names.len(), 38);
     }
 }
