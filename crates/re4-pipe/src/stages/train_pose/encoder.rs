@@ -188,7 +188,8 @@ impl Runner {
             "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame; look at its modes with re4-pipe audit",
             episodes.path().display()
         );
-        // The pure Rust backend computes in the program's own threads.
+        // A backend that is not there is told before pictures are unpacked. The one in pure Rust computes in the program's threads.
+        config.backend.device()?;
         if config.backend != Backend::Flex {
             config.backend.set_threads(rayon::current_num_threads())?;
         }
