@@ -14,6 +14,16 @@ if [ "$(id -u)" -ne 0 ]; then
     run=sudo
 fi
 echo "$asker: installing $*" >&2
-$run apt-get update -q >/dev/null
+# A machine that was just started may be installing updates: others' locks are waited for, and lists that could not be had are
+# asked for again.
+for left in 5 4 3 2 1 0; do
+    if $run apt-get -o DPkg::Lock::Timeout=600 update -q >/dev/null; then
+        break
+    elif [ "$left" -eq 0 ]; then
+        echo "$asker: apt-get update fails; mend that and run this again" >&2
+        exit 2
+    fi
+    sleep 10
+done
 # sudo drops the caller's environment, so the variable is set behind it.
-$run env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "$@" >/dev/null
+$run env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=600 install -y -q --no-install-recommends "$@" >/dev/null

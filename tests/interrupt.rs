@@ -10,20 +10,23 @@ mod support;
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::process::ExitStatusExt as _;
-use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use support::{Place, assert_same_bytes};
+use support::{Place, assert_same_bytes, signal};
 
-/// Many rollouts, so that there is time to interrupt them.
-const LONG: &str = "run small.toml --set rollout.seeds=0..20000 --policy paper";
+/// So many rollouts that no machine is done with them before it is interrupted.
+const LONG: &str = "run small.toml --set rollout.seeds=0..200000 --policy paper";
 
-fn interrupt(child: &Child) {
-    let status = Command::new("sh")
-        .args(["-c", &format!("kill -INT {}", child.id())])
-        .status()
-        .unwrap();
-    assert!(status.success());
+/// Latest that an interrupted run may end, on a machine however busy. On a quiet one it takes some milliseconds.
+const LATEST: Duration = Duration::from_secs(30);
+
+/// The stage says that it was interrupted, or where it is too slow for that, the watchdog does.
+#[track_caller]
+fn assert_interrupted(said: &str) {
+    assert!(
+        said.starts_with("error: ") && said.contains(" was interrupted; nothing ") && said.contains(" again"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -36,12 +39,9 @@ fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
         line.clear();
         assert!(notes.read_line(&mut line).unwrap() > 0, "it ended before the rollouts");
     }
+    // Into the rollouts, or before them: every moment is as good.
     std::thread::sleep(Duration::from_millis(200));
-    assert!(
-        child.try_wait().unwrap().is_none(),
-        "it ended before it was interrupted"
-    );
-    interrupt(&child);
+    signal(&child, "INT");
     let start = Instant::now();
     let mut said = String::new();
     notes.read_to_string(&mut said).unwrap();
@@ -51,8 +51,9 @@ fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
     let mut out = String::new();
     child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
     assert_eq!(out, "");
-    insta::assert_snapshot!(said.lines().last().unwrap_or_default());
-    assert!(latency < Duration::from_secs(5), "it took {latency:?} to stop");
+    assert_interrupted(said.lines().last().unwrap_or_default());
+    println!("it took {latency:?} to stop");
+    assert!(latency < LATEST, "it took {latency:?} to stop");
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
     assert!(place.bytes().keys().all(|name| !name.starts_with("rollouts/")));
     place.run("run small.toml").done();
@@ -71,7 +72,7 @@ fn an_interrupt_at_any_moment_is_answered_cleanly() {
     for tenth in 0..=10 {
         let child = place.start("run small.toml");
         std::thread::sleep(wall * tenth / 10);
-        interrupt(&child);
+        signal(&child, "INT");
         let output = child.wait_with_output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         match (output.status.code(), output.status.signal()) {
@@ -79,7 +80,7 @@ fn an_interrupt_at_any_moment_is_answered_cleanly() {
             (Some(0), _) => {}
             (Some(2), _) => {
                 let last = said.lines().last().unwrap_or_default();
-                assert!(last.starts_with("error: ") && last.contains("interrupted"), "{said}");
+                assert_interrupted(last);
             }
             // Before the program listens there is nothing to clean up.
             (None, Some(2)) => assert_eq!(said, ""),

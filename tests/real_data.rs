@@ -106,7 +106,8 @@ fn demonstrations_start_from_their_seeds() {
 fn ingest_holds_every_value_and_little_memory() {
     let Some(data) = real_data() else { return };
     let folder = TempDir::new().unwrap();
-    let mut child = command(&data, folder.path(), "ingest pipelines/pusht-state.toml")
+    // Threads have memory of their own; a machine may have any number of processors.
+    let mut child = command(&data, folder.path(), "ingest pipelines/pusht-state.toml --jobs 4")
         .stdout(Stdio::null())
         .spawn()
         .unwrap();

@@ -25,7 +25,9 @@ def main() -> int:
         # Talks to the kernel through sockets in a folder of its own: ports could be taken by another run.
         config = Config({"KernelManager": {"transport": "ipc", "ip": f"{scratch}/kernel"}})
         where = {"metadata": {"path": path.parent}}
-        client = NotebookClient(notebook, config=config, timeout=300, kernel_name="python3", resources=where)
+        # Whatever a cell draws has to arrive, on a busy machine, too: by default what comes after 4 seconds is left out in silence.
+        patience = dict(timeout=1800, startup_timeout=600, iopub_timeout=600, raise_on_iopub_timeout=True)
+        client = NotebookClient(notebook, config=config, kernel_name="python3", resources=where, **patience)
         try:
             client.execute()
         except CellExecutionError as error:

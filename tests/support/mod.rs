@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use re4_artifact::{Artifact, Stage};
@@ -13,6 +14,10 @@ use tempfile::TempDir;
 
 pub(crate) mod dataset;
 pub(crate) mod invented;
+
+/// Longest that anything is waited for. What is waited for has to happen; how soon, on a busy machine, is not what tests are
+/// about.
+pub(crate) const LONGEST: Duration = Duration::from_mins(5);
 
 /// The program that is tested.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_re4-pipe");
@@ -89,6 +94,7 @@ impl Place {
             .current_dir(self.path())
             .env("RE4_DATA", self.path().join("data"))
             .env_remove("NO_COLOR")
+            .env_remove("CLICOLOR_FORCE")
             .env("COLUMNS", "100");
         command
     }
@@ -141,6 +147,112 @@ impl Place {
             }
         }
         found
+    }
+}
+
+/// Waits for something that has to happen, and says what it is where it does not.
+#[track_caller]
+pub(crate) fn wait_for<T>(what: &str, mut happened: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = happened() {
+            return value;
+        }
+        assert!(start.elapsed() < LONGEST, "{what}: not within {LONGEST:?}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// Sends a signal to a process that this one has started and not yet waited for.
+#[track_caller]
+pub(crate) fn signal(child: &Child, name: &str) {
+    assert!(kill(child.id(), name), "SIG{name} could not be sent");
+}
+
+/// Sends a signal; whether there was a process to send it to.
+fn kill(process: u32, name: &str) -> bool {
+    let output = Command::new("sh")
+        .args(["-c", &format!("kill -{name} {process}")])
+        .output()
+        .unwrap();
+    output.status.success()
+}
+
+/// A process that is not a child of this one. Its number alone would not tell it from a later process of the same number.
+pub(crate) struct Process {
+    id: u32,
+    /// In ticks since the machine was started.
+    started: String,
+}
+
+impl Process {
+    /// The process of this number.
+    fn of(id: u32) -> Option<Self> {
+        let (_, started) = Self::state(id)?;
+        Some(Self { id, started })
+    }
+
+    /// State and start of a process; `/proc` has them behind the name, which may hold anything.
+    fn state(id: u32) -> Option<(String, String)> {
+        let line = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+        let mut words = line.rsplit_once(')')?.1.split_whitespace().map(str::to_owned);
+        Some((words.next()?, words.nth(18)?))
+    }
+
+    /// Whether it has not ended. One that has, and that nobody has waited for, stays in the list of processes as a zombie.
+    pub(crate) fn is_running(&self) -> bool {
+        Self::state(self.id).is_some_and(|(state, started)| started == self.started && state != "Z" && state != "X")
+    }
+
+    /// Sends it a signal again and again until it has ended: Rust's runtime answers the first SIGSEGV or SIGBUS that no access
+    /// to memory has caused by giving up its handler, and only the next one ends the process.
+    pub(crate) fn end_by(&self, name: &str) {
+        let start = Instant::now();
+        while self.is_running() {
+            assert!(start.elapsed() < LONGEST, "SIG{name} does not end it");
+            kill(self.id, name);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Waits until it has ended.
+    #[track_caller]
+    pub(crate) fn wait(&self) {
+        wait_for("the end of the process", || (!self.is_running()).then_some(()));
+    }
+}
+
+/// Where a process that reads HDF5 for the program waits, so that tests meet it in the middle of its work.
+pub(crate) struct Gate(PathBuf);
+
+impl Gate {
+    /// Puts a gate before a program that is yet to be started: it waits once this many demonstrations, or pictures, are done.
+    pub(crate) fn before(command: &mut Command, place: &Place, done: usize) -> Self {
+        let gate = Self(place.path().join("gate"));
+        let _ = fs::remove_file(&gate.0);
+        command
+            .env("RE4_HDF5", "library")
+            .env("RE4_WORKER_GATE", format!("{done} {}", gate.0.display()));
+        gate
+    }
+
+    /// The process that waits there; none if it has not come there yet.
+    pub(crate) fn worker(&self) -> Option<Process> {
+        let text = fs::read_to_string(&self.0).ok()?;
+        Process::of(text.strip_suffix('\n')?.parse().ok()?)
+    }
+
+    /// Waits for the process that the program starts to come there.
+    #[track_caller]
+    pub(crate) fn wait(&self, program: &mut Child) -> Process {
+        wait_for("a worker at the gate", || {
+            let worker = self.worker();
+            assert!(
+                worker.is_some() || program.try_wait().unwrap().is_none(),
+                "the program ended before its worker came to the gate"
+            );
+            worker
+        })
     }
 }
 

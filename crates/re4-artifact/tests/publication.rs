@@ -13,11 +13,14 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use common::{EVERY_KIND, artifact_names, columns, files, publish_sample, recipe, sample_rows};
 use re4_artifact::{Facts, Key, Stage, Store, Writer, verify};
 use serde_json::json;
+
+/// Longest that anything is waited for that has to happen.
+const LONGEST: Duration = Duration::from_mins(5);
 
 const ROOT: &str = "RE4_TEST_ROOT";
 const TASK: &str = "RE4_TEST_TASK";
@@ -150,13 +153,29 @@ fn what_is_published_is_found_again() {
     verify(found.path()).unwrap();
 }
 
+/// Whether some process has begun to write an artifact, and has not published it.
+fn begun(root: &Path) -> bool {
+    let Ok(entries) = fs::read_dir(root.join("modes")) else {
+        return false;
+    };
+    entries
+        .filter_map(Result::ok)
+        .any(|entry| entry.file_name().to_string_lossy().starts_with(".tmp-"))
+}
+
 #[test]
 fn killed_processes_leave_nothing_that_a_later_run_trusts() {
     let root = tempfile::tempdir().unwrap();
     let mut interrupted = 0;
     for moment in 0..25u64 {
         let mut process: Child = spawn("publish for ever", root.path()).spawn().unwrap();
-        thread::sleep(Duration::from_millis(15 + moment * 3));
+        // From its first artifact on, which a busy machine takes its time for.
+        let start = Instant::now();
+        while !begun(root.path()) {
+            assert!(start.elapsed() < LONGEST, "the process writes nothing");
+            thread::sleep(Duration::from_millis(1));
+        }
+        thread::sleep(Duration::from_millis(moment * 3));
         process.kill().unwrap();
         process.wait().unwrap();
         let left = artifact_names(root.path());
@@ -296,13 +315,12 @@ fn a_full_disk_is_said_so_and_leaves_nothing() {
     assert!(artifact_names(disk.0.path()).is_empty());
     // A process that another test starts at this moment holds our open files until it runs its own program.
     let probe = disk.0.path().join("probe");
-    let freed = (0..500).any(|_| {
-        std::thread::sleep(std::time::Duration::from_millis(10));
-        let room = std::fs::write(&probe, vec![1; 128 << 10]).is_ok();
-        std::fs::remove_file(&probe).unwrap();
-        room
-    });
-    assert!(freed, "what was begun still takes its space");
+    let start = Instant::now();
+    while fs::write(&probe, vec![1; 128 << 10]).is_err() {
+        assert!(start.elapsed() < LONGEST, "what was begun still takes its space");
+        thread::sleep(Duration::from_millis(10));
+    }
+    fs::remove_file(&probe).unwrap();
     publish_sample(&store, 1, 10);
 }
 

@@ -255,13 +255,14 @@ fn equal_weights_are_equal_bytes_in_every_process() {
     let folder = TempDir::new().unwrap();
     let saved = |name: &str, seed: &str| {
         let path = folder.path().join(name);
-        let status = Command::new(std::env::current_exe().unwrap())
+        // Its own summary of tests is not to be taken for one of this run.
+        let output = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "equal_weights_are_equal_bytes_in_every_process"])
             .env(SAVE_TO, &path)
             .env(SEED, seed)
-            .status()
+            .output()
             .unwrap();
-        assert!(status.success());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
         fs::read(path).unwrap()
     };
     let first = saved("first", "7");

@@ -4,10 +4,10 @@
 
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator, scene_from_seed};
 
-/// Resident memory of this process, in kB.
+/// Resident memory of this process, in kB, without what is read from files: that comes and goes with the needs of others.
 fn resident() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("RssAnon:")).unwrap();
     line.split_whitespace().nth(1).unwrap().parse().unwrap()
 }
 

@@ -10,7 +10,6 @@ mod reference;
 mod simulators;
 
 use std::fs;
-use std::path::{Path, PathBuf};
 
 use re4_mujoco::{Library, Version};
 use re4_robosuite::models::with_assets;
@@ -19,15 +18,11 @@ use re4_sim::robosuite::{
     ArmAction, FirstTorques, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene, RobosuiteTask,
 };
 use simulators::{Form, Trace, library, simulators};
+use tempfile::TempDir;
 
-/// An empty folder of this name.
-fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
-        .join("robosuite_bad_input")
-        .join(name);
-    let _ = fs::remove_dir_all(&folder);
-    fs::create_dir_all(&folder).unwrap();
-    folder
+/// An empty folder of this test's own.
+fn folder() -> TempDir {
+    TempDir::new().unwrap()
 }
 
 /// The error as a user reads it.
@@ -39,10 +34,11 @@ fn told<T>(result: Result<T, impl std::fmt::Display>) -> String {
 
 #[test]
 fn no_library() {
-    let folder = folder("none");
+    let place = folder();
+    let folder = place.path();
     for version in Version::ALL {
         assert_eq!(
-            told(Library::open(&folder, version)),
+            told(Library::open(folder, version)),
             format!(
                 "MuJoCo's library is not at {}/libmujoco.so; run scripts/setup-simulators.sh, or name the folder that it made \
                  in the environment variable RE4_SIMULATORS",
@@ -71,17 +67,12 @@ fn a_library_that_is_not_whole() {
     let Some(simulators) = simulators() else { return };
     for version in Version::ALL {
         let whole = fs::read(simulators.join(format!("mujoco-{version}/libmujoco.so"))).unwrap();
-        for (name, length) in [
-            ("empty", 0),
-            ("header", 40),
-            ("start", 5000),
-            ("half", whole.len() / 2),
-            ("end", whole.len() - 100),
-        ] {
-            let folder = folder(&format!("cut-{version}-{name}"));
+        for length in [0, 40, 5000, whole.len() / 2, whole.len() - 100] {
+            let place = folder();
+            let folder = place.path();
             fs::write(folder.join("libmujoco.so"), &whole[..length]).unwrap();
             assert_eq!(
-                told(Library::open(&folder, version)),
+                told(Library::open(folder, version)),
                 format!(
                     "cannot load MuJoCo's library {}/libmujoco.so: the file is cut short; remove it and run \
                      scripts/setup-simulators.sh",
@@ -89,14 +80,15 @@ fn a_library_that_is_not_whole() {
                 )
             );
         }
-        let folder = folder(&format!("text-{version}"));
+        let place = folder();
+        let folder = place.path();
         fs::write(
             folder.join("libmujoco.so"),
             "no library, but longer than a header of sixty-four bytes would be",
         )
         .unwrap();
         assert_eq!(
-            told(Library::open(&folder, version)),
+            told(Library::open(folder, version)),
             format!(
                 "cannot load MuJoCo's library {}/libmujoco.so: the file is no shared library; remove it and run \
                  scripts/setup-simulators.sh",
