@@ -9,6 +9,8 @@
 //! (`set_goal`); the rotation of the grip site is [`hand_to_site`](crate::hand_to_site) from the recorded one.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::env_args::EnvArgs;
@@ -61,7 +63,7 @@ pub enum ActionError {
 }
 
 /// The scales of an `OSC_POSE` controller: what its least and greatest commands mean.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Osc {
     input_min: [f64; 6],
     input_max: [f64; 6],
@@ -129,6 +131,20 @@ impl Osc {
             let command = action[i].clamp(self.input_min[i], self.input_max[i]);
             (command - self.input_middle[i]) * self.gain[i] + self.output_middle[i]
         })
+    }
+
+    /// Metres and radians a step that a command of 1 adds to one of 0, on each axis.
+    #[must_use]
+    pub fn unit(&self) -> [f64; 6] {
+        self.gain
+    }
+
+    /// Gain and offset of each axis that take metres and radians a step to the commands that ask for them.
+    #[must_use]
+    pub fn commands_of_motion(&self) -> ([f64; 6], [f64; 6]) {
+        let gain = self.gain.map(|gain| 1.0 / gain);
+        let offset = std::array::from_fn(|i| self.input_middle[i] - self.output_middle[i] / self.gain[i]);
+        (gain, offset)
     }
 
     /// The command that asks for a motion, not cut.

@@ -1,5 +1,7 @@
 //! Attributes that say how demonstrations were recorded.
 
+use std::borrow::Cow;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -56,6 +58,11 @@ pub struct Controller {
     pub declared: Option<ActionKind>,
     /// `world` or `base` (1.5 only).
     pub input_ref_frame: Option<String>,
+    /// Stiffness of the translations; none where it is not declared.
+    pub kp: Option<f64>,
+    /// Damping ratio of the translations (`damping_ratio`, or `damping` as older versions call it); none where it is not
+    /// declared.
+    pub damping_ratio: Option<f64>,
 }
 
 /// What a file says of itself. Everything but the name of the environment may be missing.
@@ -71,6 +78,8 @@ pub struct EnvArgs {
     pub control_freq: Option<f64>,
     /// The first arm's controller.
     pub controller: Option<Controller>,
+    /// Kind of the environment by robomimic's numbers: 1 for robosuite, 2 for gym (Isaac Lab's files, too); none in raw files.
+    pub kind: Option<i64>,
 }
 
 impl EnvArgs {
@@ -82,7 +91,11 @@ impl EnvArgs {
         let attribute = "env_args";
         let value = read(attribute, json)?;
         let version = string(&value["env_version"]);
-        Self::from_parts(attribute, string(&value["env_name"]), version, &value["env_kwargs"])
+        let env = Self::from_parts(attribute, string(&value["env_name"]), version, &value["env_kwargs"])?;
+        Ok(Self {
+            kind: value["type"].as_i64(),
+            ..env
+        })
     }
 
     /// Reads the attributes of a raw robosuite file: `env`, `env_info` and `repository_version` of `/data`.
@@ -135,7 +148,14 @@ impl EnvArgs {
             robots,
             control_freq,
             controller,
+            kind: None,
         })
+    }
+
+    /// Whether robomimic's number of the environment's kind says that it is not robosuite's.
+    #[must_use]
+    pub fn is_foreign(&self) -> bool {
+        self.kind.is_some_and(|kind| kind != ROBOSUITE)
     }
 
     /// Major and minor number of the declared robosuite version.
@@ -146,10 +166,48 @@ impl EnvArgs {
     }
 }
 
+/// robomimic's number for robosuite's environments (`EnvType.ROBOSUITE_TYPE`).
+const ROBOSUITE: i64 = 1;
+
+/// JSON as Python's `json` writes and reads it: NaN and infinities count as numbers there. None of what is read here may be
+/// one, so that they become null.
+fn as_json(text: &str) -> Cow<'_, str> {
+    const WORDS: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
+    if !WORDS.iter().any(|word| text.contains(word)) {
+        return Cow::Borrowed(text);
+    }
+    let mut json = String::with_capacity(text.len());
+    let (mut rest, mut quoted) = (text, false);
+    while let Some(letter) = rest.chars().next() {
+        let word = WORDS.iter().find(|word| !quoted && rest.starts_with(**word));
+        let taken = match (word, letter) {
+            (Some(word), _) => {
+                json.push_str("null");
+                rest = &rest[word.len()..];
+                continue;
+            }
+            // What is escaped ends no text.
+            (None, '\\') if quoted => rest.chars().take(2).map(char::len_utf8).sum(),
+            (None, '"') => {
+                quoted = !quoted;
+                1
+            }
+            (None, letter) => letter.len_utf8(),
+        };
+        json.push_str(&rest[..taken]);
+        rest = &rest[taken..];
+    }
+    Cow::Owned(json)
+}
+
 fn read(attribute: &'static str, json: &str) -> Result<Value, EnvArgsError> {
-    serde_json::from_str(json).map_err(|error| EnvArgsError::Json {
+    serde_json::from_str(&as_json(json)).map_err(|error| EnvArgsError::Json {
         attribute,
-        reason: error.to_string(),
+        reason: if json.trim_start().starts_with("{'") {
+            "it is written as Python prints a dict, not by json.dumps".to_owned()
+        } else {
+            error.to_string()
+        },
     })
 }
 
@@ -177,12 +235,21 @@ fn entry<T>(
 
 /// The controller's table: flat in robosuite 1.4, below `body_parts.right` (or the only part) in 1.5.
 fn controller(attribute: &'static str, configs: &Value) -> Result<Controller, EnvArgsError> {
-    let parts = &configs["body_parts"];
+    let parts = ["body_parts", "body_parts_controller_configs"].map(|name| &configs[name]);
+    let parts = parts
+        .into_iter()
+        .find(|parts| parts.is_object())
+        .unwrap_or(&Value::Null);
     let arm = match parts {
         Value::Object(table) => [parts.get("right"), parts.get("arms").and_then(|arms| arms.get("right"))]
             .into_iter()
             .flatten()
             .next()
+            .or_else(|| {
+                table
+                    .values()
+                    .find(|part| string(&part["type"]).is_some_and(|kind| kind.starts_with("OSC")))
+            })
             .or_else(|| table.values().next())
             .unwrap_or(configs),
         _ => configs,
@@ -202,7 +269,18 @@ fn controller(attribute: &'static str, configs: &Value) -> Result<Controller, En
         output_max: limit("output_max")?,
         declared,
         input_ref_frame: string(&arm["input_ref_frame"]),
+        kp: first_number(&arm["kp"]),
+        damping_ratio: first_number(&arm["damping_ratio"]).or_else(|| first_number(&arm["damping"])),
     })
+}
+
+/// A number, or the first of several.
+fn first_number(value: &Value) -> Option<f64> {
+    value
+        .as_array()
+        .and_then(|values| values.first())
+        .unwrap_or(value)
+        .as_f64()
 }
 
 /// Six finite numbers, or one for all; none where nothing is declared or the controller has another number of axes.

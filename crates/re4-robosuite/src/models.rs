@@ -123,7 +123,8 @@ pub fn looks(mjcf: &str) -> Result<Looks, AssetsError> {
 /// Where a file that a model names is here.
 fn place(named: &str, folder: &Path) -> Result<PathBuf, AssetsError> {
     let foreign = || AssetsError::Foreign(named.to_owned());
-    let elements: Vec<&str> = named.split('/').collect();
+    // A model that was recorded on Windows has backslashes between the elements, or both.
+    let elements: Vec<&str> = named.split(['/', '\\']).collect();
     let package = elements
         .iter()
         .rposition(|&element| element == PACKAGE)

@@ -38,6 +38,8 @@ fn the_last_robosuite_counts_and_the_rest_stays() {
         ("/home/x/robosuite/robosuite/models/assets/meshes/a.stl", &mesh),
         ("/robosuite/models/assets/arenas/../textures/b.png", &texture),
         ("../robosuite//models/./assets/meshes/a.stl", &mesh),
+        (r"C:\Users\x\robosuite\models\assets\meshes\a.stl", &mesh),
+        (r"C:\x\robosuite\models\assets/arenas/..\textures/b.png", &texture),
     ] {
         let before = model(named);
         let after = with_assets(&before, &folder).unwrap();

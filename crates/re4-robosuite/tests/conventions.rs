@@ -4,8 +4,8 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_robosuite::conventions::{
-    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, QuaternionOrder,
-    RelativeLag, Rows, Settings, Task, Unproven,
+    ActionKind, ActionReading, Basis, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, InitialGoal,
+    ObjectLayout, QuaternionOrder, RelativeLag, Rows, Settings, Task, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::hand_to_site;
@@ -128,6 +128,9 @@ fn standard() -> Conventions {
         eef_proven: true,
         object_proven: true,
         allow_actions_beyond_range: false,
+        actions: ActionReading::default(),
+        initial_goal: InitialGoal::FirstPose,
+        controls: None,
     }
 }
 
@@ -138,6 +141,7 @@ fn env(version: Option<&str>) -> EnvArgs {
         robots: vec![],
         control_freq: None,
         controller: None,
+        kind: None,
     }
 }
 
@@ -150,7 +154,7 @@ fn settings_of(conventions: &Conventions) -> Settings {
         object_quaternion: conventions.object_quaternion,
         action_kind: Some(conventions.action_kind),
         gripper_sign: Some(conventions.gripper_sign),
-        allow_actions_beyond_range: false,
+        ..Settings::default()
     }
 }
 
@@ -197,7 +201,7 @@ proptest! {
         let arrays = [demos[0].arrays(14), demos[1].arrays(14)];
         let (proven, proofs) = Conventions::detect(&arrays, &env(None), &settings_of(&conventions)).unwrap();
         prop_assert_eq!(proven, conventions);
-        prop_assert!(proofs.iter().all(|proof| proof.basis == re4_robosuite::conventions::Basis::Data));
+        prop_assert!(proofs[..7].iter().all(|proof| proof.basis == Basis::Data));
         let residuals = proven.check(&arrays[0]).unwrap();
         prop_assert!(residuals.relative.unwrap() < 1e-12);
         // Any other convention is contradicted by the demo.
@@ -406,14 +410,27 @@ fn proofs_and_settings_are_data() {
         "eef_orientation",
         "object_layout",
         "object_quaternion",
+        "gripper_range",
+        "action_scale",
+        "initial_goal",
     ];
     assert_eq!(names, expected);
     let values: Vec<&str> = proofs.iter().map(|proof| proof.value.as_str()).collect();
-    assert_eq!(
-        values,
-        ["delta", "positive_closes", "xyzw", "hand_body", "pose_first", "xyzw"]
-    );
-    for proof in &proofs {
+    let expected = [
+        "delta",
+        "positive_closes",
+        "xyzw",
+        "hand_body",
+        "pose_first",
+        "xyzw",
+        "minus_one_one",
+        "controller",
+        "first_pose",
+    ];
+    assert_eq!(values, expected);
+    // No controller is declared, and there are no models.
+    assert!(proofs[7..].iter().all(|proof| proof.basis == Basis::Declared));
+    for proof in &proofs[..7] {
         let evidence = &proof.evidence;
         assert!(evidence.frames >= evidence.frames_needed && evidence.candidates.len() == 2);
         assert!(evidence.candidates[0].residual <= evidence.threshold);
@@ -421,12 +438,14 @@ fn proofs_and_settings_are_data() {
         assert_eq!(evidence.candidates[0].value, proof.value);
     }
     // Each proof's name and value is a setting that agrees.
-    let settings: serde_json::Value = proofs
+    let settings: serde_json::Value = proofs[..6]
         .iter()
         .map(|proof| (proof.convention.clone(), serde_json::json!(proof.value)))
         .collect();
     let settings: Settings = serde_json::from_value(settings).unwrap();
     assert_eq!(settings, settings_of(&conventions));
+    // JSON has no infinity, which stands for what could not be measured.
+    let proofs = proofs[..7].to_vec();
     let text = serde_json::to_string(&(conventions, &proofs)).unwrap();
     assert_eq!(
         serde_json::from_str::<(Conventions, Vec<_>)>(&text).unwrap(),

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
 
 use re4_robosuite::actions::Osc;
-use re4_robosuite::conventions::ActionKind;
+use re4_robosuite::conventions::{ActionKind, Task};
 use re4_robosuite::env_args::EnvArgs;
 
 #[test]
@@ -99,5 +99,74 @@ fn what_is_missing_is_missing_and_what_is_wrong_is_said() {
     for version in ["", "1", "one.two", "v"] {
         let env = EnvArgs::parse_raw(Some("A"), None, Some(version)).unwrap();
         assert_eq!(env.version(), None);
+    }
+}
+
+/// As Python's `json` writes what is not finite, and not within texts.
+#[test]
+fn numbers_that_are_none_are_read_as_python_writes_them() {
+    let text = r#"{"env_name": "Lift", "type": 1, "env_kwargs": {"note": "to Infinity \" and NaN", "horizon": -Infinity,
+        "controller_configs": {"type": "OSC_POSE", "output_max": 0.05, "kp": 150, "damping": 1,
+        "position_limits": [[NaN, -Infinity, -Infinity], [Infinity, Infinity, Infinity]]}}}"#;
+    let env = EnvArgs::parse(text).unwrap();
+    assert_eq!((env.kind, env.is_foreign()), (Some(1), false));
+    let controller = env.controller.unwrap();
+    assert_eq!((controller.kp, controller.damping_ratio), (Some(150.0), Some(1.0)));
+    assert_eq!(controller.output_max, Some([0.05; 6]));
+    // What is none cannot be a scale, and words are no numbers anywhere else.
+    let scale = text.replace("\"output_max\": 0.05", "\"output_max\": [Infinity, 1, 1, 1, 1, 1]");
+    assert!(EnvArgs::parse(&scale).unwrap_err().to_string().contains("output_max"));
+    assert!(EnvArgs::parse(r#"{"env_name": Infinite}"#).is_err());
+    let quoted = EnvArgs::parse(r#"{"env_name": "NaN_\"Infinity\"", "env_kwargs": {"a": NaN}}"#).unwrap();
+    assert_eq!(quoted.env_name, "NaN_\"Infinity\"");
+}
+
+#[test]
+fn environments_of_other_kinds_are_foreign() {
+    let isaac = EnvArgs::parse(r#"{"env_name": "Isaac-Stack-Cube-Franka-IK-Rel-v0", "type": 2}"#).unwrap();
+    assert!(isaac.is_foreign());
+    assert!(!EnvArgs::parse(r#"{"env_name": "Lift"}"#).unwrap().is_foreign());
+}
+
+#[test]
+fn mimicgen_s_names_are_of_the_scene_that_they_name() {
+    let tasks = [
+        ("Lift", Task::Lift, None),
+        ("PickPlaceCan", Task::Can, None),
+        ("NutAssemblySquare", Task::Square, None),
+        ("Square_D0", Task::Square, Some(0)),
+        ("Square_D2", Task::Square, Some(2)),
+        ("Can_D1", Task::Can, Some(1)),
+        ("Lift_D0", Task::Lift, Some(0)),
+        ("NutAssembly_D0", Task::Other, Some(0)),
+        ("Stack_D1", Task::Other, Some(1)),
+        ("Square", Task::Other, None),
+        ("Square_D", Task::Other, None),
+        ("Square_Dx", Task::Other, None),
+        ("Square_D+1", Task::Other, None),
+        ("SquareNut_D0", Task::Other, Some(0)),
+        ("_D0", Task::Other, Some(0)),
+    ];
+    for (name, task, distribution) in tasks {
+        assert_eq!(
+            (Task::of(name), Task::distribution(name)),
+            (task, distribution),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn composite_controllers_are_found_under_other_names() {
+    for text in [
+        r#"{"env_name": "Lift", "env_kwargs": {"controller_configs": {"type": "HYBRID", "body_parts_controller_configs":
+            {"right": {"type": "OSC_POSE", "output_max": 0.05}}}}}"#,
+        r#"{"env_name": "Lift", "env_kwargs": {"controller_configs": {"type": "BASIC", "body_parts":
+            {"arms": {"right": {"type": "OSC_POSE", "output_max": 0.05}}}}}}"#,
+        r#"{"env_name": "Lift", "env_kwargs": {"controller_configs": {"type": "BASIC", "body_parts":
+            {"base": {"type": "JOINT_VELOCITY"}, "robot0_arm": {"type": "OSC_POSE", "output_max": 0.05}}}}}"#,
+    ] {
+        let env = EnvArgs::parse(text).unwrap();
+        assert_eq!(env.controller.unwrap().output_max, Some([0.05; 6]), "{text}");
     }
 }

@@ -5,8 +5,8 @@ mod common;
 
 use common::{Demo, Source, TASKS, scripted};
 use re4_robosuite::conventions::{
-    ActionKind, Basis, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof,
-    QuaternionOrder, RelativeLag, Settings, Unproven,
+    ActionKind, ActionReading, Basis, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, InitialGoal,
+    ObjectLayout, Proof, QuaternionOrder, RelativeLag, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::hand_to_site;
@@ -57,6 +57,9 @@ fn as_written_by_1_5(demo: &Demo) -> Demo {
         eef_proven: true,
         object_proven: true,
         allow_actions_beyond_range: false,
+        actions: ActionReading::default(),
+        initial_goal: InitialGoal::ResetPose,
+        controls: None,
     };
     for t in 0..demo.frames() {
         let row = &demo.object[t * 14..(t + 1) * 14];
@@ -512,10 +515,11 @@ fn a_demo_without_motion_proves_nothing() {
                 Err(error) => panic!("{error}"),
                 Ok((_, proofs)) => {
                     assert!(
-                        proofs
+                        proofs[..6]
                             .iter()
                             .all(|proof| proof.basis == Basis::Setting && proof.warning.is_some())
                     );
+                    assert!(proofs[6..8].iter().all(|proof| proof.basis == Basis::Declared));
                     break;
                 }
             }

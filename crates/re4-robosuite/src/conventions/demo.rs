@@ -1,6 +1,9 @@
 //! The arrays of one demo, borrowed.
 
-use super::{Contradiction, Task};
+use std::borrow::Cow;
+use std::ops::RangeInclusive;
+
+use super::{ActionReading, Contradiction, Task};
 use crate::actions::Action;
 use crate::kinematics::{Model, Observed};
 
@@ -72,14 +75,17 @@ pub struct DemoArrays<'a> {
 }
 
 /// A demo whose arrays are known to be of one length and finite, with what its states say.
+#[derive(Clone)]
 pub(super) struct Sound<'a> {
     pub(super) arrays: DemoArrays<'a>,
+    /// The actions as they are read: commands of the controller, or goals in the world.
+    pub(super) actions: Cow<'a, [Action]>,
     /// Empty without states or model.
     pub(super) observed: Vec<Observed>,
 }
 
 impl<'a> Sound<'a> {
-    pub(super) fn new(arrays: &DemoArrays<'a>, task: Task) -> Result<Self, Contradiction> {
+    pub(super) fn new(arrays: &DemoArrays<'a>, task: Task, reading: &ActionReading) -> Result<Self, Contradiction> {
         let need = arrays.actions.len();
         let length = |dataset: &'static str, rows: usize| {
             if rows == need {
@@ -115,6 +121,7 @@ impl<'a> Sound<'a> {
                 });
             }
         }
+        recorded(arrays)?;
         let mut observed = Vec::new();
         if let (Some(states), Some(model)) = (arrays.states, arrays.model) {
             length("states", states.len())?;
@@ -126,11 +133,54 @@ impl<'a> Sound<'a> {
                     source,
                 })?;
         }
+        let actions = if reading.is_plain() {
+            Cow::Borrowed(arrays.actions)
+        } else {
+            arrays.actions.iter().map(|action| reading.read(action)).collect()
+        };
         Ok(Self {
             arrays: *arrays,
+            actions,
             observed,
         })
     }
+}
+
+/// Rows in which everything is zero, as in arrays that were allocated ahead and never filled: the first such block. `rows`
+/// are what no recording has zeros in: states or quaternions.
+pub fn zero_rows<R: AsRef<[f64]>>(actions: &[Action], rows: &[R]) -> Option<RangeInclusive<usize>> {
+    let zero = |t: usize| {
+        let all = |row: &[f64]| row.iter().all(|value| *value == 0.0);
+        rows.get(t).is_some_and(|row| all(row.as_ref())) && actions.get(t).is_some_and(|action| all(action))
+    };
+    let first = (0..rows.len()).find(|t| zero(*t))?;
+    let end = (first..rows.len()).find(|t| !zero(*t)).unwrap_or(rows.len());
+    Some(first..=end - 1)
+}
+
+/// Rows that a hand which is never still in simulation may have of one pose.
+const FROZEN: usize = 20;
+
+/// Refuses arrays that were never filled.
+fn recorded(arrays: &DemoArrays<'_>) -> Result<(), Contradiction> {
+    if let Some(rows) = zero_rows(arrays.actions, arrays.eef_quat) {
+        return Err(Contradiction::zeros(arrays.name, &rows));
+    }
+    let (Some(first), Some(action)) = (arrays.eef_pos.first(), arrays.actions.first()) else {
+        return Ok(());
+    };
+    let rows = arrays.eef_pos.len();
+    let frozen = rows >= FROZEN
+        && arrays.eef_pos.iter().all(|position| position == first)
+        && arrays.actions.iter().any(|other| other[..6] != action[..6]);
+    if frozen {
+        return Err(Contradiction::Frozen {
+            demo: arrays.name.to_owned(),
+            dataset: "obs/robot0_eef_pos",
+            rows,
+        });
+    }
+    Ok(())
 }
 
 fn finite<R: AsRef<[f64]>>(

@@ -1,11 +1,16 @@
 //! Proving all conventions of a file from some of its demos.
 
+use nalgebra::Isometry3;
+
+use super::commands::{self, Controls, Judge};
 use super::demo::Sound;
 use super::evidence::{Basis, Declared, Fit, MARGIN, Test, Verdict};
+use super::opening::initial_goal;
+use super::reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, InitialGoal};
 use super::residuals::{self, Kinds, Relation, Share};
 use super::{
-    ActionKind, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof, QuaternionOrder,
-    RelativeLag, Settings, Task, Unproven,
+    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof,
+    QuaternionOrder, RelativeLag, Settings, Task, Unproven,
 };
 use crate::env_args::EnvArgs;
 
@@ -82,6 +87,28 @@ const MOTION: Test = Test {
 /// A hypothesis about the object vector and the end effector with its fit.
 type Related = (Relation, Fit);
 
+/// A demo that cannot be used beside the others.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Odd {
+    /// Its place among those that were given.
+    pub place: usize,
+    /// Its name.
+    pub demo: String,
+    /// What is wrong with it, a clause without its name.
+    pub why: String,
+}
+
+/// Conventions with what they rest on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Learned {
+    /// The conventions.
+    pub conventions: Conventions,
+    /// Their proofs, in a fixed order.
+    pub proofs: Vec<Proof>,
+    /// Demos that were left out, in order.
+    pub odd: Vec<Odd>,
+}
+
 impl Conventions {
     /// Proves the conventions of a file from some of its demos (ten are plenty).
     ///
@@ -90,23 +117,168 @@ impl Conventions {
     /// # Errors
     /// The first convention that is not proven, with the setting that would accept it; one that is proven to be other than
     /// the file declares; a setting that the data contradicts; a demo with arrays of other lengths or numbers that are not
-    /// finite.
+    /// finite. Where most of at least three demos prove everything, and the others contradict them, those
+    /// others.
     pub fn detect(
         demos: &[DemoArrays<'_>],
         env: &EnvArgs,
         settings: &Settings,
     ) -> Result<(Self, Vec<Proof>), Unproven> {
-        let task = Task::of(&env.env_name);
-        let by_data = |proofs: &[Proof]| proofs.iter().all(|proof| proof.basis == Basis::Data);
+        let file = File::new(demos, env, settings)?;
         let demos = demos
             .iter()
-            .map(|demo| Sound::new(demo, task))
+            .map(|demo| file.sound(demo))
             .collect::<Result<Vec<_>, _>>()?;
+        file.prove(&demos).map_err(|error| {
+            let places: Vec<usize> = (0..demos.len()).collect();
+            file.odd_ones(&demos, &places)
+                .map_or(error, |learned| Unproven::Odd(learned.odd))
+        })
+    }
+
+    /// As [`Conventions::detect`], but leaves out demos that cannot be used, and those that contradict what most of
+    /// the others prove.
+    ///
+    /// # Errors
+    /// As there, where the other demos do not prove everything either.
+    pub fn detect_leaving_out(
+        demos: &[DemoArrays<'_>],
+        env: &EnvArgs,
+        settings: &Settings,
+    ) -> Result<Learned, Unproven> {
+        let file = File::new(demos, env, settings)?;
+        let (mut sound, mut places, mut odd) = (Vec::new(), Vec::new(), Vec::new());
+        for (place, demo) in demos.iter().enumerate() {
+            match file.sound(demo) {
+                Ok(demo) => {
+                    sound.push(demo);
+                    places.push(place);
+                }
+                Err(contradiction) => odd.push(Odd::of(place, &contradiction)),
+            }
+        }
+        let mut learned = match file.prove(&sound) {
+            Ok((conventions, proofs)) => Learned {
+                conventions,
+                proofs,
+                odd: Vec::new(),
+            },
+            Err(error) => file.odd_ones(&sound, &places).ok_or(error)?,
+        };
+        learned.odd.extend(odd);
+        learned.odd.sort_by_key(|odd| odd.place);
+        Ok(learned)
+    }
+}
+
+impl Odd {
+    fn of(place: usize, contradiction: &Contradiction) -> Self {
+        let demo = contradiction.demo().to_owned();
+        let sentence = contradiction.to_string();
+        let why = sentence
+            .strip_prefix(&format!("{demo}: "))
+            .unwrap_or(&sentence)
+            .to_owned();
+        Self { place, demo, why }
+    }
+}
+
+/// What is known of a file beside its demos.
+struct File<'a> {
+    task: Task,
+    env: &'a EnvArgs,
+    settings: &'a Settings,
+    controls: Option<Controls>,
+    /// Pose of the robot's base, where a model gives it.
+    base: Option<Isometry3<f64>>,
+    /// How actions are read by the settings alone.
+    reading: ActionReading,
+}
+
+impl<'a> File<'a> {
+    fn new(demos: &[DemoArrays<'_>], env: &'a EnvArgs, settings: &'a Settings) -> Result<Self, Unproven> {
+        let controls = Controls::of(env);
+        let base = demos.iter().find_map(|demo| demo.model?.base());
+        Ok(Self {
+            task: Task::of(&env.env_name),
+            env,
+            settings,
+            reading: reading(settings, controls.as_ref(), base.as_ref())?,
+            controls,
+            base,
+        })
+    }
+
+    fn sound<'d>(&self, demo: &DemoArrays<'d>) -> Result<Sound<'d>, Contradiction> {
+        Sound::new(demo, self.task, &self.reading)
+    }
+
+    /// What most of at least three demos prove while the others contradict it; none where there are no such demos.
+    fn odd_ones(&self, demos: &[Sound<'_>], places: &[usize]) -> Option<Learned> {
+        if demos.len() < 3 {
+            return None;
+        }
+        let some = |chosen: &[usize]| -> Vec<Sound<'_>> { chosen.iter().map(|at| demos[*at].clone()).collect() };
+        // One demo may be too short to prove anything, two seldom are.
+        let single = (0..demos.len()).map(|at| vec![at]);
+        let pairs = (0..demos.len()).flat_map(|a| (a + 1..demos.len()).map(move |b| vec![a, b]));
+        let mut most: Vec<usize> = Vec::new();
+        for seed in single.chain(pairs) {
+            let Ok((conventions, _)) = self.prove(&some(&seed)) else {
+                continue;
+            };
+            let follow = |at: &usize| conventions.check_sound(&demos[*at]).is_ok();
+            let following: Vec<usize> = (0..demos.len()).filter(follow).collect();
+            if following.len() > most.len() {
+                most = following;
+            }
+            if most.len() + 1 >= demos.len() {
+                break;
+            }
+        }
+        if 2 * most.len() <= demos.len() || most.len() == demos.len() {
+            return None;
+        }
+        let (conventions, proofs) = self.prove(&some(&most)).ok()?;
+        let told = |names: &[&str]| {
+            let mut rows = proofs.iter().filter(|proof| names.contains(&proof.convention.as_str()));
+            rows.all(|proof| proof.basis != Basis::Declared)
+        };
+        let mut odd = Vec::new();
+        for (at, demo) in demos.iter().enumerate().filter(|(at, _)| !most.contains(at)) {
+            let contradiction = conventions.check_sound(demo).err()?;
+            // The others have to tell what this one contradicts.
+            let dataset = match &contradiction {
+                Contradiction::Whole { dataset, .. } => *dataset,
+                _ => "",
+            };
+            let others_tell = match dataset {
+                "actions[:, 0:3]" => told(&["action_scale", "action_frame"]),
+                "actions[:, 3:6]" => told(&["action_rotation"]),
+                "actions[:, 6]" => told(&["gripper_range"]),
+                _ => true,
+            };
+            if !others_tell {
+                return None;
+            }
+            odd.push(Odd::of(places[at], &contradiction));
+        }
+        Some(Learned {
+            conventions,
+            proofs,
+            odd,
+        })
+    }
+
+    /// All conventions, from demos that are sound.
+    fn prove(&self, demos: &[Sound<'_>]) -> Result<(Conventions, Vec<Proof>), Unproven> {
+        let (env, settings, task) = (self.env, self.settings, self.task);
+        let by_data = |proofs: &[Proof]| proofs.iter().all(|proof| proof.basis == Basis::Data);
         let mut proofs = Vec::new();
-        let (action_kind, proof) =
-            action_kind(&demos).settle("action_kind", settings.action_kind, declared_kind(env).as_ref())?;
+        let (kind, proof) = self.action_kind(demos)?;
         proofs.push(proof);
-        let (gripper_sign, proof) = gripper_sign(&demos).settle(
+        let (gripper, range) = commands::gripper_range(demos, settings)?;
+        let (gripper_sign, proof) = gripper_sign(demos).settle(
             "gripper_sign",
             settings.gripper_sign,
             Some(&robosuite(env, GripperSign::PositiveCloses)),
@@ -114,7 +286,7 @@ impl Conventions {
         proofs.push(proof);
 
         let has_object = task != Task::Other && demos.iter().any(|demo| demo.arrays.object.is_some());
-        let eef = eef(&demos, task, has_object, action_kind, env);
+        let eef = eef(demos, task, has_object, kind, env);
         let (eef_quaternion, proof) = eef.order.settle(
             "eef_quaternion",
             settings.eef_quaternion,
@@ -130,21 +302,24 @@ impl Conventions {
                 .settle("eef_orientation", settings.eef_orientation, Some(&hand))?;
         proofs.push(proof);
 
-        let mut conventions = Self {
+        let mut conventions = Conventions {
             task,
             object_layout: None,
             relative_lag: RelativeLag::Current,
             eef_orientation,
             eef_quaternion,
             object_quaternion: None,
-            action_kind,
+            action_kind: kind,
             gripper_sign,
             eef_proven: by_data(&proofs[2..]),
             object_proven: false,
             allow_actions_beyond_range: settings.allow_actions_beyond_range,
+            actions: self.reading,
+            initial_goal: InitialGoal::FirstPose,
+            controls: self.controls,
         };
         if has_object {
-            let related = relations(&demos, task, &[eef_quaternion], &[eef_orientation], true);
+            let related = relations(demos, task, &[eef_quaternion], &[eef_orientation], true);
             let (layout, proof) = Verdict::new(OBJECT, related.iter().map(|(relation, fit)| (relation.layout, *fit)))
                 .settle(
                 "object_layout",
@@ -155,7 +330,7 @@ impl Conventions {
             let of_layout = || related.iter().filter(|(relation, _)| relation.layout == layout);
             let mut order = Verdict::new(OBJECT, of_layout().map(|(relation, fit)| (relation.object, *fit)));
             if task == Task::Lift && order.proven().is_none() {
-                order = at_rest(&demos);
+                order = at_rest(demos);
             }
             let (object_quaternion, proof) = order.settle(
                 "object_quaternion",
@@ -171,8 +346,180 @@ impl Conventions {
                 .min_by(|a, b| a.1.high.total_cmp(&b.1.high))
                 .map_or(RelativeLag::Current, |(relation, _)| relation.lag);
         }
+        proofs.push(range);
+        let judge = self.judge(demos, eef_quaternion, eef_orientation);
+        let (reading, rows) = match kind {
+            ActionKind::Delta => judge.deltas()?,
+            ActionKind::Absolute => judge.goals(self.base.as_ref())?,
+        };
+        conventions.actions = ActionReading { gripper, ..reading };
+        proofs.extend(rows);
+        let deltas = self.controls.as_ref().filter(|_| kind == ActionKind::Delta);
+        let (initial, proof) = initial_goal(&conventions, demos, deltas, settings.initial_goal)?;
+        conventions.initial_goal = initial;
+        proofs.push(proof);
         Ok((conventions, proofs))
     }
+
+    /// Whether actions are deltas or goals; where neither fits, what else they are.
+    fn action_kind(&self, demos: &[Sound<'_>]) -> Result<(ActionKind, Proof), Unproven> {
+        let kinds = kinds(demos);
+        let set = self.settings.action_kind;
+        let outcome = action_kind(&kinds).settle("action_kind", set, declared_kind(self.env).as_ref());
+        let own = match &outcome {
+            Ok((_, proof)) if proof.basis == Basis::Data => return outcome,
+            Ok((kind, _)) => kinds.unexplained(*kind),
+            Err(_) => f64::INFINITY,
+        };
+        if kinds.frames() < MOTION.frames || own < NOT_EXPLAINED {
+            return outcome;
+        }
+        // Neither as deltas nor as goals in the world: perhaps as goals somewhere else.
+        if let Some(error) = self.goals_elsewhere(demos).or_else(|| self.other_deltas(demos)) {
+            return Err(error);
+        }
+        outcome?;
+        Err(Unproven::Actions {
+            convention: "action_kind",
+            what: format!(
+                "the setting action_kind = \"{}\" leaves most of the hand's motion unexplained",
+                set.map(super::evidence::name).unwrap_or_default()
+            ),
+            evidence: format!(
+                "{}: delta {:.2}, absolute {:.2} of the motion, over {} frames",
+                MOTION.name,
+                kinds.unexplained(ActionKind::Delta),
+                kinds.unexplained(ActionKind::Absolute),
+                kinds.frames()
+            ),
+            mend: "give a file whose actions are deltas of OSC_POSE, or its goals in the world".to_owned(),
+        })
+    }
+
+    /// The sentence for deltas of another unit or beside 0; none where they are not that either.
+    fn other_deltas(&self, demos: &[Sound<'_>]) -> Option<Unproven> {
+        if self.settings.action_kind == Some(ActionKind::Absolute) {
+            return None;
+        }
+        let error = self
+            .judge(demos, QuaternionOrder::Xyzw, EefOrientation::HandBody)
+            .deltas()
+            .err()?;
+        matches!(&error, Unproven::Actions { .. }).then_some(error)
+    }
+
+    fn judge<'s, 'd>(
+        &'s self,
+        demos: &'s [Sound<'d>],
+        order: QuaternionOrder,
+        orientation: EefOrientation,
+    ) -> Judge<'s, 'd> {
+        Judge {
+            demos,
+            controls: self.controls,
+            settings: self.settings,
+            env: self.env,
+            reading: self.reading,
+            order,
+            orientation,
+        }
+    }
+
+    /// The sentence for goals that are in another frame than they are read in; none where that explains nothing.
+    fn goals_elsewhere(&self, demos: &[Sound<'_>]) -> Option<Unproven> {
+        let mean = |demo: &Sound<'_>| {
+            let rows = demo.actions.iter().zip(demo.arrays.eef_pos);
+            let all = rows.map(|(action, now)| crate::actions::position(action) - nalgebra::Vector3::from(*now));
+            all.sum::<nalgebra::Vector3<f64>>()
+        };
+        let frames: usize = demos.iter().map(|demo| demo.actions.len()).sum();
+        let beside = demos.iter().map(mean).sum::<nalgebra::Vector3<f64>>() / frames.max(1) as f64;
+        let shifted: Vec<Sound<'_>> = demos
+            .iter()
+            .map(|demo| {
+                let mut demo = demo.clone();
+                for action in demo.actions.to_mut() {
+                    for axis in 0..3 {
+                        action[axis] -= beside[axis];
+                    }
+                }
+                demo
+            })
+            .collect();
+        if kinds(&shifted).unexplained(ActionKind::Absolute) > UNEXPLAINED {
+            return None;
+        }
+        let judge = self.judge(demos, QuaternionOrder::Xyzw, EefOrientation::HandBody);
+        judge.goals(self.base.as_ref()).err()
+    }
+}
+
+/// How the settings say that actions are to be read.
+fn reading(
+    settings: &Settings,
+    controls: Option<&Controls>,
+    base: Option<&Isometry3<f64>>,
+) -> Result<ActionReading, Unproven> {
+    let refuse = |why: &str| Err(Unproven::Settings(why.to_owned()));
+    let mut reading = ActionReading {
+        rotation: settings.action_rotation.unwrap_or_default(),
+        gripper: settings.gripper_range.unwrap_or_default(),
+        ..ActionReading::default()
+    };
+    let numbers = settings.action_gain.is_some() || settings.action_offset.is_some();
+    let of_deltas = settings.states_scale() || settings.action_rotation == Some(ActionRotation::Reversed);
+    if of_deltas && settings.action_kind == Some(ActionKind::Absolute) {
+        return refuse(
+            "action_scale, action_gain, action_offset and action_rotation are about deltas, and action_kind is \"absolute\"; remove one of them",
+        );
+    }
+    let of_goals = settings.action_frame == Some(ActionFrame::Base);
+    if of_goals && (of_deltas || settings.action_kind == Some(ActionKind::Delta)) {
+        return refuse(
+            "action_frame is about absolute actions, and other settings are about deltas; remove one of them",
+        );
+    }
+    let all = settings.action_gain.iter().chain(&settings.action_offset).flatten();
+    if all.into_iter().any(|value| !value.is_finite()) || settings.action_gain.is_some_and(|gain| gain.contains(&0.0)) {
+        return refuse("action_gain and action_offset hold six finite numbers, and gains are not 0; correct them");
+    }
+    match (settings.action_scale, numbers) {
+        (Some(ActionScale::Controller | ActionScale::Metres), true) => {
+            return refuse(
+                "action_gain and action_offset say how actions are scaled, and action_scale names another scale; remove one of them, or set action_scale = \"numbers\"",
+            );
+        }
+        (Some(ActionScale::Numbers), false) => {
+            return refuse(
+                "action_scale = \"numbers\" needs action_gain or action_offset, six numbers each; give them",
+            );
+        }
+        (Some(ActionScale::Metres), false) => match controls {
+            Some(controls) => reading = reading.metres(&controls.osc),
+            None => {
+                return refuse(
+                    "action_scale = \"metres\" needs the controller's output_max, which env_args does not declare; restore it",
+                );
+            }
+        },
+        (_, true) => {
+            reading.scale = ActionScale::Numbers;
+            reading.gain = settings.action_gain.unwrap_or(reading.gain);
+            reading.offset = settings.action_offset.unwrap_or(reading.offset);
+        }
+        (Some(ActionScale::Controller) | None, false) => {}
+    }
+    if of_goals {
+        match base {
+            Some(base) => reading = reading.in_base(base),
+            None => {
+                return refuse(
+                    "action_frame = \"base\" needs the pose of the robot's base, body robot0_base of the attribute model_file, which is not there; restore it",
+                );
+            }
+        }
+    }
+    Ok(reading)
 }
 
 /// What robosuite writes in every version.
@@ -371,11 +718,15 @@ fn gripper_sign(demos: &[Sound<'_>]) -> Verdict<GripperSign> {
     )
 }
 
-fn action_kind(demos: &[Sound<'_>]) -> Verdict<ActionKind> {
+fn kinds(demos: &[Sound<'_>]) -> Kinds {
     let mut kinds = Kinds::default();
     for demo in demos {
         kinds.add(residuals::motion(demo));
     }
+    kinds
+}
+
+fn action_kind(kinds: &Kinds) -> Verdict<ActionKind> {
     let fit = |kind: ActionKind| (kind, Fit::whole(kinds.unexplained(kind), kinds.frames()));
     Verdict::new(MOTION, [fit(ActionKind::Delta), fit(ActionKind::Absolute)])
 }

@@ -16,6 +16,8 @@ pub enum Basis {
     Data,
     /// A setting, where the numbers cannot tell.
     Setting,
+    /// What robosuite of the declared version does, where the numbers cannot tell and nothing is set.
+    Declared,
 }
 
 /// A hypothesis and how well it fits.
@@ -212,6 +214,26 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         } else {
             format!("another hypothesis is not clearly off, by {:e}", self.test.rival)
         }
+    }
+
+    /// As [`Verdict::settle`], but where the data tells nothing and there is no setting, what is declared is taken.
+    pub(super) fn settle_or_declared(
+        &self,
+        convention: &'static str,
+        setting: Option<V>,
+        declared: &Declared<V>,
+    ) -> Result<(V, Proof), Unproven> {
+        if self.proven().is_some() || setting.is_some() {
+            return self.settle(convention, setting, Some(declared));
+        }
+        let proof = Proof {
+            convention: convention.to_owned(),
+            value: name(declared.value),
+            basis: Basis::Declared,
+            evidence: self.evidence(),
+            warning: None,
+        };
+        Ok((declared.value, proof))
     }
 
     /// The value and its proof, from the data, the setting and what the file declares.

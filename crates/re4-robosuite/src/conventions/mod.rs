@@ -9,20 +9,28 @@
 //! hands, and whoever runs a policy in the declared environment would meet the other convention there. A proven kind of
 //! action other than declared is a warning only: converters to absolute actions keep `control_delta` as it was.
 
+mod commands;
 mod demo;
 mod detect;
 mod evidence;
 mod monitor;
+mod opening;
+mod reading;
 mod residuals;
+mod response;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-pub use demo::{DemoArrays, Rows};
+pub use commands::Controls;
+pub use demo::{DemoArrays, Rows, zero_rows};
+pub use detect::{Learned, Odd};
 pub use evidence::{Basis, Candidate, Evidence, MARGIN, Proof};
 pub use monitor::{Contradiction, DemoResiduals, QUATERNION_TOLERANCE};
+pub use reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, GripperRange, InitialGoal};
+pub use response::Response;
 
 use crate::hand_to_site;
 
@@ -41,14 +49,38 @@ pub enum Task {
 }
 
 impl Task {
-    /// The task of an environment's name.
+    /// The task of an environment's name: robosuite's, or `MimicGen`'s for the same scene, object vector and success rule with
+    /// one of its initial distributions (`Square_D0`, `Square_D1`, ...).
     #[must_use]
     pub fn of(env_name: &str) -> Self {
-        match env_name {
-            "Lift" => Self::Lift,
-            "PickPlaceCan" => Self::Can,
-            "NutAssemblySquare" => Self::Square,
+        let scene =
+            Self::distribution(env_name).map_or(env_name, |_| env_name.rsplit_once('_').map_or("", |parts| parts.0));
+        match (scene, Self::distribution(env_name).is_some()) {
+            ("Lift", _) => Self::Lift,
+            ("PickPlaceCan", _) | ("Can", true) => Self::Can,
+            ("NutAssemblySquare", _) | ("Square", true) => Self::Square,
             _ => Self::Other,
+        }
+    }
+
+    /// Number of `MimicGen`'s initial distribution in an environment's name, 0 for robosuite's own: that of `Square_D1` is 1.
+    /// None in robosuite's names.
+    #[must_use]
+    pub fn distribution(env_name: &str) -> Option<u32> {
+        let (_, ending) = env_name.rsplit_once('_')?;
+        let digits = ending.strip_prefix('D')?;
+        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        digits.parse().ok().filter(|_| plain)
+    }
+
+    /// robosuite's name of the environment that the task is rolled out in.
+    #[must_use]
+    pub fn environment(self) -> Option<&'static str> {
+        match self {
+            Self::Lift => Some("Lift"),
+            Self::Can => Some("PickPlaceCan"),
+            Self::Square => Some("NutAssemblySquare"),
+            Self::Other => None,
         }
     }
 
@@ -141,7 +173,7 @@ pub enum RelativeLag {
 }
 
 /// Conventions that the user states instead of leaving them to the data.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Order of the parts of `obs/object`.
@@ -159,6 +191,35 @@ pub struct Settings {
     /// Accepts delta actions beyond [-1, 1]: the controller cuts them. Files of robosuite's own collector have them,
     /// robomimic's must not.
     pub allow_actions_beyond_range: bool,
+    /// Unit of delta actions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub action_scale: Option<ActionScale>,
+    /// Factors that take recorded deltas (translation, rotation) to the controller's commands, six of them; what
+    /// `action_offset` says is added after that.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub action_gain: Option<[f64; 6]>,
+    /// What is added to recorded deltas times `action_gain`, six numbers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub action_offset: Option<[f64; 6]>,
+    /// Which way delta actions turn the hand.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub action_rotation: Option<ActionRotation>,
+    /// Frame of absolute actions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub action_frame: Option<ActionFrame>,
+    /// What gripper commands go from and to.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gripper_range: Option<GripperRange>,
+    /// The pose that the controller holds before the first step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub initial_goal: Option<InitialGoal>,
+}
+
+impl Settings {
+    /// Whether they say of which unit delta actions are.
+    fn states_scale(&self) -> bool {
+        self.action_scale.is_some() || self.action_gain.is_some() || self.action_offset.is_some()
+    }
 }
 
 /// The conventions of a file.
@@ -187,6 +248,12 @@ pub struct Conventions {
     pub object_proven: bool,
     /// The setting of that name.
     pub allow_actions_beyond_range: bool,
+    /// How recorded actions become commands or goals of the controller.
+    pub actions: ActionReading,
+    /// The pose that the controller holds before the first step.
+    pub initial_goal: InitialGoal,
+    /// The controller that the file declares; none where it declares no scales, and actions are not held against it.
+    pub controls: Option<Controls>,
 }
 
 /// Why conventions cannot be told.
@@ -234,9 +301,32 @@ pub enum Unproven {
         /// The hypotheses and their residuals.
         residuals: String,
     },
+    /// Actions that are not what the conventions say.
+    #[error("{what} ({evidence}); {mend}")]
+    Actions {
+        /// The convention.
+        convention: &'static str,
+        /// What was found.
+        what: String,
+        /// The test and its numbers.
+        evidence: String,
+        /// What to do.
+        mend: String,
+    },
+    /// Settings that exclude each other.
+    #[error("{0}")]
+    Settings(String),
+    /// Demos without which everything is proven.
+    #[error("{}", named(.0))]
+    Odd(Vec<Odd>),
     /// A demo whose numbers cannot be used at all.
     #[error(transparent)]
     Demo(#[from] Contradiction),
+}
+
+fn named(odd: &[Odd]) -> String {
+    let each: Vec<String> = odd.iter().map(|odd| format!("{}: {}", odd.demo, odd.why)).collect();
+    each.join("; ")
 }
 
 /// A row of `obs/object`, taken apart.

@@ -4,16 +4,27 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::commands::{self, FRAME, FURTHER, LESS, TRANSLATION_TOLD, TURNS_FURTHER};
 use super::demo::Sound;
 use super::detect::{EXACT, FINGER_TRAVEL, NOT_EXPLAINED, UNEXPLAINED};
 use super::residuals::{self, Relation};
-use super::{ActionKind, Conventions, DemoArrays, GripperSign, RelativeLag, part};
+use super::response::TRANSLATION;
+use super::{ActionKind, Conventions, DemoArrays, GripperRange, GripperSign, RelativeLag, part};
 use crate::kinematics::KinematicsError;
 
 /// How far the norm of a stored quaternion may be from 1.
 pub const QUATERNION_TOLERANCE: f64 = 1e-3;
 /// How far a delta command may be beyond 1 by rounding.
 const COMMAND_TOLERANCE: f64 = 1e-6;
+
+/// Travel of the fingers (metres) under commands that hold them that play does not make.
+const MOVED_WHILE_HELD: f64 = 0.02;
+/// Rows in which the hand moves that tell of a demo's scale.
+const ROWS: usize = 20;
+/// A hand goes the other way than it is asked to by more than this many times what the controller does.
+const OTHER_WAY: f64 = 0.3;
+/// Mean distance of goals from where the hand goes (metres) that no friction or contact makes.
+const OTHER_PLACE: f64 = 3.0 * FRAME;
 
 /// A demo that does not follow the conventions of its file.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -80,6 +91,30 @@ pub enum Contradiction {
         /// What is allowed.
         threshold: f64,
     },
+    /// Rows that were allocated and never recorded.
+    #[error(
+        "{demo}: rows {first} to {last} are zeros, as in a recording that was cut off before its arrays were; cut the arrays to what was recorded"
+    )]
+    Zeros {
+        /// The demo.
+        demo: String,
+        /// First row of zeros.
+        first: usize,
+        /// Last row of zeros.
+        last: usize,
+    },
+    /// A dataset whose rows are all the same although the actions ask for motion.
+    #[error(
+        "{demo}: all {rows} rows of {dataset} are the same while the actions change, as if it was never updated; record it anew"
+    )]
+    Frozen {
+        /// The demo.
+        demo: String,
+        /// The dataset.
+        dataset: &'static str,
+        /// Its rows.
+        rows: usize,
+    },
     /// A whole demo against a convention.
     #[error("{demo}: {dataset}: {what}: {measured:.2}, more than {threshold}, over {frames} frames")]
     Whole {
@@ -96,6 +131,32 @@ pub enum Contradiction {
         /// Frames that tell something.
         frames: usize,
     },
+}
+
+impl Contradiction {
+    /// These rows are zeros.
+    pub fn zeros(demo: &str, rows: &std::ops::RangeInclusive<usize>) -> Self {
+        Self::Zeros {
+            demo: demo.to_owned(),
+            first: *rows.start(),
+            last: *rows.end(),
+        }
+    }
+
+    /// The demo that it is about.
+    #[must_use]
+    pub fn demo(&self) -> &str {
+        match self {
+            Self::Length { demo, .. }
+            | Self::Columns { demo, .. }
+            | Self::NotFinite { demo, .. }
+            | Self::Kinematics { demo, .. }
+            | Self::Residual { demo, .. }
+            | Self::Zeros { demo, .. }
+            | Self::Frozen { demo, .. }
+            | Self::Whole { demo, .. } => demo,
+        }
+    }
 }
 
 /// How well a demo follows the conventions: greatest residuals over its rows.
@@ -134,7 +195,12 @@ impl Conventions {
     /// # Errors
     /// The first dataset that is off, with the row where it is most off.
     pub fn check(&self, demo: &DemoArrays<'_>) -> Result<DemoResiduals, Contradiction> {
-        let sound = Sound::new(demo, self.task)?;
+        self.check_sound(&Sound::new(demo, self.task, &self.actions)?)
+    }
+
+    /// The same for a demo that was read by these conventions.
+    pub(super) fn check_sound(&self, sound: &Sound<'_>) -> Result<DemoResiduals, Contradiction> {
+        let demo = &sound.arrays;
         let frames = demo.actions.len();
         let within = |dataset: &str, what: &'static str, threshold: f64, worst: Option<(usize, f64)>| match worst {
             Some((frame, measured)) if measured.is_nan() || measured > threshold => Err(Contradiction::Residual {
@@ -164,7 +230,7 @@ impl Conventions {
             result.object_quaternion_norm = larger(result.object_quaternion_norm, worst);
         }
         if self.action_kind == ActionKind::Delta {
-            let commands = demo.actions.iter().enumerate();
+            let commands = sound.actions.iter().enumerate();
             let beyond =
                 commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
             let worst = greatest(beyond);
@@ -174,13 +240,81 @@ impl Conventions {
                 within("actions", what, COMMAND_TOLERANCE, worst)?;
             }
         }
-        self.check_exact(&sound, &mut result, &within)?;
-        self.check_motion(&sound, &mut result)?;
+        if self.actions.gripper == GripperRange::ZeroOne {
+            let beyond = demo.actions.iter().map(|action| (action[6] - 0.5).abs() - 0.5);
+            let what = "the gripper command leaves [0, 1], its range in this file,";
+            within("actions[:, 6]", what, COMMAND_TOLERANCE, greatest(beyond.enumerate()))?;
+        }
+        self.check_exact(sound, &mut result, &within)?;
+        self.check_motion(sound, &mut result)?;
+        self.check_commands(sound)?;
         Ok(result)
     }
 
+    /// Unit, direction and frame of the actions, and the range of the gripper's command, over the whole demo.
+    fn check_commands(&self, demo: &Sound<'_>) -> Result<(), Contradiction> {
+        let refuse = |dataset: &'static str, what: &'static str, measured: f64, threshold: f64, frames: usize| {
+            Err(Contradiction::Whole {
+                demo: demo.arrays.name.to_owned(),
+                dataset,
+                what,
+                measured,
+                threshold,
+                frames,
+            })
+        };
+        if self.actions.gripper == GripperRange::MinusOneOne {
+            let (held, frames) = commands::held_travel(demo);
+            if held > MOVED_WHILE_HELD && frames >= 5 {
+                let what = "the fingers move under gripper commands of 0, which hold them, as in a demonstration with commands from 0 to 1; metres of their travel";
+                return refuse("actions[:, 6]", what, held, MOVED_WHILE_HELD, frames);
+            }
+        }
+        let Some(controls) = &self.controls else { return Ok(()) };
+        let steps = commands::steps(demo, self.eef_quaternion);
+        if self.action_kind == ActionKind::Absolute {
+            let sums = commands::goals(&controls.response, &steps, &demo.actions, demo.arrays.eef_pos);
+            let beside = commands::goal_offset(&controls.response, &sums).norm();
+            if beside > OTHER_PLACE && sums.frames() >= ROWS {
+                let what = "absolute actions lie beside where the hand goes, as in a demonstration of another frame; metres in the mean";
+                return refuse("actions[:, 0:3]", what, beside, OTHER_PLACE, sums.frames());
+            }
+            return Ok(());
+        }
+        let sums = commands::deltas(controls, &steps, &demo.actions);
+        let frames = sums.frames();
+        if frames < ROWS {
+            return Ok(());
+        }
+        let further = "the hand goes further than its commands ask for, as in a demonstration of another scale; times what the controller does";
+        let less = "the hand goes less far than its commands ask for, as in a demonstration of another scale; what the controller does, in times of it";
+        let other_way = "the hand goes the other way than its commands ask for; times what the controller does";
+        let translation = sums
+            .line(&TRANSLATION)
+            .filter(|line| line.unexplained <= TRANSLATION_TOLD);
+        let rotation = commands::rotation_told(&sums);
+        let told = [
+            ("actions[:, 0:3]", translation, FURTHER, LESS),
+            // Few rotations are far from what they stand beside.
+            ("actions[:, 3:6]", rotation, TURNS_FURTHER, 2.0 * LESS),
+        ];
+        for (dataset, line, most, least) in told {
+            let Some(line) = line else { continue };
+            if line.gain < -OTHER_WAY {
+                return refuse(dataset, other_way, -line.gain, OTHER_WAY, frames);
+            }
+            if line.gain > most {
+                return refuse(dataset, further, line.gain, most, frames);
+            }
+            if line.gain > 0.0 && line.gain < 1.0 / least {
+                return refuse(dataset, less, 1.0 / line.gain, least, frames);
+            }
+        }
+        Ok(())
+    }
+
     /// First columns of the quaternions in `obs/object`.
-    fn object_quaternions(self) -> impl Iterator<Item = usize> {
+    fn object_quaternions(&self) -> impl Iterator<Item = usize> {
         self.object_layout.into_iter().flat_map(|layout| {
             let relative = (layout.columns() == 14).then(|| layout.relative_start() + 3);
             [Some(layout.pose_start() + 3), relative].into_iter().flatten()
@@ -188,7 +322,7 @@ impl Conventions {
     }
 
     /// A stored quaternion; none for a relative one that robosuite 1.5 has not yet computed.
-    fn stored(self, row: &[f64], start: usize, frame: usize) -> Option<[f64; 4]> {
+    fn stored(&self, row: &[f64], start: usize, frame: usize) -> Option<[f64; 4]> {
         let layout = self.object_layout?;
         let relative = layout.relative_start() + 3 == start;
         if relative && layout.pending(row, frame) {
@@ -199,7 +333,7 @@ impl Conventions {
 
     /// Relations that hold to rounding.
     fn check_exact(
-        self,
+        &self,
         demo: &Sound<'_>,
         result: &mut DemoResiduals,
         within: &impl Fn(&str, &'static str, f64, Option<(usize, f64)>) -> Result<Option<f64>, Contradiction>,
@@ -255,7 +389,7 @@ impl Conventions {
     }
 
     /// Shares over the whole demo.
-    fn check_motion(self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
+    fn check_motion(&self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
         let refuse = |dataset: &'static str, what: &'static str, measured: f64, threshold: f64, frames: usize| {
             Err(Contradiction::Whole {
                 demo: demo.arrays.name.to_owned(),

@@ -8,7 +8,7 @@ use crate::actions;
 
 /// Fingers that part or close less than this in a frame (metres) tell nothing of the command's sign: commanded ones go 4 mm
 /// and more, while those of robosuite 1.0 tremble by 0.4 mm as the arm moves.
-const FINGER_MOVES: f64 = 1e-3;
+pub(super) const FINGER_MOVES: f64 = 1e-3;
 /// Frames over which the hand's motion is held against what their actions ask for: it lags behind single commands.
 const WINDOW: usize = 4;
 /// A hand that moves less than this (metres) in that time tells nothing of the actions.
@@ -151,7 +151,7 @@ pub(super) fn finger_travel(demo: &Sound<'_>) -> Share {
     let mut share = Share::default();
     for (t, pair) in demo.arrays.gripper_qpos.windows(2).enumerate() {
         let opening = (pair[1][0] - pair[1][1]) - (pair[0][0] - pair[0][1]);
-        let command = demo.arrays.actions[t][6];
+        let command = demo.actions[t][6];
         if opening.abs() < FINGER_MOVES || command == 0.0 {
             continue;
         }
@@ -234,7 +234,7 @@ pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
             continue;
         }
         let [mut motion, mut approach] = [Vector3::zeros(); 2];
-        for (action, now) in demo.arrays.actions[t..].iter().zip(&window[..WINDOW]) {
+        for (action, now) in demo.actions[t..].iter().zip(&window[..WINDOW]) {
             let action = actions::position(action);
             // The controller cuts commands; keyboards give ones beyond its range.
             motion += action.map(|command| command.clamp(-1.0, 1.0));
@@ -279,7 +279,7 @@ pub(super) fn angular_velocity(demo: &Sound<'_>, order: QuaternionOrder, control
 /// Angle between the goal's orientation of an absolute action and the recorded one.
 pub(super) fn goal_angle(demo: &Sound<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<f64> {
     let stored = order.rotation(demo.arrays.eef_quat[t])?;
-    Some(actions::rotation(&demo.arrays.actions[t]).angle_to(&frame.site(stored)))
+    Some(actions::rotation(&demo.actions[t]).angle_to(&frame.site(stored)))
 }
 
 /// How far a resting cube's upright axis is from the vertical under a quaternion order.

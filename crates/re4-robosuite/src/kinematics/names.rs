@@ -6,6 +6,8 @@
 //! | 1.4.1 | `gripper0_grip_site` | `robot0_right_hand` | `gripper0_finger_joint1`, `2` | `cube_main` |
 //! | 1.5.1 | `gripper0_right_grip_site` | `robot0_right_hand` | `gripper0_right_finger_joint1`, `2` | `cube_main` |
 
+use nalgebra::Isometry3;
+
 use super::{BodyId, JointKind, KinematicsError, Model, SiteId};
 
 /// Where a robot's hand is in a model.
@@ -113,6 +115,25 @@ impl Model {
             hand: BodyId(hand),
             fingers,
         })
+    }
+
+    /// Pose of robot 0's base, the body `robot0_base`, in the world; none where the model has no such body that stays where it
+    /// is.
+    #[must_use]
+    pub fn base(&self) -> Option<Isometry3<f64>> {
+        let mut body = self.bodies.iter().position(|body| body.name == "robot0_base")?;
+        let mut pose = Isometry3::identity();
+        loop {
+            let own = &self.bodies[body];
+            if !own.joints.is_empty() {
+                return None;
+            }
+            pose = own.pose * pose;
+            if body == 0 {
+                return Some(pose);
+            }
+            body = own.parent;
+        }
     }
 
     /// The free body of an object by the name that its observations have: `cube`, `Can`, `SquareNut`.

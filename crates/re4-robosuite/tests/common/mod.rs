@@ -55,7 +55,7 @@ impl Demo {
             object: Rows::new(&self.object, self.object_columns),
             gripper_qpos: &self.gripper_qpos,
             actions: &self.actions,
-            eef_vel_ang: Some(&self.eef_vel_ang),
+            eef_vel_ang: (!self.eef_vel_ang.is_empty()).then_some(&self.eef_vel_ang),
             states: Rows::new(&self.states, self.state_columns),
             model: Some(&self.model),
         }
@@ -157,7 +157,11 @@ impl Source {
             object_columns,
             gripper_qpos: self.rows(&path("obs/robot0_gripper_qpos")),
             actions: self.actions(name),
-            eef_vel_ang: self.rows(&path("obs/robot0_eef_vel_ang")),
+            eef_vel_ang: if self.file.link_exists(&path("obs/robot0_eef_vel_ang")) {
+                self.rows(&path("obs/robot0_eef_vel_ang"))
+            } else {
+                Vec::new()
+            },
             states,
             state_columns,
             model: Model::parse(&text(&group, "model_file")).unwrap(),
