@@ -18,7 +18,7 @@ case "${1:-}" in
     merge) merge=yes; shift ;;
     [0-9]*) seconds="$1"; shift ;;
 esac
-[ $# -gt 0 ] || set -- zarr zip artifact pipeline
+[ $# -gt 0 ] || set -- zarr zip hdf5 artifact pipeline
 
 # Files of an input lie in memory where the system has such a folder.
 temporary="$(mktemp -d -p "$([ -w /dev/shm ] && echo /dev/shm || echo "${TMPDIR:-/tmp}")" re4-fuzz.XXXXXX)"

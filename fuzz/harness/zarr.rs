@@ -7,13 +7,21 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use re4_ingest::Selection;
-use re4_ingest::pusht::PushtReader;
+use re4_ingest::pusht::{PushtOptions, PushtReader};
+use re4_ingest::{OnBad, Selection};
 use tempfile::TempDir;
 
 use crate::edits::{Input, edit};
 
 const MOST_EDITS: usize = 8;
+
+/// The stores that are edited. The first are chosen by most numbers, as they were when there were no others.
+const STORES: [&str; 7] = [
+    "minimal", "modern", "original", "mixed", "format3", "sharded", "fortran",
+];
+
+/// Numbers below this one choose among the first stores.
+const OLDER: (usize, u8) = (4, 240);
 
 /// A pristine store in a temporary folder.
 struct Store {
@@ -32,7 +40,7 @@ impl Zarr {
     pub(crate) fn new(repository: &Path) -> Self {
         let folder = tempfile::Builder::new().prefix("re4-fuzz-").tempdir().unwrap();
         let fixtures = repository.join("crates/re4-ingest/tests/fixtures");
-        let stores = ["minimal", "modern", "original", "mixed"].map(|name| {
+        let stores = STORES.map(|name| {
             let store = Store {
                 folder: folder.path().join(name),
                 files: files_below(&fixtures.join(name)),
@@ -51,7 +59,11 @@ impl Zarr {
     /// Reads the store that the input describes; the sentence of the first error.
     pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
         let mut input = Input(input);
-        let store = &self.stores[usize::from(input.byte()) % self.stores.len()];
+        let (older, newer) = self.stores.split_at(OLDER.0);
+        let store = match input.byte() {
+            number if number < OLDER.1 => &older[usize::from(number) % older.len()],
+            number => &newer[usize::from(number - OLDER.1) % newer.len()],
+        };
         let selection = selection(input.byte());
         let names: Vec<&PathBuf> = store.files.keys().collect();
         let mut edited: BTreeMap<&PathBuf, Option<Vec<u8>>> = BTreeMap::new();
@@ -80,7 +92,18 @@ impl Zarr {
 /// Reads all that there is of a dataset.
 pub(crate) fn read(path: &Path, selection: &Selection) -> Result<(), String> {
     let reader = PushtReader::open(path).map_err(|error| error.to_string())?;
-    reader.source_hash().map_err(|error| error.to_string())?;
+    reader.source_hash(&|| false).map_err(|error| error.to_string())?;
+    // What is left out has to be as sound as what is refused; the rest goes on as it would without.
+    let options = PushtOptions {
+        on_bad: OnBad::LeaveOut,
+        images: true,
+        ..PushtOptions::default()
+    };
+    if let Ok(reading) = reader.read(selection, &options) {
+        let good = reading.episodes;
+        assert_eq!(good.action.len(), good.frame_count());
+        assert!(good.state.as_flattened().iter().all(|value| value.is_finite()));
+    }
     let (episodes, _) = reader.read_episodes(selection).map_err(|error| error.to_string())?;
     let frames = episodes.frame_count();
     assert_eq!(episodes.action.len(), frames);
@@ -105,7 +128,7 @@ pub(crate) fn selection(byte: u8) -> Selection {
         0 => Selection::All,
         1 => Selection::First(count),
         2 => Selection::Last(count),
-        _ => Selection::List(vec![count / 8, count % 8]),
+        _ => Selection::List([count / 8, count % 8].map(|number| u64::from(number).into()).to_vec()),
     }
 }
 

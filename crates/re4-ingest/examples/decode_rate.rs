@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let columns_s = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let hash = reader.source_hash()?;
+        let hash = reader.source_hash(&|| false)?;
         let hash_s = start.elapsed().as_secs_f64();
 
         let start = Instant::now();

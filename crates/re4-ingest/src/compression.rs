@@ -1,26 +1,30 @@
-//! Compressors whose files say nothing of their decoded length, or nothing that may be believed: gzip, zlib and zstd.
+//! Compressors of chunks.
 //!
-//! The library that decodes chunks reserves as many bytes as a zstd frame claims to hold, and lets gzip and zlib grow without
-//! end: a few damaged bytes, or a few hundred written with intent, would end the program. Here no more is decoded than the
-//! chunk may hold. Blosc states its lengths in a header, which is checked before.
+//! Libraries reserve as many bytes as a file claims to hold, and let gzip and zlib grow without end: a few damaged bytes, or a
+//! few hundred written with intent, would end the program. Here no more is decoded than the chunk may hold.
 
 use std::io::{self, Read};
 
 use flate2::read::{GzDecoder, ZlibDecoder};
+use zarrs::array::codec::{blosc_decompress_bytes, blosc_validate};
 
-/// A compressor that is undone here.
+/// A compressor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Compressor {
+    Blosc,
     Gzip,
+    Lz4,
     Zlib,
     Zstd,
 }
 
 impl Compressor {
-    /// The compressor of this name in `.zarray`; `None` for those that are left to the library.
+    /// The compressor of this name in an array's metadata.
     pub(crate) fn of(id: &str) -> Option<Self> {
         Some(match id {
+            "blosc" => Self::Blosc,
             "gzip" => Self::Gzip,
+            "lz4" => Self::Lz4,
             "zlib" => Self::Zlib,
             "zstd" => Self::Zstd,
             _ => return None,
@@ -33,6 +37,8 @@ impl Compressor {
     /// Why not, in words: a broken stream, or another number of bytes.
     pub(crate) fn decode(self, encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
         let decoded = match self {
+            Self::Blosc => return blosc(encoded, expected),
+            Self::Lz4 => return lz4(encoded, expected),
             Self::Gzip => at_most(GzDecoder::new(encoded), expected),
             Self::Zlib => at_most(ZlibDecoder::new(encoded), expected),
             Self::Zstd => {
@@ -55,6 +61,100 @@ fn at_most(stream: impl Read, expected: usize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Blosc states its lengths in a header, which is compared with the file and the chunk before anything is reserved.
+fn blosc(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
+    let field = |at: usize| {
+        encoded
+            .get(at..)?
+            .first_chunk()
+            .map(|bytes| u32::from_le_bytes(*bytes) as usize)
+    };
+    match (field(4), field(12)) {
+        (Some(_), Some(length)) if length != encoded.len() => {
+            return Err(format!(
+                "the file has {} bytes and its header says {length}",
+                encoded.len()
+            ));
+        }
+        (Some(decoded), Some(_)) if decoded != expected => {
+            return Err(format!("it decodes to {decoded} bytes instead of {expected}"));
+        }
+        (Some(_), Some(_)) => {}
+        _ => {
+            return Err(format!(
+                "the file has {} bytes, too few for a Blosc header",
+                encoded.len()
+            ));
+        }
+    }
+    if blosc_validate(encoded) != Some(expected) {
+        return Err("its Blosc header is damaged".to_owned());
+    }
+    let decoded = blosc_decompress_bytes(encoded, expected, 1).map_err(|error| error.to_string())?;
+    if decoded.len() != expected {
+        return Err(format!("{} bytes decoded instead of {expected}", decoded.len()));
+    }
+    Ok(decoded)
+}
+
+/// A block of LZ4 behind its decoded length, as numcodecs writes it. The format: `lz4_Block_format.md` of lz4 1.10.
+fn lz4(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
+    let cut_off = || "the LZ4 block is cut off".to_owned();
+    let (length, mut rest) = encoded.split_first_chunk().ok_or_else(cut_off)?;
+    let length = u32::from_le_bytes(*length) as usize;
+    if length != expected {
+        return Err(format!("it decodes to {length} bytes instead of {expected}"));
+    }
+    let mut decoded: Vec<u8> = Vec::with_capacity(expected);
+    // A length of 15 goes on in the bytes that follow, as long as these are 255.
+    let long = |nibble: u8, rest: &mut &[u8]| -> Option<usize> {
+        let mut length = usize::from(nibble);
+        if nibble == 15 {
+            loop {
+                let (&byte, after) = rest.split_first()?;
+                *rest = after;
+                length += usize::from(byte);
+                if byte != u8::MAX {
+                    break;
+                }
+            }
+        }
+        Some(length)
+    };
+    let too_long = || format!("it decodes to more than {expected} bytes");
+    while let Some((&token, after)) = rest.split_first() {
+        rest = after;
+        let literals = long(token >> 4, &mut rest).ok_or_else(cut_off)?;
+        let (copied, after) = rest.split_at_checked(literals).ok_or_else(cut_off)?;
+        rest = after;
+        if decoded.len() + literals > expected {
+            return Err(too_long());
+        }
+        decoded.extend_from_slice(copied);
+        // The last sequence has no match.
+        if rest.is_empty() {
+            break;
+        }
+        let (offset, after) = rest.split_first_chunk().ok_or_else(cut_off)?;
+        rest = after;
+        let start = decoded.len().checked_sub(usize::from(u16::from_le_bytes(*offset)));
+        let start = start.filter(|&start| start < decoded.len());
+        let start = start.ok_or("the LZ4 block refers to what is not there")?;
+        let matched = long(token & 15, &mut rest).ok_or_else(cut_off)? + 4;
+        if decoded.len() + matched > expected {
+            return Err(too_long());
+        }
+        // A match may reach into what it writes.
+        for at in start..start + matched {
+            decoded.push(decoded[at]);
+        }
+    }
+    if decoded.len() != expected {
+        return Err(format!("{} bytes decoded instead of {expected}", decoded.len()));
+    }
+    Ok(decoded)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,8 +174,38 @@ mod tests {
                 encoder.finish().unwrap()
             }
             Compressor::Zstd => zstd::bulk::compress(bytes, 1).unwrap(),
+            Compressor::Blosc | Compressor::Lz4 => unreachable!(),
         }
     }
+
+    /// Written by numcodecs 0.16.6, `LZ4().encode`: 40 letters, 300 times "ab", and 600 times the same byte.
+    #[test]
+    fn lz4_blocks_are_read() {
+        let text: Vec<u8> = (0..40)
+            .map(|i| b'A' + i)
+            .chain(b"ab".repeat(300))
+            .chain([7; 600])
+            .collect();
+        let file: Vec<u8> = LZ4_FILE
+            .split_whitespace()
+            .map(|byte| u8::from_str_radix(byte, 16).unwrap())
+            .collect();
+        assert_eq!(Compressor::Lz4.decode(&file, text.len()).unwrap(), text);
+        for cut in 0..file.len() {
+            assert!(Compressor::Lz4.decode(&file[..cut], text.len()).is_err(), "{cut}");
+        }
+        for (place, bit) in (0..file.len()).flat_map(|place| (0..8).map(move |bit| (place, bit))) {
+            let mut damaged = file.clone();
+            damaged[place] ^= 1 << bit;
+            if let Ok(decoded) = Compressor::Lz4.decode(&damaged, text.len()) {
+                assert_eq!(decoded.len(), text.len());
+            }
+        }
+        let claim = [&u32::MAX.to_le_bytes(), &file[4..]].concat();
+        assert!(Compressor::Lz4.decode(&claim, text.len()).is_err());
+    }
+
+    const LZ4_FILE: &str = "d8 04 00 00 ff 1b 41 42 43 44 45 46 47 48 49 4a 4b 4c 4d 4e 4f 50 51 52 53 54 55 56 57 58 59 5a 5b 5c 5d 5e 5f 60 61 62 63 64 65 66 67 68 61 62 02 00 ff ff 45 1f 07 01 00 ff ff 41 50 07 07 07 07 07";
 
     #[test]
     fn no_more_is_decoded_than_expected() {

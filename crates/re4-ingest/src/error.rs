@@ -25,6 +25,24 @@ pub enum Fault {
     /// Nothing at the path.
     #[error("there is no such file or folder; correct the path, or fetch the dataset first")]
     MissingPath,
+    /// Neither a regular file nor a folder, or a folder where a file is needed.
+    #[error("it is {what}, not a regular file; give the path of the file itself")]
+    NotAFile {
+        /// What it is.
+        what: &'static str,
+    },
+    /// A file that is no longer what it was when it was opened.
+    #[error(
+        "{} changed while it was read, so nothing was published; wait until whatever writes it is done and run again",
+        path.display()
+    )]
+    Changed {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The caller asked to stop.
+    #[error("reading was stopped; run again to go on")]
+    Stopped,
     /// A folder without content.
     #[error("the folder is empty; give the folder of a zarr store (it holds .zgroup, data/ and meta/)")]
     EmptyFolder,
@@ -37,11 +55,22 @@ pub enum Fault {
     /// An array where a group should be.
     #[error("it is a single zarr array, not a dataset; give the folder above data/ and meta/")]
     SingleArray,
-    /// A Zarr v3 store.
-    #[error(
-        "it is a zarr v3 store (zarr.json), and Push-T datasets are read as zarr v2; rewrite it with zarr_format=2"
-    )]
-    ZarrV3,
+    /// A file of another kind where a store should be.
+    #[error("{what}; {mend}")]
+    NotAStoreFile {
+        /// What it is.
+        what: &'static str,
+        /// How to get a store of it.
+        mend: &'static str,
+    },
+    /// Something of a store that is neither a regular file nor a folder.
+    #[error("{file} of the store is {what}, not a regular file; remove it, or restore the file")]
+    NotAFileInside {
+        /// Path within the store.
+        file: String,
+        /// What it is.
+        what: &'static str,
+    },
     /// A file that is no zip.
     #[error("the zip file is unreadable ({why}); download or pack it again")]
     UnreadableZip {
@@ -72,7 +101,7 @@ pub enum Fault {
     },
     /// A zip without a store.
     #[error(
-        "the zip file holds no zarr store (no .zgroup at its root or up to two folders down); pack the folder of the store"
+        "the zip file holds no zarr store (no .zgroup or zarr.json at its root or up to two folders down); pack the folder of the store"
     )]
     ZipWithoutStore,
     /// A zip with more than one store.
@@ -96,22 +125,31 @@ pub enum Fault {
         source: io::Error,
     },
     /// A required array is not there.
-    #[error("array {array} is missing (no {array}/.zarray); restore it, or give a complete dataset")]
+    #[error(
+        "array {array} is missing (no {array}/{file}{}); restore it, or give a complete dataset",
+        there(arrays)
+    )]
     MissingArray {
         /// Array within the store.
         array: String,
+        /// Name of its metadata.
+        file: &'static str,
+        /// Arrays that the store has.
+        arrays: Vec<String>,
     },
-    /// A `.zarray` that cannot be understood.
-    #[error("the metadata of array {array} ({array}/.zarray) cannot be read: {why}; restore that file")]
+    /// Metadata of an array that cannot be understood.
+    #[error("the metadata of array {array} ({file}) cannot be read: {why}; restore that file")]
     ArrayMetadata {
         /// Array within the store.
         array: String,
+        /// Path of the metadata within the store.
+        file: String,
         /// What is wrong with it.
         why: String,
     },
     /// A valid encoding that this reader does not know.
     #[error(
-        "array {array} is stored in a way that is not supported: {why}; rewrite it with zarr's Blosc compressor, C order and no filters"
+        "array {array} is stored in a way that is not supported: {why}; rewrite it with zarr's default compressor and no filters"
     )]
     Encoding {
         /// Array within the store.
@@ -133,7 +171,10 @@ pub enum Fault {
         limit: u64,
     },
     /// An array of the wrong element type.
-    #[error("array {array} has dtype {found}, but {expected} is expected; convert it")]
+    #[error(
+        "array {array} has dtype {found}, but {expected} is expected; convert it{}",
+        or_without(array)
+    )]
     WrongDtype {
         /// Array within the store.
         array: String,
@@ -144,7 +185,8 @@ pub enum Fault {
     },
     /// An array of the wrong shape.
     #[error(
-        "array {array} has shape {found:?}, but {expected} is expected (N: number of frames); reshape it, or give a Push-T dataset"
+        "array {array} has shape {found:?}, but {expected} is expected (N: number of frames); reshape it, or give a Push-T dataset{}",
+        or_without(array)
     )]
     WrongShape {
         /// Array within the store.
@@ -219,15 +261,21 @@ pub enum Fault {
         /// Frames in the arrays.
         frames: u64,
     },
-    /// A chunk file that is not there.
-    #[error(
-        "chunk {chunk} of array {array} is missing (no file {array}/{chunk}); restore that file, since the data in it is lost"
-    )]
+    /// A chunk that is not stored, where it cannot stand for the fill value.
+    #[error("{}", missing_chunk(array, chunk, *more, *inside, fill.as_deref(), *fills_are_stored))]
     MissingChunk {
         /// Array within the store.
         array: String,
         /// Name of the chunk's file within the array.
         chunk: String,
+        /// How many others of the array are missing, too.
+        more: u64,
+        /// Number of the chunk in its file, where files hold several.
+        inside: Option<usize>,
+        /// The fill value as it is written in the metadata, if there is one.
+        fill: Option<String>,
+        /// Whether other chunks hold nothing else and are stored.
+        fills_are_stored: bool,
     },
     /// A chunk file that cannot be decoded.
     #[error("chunk {chunk} of array {array} cannot be decoded (file {array}/{chunk}): {why}; restore that file")]
@@ -307,7 +355,7 @@ pub enum Fault {
         /// Channel of the pixel.
         channel: usize,
         /// The value.
-        value: f32,
+        value: f64,
     },
     /// Pictures scaled to 0..1.
     #[error(
@@ -317,7 +365,59 @@ pub enum Fault {
         /// Frame.
         frame: u64,
         /// The first fractional value.
-        value: f32,
+        value: f64,
+    },
+    /// An end that is no whole number.
+    #[error("meta/episode_ends is no whole number at index {index}; ends are frame counts, so repair that entry")]
+    FractionalEnd {
+        /// Episode.
+        index: usize,
+    },
+    /// More columns than a state has, which are not the agent's velocity.
+    #[error(
+        "array data/state has seven columns, and the last two are not the agent's velocity ({why}); keep agent_x, agent_y, block_x, block_y, block_theta"
+    )]
+    StateColumns {
+        /// What was found.
+        why: String,
+    },
+    /// An episode that is not as the others are.
+    #[error("{what} (episode {episode}), unlike the other episodes; repair it, or leave that episode out")]
+    Contradicts {
+        /// Episode.
+        episode: u32,
+        /// What is odd about it.
+        what: String,
+    },
+    /// Numbers that are not what the settings say that they are.
+    #[error("{what}; {mend}")]
+    Convention {
+        /// What was found, with the figures.
+        what: String,
+        /// What to set, or to convert.
+        mend: String,
+    },
+    /// Episodes that cannot be used.
+    #[error("{}", unusable(*bad, *episodes, list, *more, *all))]
+    Episodes {
+        /// How many.
+        bad: usize,
+        /// Of how many that were selected.
+        episodes: usize,
+        /// What is wrong with them, one entry a fault, without remedies.
+        list: Vec<String>,
+        /// Faults beyond these.
+        more: usize,
+        /// Whether leaving them out is no remedy, as nothing would be left or it was asked for already.
+        all: bool,
+    },
+    /// Several faults of the dataset as a whole.
+    #[error("{} things are wrong with it:{}", list.len() + more, several(list, *more))]
+    Several {
+        /// A sentence for each.
+        list: Vec<String>,
+        /// Faults beyond these.
+        more: usize,
     },
     /// Pictures asked for, but none there.
     #[error("the dataset has no pictures (no array data/img); ingest it without images")]
@@ -330,7 +430,131 @@ pub enum Fault {
     Hdf5(#[from] Hdf5Fault),
 }
 
+impl IngestError {
+    /// Whether a file was opened without the HDF5 library and cannot be read so.
+    pub fn needs_library(&self) -> bool {
+        matches!(*self.fault, Fault::Hdf5(Hdf5Fault::NeedsLibrary))
+    }
+}
+
+/// Entries of a list that are spelled out.
+const SPELLED_OUT: usize = 20;
+
+/// What a store has, in brackets of a sentence that says what it lacks.
+fn there(arrays: &[String]) -> String {
+    match arrays {
+        [] => String::new(),
+        arrays if arrays.len() > SPELLED_OUT => format!(", but {} other arrays", arrays.len()),
+        arrays => format!(", but the store has {}", arrays.join(", ")),
+    }
+}
+
+fn missing_chunk(
+    array: &str,
+    chunk: &str,
+    more: u64,
+    inside: Option<usize>,
+    fill: Option<&str>,
+    fills_are_stored: bool,
+) -> String {
+    let which = match (inside, more) {
+        (Some(number), _) => format!("chunk number {number} of file {array}/{chunk} of array {array} is missing"),
+        (None, 0) => format!("chunk {chunk} of array {array} is missing (no file {array}/{chunk})"),
+        (None, more) => {
+            format!("chunk {chunk} and {more} more of array {array} are missing (no file {array}/{chunk})")
+        }
+    };
+    let why = match fill {
+        Some(fill) if fills_are_stored => {
+            format!(
+                "others that hold nothing but the fill value {fill} are stored, so that it was not left out for that"
+            )
+        }
+        Some(fill) => {
+            format!("the fill value {fill}, which zarr's rule puts in its place, is not what a recording holds")
+        }
+        None => "the array has no fill value that could stand for it".to_owned(),
+    };
+    let files = if more == 0 { "that file" } else { "those files" };
+    format!("{which}, and {why}; restore {files}, since the data is lost")
+}
+
+/// What else to do about an array that need not be there.
+fn or_without(array: &str) -> &'static str {
+    match array {
+        "data/keypoint" | "data/n_contacts" => ", or remove the array, which is optional",
+        "data/img" => ", or ingest without images",
+        _ => "",
+    }
+}
+
+fn unusable(bad: usize, of: usize, list: &[String], more: usize, all: bool) -> String {
+    let more = match more {
+        0 => String::new(),
+        more => format!("; and {more} more"),
+    };
+    let mend = if all {
+        "repair them"
+    } else {
+        "repair them, or set ingest.on_bad = \"leave_out\" to go on with the others"
+    };
+    format!(
+        "{bad} of {of} episodes cannot be used: {}{more}; {mend}",
+        list.join("; ")
+    )
+}
+
+fn several(list: &[String], more: usize) -> String {
+    let sentences: Vec<String> = (1..)
+        .zip(list)
+        .map(|(number, sentence)| format!(" ({number}) {sentence}"))
+        .collect();
+    let more = match more {
+        0 => String::new(),
+        more => format!(", and {more} more"),
+    };
+    sentences.join(";") + &more
+}
+
 impl Fault {
+    /// What is wrong, without the remedy.
+    pub(crate) fn what(&self) -> String {
+        let sentence = self.to_string();
+        sentence
+            .split_once("; ")
+            .map_or(sentence.clone(), |(what, _)| what.to_owned())
+    }
+
+    /// Whether reading has to end at once: nothing more can be said of the dataset.
+    pub(crate) fn ends_reading(&self) -> bool {
+        matches!(self, Self::Stopped | Self::Changed { .. } | Self::Io { .. })
+    }
+
+    /// One fault of several of the dataset as a whole; `None` if there are none.
+    pub(crate) fn of_all(mut faults: Vec<Self>) -> Option<Self> {
+        if let Some(place) = faults.iter().position(Self::ends_reading) {
+            return Some(faults.swap_remove(place));
+        }
+        if faults.len() < 2 {
+            return faults.pop();
+        }
+        Some(Self::Several {
+            more: faults.len().saturating_sub(SPELLED_OUT),
+            list: faults.iter().take(SPELLED_OUT).map(Self::to_string).collect(),
+        })
+    }
+
+    /// One fault of several of single episodes. `bad` of `episodes` are affected.
+    pub(crate) fn of_episodes(faults: &[Self], bad: usize, episodes: usize, all: bool) -> Self {
+        Self::Episodes {
+            bad,
+            episodes,
+            list: faults.iter().take(SPELLED_OUT).map(Self::what).collect(),
+            more: faults.len().saturating_sub(SPELLED_OUT),
+            all,
+        }
+    }
+
     /// Attaches the dataset's path.
     pub(crate) fn of(self, dataset: &Path) -> IngestError {
         IngestError {

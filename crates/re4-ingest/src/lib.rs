@@ -1,6 +1,6 @@
 //! Readers and writers of raw demonstration datasets.
 //!
-//! [`pusht`] reads and writes the Push-T replay dataset: a Zarr v2 store, as a folder or in a `.zip` file. [`robomimic`] reads
+//! [`pusht`] reads the Push-T replay dataset, a Zarr store of format 2 or 3, as a folder or in a `.zip` file, and writes it. [`robomimic`] reads
 //! demonstrations of robosuite's tasks from HDF5 files. A reader
 //! checks everything it hands on; what it refuses is an [`IngestError`] that names the array and the index, what it
 //! only finds odd is a [`Warning`] that travels with the data.
@@ -8,13 +8,17 @@
 mod bitplanes;
 mod compression;
 mod error;
+mod left_out;
 pub mod pusht;
 pub mod robomimic;
 mod selection;
+mod source;
 mod store;
 mod warning;
 mod zarr;
 
 pub use error::{Fault, IngestError};
-pub use selection::{EpisodeRange, Selection, SelectionError};
+pub use left_out::{LeftOut, OnBad, refusal};
+pub use selection::{EpisodeRange, Pick, Selection, SelectionError, SourceName};
+pub use source::{SourceFile, Stop};
 pub use warning::{Warning, WarningCode};

@@ -1,86 +1,131 @@
-//! Which episodes of a dataset to read.
+//! Which demonstrations of a dataset to read.
 
 use std::borrow::Cow;
+use std::cmp::Ordering;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
+use re4_episode::episode_name;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use thiserror::Error;
 
-/// Which episodes to read, by their numbers in the source dataset. Selected episodes keep the dataset's order.
+/// Names in a sentence; more are counted.
+const NAMES_SHOWN: usize = 8;
+
+/// Which demonstrations to read, by what the source calls them. Those of Push-T are its episodes, numbered from 0; those of an HDF5
+/// file are groups, each with the number that its name ends in: `demo_3` has 3. They come in the order of these numbers, and those
+/// without one last. With `ingest.filter`, what is selected are demonstrations that the filter key lists.
 ///
-/// In TOML it is one of `"all"`, `{ first = 50 }`, `{ last = 10 }`, `{ episodes = [0, 3, 5] }` and
-/// `{ range = "10..20" }` (half-open); any other key is refused.
+/// In TOML it is one of `"all"`, `{ first = 50 }`, `{ last = 10 }`, `{ episodes = [0, 3, "demo_5"] }` (numbers or names) and
+/// `{ range = "10..20" }` (half-open, by number); any other key is refused.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Selection {
-    /// Every episode.
+    /// Every demonstration.
     #[default]
     All,
-    /// The first so many episodes.
+    /// The first so many demonstrations.
     First(u32),
-    /// The last so many episodes.
+    /// The last so many demonstrations.
     Last(u32),
-    /// These episodes, each once, in any order.
+    /// These demonstrations, each once, in any order.
     #[serde(rename = "episodes")]
-    List(Vec<u32>),
-    /// A half-open range of episodes.
+    List(Vec<Pick>),
+    /// Demonstrations whose numbers are in a half-open range; numbers in it that none has are passed over.
     Range(EpisodeRange),
 }
 
-/// A half-open range of episode numbers, written `10..20`.
+/// A demonstration as a selection names it.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize)]
+#[serde(untagged)]
+pub enum Pick {
+    /// Its own number: for Push-T that of the episode, from 0, for an HDF5 file that which the name of its group ends in.
+    Number(u64),
+    /// Its name: that of its group, such as `demo_3`; for Push-T, the word episode and the number.
+    Name(String),
+}
+
+/// A half-open range of demonstrations' own numbers, written `10..20`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EpisodeRange {
-    /// First episode.
-    pub start: u32,
-    /// The episode after the last.
-    pub end: u32,
+    /// First number.
+    pub start: u64,
+    /// The number after the last.
+    pub end: u64,
+}
+
+/// What a source calls a demonstration.
+///
+/// They are ordered by the numbers that they end in, whatever stands before these, then by name: `demo1`, `demo2`, `demo10`. Those
+/// without a number come last. Numbers inside names count as numbers, too, so that `take2b` comes before `take10b`. No number is
+/// too long.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct SourceName {
+    name: String,
+    /// Where the digits that it ends in begin, leading zeros left out; where there are none, its length.
+    digits: usize,
 }
 
 /// Why a selection does not fit a dataset, and how to mend it.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum SelectionError {
     /// Nothing is selected.
-    #[error("the selection {selection} selects no episode; select at least one of the {episodes} episodes")]
+    #[error(
+        "the selection {selection} selects no demonstration; select at least one of the {demonstrations} demonstrations"
+    )]
     Empty {
         /// The selection in its TOML form.
         selection: String,
-        /// Episodes in the dataset.
-        episodes: usize,
+        /// Demonstrations to select from.
+        demonstrations: usize,
     },
-    /// An episode beyond the last one.
-    #[error(
-        "the selection {selection} asks for episode {episode}, but the dataset has {episodes} episodes, 0 to {}; select within them",
-        .episodes - 1
-    )]
-    OutOfRange {
+    /// A number or a name that none has.
+    #[error("the selection {selection} asks for {wanted}, {absent}; select among {there}")]
+    Missing {
         /// The selection in its TOML form.
         selection: String,
-        /// The first episode asked for that is not there.
-        episode: u32,
-        /// Episodes in the dataset, at least one.
-        episodes: usize,
+        /// What it asks for: `demonstration 2`.
+        wanted: String,
+        /// In which way it is not there, as words that go on from there: `but there is no demo_2`.
+        absent: String,
+        /// What is there.
+        there: String,
     },
-    /// More episodes than there are.
+    /// A number that several have.
     #[error(
-        "the selection {selection} asks for {wanted} episodes, but the dataset has {episodes}; ask for no more than that"
+        "the selection {selection} asks for demonstration {number}, and {candidates} have that number; name the one that is meant, as in episodes = [\"{first}\"]"
+    )]
+    Ambiguous {
+        /// The selection in its TOML form.
+        selection: String,
+        /// The number.
+        number: u64,
+        /// Names of those that have it.
+        candidates: String,
+        /// Name of the first of them.
+        first: String,
+    },
+    /// More demonstrations than there are.
+    #[error(
+        "the selection {selection} asks for {wanted} demonstrations, but there are {demonstrations}; ask for no more than that"
     )]
     TooMany {
         /// The selection in its TOML form.
         selection: String,
-        /// Episodes asked for.
+        /// Demonstrations asked for.
         wanted: u32,
-        /// Episodes in the dataset.
-        episodes: usize,
+        /// Demonstrations to select from.
+        demonstrations: usize,
     },
-    /// An episode listed twice.
-    #[error("the selection {selection} lists episode {episode} more than once; list it once")]
+    /// A demonstration listed twice.
+    #[error("the selection {selection} lists {demonstration} more than once; list it once")]
     Duplicate {
         /// The selection in its TOML form.
         selection: String,
-        /// The first episode listed twice.
-        episode: u32,
+        /// Name of the first demonstration listed twice.
+        demonstration: String,
     },
     /// Text that is not a range.
     #[error("\"{text}\" is no range of episodes; write it as \"10..20\" (episode 10 to episode 19)")]
@@ -90,63 +135,283 @@ pub enum SelectionError {
     },
 }
 
+impl SourceName {
+    /// A name as the source has it.
+    pub fn new(name: impl Into<String>) -> Self {
+        let name = name.into();
+        let before = name.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        let zeros = name[before..].len() - name[before..].trim_start_matches('0').len();
+        // Of 000 the last digit is the number.
+        let digits = (before + zeros).min(name.len().saturating_sub(1)).max(before);
+        Self { name, digits }
+    }
+
+    /// An episode of Push-T, by its number in the dataset.
+    pub fn episode(number: u32) -> Self {
+        Self::new(episode_name(number))
+    }
+
+    /// The name.
+    pub fn as_str(&self) -> &str {
+        &self.name
+    }
+
+    /// Its own number as decimal digits without leading zeros; none where the name does not end in a digit.
+    pub fn digits(&self) -> Option<&str> {
+        self.name.get(self.digits..).filter(|digits| !digits.is_empty())
+    }
+
+    /// Its own number, where it has one of at most 64 bits.
+    pub fn number(&self) -> Option<u64> {
+        self.digits()?.parse().ok()
+    }
+
+    fn has_number(&self, number: u64) -> bool {
+        self.number() == Some(number)
+    }
+
+    /// The name that a demonstration with another number would have: `demo_7` of `demo_3`.
+    fn with_number(&self, number: u64) -> String {
+        let stem = self.name.trim_end_matches(|c: char| c.is_ascii_digit());
+        let width = self.name.len() - stem.len();
+        let padded = self.name[stem.len()..].starts_with('0') && width > 1;
+        if padded {
+            format!("{stem}{number:0width$}")
+        } else {
+            format!("{stem}{number}")
+        }
+    }
+}
+
+impl fmt::Display for SourceName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name)
+    }
+}
+
+impl Ord for SourceName {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let numbers = match (self.digits(), other.digits()) {
+            (Some(own), Some(others)) => compare_digits(own, others),
+            (own, others) => own.is_none().cmp(&others.is_none()),
+        };
+        numbers
+            .then_with(|| natural(&self.name, &other.name))
+            .then_with(|| self.name.cmp(&other.name))
+    }
+}
+
+impl PartialOrd for SourceName {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// Numbers of any length, without leading zeros.
+fn compare_digits(a: &str, b: &str) -> Ordering {
+    a.len().cmp(&b.len()).then_with(|| a.cmp(b))
+}
+
+/// Natural order: runs of digits are compared as numbers, all else byte by byte.
+fn natural(a: &str, b: &str) -> Ordering {
+    fn runs(text: &str) -> impl Iterator<Item = &[u8]> {
+        text.as_bytes()
+            .chunk_by(|x, y| x.is_ascii_digit() == y.is_ascii_digit())
+    }
+    let digits = |run: &[u8]| run.first().is_some_and(u8::is_ascii_digit);
+    for (x, y) in runs(a).zip(runs(b)) {
+        let order = if digits(x) && digits(y) {
+            let significant = |run: &'_ [u8]| run.iter().copied().skip_while(|c| *c == b'0').collect::<Vec<u8>>();
+            let (x, y) = (significant(x), significant(y));
+            x.len().cmp(&y.len()).then_with(|| x.cmp(&y))
+        } else {
+            x.cmp(y)
+        };
+        if order.is_ne() {
+            return order;
+        }
+    }
+    runs(a).count().cmp(&runs(b).count())
+}
+
+/// Names as a sentence lists them; of many, the first and the last.
+fn listed<'a>(names: impl Iterator<Item = &'a SourceName> + Clone) -> String {
+    let count = names.clone().count();
+    let shown = if count > NAMES_SHOWN + 2 { NAMES_SHOWN } else { count };
+    let mut text = names
+        .clone()
+        .take(shown)
+        .map(SourceName::as_str)
+        .collect::<Vec<_>>()
+        .join(", ");
+    if let (true, Some(last)) = (shown < count, names.last()) {
+        text = format!("{text}, ..., {last} ({count} in all)");
+    }
+    text
+}
+
+/// The demonstrations of a source, in their order, and which of them can be selected.
+struct Among<'a> {
+    all: &'a [SourceName],
+    eligible: &'a dyn Fn(usize) -> bool,
+}
+
+impl<'a> Among<'a> {
+    fn iter(&self) -> impl Iterator<Item = (usize, &'a SourceName)> + Clone {
+        let (all, eligible) = (self.all, self.eligible);
+        all.iter().enumerate().filter(move |(place, _)| eligible(*place))
+    }
+
+    fn names(&self) -> impl Iterator<Item = &'a SourceName> + Clone {
+        self.iter().map(|(_, name)| name)
+    }
+}
+
 impl Selection {
-    /// The numbers of the selected episodes, ascending, for a dataset of `episodes` episodes.
+    /// The places in `source` of the selected demonstrations, ascending. `source` is in the order of [`SourceName`].
     ///
     /// # Errors
-    /// A selection that is empty, leaves the dataset or lists an episode twice.
-    pub fn resolve(&self, episodes: usize) -> Result<Vec<u32>, SelectionError> {
-        let selection = || self.to_string();
-        let total = u32::try_from(episodes).unwrap_or(u32::MAX);
-        let too_many = |wanted: u32| SelectionError::TooMany {
-            selection: selection(),
-            wanted,
-            episodes,
-        };
-        let out_of_range = |episode: u32| SelectionError::OutOfRange {
-            selection: selection(),
-            episode,
-            episodes,
-        };
-        let numbers: Vec<u32> = match self {
-            Self::All => (0..total).collect(),
-            Self::First(count) | Self::Last(count) if *count > total => return Err(too_many(*count)),
-            Self::First(count) => (0..*count).collect(),
-            Self::Last(count) => (total - *count..total).collect(),
-            Self::List(list) => {
-                let mut sorted = list.clone();
-                sorted.sort_unstable();
-                if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-                    return Err(SelectionError::Duplicate {
-                        selection: selection(),
-                        episode: pair[0],
-                    });
-                }
-                sorted
-            }
-            Self::Range(range) if range.start < range.end && range.end > total => {
-                return Err(out_of_range(range.start.max(total)));
-            }
-            Self::Range(range) => (range.start..range.end).collect(),
-        };
-        if numbers.is_empty() {
-            return Err(SelectionError::Empty {
-                selection: selection(),
-                episodes,
-            });
-        }
-        if let Some(&episode) = numbers.iter().find(|&&episode| episode >= total) {
-            return Err(if total == 0 {
-                SelectionError::Empty {
-                    selection: selection(),
-                    episodes,
-                }
-            } else {
-                out_of_range(episode)
-            });
-        }
-        Ok(numbers)
+    /// A selection that is empty, names what is not there or what several could be, or lists a demonstration twice.
+    pub fn resolve(&self, source: &[SourceName]) -> Result<Vec<usize>, SelectionError> {
+        self.resolve_among(source, &|_| true)
     }
+
+    /// The numbers of the selected episodes of Push-T, ascending, for a dataset of so many.
+    ///
+    /// # Errors
+    /// As [`Selection::resolve`].
+    pub fn resolve_episodes(&self, episodes: usize) -> Result<Vec<u32>, SelectionError> {
+        let episodes = u32::try_from(episodes).unwrap_or(u32::MAX);
+        let names: Vec<SourceName> = (0..episodes).map(SourceName::episode).collect();
+        let places = self.resolve(&names)?;
+        Ok(places
+            .into_iter()
+            .filter_map(|place| u32::try_from(place).ok())
+            .collect())
+    }
+
+    /// As [`Selection::resolve`], of the demonstrations whose places are `eligible`, since a filter lists them.
+    ///
+    /// # Errors
+    /// As [`Selection::resolve`].
+    pub fn resolve_among(
+        &self,
+        source: &[SourceName],
+        eligible: &dyn Fn(usize) -> bool,
+    ) -> Result<Vec<usize>, SelectionError> {
+        let among = Among { all: source, eligible };
+        let places: Vec<usize> = among.iter().map(|(place, _)| place).collect();
+        let empty = || SelectionError::Empty {
+            selection: self.to_string(),
+            demonstrations: places.len(),
+        };
+        if places.is_empty() {
+            return Err(empty());
+        }
+        let first = |count: u32| {
+            let taken = usize::try_from(count).ok().filter(|count| *count <= places.len());
+            taken.ok_or_else(|| SelectionError::TooMany {
+                selection: self.to_string(),
+                wanted: count,
+                demonstrations: places.len(),
+            })
+        };
+        let chosen = match self {
+            Self::All => places.clone(),
+            Self::First(count) => places[..first(*count)?].to_vec(),
+            Self::Last(count) => places[places.len() - first(*count)?..].to_vec(),
+            Self::List(list) => self.listed(list, &among)?,
+            Self::Range(range) => self.ranged(*range, &among)?,
+        };
+        if chosen.is_empty() { Err(empty()) } else { Ok(chosen) }
+    }
+
+    fn listed(&self, list: &[Pick], among: &Among<'_>) -> Result<Vec<usize>, SelectionError> {
+        let mut chosen = BTreeSet::new();
+        for pick in list {
+            let mut found = among.iter().filter(|(_, name)| match pick {
+                Pick::Number(number) => name.has_number(*number),
+                Pick::Name(text) => name.as_str() == text,
+            });
+            let (place, name) = found.next().ok_or_else(|| self.missing(pick, among))?;
+            if let (Pick::Number(number), Some((_, second))) = (pick, found.next()) {
+                let candidates = [name, second].into_iter().chain(found.map(|(_, name)| name));
+                return Err(SelectionError::Ambiguous {
+                    selection: self.to_string(),
+                    number: *number,
+                    candidates: listed(candidates.collect::<Vec<_>>().into_iter()),
+                    first: name.to_string(),
+                });
+            }
+            if !chosen.insert(place) {
+                return Err(SelectionError::Duplicate {
+                    selection: self.to_string(),
+                    demonstration: name.to_string(),
+                });
+            }
+        }
+        Ok(chosen.into_iter().collect())
+    }
+
+    fn ranged(&self, range: EpisodeRange, among: &Among<'_>) -> Result<Vec<usize>, SelectionError> {
+        if range.start >= range.end {
+            return Ok(Vec::new());
+        }
+        let numbers = || among.all.iter().filter_map(SourceName::number);
+        // Numbers beyond the last were not meant, or their demonstrations are lost; those between are gaps.
+        let beyond = numbers().max().map_or(0, |last| last.saturating_add(1));
+        if range.end > beyond {
+            return Err(self.missing(&Pick::Number(range.start.max(beyond)), among));
+        }
+        let inside = |name: &SourceName| {
+            name.number()
+                .is_some_and(|number| (range.start..range.end).contains(&number))
+        };
+        let chosen: Vec<usize> = among
+            .iter()
+            .filter(|(_, name)| inside(name))
+            .map(|(place, _)| place)
+            .collect();
+        if chosen.is_empty() {
+            return Err(self.missing(&Pick::Number(range.start), among));
+        }
+        Ok(chosen)
+    }
+
+    fn missing(&self, pick: &Pick, among: &Among<'_>) -> SelectionError {
+        let is_it = |name: &SourceName| match pick {
+            Pick::Number(number) => name.has_number(*number),
+            Pick::Name(text) => name.as_str() == text,
+        };
+        let unlisted = among.all.iter().find(|name| is_it(name));
+        let numbered = || among.all.iter().filter(|name| name.digits().is_some());
+        let (wanted, absent) = match pick {
+            Pick::Number(number) => {
+                let first = numbered().next();
+                let alike = first.filter(|first| numbered().all(|name| stem(name) == stem(first)));
+                let absent = match (unlisted, alike) {
+                    (Some(name), _) => format!("but the filter key does not list {name}"),
+                    // Where all names are alike, the name that it would have is clear.
+                    (None, Some(first)) => format!("but there is no {}", first.with_number(*number)),
+                    (None, None) => "but none has that number".to_owned(),
+                };
+                (format!("demonstration {number}"), absent)
+            }
+            Pick::Name(_) if unlisted.is_some() => (pick.to_string(), "which the filter key does not list".to_owned()),
+            Pick::Name(_) => (pick.to_string(), "which is not there".to_owned()),
+        };
+        SelectionError::Missing {
+            selection: self.to_string(),
+            wanted,
+            absent,
+            there: listed(among.names()),
+        }
+    }
+}
+
+/// What stands before the digits that a name ends in.
+fn stem(name: &SourceName) -> &str {
+    name.as_str().trim_end_matches(|c: char| c.is_ascii_digit())
 }
 
 /// The selection in its TOML form.
@@ -156,12 +421,83 @@ impl fmt::Display for Selection {
             Self::All => f.write_str("all"),
             Self::First(count) => write!(f, "first = {count}"),
             Self::Last(count) => write!(f, "last = {count}"),
-            Self::List(list) => write!(f, "episodes = {list:?}"),
+            Self::List(list) => {
+                let list: Vec<String> = list.iter().map(Pick::to_string).collect();
+                write!(f, "episodes = [{}]", list.join(", "))
+            }
             Self::Range(range) => write!(f, "range = \"{range}\""),
         }
     }
 }
 
+/// As TOML writes it.
+impl fmt::Display for Pick {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Name(name) => write!(f, "{name:?}"),
+        }
+    }
+}
+
+impl From<u64> for Pick {
+    fn from(number: u64) -> Self {
+        Self::Number(number)
+    }
+}
+
+impl From<&str> for Pick {
+    fn from(name: &str) -> Self {
+        Self::Name(name.to_owned())
+    }
+}
+
+/// By hand, since a value that is neither is then named in the message.
+impl<'de> Deserialize<'de> for Pick {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+
+        impl de::Visitor<'_> for Visitor {
+            type Value = Pick;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the number of a demonstration, or its name in quotes")
+            }
+
+            fn visit_u64<E: de::Error>(self, number: u64) -> Result<Pick, E> {
+                Ok(Pick::Number(number))
+            }
+
+            fn visit_i64<E: de::Error>(self, number: i64) -> Result<Pick, E> {
+                u64::try_from(number)
+                    .map(Pick::Number)
+                    .map_err(|_| E::invalid_value(de::Unexpected::Signed(number), &self))
+            }
+
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<Pick, E> {
+                Ok(Pick::Name(name.to_owned()))
+            }
+        }
+
+        deserializer.deserialize_any(Visitor)
+    }
+}
+
+impl JsonSchema for Pick {
+    fn schema_name() -> Cow<'static, str> {
+        "Pick".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "A demonstration: its own number (that of a Push-T episode, from 0, or that which the name of a group of an HDF5 file ends in, 3 for demo_3), or its name.",
+            "anyOf": [
+                { "type": "integer", "minimum": 0 },
+                { "type": "string" }
+            ]
+        })
+    }
+}
 impl fmt::Display for EpisodeRange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}..{}", self.start, self.end)
@@ -205,7 +541,7 @@ impl JsonSchema for EpisodeRange {
         json_schema!({
             "type": "string",
             "pattern": r"^\s*[0-9]+\s*\.\.\s*[0-9]+\s*$",
-            "description": "A half-open range of episode numbers, such as 10..20."
+            "description": "A half-open range of demonstrations' own numbers, such as 10..20."
         })
     }
 }
@@ -214,12 +550,71 @@ impl JsonSchema for EpisodeRange {
 mod tests {
     use super::*;
 
-    fn resolve(selection: &Selection) -> Result<Vec<u32>, String> {
-        selection.resolve(6).map_err(|error| error.to_string())
+    fn numbered(count: u32) -> Vec<SourceName> {
+        (0..count).map(SourceName::episode).collect()
     }
 
-    fn range(start: u32, end: u32) -> Selection {
+    fn named(names: &[&str]) -> Vec<SourceName> {
+        let mut names: Vec<SourceName> = names.iter().map(|name| SourceName::new(*name)).collect();
+        names.sort();
+        names
+    }
+
+    fn resolve(selection: &Selection) -> Result<Vec<usize>, String> {
+        selection.resolve(&numbered(6)).map_err(|error| error.to_string())
+    }
+
+    fn range(start: u64, end: u64) -> Selection {
         Selection::Range(EpisodeRange { start, end })
+    }
+
+    fn list<const N: usize>(picks: [u64; N]) -> Selection {
+        Selection::List(picks.map(Pick::from).to_vec())
+    }
+
+    /// Names of what a selection takes of these.
+    fn taken<'a>(selection: &Selection, source: &'a [SourceName]) -> Result<Vec<&'a str>, String> {
+        let places = selection.resolve(source).map_err(|error| error.to_string())?;
+        Ok(places.into_iter().map(|place| source[place].as_str()).collect())
+    }
+
+    #[test]
+    fn names_come_in_the_order_of_the_numbers_they_end_in() {
+        for sorted in [
+            &["demo1", "demo2", "demo10", "demo11"][..],
+            &["demo_0", "demo_2", "demo_03", "demo_10", "notes"],
+            &["episode-7", "episode-12"],
+            &["a_1", "b_1", "a_2", "b_10"],
+            &["demo_7", "demo_18446744073709551616", "demo_99999999999999999999999"],
+            &["run2_1", "run10_1", "other_2", "take2b", "take10b"],
+            &["3", "20", "x"],
+            &["demo_0", "demo_000", "demo_1"],
+        ] {
+            let mut names: Vec<SourceName> = sorted.iter().rev().map(|name| SourceName::new(*name)).collect();
+            names.sort();
+            let found: Vec<&str> = names.iter().map(SourceName::as_str).collect();
+            assert_eq!(found, sorted);
+        }
+    }
+
+    #[test]
+    fn a_name_has_the_number_that_it_ends_in() {
+        for (name, digits) in [
+            ("demo_3", Some("3")),
+            ("demo3", Some("3")),
+            ("demo_03", Some("3")),
+            ("demo_000", Some("0")),
+            ("12", Some("12")),
+            ("traj-99999999999999999999999", Some("99999999999999999999999")),
+            ("demo", None),
+            ("demo_3b", None),
+            ("", None),
+            ("d\u{e9}mo_\u{663}", None),
+        ] {
+            assert_eq!(SourceName::new(name).digits(), digits, "{name}");
+        }
+        assert_eq!(SourceName::new("demo_18446744073709551616").number(), None);
+        assert_eq!(SourceName::episode(12).number(), Some(12));
     }
 
     #[test]
@@ -227,9 +622,61 @@ mod tests {
         assert_eq!(resolve(&Selection::All), Ok(vec![0, 1, 2, 3, 4, 5]));
         assert_eq!(resolve(&Selection::First(2)), Ok(vec![0, 1]));
         assert_eq!(resolve(&Selection::Last(2)), Ok(vec![4, 5]));
-        assert_eq!(resolve(&Selection::List(vec![5, 0, 3])), Ok(vec![0, 3, 5]));
+        assert_eq!(resolve(&list([5, 0, 3])), Ok(vec![0, 3, 5]));
         assert_eq!(resolve(&range(2, 4)), Ok(vec![2, 3]));
         assert_eq!(resolve(&range(0, 6)), Ok(vec![0, 1, 2, 3, 4, 5]));
+    }
+
+    #[test]
+    fn numbers_are_the_sources_own() {
+        let gaps = named(&["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
+        assert_eq!(taken(&list([3]), &gaps), Ok(vec!["demo_3"]));
+        assert_eq!(taken(&list([6, 0]), &gaps), Ok(vec!["demo_0", "demo_6"]));
+        assert_eq!(taken(&range(1, 6), &gaps), Ok(vec!["demo_1", "demo_3", "demo_4"]));
+        assert_eq!(taken(&range(0, 7), &gaps).map(|all| all.len()), Ok(5));
+        assert_eq!(
+            taken(&Selection::First(3), &gaps),
+            Ok(vec!["demo_0", "demo_1", "demo_3"])
+        );
+        let mixed = Selection::List(vec![Pick::from("demo_4"), Pick::from(1)]);
+        assert_eq!(taken(&mixed, &gaps), Ok(vec!["demo_1", "demo_4"]));
+        let others = named(&["demo1", "demo10", "demo2", "take_99999999999999999999", "extra", "007"]);
+        assert_eq!(taken(&list([10]), &others), Ok(vec!["demo10"]));
+        assert_eq!(taken(&list([7]), &others), Ok(vec!["007"]));
+        let by_name = Selection::List(vec!["take_99999999999999999999".into(), "extra".into()]);
+        assert_eq!(taken(&by_name, &others).map(|all| all.len()), Ok(2));
+        assert_eq!(
+            taken(&range(0, 11), &others),
+            Ok(vec!["demo1", "demo2", "007", "demo10"])
+        );
+        let pusht = Selection::List(vec!["episode 3".into()]);
+        assert_eq!(taken(&pusht, &numbered(6)), Ok(vec!["episode 3"]));
+    }
+
+    #[test]
+    fn a_filter_leaves_numbers_as_they_are() {
+        let source = named(&["demo_0", "demo_1", "demo_2", "demo_3", "demo_4"]);
+        let odd = |place: usize| place % 2 == 1;
+        let resolve = |selection: &Selection| {
+            selection
+                .resolve_among(&source, &odd)
+                .map_err(|error| error.to_string())
+        };
+        assert_eq!(resolve(&Selection::All), Ok(vec![1, 3]));
+        assert_eq!(resolve(&Selection::Last(1)), Ok(vec![3]));
+        assert_eq!(resolve(&list([3])), Ok(vec![3]));
+        assert_eq!(resolve(&range(0, 5)), Ok(vec![1, 3]));
+        let refused = [
+            list([2]),
+            Selection::List(vec!["demo_2".into()]),
+            Selection::First(3),
+            range(4, 5),
+        ];
+        let sentences: Vec<String> = refused
+            .iter()
+            .map(|selection| resolve(selection).unwrap_err())
+            .collect();
+        insta::assert_snapshot!(sentences.join("\n"));
     }
 
     #[test]
@@ -239,8 +686,8 @@ mod tests {
             Selection::Last(7),
             Selection::First(0),
             Selection::List(vec![]),
-            Selection::List(vec![1, 6]),
-            Selection::List(vec![3, 1, 3]),
+            list([1, 6]),
+            list([3, 1, 3]),
             range(4, 4),
             range(5, 2),
             range(4, 7),
@@ -250,11 +697,30 @@ mod tests {
         .map(|selection| resolve(selection).unwrap_err())
         .collect();
         insta::assert_snapshot!(sentences.join("\n"));
-        assert!(matches!(Selection::All.resolve(0), Err(SelectionError::Empty { .. })));
-        assert!(matches!(
-            Selection::List(vec![0]).resolve(0),
-            Err(SelectionError::Empty { .. })
-        ));
+        assert!(matches!(Selection::All.resolve(&[]), Err(SelectionError::Empty { .. })));
+        assert!(matches!(list([0]).resolve(&[]), Err(SelectionError::Empty { .. })));
+    }
+
+    #[test]
+    fn what_a_file_lacks_is_named() {
+        let gaps = named(&["demo_0", "demo_1", "demo_3"]);
+        let many: Vec<String> = (0..200).map(|number| format!("demo_{number:03}")).collect();
+        let many = named(&many.iter().map(String::as_str).collect::<Vec<_>>());
+        let twins = named(&["a_1", "b_1", "a_2", "words"]);
+        let of = |selection: Selection, source: &[SourceName]| taken(&selection, source).unwrap_err();
+        let sentences = [
+            of(list([2]), &gaps),
+            of(Selection::List(vec!["demo_2".into()]), &gaps),
+            of(Selection::List(vec![3.into(), "demo_3".into()]), &gaps),
+            of(range(2, 3), &gaps),
+            of(range(2, 5), &gaps),
+            of(list([200]), &many),
+            of(list([1]), &twins),
+            of(list([3]), &twins),
+            of(list([3]), &named(&["first", "second"])),
+            of(range(0, 3), &named(&["first", "second"])),
+        ];
+        insta::assert_snapshot!(sentences.join("\n"));
     }
 
     #[test]
@@ -267,7 +733,11 @@ mod tests {
             ("select = \"all\"", Selection::All),
             ("select.first = 50", Selection::First(50)),
             ("select.last = 3", Selection::Last(3)),
-            ("select.episodes = [0, 3, 5]", Selection::List(vec![0, 3, 5])),
+            ("select.episodes = [0, 3, 5]", list([0, 3, 5])),
+            (
+                "select.episodes = [\"demo_3\", 5]",
+                Selection::List(vec!["demo_3".into(), 5.into()]),
+            ),
             ("select.range = \"10..20\"", range(10, 20)),
         ] {
             let holder: Holder = toml::from_str(text).unwrap();
@@ -276,14 +746,29 @@ mod tests {
                 toml::from_str::<Holder>(&toml::to_string(&holder).unwrap()).unwrap(),
                 holder
             );
+            let json = serde_json::to_string(&holder).unwrap();
+            assert_eq!(serde_json::from_str::<Holder>(&json).unwrap(), holder);
         }
         for text in [
             "select.frist = 50",
             "select.range = \"10-20\"",
             "select.first = -1",
+            "select.episodes = [-1]",
+            "select.episodes = [1.5]",
+            "select.episodes = [true]",
             "select = { first = 1, last = 1 }",
         ] {
             assert!(toml::from_str::<Holder>(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn selections_are_written_as_before() {
+        // Keys of artifacts are made of this text.
+        let written = |selection: &Selection| serde_json::to_string(selection).unwrap();
+        assert_eq!(written(&Selection::All), r#""all""#);
+        assert_eq!(written(&Selection::First(50)), r#"{"first":50}"#);
+        assert_eq!(written(&list([0, 3, 5])), r#"{"episodes":[0,3,5]}"#);
+        assert_eq!(written(&range(10, 20)), r#"{"range":"10..20"}"#);
     }
 }

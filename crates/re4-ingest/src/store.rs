@@ -1,7 +1,9 @@
-//! Where the store lies: a folder, or a zip file unpacked to a temporary folder.
+//! Where the store lies: a folder, or a zip file unpacked to a temporary folder; and which of its files belong to the dataset.
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{self, Read as _};
+use std::io::{self, Read, Write as _};
+use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -10,39 +12,66 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 use crate::error::Fault;
+use crate::source::{Identity, SourceFile, Stop, irregular, settle};
 
 /// How many folders above the store a zip file may have.
 const ZIP_DEPTH: usize = 2;
 
-/// An opened store: the folder that holds `.zgroup`.
+/// The arrays that are read. Nothing else below the store is opened, and nothing else is part of its hash.
+const ARRAYS: [&str; 6] = [
+    "data/action",
+    "data/img",
+    "data/keypoint",
+    "data/n_contacts",
+    "data/state",
+    "meta/episode_ends",
+];
+
+/// The groups that hold them.
+const GROUPS: [&str; 3] = ["", "data/", "meta/"];
+
+/// Files beside chunks that say what an array or a group is: Zarr v2, and v3.
+const METADATA: [&str; 4] = [".zarray", ".zattrs", ".zgroup", "zarr.json"];
+
+/// Names that make a folder a store of any version, or an array of one.
+const MARKERS: [&str; 3] = [".zgroup", "zarr.json", ".zarray"];
+
+/// Bytes that are read at once, so that reading stops soon when asked to.
+const BLOCK: usize = 4 << 20;
+
+/// An opened store: the folder that holds `.zgroup` or `zarr.json`, and what its files were when it was opened.
 #[derive(Debug)]
 pub(crate) struct Store {
     folder: PathBuf,
+    /// The files of the dataset by their paths in the store, with `/`.
+    files: BTreeMap<String, Identity>,
+    /// The zip file that was unpacked.
+    archive: Option<SourceFile>,
     /// Keeps an unpacked zip alive; dropping it removes the files.
     _unpacked: Option<TempDir>,
 }
 
 impl Store {
     /// Opens a folder store, or unpacks a zip file and opens the store in it.
-    pub(crate) fn open(path: &Path) -> Result<Self, Fault> {
+    pub(crate) fn open(path: &Path, stop: Stop<'_>) -> Result<Self, Fault> {
         let metadata = match fs::metadata(path) {
             Ok(metadata) => metadata,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(Fault::MissingPath),
             Err(error) => return Err(Fault::io("read", path, error)),
         };
         if metadata.is_dir() {
-            check_folder(path)?;
-            return Ok(Self {
-                folder: path.to_owned(),
-                _unpacked: None,
-            });
+            return Self::of_folder(path.to_owned(), None, None, stop);
         }
+        let archive = SourceFile::open_checked(path)?;
+        check_kind(&archive)?;
         let unpacked = tempfile::Builder::new()
             .prefix("re4-ingest-")
             .tempdir()
             // The kind alone: tempfile's own words repeat the path.
             .map_err(|error| Fault::io("create a folder in", std::env::temp_dir(), error.kind().into()))?;
-        unpack(path, unpacked.path())?;
+        // What a zip file holds that is being written is anything: say that it is, not what is wrong with half of it.
+        unpack(&archive, unpacked.path(), stop).map_err(|fault| changed_or(&archive, fault))?;
+        archive.unchanged_checked()?;
         let mut stores = Vec::new();
         find_stores(unpacked.path(), ZIP_DEPTH, &mut stores)?;
         let relative = |store: &PathBuf| {
@@ -59,13 +88,7 @@ impl Store {
         };
         match stores.as_slice() {
             [] => Err(Fault::ZipWithoutStore),
-            [folder] => {
-                check_folder(folder)?;
-                Ok(Self {
-                    folder: folder.clone(),
-                    _unpacked: Some(unpacked),
-                })
-            }
+            [folder] => Self::of_folder(folder.clone(), Some(archive), Some(unpacked), stop),
             [first, second, ..] => Err(Fault::SeveralStoresInZip {
                 count: stores.len(),
                 first: relative(first),
@@ -74,69 +97,196 @@ impl Store {
         }
     }
 
-    /// The folder that holds `.zgroup`.
-    pub(crate) fn folder(&self) -> &Path {
-        &self.folder
+    fn of_folder(
+        folder: PathBuf,
+        archive: Option<SourceFile>,
+        unpacked: Option<TempDir>,
+        stop: Stop<'_>,
+    ) -> Result<Self, Fault> {
+        check_folder(&folder)?;
+        let mut files = list(&folder, stop)?;
+        // A file that was written a moment ago might be written again without a trace in its times.
+        if settle(files.values()) {
+            files = list(&folder, stop)?;
+        }
+        Ok(Self {
+            folder,
+            files,
+            archive,
+            _unpacked: unpacked,
+        })
     }
 
-    /// BLAKE3 over the store's files in the byte order of their paths: for each, the length of its path and the path
+    /// Whether its root says that it is of Zarr's format 3.
+    pub(crate) fn is_format_3(&self) -> bool {
+        self.files.contains_key("zarr.json")
+    }
+
+    /// Length of a file of the dataset; `None` if there was none when the store was opened.
+    pub(crate) fn length(&self, name: &str) -> Option<u64> {
+        self.files.get(name).map(Identity::length)
+    }
+
+    /// Names of the dataset's files below a folder of it, relative to that folder.
+    pub(crate) fn names_below<'a>(&'a self, folder: &'a str) -> impl Iterator<Item = &'a str> {
+        self.files
+            .range::<str, _>((std::ops::Bound::Included(folder), std::ops::Bound::Unbounded))
+            .map(|(name, _)| name.as_str())
+            .take_while(move |name| name.starts_with(folder))
+            .filter_map(move |name| name.strip_prefix(folder)?.strip_prefix('/'))
+    }
+
+    /// The bytes of a file of the dataset; `None` if there was none when the store was opened.
+    ///
+    /// # Errors
+    /// A file that is no longer what it was, or cannot be read; `stop` answered yes.
+    pub(crate) fn read(&self, name: &str, stop: Stop<'_>) -> Result<Option<Vec<u8>>, Fault> {
+        let Some(identity) = self.files.get(name) else {
+            return Ok(None);
+        };
+        let file = self.open_file(name, identity)?;
+        let mut bytes = vec![0; identity.length() as usize];
+        for (number, block) in bytes.chunks_mut(BLOCK).enumerate() {
+            if stop() {
+                return Err(Fault::Stopped);
+            }
+            let read = file.file().read_exact_at(block, (number * BLOCK) as u64);
+            read.map_err(|error| match error.kind() {
+                io::ErrorKind::UnexpectedEof => changed(file.path()),
+                _ => Fault::io("read", file.path(), error),
+            })?;
+        }
+        Ok(Some(bytes))
+    }
+
+    /// Opens a file of the dataset, if it is still what it was.
+    fn open_file(&self, name: &str, identity: &Identity) -> Result<SourceFile, Fault> {
+        let path = self.folder.join(name);
+        match SourceFile::open_checked(&path) {
+            Ok(file) if file.identity() == *identity => Ok(file),
+            Ok(_) | Err(Fault::MissingPath | Fault::NotAFile { .. }) => Err(changed(&path)),
+            Err(fault) => Err(fault),
+        }
+    }
+
+    /// BLAKE3 over the dataset's files in the byte order of their paths: for each, the length of its path and the path
     /// (with `/`), the length of the file, and the BLAKE3 of its bytes. Lengths are u64, little-endian.
     ///
-    /// Files are hashed in parallel through a fixed buffer or a memory map, so memory does not grow with the store.
-    pub(crate) fn hash(&self) -> Result<[u8; 32], Fault> {
-        let mut files = Vec::new();
-        list_files(&self.folder, "", &mut files)?;
-        files.sort_unstable();
-        let hashes: Vec<(u64, blake3::Hash)> = files
+    /// Files are hashed in parallel, block by block.
+    ///
+    /// # Errors
+    /// A file that is no longer what it was when the store was opened, or cannot be read; `stop` answered yes.
+    pub(crate) fn hash(&self, stop: Stop<'_>) -> Result<[u8; 32], Fault> {
+        let files: Vec<(&String, &Identity)> = self.files.iter().collect();
+        let hashes: Vec<[u8; 32]> = files
             .par_iter()
-            .map(|name| {
-                let path = self.folder.join(name);
-                let mut hasher = blake3::Hasher::new();
-                hasher
-                    .update_mmap(&path)
-                    .map_err(|error| Fault::io("read", path, error))?;
-                Ok((hasher.count(), hasher.finalize()))
-            })
+            .map(|(name, identity)| self.open_file(name, identity)?.hash_checked(stop))
             // In order, so that the first of several errors is told for any number of threads.
             .collect::<Vec<_>>()
             .into_iter()
             .collect::<Result<_, Fault>>()?;
         let mut whole = blake3::Hasher::new();
-        for (name, (length, hash)) in files.iter().zip(hashes) {
+        for ((name, identity), hash) in files.iter().zip(hashes) {
             whole.update(&(name.len() as u64).to_le_bytes());
             whole.update(name.as_bytes());
-            whole.update(&length.to_le_bytes());
-            whole.update(hash.as_bytes());
+            whole.update(&identity.length().to_le_bytes());
+            whole.update(&hash);
         }
         Ok(*whole.finalize().as_bytes())
     }
+
+    /// Whether the dataset's files are still those that it had when it was opened: none changed, replaced, added or removed.
+    ///
+    /// # Errors
+    /// [`Fault::Changed`], with the first file for which it does not hold.
+    pub(crate) fn unchanged(&self) -> Result<(), Fault> {
+        if let Some(archive) = &self.archive {
+            // The unpacked files are this process's own.
+            return archive.unchanged_checked();
+        }
+        let now = list(&self.folder, &|| false).map_err(|fault| match fault {
+            Fault::Changed { path } | Fault::Io { path, .. } => Fault::Changed { path },
+            Fault::NotAFileInside { file, .. } => changed(&self.folder.join(file)),
+            _ => changed(&self.folder),
+        })?;
+        let different = |name: &&String| self.files.get(*name) != now.get(*name);
+        match self.files.keys().chain(now.keys()).filter(different).min() {
+            Some(name) => Err(changed(&self.folder.join(name))),
+            None => Ok(()),
+        }
+    }
+
+    /// The fault, or that the store changed, where it did: what is read of files that are being written can be anything.
+    pub(crate) fn explain(&self, fault: Fault) -> Fault {
+        match fault {
+            Fault::Stopped | Fault::Changed { .. } => fault,
+            fault => self.unchanged().err().unwrap_or(fault),
+        }
+    }
+
+    /// Arrays that the store has at the top, in `data` and in `meta`, whatever their names, for messages.
+    pub(crate) fn arrays(&self) -> Vec<String> {
+        let is_array = |folder: &Path| folder.join(".zarray").is_file() || is_array_v3(&folder.join("zarr.json"));
+        GROUPS
+            .iter()
+            .flat_map(|group| {
+                let entries = sorted_entries(&self.folder.join(group)).unwrap_or_default();
+                entries
+                    .into_iter()
+                    .filter(|entry| is_array(entry))
+                    .filter_map(move |entry| Some(format!("{group}{}", entry.file_name()?.to_string_lossy())))
+            })
+            .collect()
+    }
 }
 
-/// Says what a folder is if it is not a Zarr v2 group.
+fn changed(path: &Path) -> Fault {
+    Fault::Changed { path: path.to_owned() }
+}
+
+fn changed_or(archive: &SourceFile, fault: Fault) -> Fault {
+    match fault {
+        Fault::Stopped => fault,
+        fault => archive.unchanged_checked().err().unwrap_or(fault),
+    }
+}
+
+/// Says what a folder is if it is not a group of Zarr's format 2 or 3.
 fn check_folder(folder: &Path) -> Result<(), Fault> {
     let has = |name: &str| folder.join(name).is_file();
-    if has(".zgroup") {
-        return Ok(());
-    }
-    if has("zarr.json") {
-        return Err(Fault::ZarrV3);
-    }
-    if has(".zarray") {
+    if has(".zarray") || has("zarr.json") && is_array_v3(&folder.join("zarr.json")) {
         return Err(Fault::SingleArray);
+    }
+    if has(".zgroup") || has("zarr.json") {
+        return Ok(());
     }
     let mut entries = sorted_entries(folder)?;
     if entries.is_empty() {
         return Err(Fault::EmptyFolder);
     }
-    entries.retain(|entry| entry.join(".zgroup").is_file());
-    let hint = match entries.first().and_then(|entry| entry.file_name()) {
-        Some(name) if name == "data" || name == "meta" => {
-            "restore that file: its content is {\"zarr_format\": 2}".to_owned()
+    entries.retain(|entry| MARKERS.iter().any(|name| entry.join(name).is_file()));
+    let hint = match entries.first().and_then(|entry| entry.file_name().zip(Some(entry))) {
+        Some((name, entry)) if name == "data" || name == "meta" => {
+            if entry.join("zarr.json").is_file() {
+                "restore zarr.json: its content is {\"zarr_format\": 3, \"node_type\": \"group\"}".to_owned()
+            } else {
+                "restore that file: its content is {\"zarr_format\": 2}".to_owned()
+            }
         }
-        Some(name) => format!("it holds the store {}: give that path", name.display()),
+        Some((name, _)) => format!("it holds the store {}: give that path", name.display()),
         None => "give the folder that holds .zgroup, data/ and meta/".to_owned(),
     };
     Err(Fault::NotAStore { hint })
+}
+
+/// Whether a `zarr.json` says that it is an array's. What cannot be read is left for the arrays to tell.
+fn is_array_v3(path: &Path) -> bool {
+    let mut text = String::new();
+    let mut read = |path| File::open(path).and_then(|file| file.take(1 << 20).read_to_string(&mut text));
+    path.is_file()
+        && read(path).is_ok()
+        && serde_json::from_str::<serde_json::Value>(&text)
+            .is_ok_and(|json| json.get("node_type").and_then(|kind| kind.as_str()) == Some("array"))
 }
 
 fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, Fault> {
@@ -153,10 +303,7 @@ fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, Fault> {
 
 /// Collects the topmost folders that are stores of any version.
 fn find_stores(folder: &Path, depth: usize, stores: &mut Vec<PathBuf>) -> Result<(), Fault> {
-    if [".zgroup", "zarr.json", ".zarray"]
-        .iter()
-        .any(|name| folder.join(name).is_file())
-    {
+    if MARKERS.iter().any(|name| folder.join(name).is_file()) {
         stores.push(folder.to_owned());
     } else if depth > 0 {
         for entry in sorted_entries(folder)?.iter().filter(|entry| entry.is_dir()) {
@@ -166,19 +313,78 @@ fn find_stores(folder: &Path, depth: usize, stores: &mut Vec<PathBuf>) -> Result
     Ok(())
 }
 
-/// Collects the paths of all files below a folder, relative to it and with `/`.
-fn list_files(folder: &Path, prefix: &str, files: &mut Vec<String>) -> Result<(), Fault> {
+/// The dataset's files with what they are now, by their paths in the store.
+fn list(folder: &Path, stop: Stop<'_>) -> Result<BTreeMap<String, Identity>, Fault> {
+    let mut files = BTreeMap::new();
+    for group in GROUPS {
+        for name in METADATA {
+            let name = format!("{group}{name}");
+            let path = folder.join(&name);
+            if let Ok(metadata) = fs::metadata(&path) {
+                add(&mut files, name, &metadata)?;
+            }
+        }
+    }
+    for array in ARRAYS {
+        let path = folder.join(array);
+        if path.is_dir() {
+            list_array(&path, array, true, &mut files, stop)?;
+        }
+    }
+    Ok(files)
+}
+
+fn add(files: &mut BTreeMap<String, Identity>, name: String, metadata: &fs::Metadata) -> Result<(), Fault> {
+    if let Some(what) = irregular(metadata) {
+        return Err(Fault::NotAFileInside { file: name, what });
+    }
+    files.insert(name, Identity::of(metadata));
+    Ok(())
+}
+
+/// Whether a file or folder of an array's folder belongs to it: metadata, `3.0`, `c` and `c.3.0`, and below folders `3`.
+fn belongs(name: &str, at_top: bool) -> bool {
+    let numbers = |name: &str| {
+        name.split('.')
+            .all(|part| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    let chunk = name.strip_prefix("c.").unwrap_or(name);
+    numbers(name) || at_top && (METADATA.contains(&name) || name == "c" || numbers(chunk))
+}
+
+/// Collects the files of an array.
+fn list_array(
+    folder: &Path,
+    prefix: &str,
+    at_top: bool,
+    files: &mut BTreeMap<String, Identity>,
+    stop: Stop<'_>,
+) -> Result<(), Fault> {
     for entry in sorted_entries(folder)? {
-        let Some(name) = entry.file_name() else { continue };
-        let name = format!("{prefix}{}", name.to_string_lossy());
-        if entry.is_dir() {
+        if stop() {
+            return Err(Fault::Stopped);
+        }
+        let name = entry.file_name().and_then(|name| name.to_str());
+        let Some(name) = name.filter(|name| belongs(name, at_top)) else {
+            continue;
+        };
+        let inside = format!("{prefix}/{name}");
+        let metadata = match fs::metadata(&entry) {
+            Ok(metadata) => metadata,
+            // It was there when the folder was listed.
+            Err(error) if error.kind() == io::ErrorKind::NotFound && !entry.is_symlink() => {
+                return Err(changed(&entry));
+            }
+            Err(error) => return Err(Fault::io("read", entry, error)),
+        };
+        if metadata.is_dir() {
             // A link to a folder that it lies in would be followed for ever, or as often as the system allows.
             if entry.is_symlink() && leads_up(&entry).map_err(|error| Fault::io("read", &entry, error))? {
-                return Err(Fault::CircularLink { link: name });
+                return Err(Fault::CircularLink { link: inside });
             }
-            list_files(&entry, &format!("{name}/"), files)?;
+            list_array(&entry, &inside, false, files, stop)?;
         } else {
-            files.push(name);
+            add(files, inside, &metadata)?;
         }
     }
     Ok(())
@@ -191,14 +397,68 @@ fn leads_up(link: &Path) -> io::Result<bool> {
     Ok(folder.starts_with(target))
 }
 
-/// Unpacks a zip file. Nothing is written outside of `target`, and no links are made.
-fn unpack(path: &Path, target: &Path) -> Result<(), Fault> {
-    let file = File::open(path).map_err(|error| Fault::io("open", path, error))?;
-    let mut archive = ZipArchive::new(io::BufReader::new(file)).map_err(|error| match error {
-        ZipError::Io(error) if error.kind() == io::ErrorKind::PermissionDenied => Fault::io("read", path, error),
+/// Names what a file is that is no zip.
+fn check_kind(file: &SourceFile) -> Result<(), Fault> {
+    let mut head = [0; 512];
+    let length = head.len().min(file.length() as usize);
+    let head = &mut head[..length];
+    file.file()
+        .read_exact_at(head, 0)
+        .map_err(|error| Fault::io("read", file.path(), error))?;
+    let starts = |magic: &[u8]| head.starts_with(magic);
+    let (what, mend) = if head.is_empty() {
+        ("the file is empty", "copy or download it again")
+    } else if starts(b"\x89HDF\r\n\x1a\n") {
+        (
+            "it is an HDF5 file",
+            "Push-T is read from a zarr store: give one, or set task to the file's own, such as \"can\"",
+        )
+    } else if starts(b"\x1f\x8b") {
+        (
+            "it is compressed by gzip",
+            "unpack it (tar -xzf for a .tar.gz, else gunzip) and give the folder of the store",
+        )
+    } else if starts(b"\x28\xb5\x2f\xfd") {
+        (
+            "it is compressed by zstd",
+            "unpack it (tar --zstd -xf for a .tar.zst, else unzstd) and give the folder of the store",
+        )
+    } else if starts(b"\xfd7zXZ\0") || starts(b"BZh") {
+        (
+            "it is compressed by xz or bzip2",
+            "unpack it (tar -xf for an archive) and give the folder of the store",
+        )
+    } else if starts(b"7z\xbc\xaf\x27\x1c") || starts(b"Rar!") {
+        (
+            "it is a 7z or rar archive",
+            "unpack it and give the folder of the store",
+        )
+    } else if head.get(257..262) == Some(b"ustar") {
+        (
+            "it is a tar archive",
+            "unpack it (tar -xf) and give the folder of the store",
+        )
+    } else if starts(b"\x93NUMPY") || starts(b"PAR1") {
+        (
+            "it is a NumPy or Parquet file",
+            "Push-T is read from a zarr store: write its arrays into one",
+        )
+    } else {
+        return Ok(());
+    };
+    Err(Fault::NotAStoreFile { what, mend })
+}
+
+/// Unpacks a zip file, read through its one handle. Nothing is written outside of `target`, and no links are made.
+fn unpack(file: &SourceFile, target: &Path, stop: Stop<'_>) -> Result<(), Fault> {
+    let mut archive = ZipArchive::new(io::BufReader::new(file.file())).map_err(|error| match error {
+        ZipError::Io(error) if error.kind() == io::ErrorKind::PermissionDenied => Fault::io("read", file.path(), error),
         error => Fault::UnreadableZip { why: error.to_string() },
     })?;
     for index in 0..archive.len() {
+        if stop() {
+            return Err(Fault::Stopped);
+        }
         let entry_name = match archive.name_for_index(index) {
             Some(Ok(name)) => name.into_owned(),
             _ => format!("number {index}"),
@@ -221,18 +481,42 @@ fn unpack(path: &Path, target: &Path) -> Result<(), Fault> {
         }
         let mut output = File::create(&inside).map_err(|error| Fault::io("write", &inside, error))?;
         let expected = entry.size();
-        let written = io::copy(&mut (&mut entry).take(expected.saturating_add(1)), &mut output).map_err(|error| {
-            match error.kind() {
-                // The disk's faults; everything else comes from the archive.
-                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
-                    Fault::io("write", &inside, error)
-                }
-                _ => unreadable(error.to_string()),
-            }
+        let written = copy(&mut (&mut entry).take(expected.saturating_add(1)), &mut output, stop);
+        let written = written.map_err(|error| match error {
+            Copying::Stopped => Fault::Stopped,
+            Copying::Read(error) => unreadable(error.to_string()),
+            Copying::Write(error) => Fault::io("write", &inside, error),
         })?;
         if written != expected {
             return Err(unreadable(format!("{written} bytes instead of {expected}")));
         }
     }
     Ok(())
+}
+
+/// Why copying ended early.
+enum Copying {
+    Stopped,
+    Read(io::Error),
+    Write(io::Error),
+}
+
+/// Copies all that there is to read, block by block; the number of bytes.
+fn copy(from: &mut impl Read, to: &mut File, stop: Stop<'_>) -> Result<u64, Copying> {
+    let mut block = vec![0; 1 << 16];
+    let mut copied = 0;
+    loop {
+        if stop() {
+            return Err(Copying::Stopped);
+        }
+        match from.read(&mut block) {
+            Ok(0) => return Ok(copied),
+            Ok(read) => {
+                to.write_all(&block[..read]).map_err(Copying::Write)?;
+                copied += read as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(Copying::Read(error)),
+        }
+    }
 }

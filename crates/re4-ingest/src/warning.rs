@@ -24,12 +24,30 @@ pub enum WarningCode {
     NoImages,
     /// Numbers in single precision where double precision is usual; they are widened.
     SinglePrecision,
+    /// Members of `/data` that are no demonstrations.
+    SkippedMembers,
+    /// Filter keys that cannot be read, and were not asked for.
+    SkippedFilterKeys,
+    /// The attribute `total` of `/data` is not the number of frames.
+    StaleTotal,
+    /// Observations that are not used, since some demonstrations lack them and all have states.
+    UnusedObservations,
+    /// Arrays that nothing needs, with values that they cannot have.
+    SkippedValues,
+    /// Demonstrations that cannot be used and were left out.
+    LeftOut,
     /// Datasets of the file that are not ingested.
     SkippedDatasets,
     /// What should be known of a convention although it is settled.
     Convention,
     /// Demonstrations that the file to compare with lacks.
     NotCompared,
+    /// Block angles outside of 0 to 2π.
+    AngleWrapped,
+    /// Chunks of a zarr array that are not stored and stand for the fill value.
+    AbsentChunks,
+    /// Columns of an array that are not ingested.
+    SkippedColumns,
 }
 
 impl WarningCode {
@@ -44,9 +62,18 @@ impl WarningCode {
             Self::NoKeypoints => "no_keypoints",
             Self::NoImages => "no_images",
             Self::SinglePrecision => "single_precision",
+            Self::SkippedMembers => "skipped_members",
+            Self::SkippedFilterKeys => "skipped_filter_keys",
+            Self::StaleTotal => "stale_total",
+            Self::UnusedObservations => "unused_observations",
+            Self::SkippedValues => "skipped_values",
+            Self::LeftOut => "left_out",
             Self::SkippedDatasets => "skipped_datasets",
             Self::Convention => "convention",
             Self::NotCompared => "not_compared",
+            Self::AngleWrapped => "angle_wrapped",
+            Self::AbsentChunks => "absent_chunks",
+            Self::SkippedColumns => "skipped_columns",
         }
     }
 }

@@ -1,26 +1,35 @@
-//! One array of a Zarr v2 store: metadata and codecs through zarrs, chunk files read here so that a missing or broken
-//! one can be named.
+//! One array of a Zarr store of format 2 or 3: its metadata, and its chunks read so that a missing or broken one can be named.
 
-use std::borrow::Cow;
-use std::fs;
-use std::io::{self, Read as _};
-use std::path::{Path, PathBuf};
+mod codecs;
+mod metadata;
+
+use std::ops::Range;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rayon::prelude::*;
-
-use zarrs::array::{Array, ArrayMetadata, ArrayMetadataV2, ArrayToBytesCodecTraits, ChunkShapeTraits, CodecOptions};
-use zarrs::metadata::v2::{ArrayMetadataV2Order, DataTypeMetadataV2};
-use zarrs::storage::store::MemoryStore;
+use serde_json::Value;
 
 use crate::compression::Compressor;
 use crate::error::Fault;
+use crate::source::Stop;
+use crate::store::Store;
+use metadata::Layout;
 
 /// Largest decoded chunk, and largest row of chunks converted to bytes: 128 MiB. It bounds the memory of every reader.
 pub(crate) const CHUNK_LIMIT: u64 = 128 << 20;
 
-/// How much larger than the chunk its file may be: compressors write a little more where there is nothing to be gained.
+/// How much larger than its content a chunk's file may be.
 const FILE_SLACK: u64 = 1 << 20;
+
+/// Missing chunks that are counted one by one.
+const MOST_MISSING: u64 = 10_000;
+
+/// Rows of chunks that are decoded at once, before their content is put together.
+const BATCH: usize = 256;
+
+/// Longest metadata of an array. Attributes of format 3 stand in it, too.
+const METADATA_LIMIT: u64 = 64 << 20;
 
 /// Element types that are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,6 +47,7 @@ pub(crate) enum Element {
 }
 
 impl Element {
+    /// Of format 2, such as `<f4`.
     fn from_dtype(dtype: &str) -> Option<Self> {
         Some(match dtype.trim_start_matches(['<', '>', '|']) {
             "f4" => Self::F32,
@@ -54,6 +64,23 @@ impl Element {
         })
     }
 
+    /// Of format 3, such as `float32`.
+    fn from_data_type(name: &str) -> Option<Self> {
+        Some(match name {
+            "float32" => Self::F32,
+            "float64" => Self::F64,
+            "uint8" => Self::U8,
+            "uint16" => Self::U16,
+            "uint32" => Self::U32,
+            "uint64" => Self::U64,
+            "int8" => Self::I8,
+            "int16" => Self::I16,
+            "int32" => Self::I32,
+            "int64" => Self::I64,
+            _ => return None,
+        })
+    }
+
     pub(crate) fn size(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
@@ -66,104 +93,134 @@ impl Element {
     pub(crate) fn is_float(self) -> bool {
         matches!(self, Self::F32 | Self::F64)
     }
+
+    /// A number of metadata as the bytes of an element, in the machine's order; `None` if it is none, or does not fit.
+    fn bytes_of(self, value: &Value) -> Option<Vec<u8>> {
+        let float = || match value {
+            Value::String(word) => match word.as_str() {
+                "NaN" => Some(f64::NAN),
+                "Infinity" => Some(f64::INFINITY),
+                "-Infinity" => Some(f64::NEG_INFINITY),
+                // Format 3 may write the bits.
+                _ => match (self, word.strip_prefix("0x")?) {
+                    (Self::F32, bits) => u32::from_str_radix(bits, 16)
+                        .ok()
+                        .map(|bits| f32::from_bits(bits).into()),
+                    (_, bits) => u64::from_str_radix(bits, 16).ok().map(f64::from_bits),
+                },
+            },
+            other => other.as_f64(),
+        };
+        let integer = || {
+            let whole = value.as_f64().filter(|number| number.fract() == 0.0);
+            value
+                .as_i64()
+                .map(i128::from)
+                .or(value.as_u64().map(i128::from))
+                .or(whole.map(|number| number as i128))
+        };
+        Some(match self {
+            Self::F32 => (float()? as f32).to_ne_bytes().to_vec(),
+            Self::F64 => float()?.to_ne_bytes().to_vec(),
+            Self::U8 => u8::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::U16 => u16::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::U32 => u32::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::U64 => u64::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::I8 => i8::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::I16 => i16::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::I32 => i32::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+            Self::I64 => i64::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
+        })
+    }
+}
+
+/// What a chunk that is not stored means. By Zarr's rule each of its elements is the fill value; writers may leave out chunks that
+/// hold nothing else, and a copy that lost a file looks the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Absent {
+    /// The fill value, which a recording can well hold; lost data, though, where other chunks of the array are stored that hold
+    /// nothing else: then the writer does not leave such chunks out.
+    IsFill,
+    /// Lost data: no recording holds the fill value in a whole chunk.
+    IsLost,
+}
+
+/// Rows of an array, and what could not be read of them.
+pub(crate) struct Rows<T> {
+    /// The rows that were asked for, in C order; rows that are lost hold zeros.
+    pub(crate) values: Vec<T>,
+    /// What is lost, in the order of rows.
+    pub(crate) lost: Vec<Lost>,
+    /// Chunks that are not stored and were read as fill values.
+    pub(crate) absent: u64,
+}
+
+/// Rows that cannot be read, for one reason.
+pub(crate) struct Lost {
+    /// Rows of the array.
+    pub(crate) rows: Vec<Range<u64>>,
+    /// Why.
+    pub(crate) fault: Fault,
+}
+
+impl Lost {
+    /// A run of rows.
+    pub(crate) fn of(rows: Range<u64>, fault: Fault) -> Self {
+        Self {
+            rows: std::iter::once(rows).collect(),
+            fault,
+        }
+    }
 }
 
 /// An opened array. Nothing but its metadata has been read.
 pub(crate) struct ZarrArray {
     name: String,
-    folder: PathBuf,
-    array: Array<MemoryStore>,
-    dtype: String,
-    element: Option<Element>,
+    store: Arc<Store>,
+    layout: Layout,
     shape: Vec<u64>,
     chunk: Vec<u64>,
-    blosc: bool,
-    /// Undone here, before the library sees a chunk.
-    compressor: Option<Compressor>,
 }
 
 impl ZarrArray {
-    /// Opens `name` (such as `data/state`) below the folder of a store; `None` if it has no `.zarray`.
-    pub(crate) fn open(store: &Path, name: &str) -> Result<Option<Self>, Fault> {
-        let folder = store.join(name);
-        let metadata_path = folder.join(".zarray");
-        let text = match fs::read(&metadata_path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(Fault::io("read", metadata_path, error)),
-        };
-        let metadata_fault = |why: String| Fault::ArrayMetadata {
-            array: name.to_owned(),
-            why,
-        };
-        let encoding_fault = |why: String| Fault::Encoding {
-            array: name.to_owned(),
-            why,
-        };
-        let mut metadata: ArrayMetadataV2 =
-            serde_json::from_slice(&text).map_err(|error| metadata_fault(error.to_string()))?;
-        if metadata.order != ArrayMetadataV2Order::C {
-            return Err(encoding_fault("its order is F".to_owned()));
-        }
-        if let Some(filter) = metadata.filters.as_ref().and_then(|filters| filters.first()) {
-            return Err(encoding_fault(format!("it has the filter {}", filter.id())));
-        }
-        if metadata.shape.is_empty() {
-            return Err(metadata_fault("it has no dimensions".to_owned()));
-        }
-        if metadata.chunks.len() != metadata.shape.len() {
-            return Err(metadata_fault(format!(
-                "{} chunk lengths for {} dimensions",
-                metadata.chunks.len(),
-                metadata.shape.len()
-            )));
-        }
-        let dtype = match &metadata.dtype {
-            DataTypeMetadataV2::Simple(dtype) => dtype.clone(),
-            structured @ DataTypeMetadataV2::Structured(_) => structured.to_string(),
-        };
-        let element = Element::from_dtype(&dtype);
-        let shape = metadata.shape.clone();
-        let chunk: Vec<u64> = metadata.chunks.iter().map(|length| length.get()).collect();
-        let blosc = metadata
-            .compressor
-            .as_ref()
-            .is_some_and(|compressor| compressor.id() == "blosc");
-        let understood = |metadata: &ArrayMetadataV2| {
-            Array::new_with_metadata(
-                Arc::new(MemoryStore::new()),
-                &format!("/{name}"),
-                ArrayMetadata::V2(metadata.clone()),
-            )
-        };
-        let compressor = metadata.compressor.as_ref().and_then(|c| Compressor::of(c.id()));
-        let mut array = understood(&metadata);
-        if array.is_ok() && compressor.is_some() {
-            metadata.compressor = None;
-            array = understood(&metadata);
-        }
-        let array = array.map_err(|error| {
-            // A type unknown to the library is reported as the wrong type by whoever asks for a type.
-            if element.is_none() {
-                Fault::WrongDtype {
+    /// Opens `name` (such as `data/state`) of a store; `None` if it has no metadata. Where there is some of both formats, that of
+    /// format 3 counts, as for zarr-python.
+    pub(crate) fn open(store: &Arc<Store>, name: &str, stop: Stop<'_>) -> Result<Option<Self>, Fault> {
+        let file = |end: &str| format!("{name}/{end}");
+        let read = |file: &str| -> Result<Option<Vec<u8>>, Fault> {
+            if store.length(file).is_some_and(|length| length > METADATA_LIMIT) {
+                return Err(Fault::ArrayMetadata {
                     array: name.to_owned(),
-                    found: dtype.clone(),
-                    expected: "a number type",
-                }
-            } else {
-                encoding_fault(error.to_string())
+                    file: file.to_owned(),
+                    why: format!("it has more than {} MiB", METADATA_LIMIT >> 20),
+                });
             }
-        })?;
+            store.read(file, stop)
+        };
+        let new = file("zarr.json");
+        let from_new = match read(&new)? {
+            Some(text) => Layout::of_format_3(&text).map_err(|error| error.of(name, &new))?,
+            None => None,
+        };
+        let old = file(".zarray");
+        let layout = match (from_new, read(&old)?) {
+            (Some(layout), _) => layout,
+            (None, Some(text)) => {
+                let nested = || {
+                    let is_chunk = |file: &&str| file.starts_with(|c: char| c.is_ascii_digit());
+                    let chunks: Vec<&str> = store.names_below(name).filter(is_chunk).collect();
+                    !chunks.is_empty() && chunks.iter().all(|file| file.contains('/') && !file.contains('.'))
+                };
+                Layout::of_format_2(&text, nested).map_err(|error| error.of(name, &old))?
+            }
+            (None, None) => return Ok(None),
+        };
         let opened = Self {
             name: name.to_owned(),
-            folder,
-            array,
-            dtype,
-            element,
-            shape,
-            chunk,
-            blosc,
-            compressor,
+            store: Arc::clone(store),
+            shape: layout.shape.clone(),
+            chunk: layout.chunk.clone(),
+            layout,
         };
         let bytes = opened.chunk_bytes();
         if bytes.is_none_or(|bytes| bytes > CHUNK_LIMIT) {
@@ -176,13 +233,12 @@ impl ZarrArray {
         Ok(Some(opened))
     }
 
-    /// Opens an array that must be there.
-    pub(crate) fn open_required(store: &Path, name: &str) -> Result<Self, Fault> {
-        Self::open(store, name)?.ok_or_else(|| Fault::MissingArray { array: name.to_owned() })
-    }
-
     pub(crate) fn name(&self) -> &str {
         &self.name
+    }
+
+    pub(crate) fn store(&self) -> &Store {
+        &self.store
     }
 
     pub(crate) fn shape(&self) -> &[u64] {
@@ -196,23 +252,24 @@ impl ZarrArray {
 
     /// The element type, if it is one that `accept` takes.
     pub(crate) fn element(&self, accept: impl Fn(Element) -> bool, expected: &'static str) -> Result<Element, Fault> {
-        self.element
+        self.layout
+            .element
             .filter(|&element| accept(element))
             .ok_or_else(|| Fault::WrongDtype {
                 array: self.name.clone(),
-                found: self.dtype.clone(),
+                found: self.layout.dtype.clone(),
                 expected,
             })
     }
 
-    /// Whether elements lie in the byte order that the fast path of pictures understands.
+    /// Whether files are what the fast path of pictures understands: Blosc around elements that lie in order, lowest byte first.
     pub(crate) fn is_little_endian_blosc(&self) -> bool {
-        self.blosc && self.dtype.starts_with('<')
+        self.layout.shard.is_none() && self.layout.chain.plain() == Some(Compressor::Blosc)
     }
 
     /// Size of a decoded chunk; `None` if it overflows.
     pub(crate) fn chunk_bytes(&self) -> Option<u64> {
-        let size = self.element.map_or(1, Element::size) as u64;
+        let size = self.layout.element.map_or(1, Element::size) as u64;
         self.chunk
             .iter()
             .try_fold(size, |product, &length| product.checked_mul(length))
@@ -223,13 +280,8 @@ impl ZarrArray {
         self.chunk.first().copied().unwrap_or(1)
     }
 
-    /// Number of rows of chunks: groups of chunks that hold the same rows of the array.
-    pub(crate) fn chunk_rows(&self) -> u64 {
-        self.len().div_ceil(self.chunk_length())
-    }
-
-    /// Rows of the array in a row of chunks.
-    pub(crate) fn rows_of(&self, chunk_row: u64) -> std::ops::Range<u64> {
+    /// Rows of the array in a row of chunks: a group of chunks that hold the same rows of the array.
+    pub(crate) fn rows_of(&self, chunk_row: u64) -> Range<u64> {
         let start = chunk_row * self.chunk_length();
         start..self.len().min(start.saturating_add(self.chunk_length()))
     }
@@ -244,7 +296,7 @@ impl ZarrArray {
     }
 
     /// Indices of all chunks in a row of chunks, in C order. Lazy: broken metadata can ask for any number of them.
-    pub(crate) fn chunks_of(&self, chunk_row: u64) -> impl Iterator<Item = Vec<u64>> + '_ {
+    pub(crate) fn chunks_of(&self, chunk_row: u64) -> impl Iterator<Item = Vec<u64>> + Clone + '_ {
         let grid: Vec<u64> = self
             .shape
             .iter()
@@ -256,63 +308,96 @@ impl ZarrArray {
             .iter()
             .fold(1u64, |product, &length| product.saturating_mul(length));
         (0..count).map(move |number| {
-            let mut rest = number;
-            let mut index: Vec<u64> = grid
-                .iter()
-                .rev()
-                .map(|&length| {
-                    let i = rest % length;
-                    rest /= length;
-                    i
-                })
-                .collect();
-            index.push(chunk_row);
-            index.reverse();
+            let mut index = vec![chunk_row];
+            index.extend(position(number, &grid));
             index
         })
     }
 
     /// Name of a chunk's file below the array's folder.
     pub(crate) fn chunk_name(&self, index: &[u64]) -> String {
-        let key = self.array.chunk_key(index).as_str().to_owned();
-        key.strip_prefix(&format!("{}/", self.name))
-            .map_or(key.clone(), ToOwned::to_owned)
+        self.layout.keys.name(index)
     }
 
-    /// Refuses a chunk that has no file.
-    pub(crate) fn check_chunk_exists(&self, index: &[u64]) -> Result<(), Fault> {
-        let chunk = self.chunk_name(index);
-        if self.folder.join(&chunk).is_file() {
-            Ok(())
-        } else {
-            Err(Fault::MissingChunk {
-                array: self.name.clone(),
-                chunk,
-            })
+    fn chunk_file(&self, index: &[u64]) -> String {
+        format!("{}/{}", self.name, self.chunk_name(index))
+    }
+
+    /// Rows of chunks that overlap runs of rows, ascending, each once.
+    pub(crate) fn chunk_rows_of(&self, runs: &[Range<u64>]) -> Vec<u64> {
+        let mut rows: Vec<u64> = runs
+            .iter()
+            .filter(|run| !run.is_empty())
+            .flat_map(|run| run.start / self.chunk_length()..=(run.end - 1) / self.chunk_length())
+            .collect();
+        rows.dedup();
+        rows
+    }
+
+    /// Whether a row of chunks has all its files.
+    fn is_stored(&self, chunk_row: u64) -> bool {
+        self.chunks_of(chunk_row)
+            .all(|index| self.store.length(&self.chunk_file(&index)).is_some())
+    }
+
+    /// The rows of chunks without a file, of those that overlap runs of rows. `None` if there are none, or if they stand for the
+    /// fill value.
+    pub(crate) fn missing(&self, runs: &[Range<u64>], absent: Absent) -> Option<Lost> {
+        if absent == Absent::IsFill && self.fill().is_some() {
+            return None;
+        }
+        let mut first = None;
+        let mut chunks = 0;
+        let mut rows: Vec<Range<u64>> = Vec::new();
+        for chunk_row in self.chunk_rows_of(runs) {
+            // Broken metadata can claim any number of chunks; after so many the rest is not looked for.
+            let enough = chunks > MOST_MISSING;
+            if !enough && self.is_stored(chunk_row) {
+                continue;
+            }
+            let here = self.rows_of(chunk_row);
+            match rows.last_mut().filter(|last| last.end == here.start) {
+                Some(last) => last.end = here.end,
+                None => rows.push(here),
+            }
+            if enough {
+                continue;
+            }
+            let lacks = |index: &Vec<u64>| self.store.length(&self.chunk_file(index)).is_none();
+            let looked_at = self.chunks_of(chunk_row).take(MOST_MISSING as usize);
+            chunks += looked_at.filter(lacks).count() as u64;
+            first = first.or_else(|| self.chunks_of(chunk_row).find(lacks));
+        }
+        Some(Lost {
+            rows,
+            fault: self.missing_chunk(&self.chunk_name(&first?), chunks, None),
+        })
+    }
+
+    fn missing_chunk(&self, chunk: &str, count: u64, inside: Option<usize>) -> Fault {
+        Fault::MissingChunk {
+            array: self.name.clone(),
+            chunk: chunk.to_owned(),
+            more: count.saturating_sub(1),
+            inside,
+            fill: self.fill().map(|_| self.layout.fill.to_string()),
+            fills_are_stored: false,
         }
     }
 
-    /// The bytes of a chunk's file.
-    pub(crate) fn read_chunk(&self, index: &[u64]) -> Result<Vec<u8>, Fault> {
-        let chunk = self.chunk_name(index);
-        let path = self.folder.join(&chunk);
-        let refused = |error: io::Error| match error.kind() {
-            // By the Zarr specification an absent chunk reads as the fill value; in a recording it is lost data.
-            io::ErrorKind::NotFound => Fault::MissingChunk {
-                array: self.name.clone(),
-                chunk: chunk.clone(),
-            },
-            _ => Fault::io("read", &path, error),
-        };
-        let mut bytes = Vec::new();
+    /// The fill value as the bytes of an element; `None` if the metadata gives none.
+    fn fill(&self) -> Option<Vec<u8>> {
+        self.layout.element?.bytes_of(&self.layout.fill)
+    }
+
+    /// The bytes of a chunk's file; `None` if there is none.
+    pub(crate) fn read_chunk(&self, index: &[u64], stop: Stop<'_>) -> Result<Option<Vec<u8>>, Fault> {
         let limit = CHUNK_LIMIT + FILE_SLACK;
-        fs::File::open(&path)
-            .and_then(|file| file.take(limit + 1).read_to_end(&mut bytes))
-            .map_err(refused)?;
-        if bytes.len() as u64 > limit {
+        let file = self.chunk_file(index);
+        if self.store.length(&file).is_some_and(|length| length > limit) {
             return Err(self.undecodable(index, format!("the file has more than {} MiB", limit >> 20)));
         }
-        Ok(bytes)
+        self.store.read(&file, stop)
     }
 
     /// Names a chunk that cannot be decoded.
@@ -324,40 +409,70 @@ impl ZarrArray {
         }
     }
 
-    /// Decodes a chunk to elements in the machine's byte order; padding of chunks at the edge is included.
-    pub(crate) fn decode_chunk(&self, index: &[u64], encoded: Vec<u8>) -> Result<Vec<u8>, Fault> {
-        let expected = self.chunk_bytes().unwrap_or(0) as usize;
-        if self.blosc {
-            check_blosc_header(&encoded, expected).map_err(|why| self.undecodable(index, why))?;
-        }
-        let encoded = match self.compressor {
-            Some(compressor) => compressor
-                .decode(&encoded, expected)
-                .map_err(|why| self.undecodable(index, why))?,
-            None => encoded,
+    /// Decodes a chunk's file to elements in the machine's byte order; padding of chunks at the edge is included. `None` stands
+    /// for a chunk without a file. `count` is raised for every chunk that is not stored and read as fill values.
+    pub(crate) fn decode_chunk(
+        &self,
+        index: &[u64],
+        encoded: Option<Vec<u8>>,
+        absent: Absent,
+        count: &AtomicU64,
+    ) -> Result<Vec<u8>, Fault> {
+        let size = self.layout.element.map_or(1, Element::size);
+        let filled = |inside: Option<usize>, elements: usize| {
+            let fill = self.fill().filter(|_| absent == Absent::IsFill);
+            count.fetch_add(1, Ordering::Relaxed);
+            fill.map(|fill| fill.repeat(elements))
+                .ok_or_else(|| self.missing_chunk(&self.chunk_name(index), 1, inside))
         };
-        let shape = self
-            .array
-            .chunk_shape(index)
-            .map_err(|error| self.undecodable(index, error.to_string()))?;
-        debug_assert_eq!(shape.num_elements_u64(), self.chunk.iter().product::<u64>());
-        let bytes = self
-            .array
-            .codecs()
-            .decode(
-                Cow::Owned(encoded),
-                &shape,
-                self.array.data_type(),
-                self.array.fill_value(),
-                &CodecOptions::default(),
-            )
-            .and_then(|bytes| bytes.into_fixed().map_err(Into::into))
-            .map_err(|error| self.undecodable(index, error.to_string()))?
-            .into_owned();
-        if bytes.len() != expected {
-            return Err(self.undecodable(index, format!("{} bytes decoded instead of {expected}", bytes.len())));
+        let elements = |shape: &[u64]| shape.iter().product::<u64>() as usize;
+        let Some(encoded) = encoded else {
+            return filled(None, elements(&self.chunk));
+        };
+        let undecodable = |why: String| self.undecodable(index, why);
+        let Some(shard) = &self.layout.shard else {
+            return self
+                .layout
+                .chain
+                .decode(encoded, &self.chunk, size)
+                .map_err(undecodable);
+        };
+        let places = shard.places(&encoded, &self.chunk).map_err(undecodable)?;
+        let grid: Vec<u64> = self
+            .chunk
+            .iter()
+            .zip(&shard.chunk)
+            .map(|(outer, inner)| outer / inner)
+            .collect();
+        let mut whole = vec![0; elements(&self.chunk) * size];
+        for (number, place) in places.into_iter().enumerate() {
+            let at = position(number as u64, &grid);
+            // Chunks of a shard beyond the end of the array are padding, which nobody stores.
+            let starts = at.iter().zip(&shard.chunk).map(|(i, length)| i * length);
+            let is_padding = starts
+                .zip(index.iter().zip(&self.chunk))
+                .zip(&self.shape)
+                .any(|((start, (i, outer)), length)| i * outer + start >= *length);
+            if is_padding {
+                continue;
+            }
+            let decoded = match place {
+                Some((start, length)) => {
+                    let part = encoded[start..start + length].to_vec();
+                    self.layout
+                        .chain
+                        .decode(part, &shard.chunk, size)
+                        .map_err(undecodable)?
+                }
+                None => filled(Some(number), elements(&shard.chunk))?,
+            };
+            scatter(&self.chunk, &shard.chunk, &at, &decoded, size, |run, to| {
+                let to = to * size;
+                whole[to..to + run.len()].copy_from_slice(run);
+                Ok(())
+            })?;
         }
-        Ok(bytes)
+        Ok(whole)
     }
 
     /// Copies the part of a decoded chunk that lies in the array into the row-major buffer of its row of chunks,
@@ -367,95 +482,209 @@ impl ZarrArray {
         index: &[u64],
         decoded: &[u8],
         element_size: usize,
-        mut copy: impl FnMut(&[u8], usize) -> Result<(), Fault>,
+        copy: impl FnMut(&[u8], usize) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
-        let usize_of = |values: &[u64]| values.iter().map(|&value| value as usize).collect::<Vec<_>>();
-        let (shape, chunk) = (usize_of(&self.shape), usize_of(&self.chunk));
-        let start: Vec<usize> = index
-            .iter()
-            .zip(&chunk)
-            .enumerate()
-            .map(|(d, (&i, &c))| if d == 0 { 0 } else { i as usize * c })
-            .collect();
-        let extent: Vec<usize> = index
-            .iter()
-            .zip(shape.iter().zip(&chunk))
-            .map(|(&i, (&length, &c))| c.min(length.saturating_sub(i as usize * c)))
-            .collect();
-        // Axes after `split` are whole in the chunk, so a run covers the extent along `split` and everything after it.
-        let split = (0..shape.len())
-            .rev()
-            .find(|&d| d == 0 || chunk[d] != shape[d])
-            .unwrap_or(0);
-        let inner: usize = shape[split + 1..].iter().product();
-        let run = extent[split] * inner;
-        let outer = &extent[..split];
-        for number in 0..outer.iter().product::<usize>() {
-            let mut rest = number;
-            let mut position = vec![0; split + 1];
-            for d in (0..split).rev() {
-                position[d] = rest % outer[d];
-                rest /= outer[d];
-            }
-            let (mut from, mut to) = (0, 0);
-            for d in 0..=split {
-                from = from * chunk[d] + position[d];
-                to = to * shape[d] + start[d] + position[d];
-            }
-            let (from, to) = (from * inner * element_size, to * inner);
-            copy(&decoded[from..from + run * element_size], to)?;
+        let rows = self.rows_of(index.first().copied().unwrap_or(0));
+        let mut shape = self.shape.clone();
+        let mut at = index.to_vec();
+        if let (Some(length), Some(first)) = (shape.first_mut(), at.first_mut()) {
+            *length = rows.end - rows.start;
+            *first = 0;
         }
-        Ok(())
+        scatter(&shape, &self.chunk, &at, decoded, element_size, copy)
     }
 
-    /// Reads the whole array as rows in C order; `convert` turns one element's bytes (machine order) into a number.
+    /// Reads runs of rows, which ascend and do not overlap, in C order; `convert` turns one element's bytes (machine order) into
+    /// a number.
+    ///
+    /// # Errors
+    /// Files that changed or cannot be read for the system's reasons, a `stop` that answered yes; what else is wrong with a chunk
+    /// is told in what is returned.
     fn read<T: Copy + Default + Send>(
         &self,
         element: Element,
+        runs: &[Range<u64>],
+        absent: Absent,
+        stop: Stop<'_>,
         convert: impl Fn(&[u8]) -> T + Sync,
-    ) -> Result<Vec<T>, Fault> {
-        // Chunks are looked for before memory is reserved: a shape in broken metadata can be any number.
-        for chunk_row in 0..self.chunk_rows() {
+    ) -> Result<Rows<T>, Fault> {
+        let width: usize = self.shape[1..].iter().map(|&length| length as usize).product();
+        let missing = self.missing(runs, absent);
+        let is_missing = |chunk_row: u64| {
+            let row = self.rows_of(chunk_row).start;
+            missing.iter().any(|lost| {
+                let next = lost.rows.partition_point(|rows| rows.end <= row);
+                lost.rows.get(next).is_some_and(|rows| rows.contains(&row))
+            })
+        };
+        let absent_chunks = AtomicU64::new(0);
+        let fills_are_stored = AtomicBool::new(false);
+        let fill = self.fill().filter(|_| absent == Absent::IsFill);
+        let decode = |chunk_row: u64| -> Result<Vec<T>, Fault> {
+            let rows = self.rows_of(chunk_row);
+            let mut values = vec![T::default(); (rows.end - rows.start) as usize * width];
             for index in self.chunks_of(chunk_row) {
-                self.check_chunk_exists(&index)?;
+                let encoded = self.read_chunk(&index, stop)?;
+                let stored = encoded.is_some();
+                let decoded = self.decode_chunk(&index, encoded, absent, &absent_chunks)?;
+                if let Some(fill) = fill.as_deref().filter(|_| stored)
+                    && decoded.chunks_exact(element.size()).all(|bytes| bytes == fill)
+                {
+                    fills_are_stored.store(true, Ordering::Relaxed);
+                }
+                self.scatter(&index, &decoded, element.size(), |run, at| {
+                    for (value, bytes) in values[at..].iter_mut().zip(run.chunks_exact(element.size())) {
+                        *value = convert(bytes);
+                    }
+                    Ok(())
+                })?;
+            }
+            Ok(values)
+        };
+        let chunk_rows = self.chunk_rows_of(runs);
+        let whole_runs = runs;
+        let mut values = Vec::with_capacity(runs.iter().map(|run| (run.end - run.start) as usize * width).sum());
+        let mut broken = Vec::new();
+        let mut runs = runs.iter().filter(|run| !run.is_empty()).cloned().peekable();
+        for batch in chunk_rows.chunks(BATCH) {
+            // In order, so that what is told does not depend on the number of threads.
+            let decoded: Vec<Option<Result<Vec<T>, Fault>>> = batch
+                .par_iter()
+                .map(|&chunk_row| (!is_missing(chunk_row)).then(|| decode(chunk_row)))
+                .collect();
+            for (&chunk_row, decoded) in batch.iter().zip(decoded) {
+                let here = self.rows_of(chunk_row);
+                let decoded = match decoded.transpose() {
+                    Ok(decoded) => decoded,
+                    Err(fault @ (Fault::MissingChunk { .. } | Fault::UndecodableChunk { .. })) => {
+                        broken.push(Lost::of(here.clone(), fault));
+                        None
+                    }
+                    Err(fault) => return Err(fault),
+                };
+                while let Some(run) = runs.peek_mut().filter(|run| run.start < here.end) {
+                    let end = run.end.min(here.end);
+                    let place = |row: u64| (row - here.start) as usize * width;
+                    match &decoded {
+                        Some(decoded) => values.extend_from_slice(&decoded[place(run.start)..place(end)]),
+                        None => values.resize(values.len() + (end - run.start) as usize * width, T::default()),
+                    }
+                    if end < run.end {
+                        run.start = end;
+                        break;
+                    }
+                    runs.next();
+                }
             }
         }
-        let width: usize = self.shape[1..].iter().map(|&length| length as usize).product();
-        let rows: Vec<Vec<T>> = (0..self.chunk_rows())
-            .into_par_iter()
-            .map(|chunk_row| {
-                let rows = self.rows_of(chunk_row);
-                let mut values = vec![T::default(); (rows.end - rows.start) as usize * width];
-                for index in self.chunks_of(chunk_row) {
-                    let decoded = self.decode_chunk(&index, self.read_chunk(&index)?)?;
-                    self.scatter(&index, &decoded, element.size(), |run, at| {
-                        for (value, bytes) in values[at..].iter_mut().zip(run.chunks_exact(element.size())) {
-                            *value = convert(bytes);
-                        }
-                        Ok(())
-                    })?;
-                }
-                Ok(values)
-            })
-            // In order, so that the first of several errors is told for any number of threads.
-            .collect::<Vec<_>>()
-            .into_iter()
-            .collect::<Result<_, Fault>>()?;
-        Ok(rows.concat())
-    }
-
-    /// The whole array as f64, which holds every f32, f64 and integer below 2^53 exactly.
-    pub(crate) fn read_floats(&self, element: Element) -> Result<Vec<f64>, Fault> {
-        self.read(element, |bytes| match element {
-            Element::F32 => f32::from_ne_bytes(array(bytes)).into(),
-            Element::F64 => f64::from_ne_bytes(array(bytes)),
-            _ => integer(element, bytes) as f64,
+        let mut lost: Vec<Lost> = missing.into_iter().collect();
+        if fills_are_stored.into_inner()
+            && let Some(mut missing) = self.missing(whole_runs, Absent::IsLost)
+        {
+            if let Fault::MissingChunk { fills_are_stored, .. } = &mut missing.fault {
+                *fills_are_stored = true;
+            }
+            lost.push(missing);
+        }
+        lost.append(&mut broken);
+        Ok(Rows {
+            values,
+            lost,
+            absent: absent_chunks.into_inner(),
         })
     }
 
-    /// The whole array as integers; `element` is an integer type.
-    pub(crate) fn read_integers(&self, element: Element) -> Result<Vec<i128>, Fault> {
-        self.read(element, |bytes| integer(element, bytes))
+    /// Runs of rows as f64, which holds every f32, f64 and integer below 2^53 exactly.
+    pub(crate) fn read_floats(
+        &self,
+        element: Element,
+        runs: &[Range<u64>],
+        absent: Absent,
+        stop: Stop<'_>,
+    ) -> Result<Rows<f64>, Fault> {
+        self.read(element, runs, absent, stop, |bytes| float(element, bytes))
+    }
+
+    /// The whole array as integers; `None` stands for a number that is not whole.
+    pub(crate) fn read_integers(&self, element: Element, stop: Stop<'_>) -> Result<Rows<Option<i128>>, Fault> {
+        let all = 0..self.len();
+        self.read(element, std::slice::from_ref(&all), Absent::IsLost, stop, |bytes| {
+            if element.is_float() {
+                let number = float(element, bytes);
+                (number.fract() == 0.0 && number.abs() < (1_u64 << 53) as f64).then_some(number as i128)
+            } else {
+                Some(integer(element, bytes))
+            }
+        })
+    }
+}
+
+/// Place of a cell of a grid in C order.
+fn position(number: u64, grid: &[u64]) -> Vec<u64> {
+    let mut rest = number;
+    let mut at: Vec<u64> = grid
+        .iter()
+        .rev()
+        .map(|&length| {
+            let i = rest % length;
+            rest /= length;
+            i
+        })
+        .collect();
+    at.reverse();
+    at
+}
+
+/// Copies the part of a chunk that lies in an array of `shape`, run by run. `at` is the chunk's place in the grid of chunks; `copy`
+/// gets the bytes of a run and the place of its first element in the array.
+fn scatter(
+    shape: &[u64],
+    chunk: &[u64],
+    at: &[u64],
+    decoded: &[u8],
+    element_size: usize,
+    mut copy: impl FnMut(&[u8], usize) -> Result<(), Fault>,
+) -> Result<(), Fault> {
+    let usize_of = |values: &[u64]| values.iter().map(|&value| value as usize).collect::<Vec<_>>();
+    let (shape, chunk) = (usize_of(shape), usize_of(chunk));
+    let start: Vec<usize> = at.iter().zip(&chunk).map(|(&i, &length)| i as usize * length).collect();
+    let extent: Vec<usize> = start
+        .iter()
+        .zip(shape.iter().zip(&chunk))
+        .map(|(&start, (&length, &chunk))| chunk.min(length.saturating_sub(start)))
+        .collect();
+    // Axes after `split` are whole in the chunk, so a run covers the extent along `split` and everything after it.
+    let split = (0..shape.len())
+        .rev()
+        .find(|&axis| axis == 0 || chunk[axis] != shape[axis])
+        .unwrap_or(0);
+    let inner: usize = shape[split + 1..].iter().product();
+    let run = extent[split] * inner;
+    let outer = &extent[..split];
+    for number in 0..outer.iter().product::<usize>() {
+        let mut rest = number;
+        let mut place = vec![0; split + 1];
+        for axis in (0..split).rev() {
+            place[axis] = rest % outer[axis];
+            rest /= outer[axis];
+        }
+        let (mut from, mut to) = (0, 0);
+        for axis in 0..=split {
+            from = from * chunk[axis] + place[axis];
+            to = to * shape[axis] + start[axis] + place[axis];
+        }
+        let (from, to) = (from * inner * element_size, to * inner);
+        copy(&decoded[from..from + run * element_size], to)?;
+    }
+    Ok(())
+}
+
+/// One element as a float.
+pub(crate) fn float(element: Element, bytes: &[u8]) -> f64 {
+    match element {
+        Element::F32 => f32::from_ne_bytes(array(bytes)).into(),
+        Element::F64 => f64::from_ne_bytes(array(bytes)),
+        _ => integer(element, bytes) as f64,
     }
 }
 
@@ -478,27 +707,4 @@ fn integer(element: Element, bytes: &[u8]) -> i128 {
 /// The bytes of one element; a slice of the wrong length, which `chunks_exact` never gives, would read as zero.
 fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
     bytes.try_into().unwrap_or([0; N])
-}
-
-/// Refuses a Blosc buffer whose own sizes disagree with the file or the chunk, before anything is allocated for it.
-fn check_blosc_header(encoded: &[u8], expected: usize) -> Result<(), String> {
-    let field = |at: usize| {
-        encoded
-            .get(at..at + 4)
-            .map(|bytes| u32::from_le_bytes(array(bytes)) as usize)
-    };
-    match (field(4), field(12)) {
-        (Some(_), Some(length)) if length != encoded.len() => Err(format!(
-            "the file has {} bytes and its header says {length}",
-            encoded.len()
-        )),
-        (Some(decoded), Some(_)) if decoded != expected => {
-            Err(format!("it decodes to {decoded} bytes instead of {expected}"))
-        }
-        (Some(_), Some(_)) => Ok(()),
-        _ => Err(format!(
-            "the file has {} bytes, too few for a Blosc header",
-            encoded.len()
-        )),
-    }
 }

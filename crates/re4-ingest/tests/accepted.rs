@@ -14,11 +14,14 @@ use re4_ingest::pusht::{ImageBlock, PushtReader};
 use re4_ingest::{EpisodeRange, Selection, WarningCode};
 use tempfile::TempDir;
 
-const VARIETIES: [(&str, bool, bool); 4] = [
+const VARIETIES: [(&str, bool, bool); 7] = [
     ("original", true, true),
     ("modern", true, true),
     ("minimal", false, false),
     ("mixed", true, true),
+    ("format3", true, true),
+    ("sharded", true, true),
+    ("fortran", true, true),
 ];
 
 fn blocks(reader: &PushtReader, selection: &Selection) -> Vec<ImageBlock> {
@@ -60,12 +63,12 @@ fn every_variety_reads_as_the_same_numbers() {
 #[test]
 fn selections_read_their_episodes_in_dataset_order() {
     let range = |start, end| Selection::Range(EpisodeRange { start, end });
-    for name in ["original", "modern", "mixed"] {
+    for name in ["original", "modern", "mixed", "format3", "sharded", "fortran"] {
         let reader = PushtReader::open(&fixture(name)).unwrap();
         for (selection, sources) in [
             (Selection::First(2), vec![0, 1]),
             (Selection::Last(1), vec![2]),
-            (Selection::List(vec![2, 0]), vec![0, 2]),
+            (Selection::List(vec![2.into(), 0.into()]), vec![0, 2]),
             (range(1, 2), vec![1]),
         ] {
             let (episodes, _) = reader.read_episodes(&selection).unwrap();
@@ -90,10 +93,13 @@ fn blocks_end_at_chunks_and_gaps_only() {
         [0..7, 7..14, 14..21, 21..28, 28..30]
     );
     assert_eq!(
-        frames("original", Selection::List(vec![0, 2])),
+        frames("original", Selection::List(vec![0.into(), 2.into()])),
         [0..7, 7..12, 17..21, 21..28, 28..30]
     );
-    assert_eq!(frames("modern", Selection::List(vec![0, 2])), [0..12, 17..30]);
+    assert_eq!(
+        frames("modern", Selection::List(vec![0.into(), 2.into()])),
+        [0..12, 17..30]
+    );
     assert_eq!(frames("modern", Selection::First(2)), [0..16, 16..17]);
 }
 
@@ -113,7 +119,10 @@ fn blocks_are_the_same_for_any_pool_and_inside_of_it() {
 fn zip_files_read_as_their_folders() {
     let folder = TempDir::new().unwrap();
     for (name, _, _) in VARIETIES {
-        let hash = PushtReader::open(&fixture(name)).unwrap().source_hash().unwrap();
+        let hash = PushtReader::open(&fixture(name))
+            .unwrap()
+            .source_hash(&|| false)
+            .unwrap();
         for (prefix, stored) in [
             ("", true),
             ("", false),
@@ -123,7 +132,7 @@ fn zip_files_read_as_their_folders() {
             let path = folder.path().join("store.zip");
             zip_files(&path, &files_of(&fixture(name), prefix), stored);
             let reader = PushtReader::open(&path).unwrap();
-            assert_eq!(reader.source_hash().unwrap(), hash, "{name} at {prefix}");
+            assert_eq!(reader.source_hash(&|| false).unwrap(), hash, "{name} at {prefix}");
             assert_eq!(read_all(&path), read_all(&fixture(name)), "{name} at {prefix}");
         }
     }
@@ -164,21 +173,88 @@ fn a_zip_is_unpacked_only_as_long_as_it_is_read() {
 
 #[test]
 fn the_hash_covers_names_lengths_and_bytes() {
-    let hash = |copy: &Copy| PushtReader::open(&copy.path()).unwrap().source_hash().unwrap();
+    let hash = |copy: &Copy| PushtReader::open(&copy.path()).unwrap().source_hash(&|| false).unwrap();
     let reference = hash(&Copy::of("original"));
     assert_eq!(hash(&Copy::of("original")), reference);
     let changed = [
         Copy::of("original").edit("data/.zgroup", |bytes| bytes.push(b' ')),
-        Copy::of("original").write("data/extra", ""),
         Copy::of("original").write("data/.zgroup", "{}"),
+        Copy::of("original").write("data/img/.zattrs", ""),
+        Copy::of("original").edit("data/img/1.0.0.0", |bytes| bytes[300] ^= 1),
         // One byte moved from one file to the next.
-        Copy::of("original").write("data/x", "a").write("data/y", "b"),
-        Copy::of("original").write("data/x", "ab").write("data/y", ""),
+        Copy::of("original")
+            .write("data/action/.zattrs", "a")
+            .write("data/img/.zattrs", "b"),
+        Copy::of("original")
+            .write("data/action/.zattrs", "ab")
+            .write("data/img/.zattrs", ""),
     ];
     let mut hashes: Vec<[u8; 32]> = changed.iter().map(hash).chain([reference]).collect();
     hashes.sort_unstable();
     hashes.dedup();
     assert_eq!(hashes.len(), changed.len() + 1);
+}
+
+/// The rule in words, by hand: names in the order of their bytes, `c/10` before `c/2`.
+#[test]
+fn the_hash_is_what_its_description_says() {
+    for name in ["original", "format3"] {
+        let mut files = files_of(&fixture(name), "");
+        files.sort();
+        let mut whole = blake3::Hasher::new();
+        for (name, bytes) in files {
+            whole.update(&(name.len() as u64).to_le_bytes());
+            whole.update(name.as_bytes());
+            whole.update(&(bytes.len() as u64).to_le_bytes());
+            whole.update(blake3::hash(&bytes).as_bytes());
+        }
+        let reader = PushtReader::open(&fixture(name)).unwrap();
+        assert_eq!(&reader.source_hash(&|| false).unwrap(), whole.finalize().as_bytes());
+    }
+}
+
+/// Other arrays, a folder of checkpoints, files of editors and file managers, even those that nobody may read.
+#[test]
+fn what_is_not_read_does_not_count() {
+    let copy = Copy::of("original");
+    let hash = || PushtReader::open(&copy.path()).unwrap().source_hash(&|| false).unwrap();
+    let reference = hash();
+    let at = |name: &str| copy.path().join(name);
+    for folder in [
+        "checkpoints",
+        "data/timestamp",
+        "data/state/.ipynb_checkpoints",
+        "meta/info",
+    ] {
+        std::fs::create_dir(at(folder)).unwrap();
+    }
+    for file in [
+        ".DS_Store",
+        ".zmetadata",
+        "checkpoints/last.ckpt",
+        "data/extra",
+        "data/timestamp/.zarray",
+        "data/timestamp/0.0",
+        "data/state/.DS_Store",
+        "data/state/1.0.swp",
+        "data/state/.1.0.tmp",
+        "meta/info/.zarray",
+    ] {
+        std::fs::write(at(file), "{").unwrap();
+    }
+    for fifo in ["data/pipe", "data/state/pipe"] {
+        assert!(
+            std::process::Command::new("mkfifo")
+                .arg(at(fifo))
+                .status()
+                .unwrap()
+                .success()
+        );
+    }
+    std::os::unix::fs::symlink("..", at("data/up")).unwrap();
+    std::os::unix::fs::symlink("nowhere", at("data/state/dangling")).unwrap();
+    assert_eq!(hash(), reference);
+    assert_eq!(read_all(&copy.path()), read_all(&fixture("original")));
 }
 
 #[test]

@@ -91,13 +91,42 @@ fn paths_that_are_no_store() {
     common::copy_folder(&fixture("minimal"), &at("above/pusht.zarr"));
     fs::create_dir(at("version3")).unwrap();
     fs::write(at("version3/zarr.json"), "{}").unwrap();
+    common::copy_folder(&fixture("format3"), &at("above3/pusht.zarr"));
+    common::copy_folder(&fixture("format3"), &at("headless3"));
+    fs::remove_file(at("headless3/zarr.json")).unwrap();
+    common::copy_folder(&fixture("format3").join("data/state"), &at("array3"));
+    common::copy_folder(&fixture("original"), &at("renamed"));
+    fs::rename(at("renamed/data/state"), at("renamed/data/agent_pos")).unwrap();
+    let fifo = std::process::Command::new("mkfifo").arg(at("fifo")).status().unwrap();
+    assert!(fifo.success());
+    common::copy_folder(&fixture("minimal"), &at("piped"));
+    fs::remove_file(at("piped/data/state/0/0")).unwrap();
+    let fifo = std::process::Command::new("mkfifo")
+        .arg(at("piped/data/state/0/0"))
+        .status()
+        .unwrap();
+    assert!(fifo.success());
     common::copy_folder(&fixture("minimal"), &at("headless"));
     fs::remove_file(at("headless/.zgroup")).unwrap();
     common::copy_folder(&fixture("minimal").join("data/state"), &at("array"));
     insta::assert_snapshot!(
-        ["nowhere", "empty", "other", "above", "version3", "headless", "array"]
-            .map(say)
-            .join("\n")
+        [
+            "nowhere",
+            "empty",
+            "other",
+            "above",
+            "version3",
+            "headless",
+            "array",
+            "above3",
+            "headless3",
+            "array3",
+            "renamed",
+            "fifo",
+            "piped"
+        ]
+        .map(say)
+        .join("\n")
     );
 }
 
@@ -137,6 +166,30 @@ fn zip_files_that_hold_no_store() {
 }
 
 #[test]
+fn files_of_other_kinds() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("dataset");
+    let mut tar = vec![b'x'; 600];
+    tar[257..262].copy_from_slice(b"ustar");
+    let heads: [&[u8]; 9] = [
+        b"",
+        b"\x89HDF\r\n\x1a\nmore",
+        b"\x1f\x8b\x08more",
+        b"\x28\xb5\x2f\xfdmore",
+        b"\xfd7zXZ\0more",
+        b"7z\xbc\xaf\x27\x1cmore",
+        b"\x93NUMPYmore",
+        b"PAR1more",
+        &tar,
+    ];
+    let sentences = heads.map(|head| {
+        fs::write(&path, head).unwrap();
+        refusal(&path, folder.path())
+    });
+    insta::assert_snapshot!(sentences.join("\n"));
+}
+
+#[test]
 fn arrays_that_are_missing_or_of_another_kind() {
     let original = || Copy::of("original");
     let flat = |count: usize| vec![0.0; count];
@@ -151,7 +204,7 @@ fn arrays_that_are_missing_or_of_another_kind() {
             .replace("data/action", "|u1", &[FRAMES, 2], vec![0; FRAMES * 2])
             .refusal(),
         original()
-            .replace("data/img", "<f8", &[FRAMES, 1, 1, 3], vec![0; FRAMES * 24])
+            .replace("data/img", "<f2", &[FRAMES, 1, 1, 3], vec![0; FRAMES * 6])
             .refusal(),
         original()
             .replace("data/img", "|S3", &[FRAMES, 1, 1, 3], vec![0; FRAMES * 9])
@@ -163,7 +216,7 @@ fn arrays_that_are_missing_or_of_another_kind() {
             .replace("data/keypoint", "<f2", &[FRAMES, 9, 2], vec![0; FRAMES * 36])
             .refusal(),
         original()
-            .floats("meta/episode_ends", &[3], &[12.0, 17.0, 30.0])
+            .floats("meta/episode_ends", &[3], &[12.0, 17.5, 30.0])
             .refusal(),
         original()
             .floats("data/state", &[FRAMES, 4], &flat(FRAMES * 4))
@@ -185,7 +238,7 @@ fn arrays_that_are_missing_or_of_another_kind() {
             .refusal(),
         original().floats("data/img", &[FRAMES, 0, 4, 3], &[]).refusal(),
         original()
-            .replace("meta/episode_ends", "<i8", &[3, 1], vec![0; 24])
+            .replace("meta/episode_ends", "<i8", &[3, 2], vec![0; 48])
             .refusal(),
         original()
             .floats("data/action", &[FRAMES - 1, 2], &flat(FRAMES * 2 - 2))
@@ -229,7 +282,26 @@ fn chunks_that_are_missing_or_broken() {
     let sentences = [
         original().remove("data/state/3.0").refusal(),
         original().remove("data/action/0.0").refusal(),
-        original().remove("data/n_contacts/4.0").refusal(),
+        original()
+            .metadata("data/n_contacts", &[("fill_value", json!(null))])
+            .remove("data/n_contacts/4.0")
+            .refusal(),
+        original()
+            .metadata("data/n_contacts", &[("fill_value", json!(-1))])
+            .remove("data/n_contacts/4.0")
+            .refusal(),
+        original().remove("data/state/3.0").remove("data/state/1.0").refusal(),
+        Copy::of("format3").remove("data/state/c/3/0").refusal(),
+        Copy::of("format3").edit("data/state/c/3/0", cut).refusal(),
+        Copy::of("format3").remove("data/img/c/1").refusal(),
+        Copy::of("sharded").edit("data/state/c/0/0", cut).refusal(),
+        Copy::of("sharded")
+            .edit("data/state/c/0/0", |bytes| bytes[40] ^= 1)
+            .refusal(),
+        Copy::of("sharded")
+            .edit("data/n_contacts/c/0/0", |bytes| bytes.truncate(10))
+            .refusal(),
+        Copy::of("fortran").edit("data/state/1.0", cut).refusal(),
         original().remove("data/keypoint/1.0.0").refusal(),
         original().remove("data/img/2.0.0.0").refusal(),
         original().remove("meta/episode_ends/0").refusal(),
@@ -255,22 +327,32 @@ fn chunks_that_are_missing_or_broken() {
 #[test]
 fn links_that_lead_up() {
     let copy = Copy::of("minimal");
-    for (name, target) in [("data/up", ".."), ("data/here", ".")] {
+    for (name, target) in [("data/state/7", ".."), ("data/state/8", ".")] {
         std::os::unix::fs::symlink(target, copy.path().join(name)).unwrap();
     }
-    let reader = PushtReader::open(&copy.path()).unwrap();
+    let refused = || {
+        PushtReader::open(&copy.path())
+            .map(|_| ())
+            .unwrap_err()
+            .fault
+            .to_string()
+    };
     assert_eq!(
-        reader.source_hash().unwrap_err().fault.to_string(),
-        "data/here is a link to a folder that it lies in; remove the link"
+        refused(),
+        "data/state/7 is a link to a folder that it lies in; remove the link"
     );
-    fs::remove_file(copy.path().join("data/here")).unwrap();
-    assert!(reader.source_hash().is_err());
-    fs::remove_file(copy.path().join("data/up")).unwrap();
+    fs::remove_file(copy.path().join("data/state/7")).unwrap();
+    assert_eq!(
+        refused(),
+        "data/state/8 is a link to a folder that it lies in; remove the link"
+    );
+    fs::remove_file(copy.path().join("data/state/8")).unwrap();
     // A link elsewhere is as good as what it leads to.
-    let whole = reader.source_hash().unwrap();
+    let hash = || PushtReader::open(&copy.path()).unwrap().source_hash(&|| false).unwrap();
+    let whole = hash();
     fs::rename(copy.path().join("meta"), copy.path().with_extension("meta")).unwrap();
     std::os::unix::fs::symlink("../store.meta", copy.path().join("meta")).unwrap();
-    assert_eq!(reader.source_hash().unwrap(), whole);
+    assert_eq!(hash(), whole);
 }
 
 /// A few bytes that ask for more memory than there is.
@@ -346,8 +428,8 @@ fn values_that_no_recording_has() {
         state_with(12, 4, f64::NEG_INFINITY),
         state_with(5, 1, -100.5),
         state_with(5, 2, 701.0),
-        state_with(5, 4, -0.001),
-        state_with(5, 4, 6.284),
+        state_with(5, 4, -270.0),
+        state_with(5, 4, 100.0),
         action_with(0, 1, f64::NAN),
         action_with(11, 0, 5000.0),
         contacts_with(13, -1.0),
@@ -402,7 +484,7 @@ fn selections_and_pictures_that_are_not_there() {
     .map(|error| error.to_string().replace(&place, "[folder]"));
     insta::assert_snapshot!(sentences.join("\n"));
     let reader = PushtReader::open(&fixture("original")).unwrap();
-    assert!(reader.image_blocks(&Selection::List(vec![3])).is_err());
+    assert!(reader.image_blocks(&Selection::List(vec![3.into()])).is_err());
 }
 
 #[test]

@@ -5,13 +5,16 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, sync_channel};
 use std::time::Duration;
 
+use rayon::prelude::*;
+
 use crate::bitplanes::{self, Scratch};
 use crate::error::{Fault, IngestError};
-use crate::store::Store;
-use crate::zarr::{CHUNK_LIMIT, Element, ZarrArray};
+use crate::source::Stop;
+use crate::zarr::{Absent, CHUNK_LIMIT, Element, Lost, ZarrArray, float};
 
 /// Bytes that blocks in the making may hold together, unless a single block needs more (a block needs at most three
 /// times 128 MiB: its chunk file, the decoded chunk, its pictures).
@@ -35,20 +38,34 @@ pub(crate) struct ImageSource {
     dataset: PathBuf,
     pub(crate) array: ZarrArray,
     element: Element,
-    /// Keeps an unpacked zip on disk while blocks are being read.
-    _store: Arc<Store>,
 }
+
+/// Called with the place of a value that is no byte in its row of chunks, the value, and whether all beside it are from 0 to 1;
+/// an error ends the decoding.
+type Bad<'a> = &'a mut dyn FnMut(usize, f64, bool) -> Result<(), Fault>;
 
 impl ImageSource {
     /// Checks type, shape and chunk sizes.
-    pub(crate) fn new(dataset: PathBuf, array: ZarrArray, store: Arc<Store>) -> Result<Self, Fault> {
-        let element = array.element(|e| matches!(e, Element::F32 | Element::U8), "float32 or uint8")?;
-        if !matches!(array.shape(), [_, height, width, 3] if *height > 0 && *width > 0) {
-            return Err(Fault::WrongShape {
-                array: array.name().to_owned(),
-                found: array.shape().to_vec(),
-                expected: "(N, height, width, 3)",
-            });
+    pub(crate) fn new(dataset: PathBuf, array: ZarrArray) -> Result<Self, Fault> {
+        let element = array.element(|_| true, "a number type")?;
+        match *array.shape() {
+            [_, height, width, 3] if height > 0 && width > 0 => {}
+            [_, 3, height, width] if height > 3 && width > 3 => {
+                return Err(Fault::Convention {
+                    what: format!(
+                        "array data/img has shape {:?}, which has the colours first",
+                        array.shape()
+                    ),
+                    mend: "transpose it to (N, height, width, 3), or ingest without images".to_owned(),
+                });
+            }
+            _ => {
+                return Err(Fault::WrongShape {
+                    array: array.name().to_owned(),
+                    found: array.shape().to_vec(),
+                    expected: "(N, height, width, 3)",
+                });
+            }
         }
         let row_bytes = array.shape()[1..]
             .iter()
@@ -66,13 +83,17 @@ impl ImageSource {
             dataset,
             array,
             element,
-            _store: store,
         })
     }
 
     /// Height, width and channels.
     pub(crate) fn shape(&self) -> [usize; 3] {
         std::array::from_fn(|axis| self.array.shape()[axis + 1] as usize)
+    }
+
+    /// The error for a fault, or that the dataset changed, where it did.
+    fn explain(&self, fault: Fault) -> IngestError {
+        self.array.store().explain(fault).of(&self.dataset)
     }
 
     fn frame_bytes(&self) -> usize {
@@ -86,45 +107,67 @@ impl ImageSource {
     }
 
     /// All pictures of a row of chunks.
-    fn decode(&self, chunk_row: u64) -> Result<Vec<u8>, Fault> {
+    fn decode(&self, chunk_row: u64, stop: Stop<'_>) -> Result<Vec<u8>, Fault> {
+        let first = self.array.rows_of(chunk_row).start;
+        self.decode_with(chunk_row, stop, &mut |at, value, in_unit_range| {
+            Err(self.not_a_byte(first, at, value, in_unit_range))
+        })
+    }
+
+    fn decode_with(&self, chunk_row: u64, stop: Stop<'_>, bad: Bad<'_>) -> Result<Vec<u8>, Fault> {
         let rows = self.array.rows_of(chunk_row);
         let mut bytes = vec![0; (rows.end - rows.start) as usize * self.frame_bytes()];
+        let size = self.element.size();
         for index in self.array.chunks_of(chunk_row) {
-            let encoded = self.array.read_chunk(&index)?;
-            if self.element == Element::F32
+            let encoded = self.array.read_chunk(&index, stop)?;
+            if let Some(encoded) = &encoded
+                && self.element == Element::F32
                 && self.array.is_little_endian_blosc()
                 && self.array.chunks_hold_whole_rows()
                 && SCRATCH.with_borrow_mut(|scratch| {
-                    let values = self.array.chunk_bytes().unwrap_or(0) as usize / Element::F32.size();
-                    bitplanes::decode(&encoded, values, &mut bytes, scratch).is_some()
+                    let values = self.array.chunk_bytes().unwrap_or(0) as usize / size;
+                    bitplanes::decode(encoded, values, &mut bytes, scratch).is_some()
                 })
             {
                 continue;
             }
-            let decoded = self.array.decode_chunk(&index, encoded)?;
-            self.array.scatter(&index, &decoded, self.element.size(), |run, at| {
-                if self.element == Element::U8 {
-                    bytes[at..at + run.len()].copy_from_slice(run);
+            let decoded = self
+                .array
+                .decode_chunk(&index, encoded, Absent::IsLost, &AtomicU64::new(0))?;
+            self.array.scatter(&index, &decoded, size, |run, at| {
+                let target = &mut bytes[at..at + run.len() / size];
+                let whole = match self.element {
+                    Element::U8 => {
+                        target.copy_from_slice(run);
+                        true
+                    }
+                    Element::F32 => floats_to_bytes(run.as_chunks::<4>().0, target),
+                    _ => false,
+                };
+                if whole {
                     return Ok(());
                 }
-                let (floats, _) = run.as_chunks::<4>();
-                let target = &mut bytes[at..at + floats.len()];
-                match floats_to_bytes(floats, target) {
-                    None => Ok(()),
-                    Some(offset) => Err(self.not_a_byte(rows.start, at + offset, floats, offset)),
+                let values = || run.chunks_exact(size).map(|bytes| float(self.element, bytes));
+                let mut in_unit_range = None;
+                for (offset, (value, byte)) in values().zip(target).enumerate() {
+                    *byte = value as u8;
+                    if f64::from(*byte) != value {
+                        let unit =
+                            *in_unit_range.get_or_insert_with(|| values().all(|value| (0.0..=1.0).contains(&value)));
+                        bad(at + offset, value, unit)?;
+                    }
                 }
+                Ok(())
             })?;
         }
         Ok(bytes)
     }
 
     /// Names the value that is no byte.
-    fn not_a_byte(&self, first_frame: u64, at: usize, floats: &[[u8; 4]], offset: usize) -> Fault {
-        let value = f32::from_ne_bytes(floats[offset]);
+    fn not_a_byte(&self, first_frame: u64, at: usize, value: f64, in_unit_range: bool) -> Fault {
         let [_, width, channels] = self.shape();
         let (frame, pixel) = (first_frame + (at / self.frame_bytes()) as u64, at % self.frame_bytes());
-        let in_unit_range = |float: &[u8; 4]| (0.0..=1.0).contains(&f32::from_ne_bytes(*float));
-        if floats.iter().all(in_unit_range) {
+        if in_unit_range {
             return Fault::ScaledImages { frame, value };
         }
         Fault::NotAByte {
@@ -135,23 +178,73 @@ impl ImageSource {
             value,
         }
     }
+
+    /// What cannot be used of the pictures of some runs of frames: the first value of every picture that is no byte, and chunks that
+    /// cannot be decoded.
+    ///
+    /// # Errors
+    /// What is wrong with all of them; files that changed; `stop` answered yes.
+    pub(crate) fn judge(&self, runs: &[Range<u64>], stop: Stop<'_>) -> Result<Vec<Lost>, Fault> {
+        let mut lost: Vec<Lost> = self.array.missing(runs, Absent::IsLost).into_iter().collect();
+        let is_missing = |row: u64| lost.iter().flat_map(|lost| &lost.rows).any(|rows| rows.contains(&row));
+        let chunk_rows: Vec<u64> = self
+            .array
+            .chunk_rows_of(runs)
+            .into_iter()
+            .filter(|chunk_row| !is_missing(self.array.rows_of(*chunk_row).start))
+            .collect();
+        // As many at once as pictures that are read hold together.
+        let at_once = (IMAGE_BUDGET / self.cost().max(1)).clamp(1, rayon::current_num_threads() as u64) as usize;
+        for batch in chunk_rows.chunks(at_once) {
+            if stop() {
+                return Err(Fault::Stopped);
+            }
+            let judged: Vec<Result<Vec<Lost>, Fault>> = batch
+                .par_iter()
+                .map(|&chunk_row| self.judge_chunk_row(chunk_row, stop))
+                .collect();
+            for faults in judged {
+                lost.append(&mut faults?);
+            }
+        }
+        Ok(lost)
+    }
+
+    fn judge_chunk_row(&self, chunk_row: u64, stop: Stop<'_>) -> Result<Vec<Lost>, Fault> {
+        let rows = self.array.rows_of(chunk_row);
+        let mut lost = Vec::new();
+        let mut last = None;
+        let decoded = self.decode_with(chunk_row, stop, &mut |at, value, in_unit_range| {
+            let frame = rows.start + (at / self.frame_bytes()) as u64;
+            match self.not_a_byte(rows.start, at, value, in_unit_range) {
+                scaled @ Fault::ScaledImages { .. } => Err(scaled),
+                _ if last == Some(frame) => Ok(()),
+                fault => {
+                    last = Some(frame);
+                    lost.push(Lost::of(frame..frame + 1, fault));
+                    Ok(())
+                }
+            }
+        });
+        match decoded {
+            Ok(_) => Ok(lost),
+            Err(fault @ (Fault::UndecodableChunk { .. } | Fault::MissingChunk { .. })) => {
+                Ok(vec![Lost::of(rows, fault)])
+            }
+            Err(fault) => Err(fault),
+        }
+    }
 }
 
-/// Converts floats in the machine's byte order; the place of the first that is not a whole number from 0 to 255.
-fn floats_to_bytes(floats: &[[u8; 4]], target: &mut [u8]) -> Option<usize> {
+/// Converts floats in the machine's byte order; whether all were whole numbers from 0 to 255.
+fn floats_to_bytes(floats: &[[u8; 4]], target: &mut [u8]) -> bool {
     let mut exact = true;
     for (byte, float) in target.iter_mut().zip(floats) {
         let value = f32::from_ne_bytes(*float);
         *byte = value as u8;
         exact &= f32::from(*byte) == value;
     }
-    if exact {
-        return None;
-    }
-    floats.iter().position(|float| {
-        let value = f32::from_ne_bytes(*float);
-        f32::from(value as u8) != value
-    })
+    exact
 }
 
 /// What one task delivers: the pictures of a row of chunks.
@@ -166,6 +259,8 @@ struct Job {
 /// Blocks of pictures in the order of frames; see [`super::PushtReader::image_blocks`].
 pub struct ImageBlocks {
     source: Arc<ImageSource>,
+    /// Frames of the episodes, each on its own.
+    episodes: Vec<Range<u64>>,
     waiting: VecDeque<Job>,
     running: VecDeque<(Job, Receiver<Decoded>)>,
     ready: VecDeque<ImageBlock>,
@@ -197,24 +292,55 @@ impl ImageBlocks {
             }
         }
         // Everything is looked for first: a lost file is reported before minutes of work, not after.
-        for job in &waiting {
-            for index in source.array.chunks_of(job.chunk_row) {
-                source
-                    .array
-                    .check_chunk_exists(&index)
-                    .map_err(|fault| fault.of(&source.dataset))?;
-            }
+        let episodes: Vec<Range<u64>> = runs.iter().map(|run| run.start as u64..run.end as u64).collect();
+        if let Some(lost) = source.array.missing(&episodes, Absent::IsLost) {
+            return Err(source.explain(lost.fault));
         }
         let in_flight =
             (IMAGE_BUDGET / source.cost().max(1)).clamp(1, 2 * rayon::current_num_threads() as u64) as usize;
         Ok(Self {
             source,
+            episodes,
             waiting,
             running: VecDeque::new(),
             ready: VecDeque::new(),
             in_flight,
             failed: false,
         })
+    }
+
+    /// The first fault, or all of the pictures' faults where they are of single episodes: nobody wants to hear of them one by one.
+    fn all_of(&self, first: Fault) -> Fault {
+        if !matches!(first, Fault::NotAByte { .. } | Fault::UndecodableChunk { .. }) {
+            return first;
+        }
+        let lost = match self.source.judge(&self.episodes, &|| false) {
+            Ok(lost) => lost,
+            Err(fault) => return fault,
+        };
+        let mut bad = 0;
+        let mut told = vec![false; lost.len()];
+        for episode in &self.episodes {
+            let overlaps = |lost: &Lost| {
+                lost.rows
+                    .iter()
+                    .any(|rows| rows.start < episode.end && episode.start < rows.end)
+            };
+            if let Some(number) = lost.iter().position(overlaps) {
+                bad += 1;
+                told[number] = true;
+            }
+        }
+        let mut faults: Vec<Fault> = lost
+            .into_iter()
+            .zip(told)
+            .filter_map(|(lost, told)| told.then_some(lost.fault))
+            .collect();
+        match faults.len() {
+            0 => first,
+            1 => faults.pop().unwrap_or(first),
+            _ => Fault::of_episodes(&faults, bad, self.episodes.len(), false),
+        }
     }
 
     fn start_jobs(&mut self) {
@@ -224,7 +350,7 @@ impl ImageBlocks {
             let (source, chunk_row) = (Arc::clone(&self.source), job.chunk_row);
             rayon::spawn(move || {
                 // The receiver is gone if the caller stopped early; then nobody needs the block.
-                let _ = sender.send(source.decode(chunk_row));
+                let _ = sender.send(source.decode(chunk_row, &|| false));
             });
             self.running.push_back((job, receiver));
         }
@@ -294,7 +420,7 @@ impl Iterator for ImageBlocks {
             }
             if let Err(fault) = self.advance() {
                 self.failed = true;
-                return Some(Err(fault.of(&self.source.dataset)));
+                return Some(Err(self.source.explain(self.all_of(fault))));
             }
             self.start_jobs();
         }

@@ -1,18 +1,21 @@
-//! The Push-T replay dataset: a Zarr v2 store with `data/state`, `data/action`, `meta/episode_ends`, and where present
+//! The Push-T replay dataset: a Zarr store, of format 2 or 3, with `data/state`, `data/action`, `meta/episode_ends`, and where present
 //! `data/n_contacts`, `data/keypoint` and `data/img`.
 //!
 //! Layout, units and ranges follow `pusht_cchi_v7_replay.zarr` of Diffusion Policy (Chi et al., 2023): positions in
 //! pixels of a 512 x 512 window with y down, angles in radians from 0 to 2π, one row a frame at 10 Hz. Row `t` holds the
 //! state at `t` and the action taken there. `meta/episode_ends` holds exclusive, cumulative ends.
 
+mod conventions;
 mod episodes;
+mod follow;
 mod images;
 mod reader;
 mod validate;
 mod writer;
 
+pub use conventions::{ActionKind, AngleUnit, PushtConventions};
 pub use episodes::{KEYPOINTS, PushtEpisodes};
 pub use images::{IMAGE_BUDGET, ImageBlock, ImageBlocks};
-pub use reader::PushtReader;
+pub use reader::{PushtOptions, PushtReader, PushtReading};
 pub use validate::{ANGLE_TOLERANCE, POSITION_HIGH, POSITION_LOW, SHORT_EPISODE, WINDOW};
 pub use writer::{KEYPOINTS_IN_BLOCK, PushtWriter, RecordError, RecordedEpisode};

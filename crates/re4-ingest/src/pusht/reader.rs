@@ -4,20 +4,31 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::conventions::PushtConventions;
 use super::episodes::{KEYPOINTS, PushtEpisodes};
+use super::follow;
 use super::images::{ImageBlocks, ImageSource};
-use super::validate;
+use super::validate::{self, Notes};
 use crate::error::{Fault, IngestError};
+use crate::left_out::{LeftOut, OnBad};
 use crate::selection::Selection;
+use crate::source::Stop;
 use crate::store::Store;
 use crate::warning::Warning;
-use crate::zarr::{Element, ZarrArray};
+use crate::zarr::{Absent, Element, Lost, ZarrArray};
 
 const FLOATS: &str = "float32 or float64";
+
+/// Of actions and keypoints, which can be whole pixels.
+const NUMBERS: &str = "a float type or an integer type of 16 bits or more";
 
 /// Most frames of a dataset, more than eleven days of recording at 10 Hz. Its numbers are read into memory as a whole, and a few bytes of
 /// compressed zeros can claim any number of them.
 const FRAME_LIMIT: u64 = 10_000_000;
+
+/// Columns of a state, and of one with the agent's velocity behind it.
+const STATE: u64 = 5;
+const STATE_WITH_VELOCITY: u64 = 7;
 
 /// An opened Push-T dataset: every array's type and shape and the episode ends are checked, the data is not yet read.
 pub struct PushtReader {
@@ -29,6 +40,60 @@ pub struct PushtReader {
     contacts: Option<ZarrArray>,
     keypoint: Option<ZarrArray>,
     images: Option<Arc<ImageSource>>,
+    has_images: bool,
+}
+
+/// How a dataset is read.
+#[derive(Clone, Copy)]
+pub struct PushtOptions<'a> {
+    /// What its numbers mean.
+    pub conventions: PushtConventions,
+    /// What to do with episodes that cannot be used.
+    pub on_bad: OnBad,
+    /// Whether pictures are going to be read, too. Then missing ones are told of with the rest, and with
+    /// [`OnBad::LeaveOut`] all are decoded once, so that episodes whose pictures cannot be used are left out.
+    pub images: bool,
+    /// Asked while reading whether to stop.
+    pub stop: Stop<'a>,
+}
+
+impl Default for PushtOptions<'_> {
+    fn default() -> Self {
+        Self {
+            conventions: PushtConventions::default(),
+            on_bad: OnBad::default(),
+            images: false,
+            stop: &|| false,
+        }
+    }
+}
+
+/// What was read of a dataset.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PushtReading {
+    /// The selected episodes without those that were left out, in pixels and radians, actions as absolute targets.
+    pub episodes: PushtEpisodes,
+    /// What is odd, in a fixed order.
+    pub warnings: Vec<Warning>,
+    /// Selected episodes that cannot be used, in the order of the dataset; none with [`OnBad::Refuse`].
+    pub left_out: Vec<LeftOut>,
+    /// Share of the changes of the agent's step that its targets explain, from 0 to 1, where enough of it moves; 0.996 in the
+    /// original dataset.
+    pub explained: Option<f64>,
+}
+
+/// Faults of a dataset, collected until nothing more can be looked at.
+#[derive(Default)]
+struct Faults(Vec<Fault>);
+
+impl Faults {
+    fn take<T>(&mut self, outcome: Result<T, Fault>) -> Option<T> {
+        outcome.map_err(|fault| self.0.push(fault)).ok()
+    }
+
+    fn check(&mut self) -> Result<(), Fault> {
+        Fault::of_all(std::mem::take(&mut self.0)).map_or(Ok(()), Err)
+    }
 }
 
 impl PushtReader {
@@ -38,86 +103,103 @@ impl PushtReader {
     /// # Errors
     /// Anything that is not a complete Push-T dataset, by [`Fault`].
     pub fn open(path: &Path) -> Result<Self, IngestError> {
-        Self::open_checked(path).map_err(|fault| fault.of(path))
+        Self::open_for(path, true, &|| false)
     }
 
-    fn open_checked(path: &Path) -> Result<Self, Fault> {
-        let store = Arc::new(Store::open(path)?);
-        let folder = store.folder();
-        let state = ZarrArray::open_required(folder, "data/state")?;
-        check_shape(&state, |shape| matches!(shape, [_, 5]), "(N, 5)")?;
-        state.element(Element::is_float, FLOATS)?;
-        let action = ZarrArray::open_required(folder, "data/action")?;
-        check_shape(&action, |shape| matches!(shape, [_, 2]), "(N, 2)")?;
-        action.element(Element::is_float, FLOATS)?;
-        let contacts = ZarrArray::open(folder, "data/n_contacts")?;
-        if let Some(contacts) = &contacts {
-            check_shape(contacts, |shape| matches!(shape, [_] | [_, 1]), "(N, 1) or (N,)")?;
-            contacts.element(|_| true, "a number type")?;
-        }
-        let keypoint = ZarrArray::open(folder, "data/keypoint")?;
-        if let Some(keypoint) = &keypoint {
-            check_shape(
-                keypoint,
-                |shape| matches!(shape, [_, points, 2] if *points == KEYPOINTS as u64),
-                "(N, 9, 2)",
-            )?;
-            keypoint.element(Element::is_float, FLOATS)?;
-        }
-        let images = ZarrArray::open(folder, "data/img")?
-            .map(|array| ImageSource::new(path.to_owned(), array, Arc::clone(&store)).map(Arc::new))
-            .transpose()?;
-        let others = [
-            Some(&action),
-            contacts.as_ref(),
-            keypoint.as_ref(),
-            images.as_ref().map(|images| &images.array),
-        ];
-        for array in others.into_iter().flatten() {
-            if array.len() != state.len() {
-                return Err(Fault::LengthMismatch {
-                    array: array.name().to_owned(),
-                    found: array.len(),
-                    expected: state.len(),
-                });
-            }
-        }
-        if state.len() > FRAME_LIMIT {
-            return Err(Fault::TooManyFrames {
-                frames: state.len(),
-                limit: FRAME_LIMIT,
-            });
-        }
-        let ends = ZarrArray::open_required(folder, "meta/episode_ends")?;
-        check_shape(&ends, |shape| matches!(shape, [_]), "(number of episodes,)")?;
-        let element = ends.element(|e| !e.is_float(), "an integer type")?;
-        if ends.len() > state.len() {
-            return Err(Fault::TooManyEnds {
-                episodes: ends.len(),
-                frames: state.len(),
-            });
-        }
-        let ranges = validate::episode_ranges(&ends.read_integers(element)?, state.len())?;
-        Ok(Self {
-            dataset: path.to_owned(),
-            store,
-            ranges,
-            state,
-            action,
-            contacts,
-            keypoint,
-            images,
-        })
-    }
-
-    /// BLAKE3 over the store's files in the byte order of their paths: for each, the length of its path, the path (with
-    /// `/`), the length of the file and the BLAKE3 of its bytes, lengths as little-endian u64. For a zip file it covers
-    /// the unpacked store, so that a folder and a zip of it agree.
+    /// The same; without `images`, `data/img` may be anything. `stop` is asked while a zip file is unpacked.
     ///
     /// # Errors
-    /// A file that cannot be read.
-    pub fn source_hash(&self) -> Result<[u8; 32], IngestError> {
-        self.store.hash().map_err(|fault| fault.of(&self.dataset))
+    /// As [`Self::open`]; [`Fault::Stopped`] once `stop` answered yes.
+    pub fn open_for(path: &Path, images: bool, stop: Stop<'_>) -> Result<Self, IngestError> {
+        let store = Store::open(path, stop).map_err(|fault| fault.of(path))?;
+        let store = Arc::new(store);
+        Self::open_checked(path, &store, images, stop).map_err(|fault| store.explain(fault).of(path))
+    }
+
+    fn open_checked(path: &Path, store: &Arc<Store>, images: bool, stop: Stop<'_>) -> Result<Self, Fault> {
+        let mut faults = Faults::default();
+        let mut open = |name: &str, required: bool, check: fn(&ZarrArray) -> Result<(), Fault>| {
+            let array = match ZarrArray::open(store, name, stop) {
+                Ok(None) if required => Err(missing_array(store, name)),
+                other => other,
+            };
+            let array = faults.take(array).flatten()?;
+            faults.take(check(&array)).map(|()| array)
+        };
+        let state = open("data/state", true, check_state);
+        let action = open("data/action", true, check_action);
+        let contacts = open("data/n_contacts", false, check_contacts);
+        let keypoint = open("data/keypoint", false, check_keypoint);
+        let ends = open("meta/episode_ends", true, check_ends);
+        let images = if images {
+            open("data/img", false, |_| Ok(()))
+        } else {
+            None
+        };
+        let images = images.and_then(|array| {
+            let source = ImageSource::new(path.to_owned(), array);
+            faults.take(source).map(Arc::new)
+        });
+        let mut ranges = None;
+        if let Some(state) = &state {
+            let pictures = images.as_ref().map(|images| &images.array);
+            let others = [action.as_ref(), contacts.as_ref(), keypoint.as_ref(), pictures];
+            let others: Vec<&ZarrArray> = others.into_iter().flatten().collect();
+            faults.0.extend(lengths(state, &others));
+            // What else is lost is told of in one go with what is wrong already.
+            if !faults.0.is_empty() {
+                faults
+                    .0
+                    .extend(others.into_iter().chain([state]).filter_map(lost_chunks));
+            }
+            if let Some(ends) = &ends
+                && state.len() <= FRAME_LIMIT
+            {
+                ranges = faults.take(read_ranges(ends, state.len(), stop));
+            }
+        }
+        faults.check()?;
+        match (state, action, ranges) {
+            (Some(state), Some(action), Some(ranges)) => Ok(Self {
+                dataset: path.to_owned(),
+                store: Arc::clone(store),
+                ranges,
+                has_images: ["data/img/.zarray", "data/img/zarr.json"]
+                    .iter()
+                    .any(|file| store.length(file).is_some()),
+                state,
+                action,
+                contacts,
+                keypoint,
+                images,
+            }),
+            // Whatever is missing was told of above.
+            _ => Err(missing_array(store, "data/state")),
+        }
+    }
+
+    /// BLAKE3 over the files of the dataset's arrays and their metadata in the byte order of their paths: for each, the length of
+    /// its path, the path (with `/`), the length of the file and the BLAKE3 of its bytes, lengths as little-endian u64. Files of
+    /// other arrays and whatever else lies there do not count. For a zip file it covers the unpacked store, so that a folder and a
+    /// zip of it agree.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or changed since the dataset was opened; `stop` answered yes.
+    pub fn source_hash(&self, stop: Stop<'_>) -> Result<[u8; 32], IngestError> {
+        self.store.hash(stop).map_err(|fault| self.error(fault))
+    }
+
+    /// Whether the files of the dataset are still those that were hashed and read: none changed, replaced, added or removed.
+    ///
+    /// # Errors
+    /// [`Fault::Changed`] where it does not hold.
+    pub fn unchanged(&self) -> Result<(), IngestError> {
+        self.store.unchanged().map_err(|fault| fault.of(&self.dataset))
+    }
+
+    /// The format of the store: 2 or 3.
+    pub fn zarr_format(&self) -> u32 {
+        if self.store.is_format_3() { 3 } else { 2 }
     }
 
     /// Frames of each episode of the dataset: rows of its arrays, end exclusive.
@@ -130,27 +212,168 @@ impl PushtReader {
         self.ranges.last().map_or(0, |range| range.end)
     }
 
-    /// Height, width and channels (always 3) of the pictures, if the dataset has any.
+    /// Height, width and channels (always 3) of the pictures, if the dataset has any and was opened for them.
     pub fn image_shape(&self) -> Option<[usize; 3]> {
         self.images.as_ref().map(|images| images.shape())
     }
 
-    /// Reads and validates the numeric arrays of the selected episodes; what lies outside of them is not judged, except
-    /// that every chunk must be there and decode. Warnings come in a fixed order.
-    ///
-    /// # Errors
-    /// A selection that does not fit, a missing or broken chunk, or a value no Push-T recording can have.
-    pub fn read_episodes(&self, selection: &Selection) -> Result<(PushtEpisodes, Vec<Warning>), IngestError> {
-        self.read_checked(selection).map_err(|fault| fault.of(&self.dataset))
+    /// Whether the dataset has pictures, whether or not it was opened for them.
+    pub fn has_images(&self) -> bool {
+        self.has_images
     }
 
-    fn read_checked(&self, selection: &Selection) -> Result<(PushtEpisodes, Vec<Warning>), Fault> {
-        let sources = selection.resolve(self.ranges.len())?;
+    /// Reads and validates the numeric arrays of the selected episodes, whose numbers mean what those of the original dataset do;
+    /// refuses the dataset for any that cannot be used. See [`Self::read`].
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_episodes(&self, selection: &Selection) -> Result<(PushtEpisodes, Vec<Warning>), IngestError> {
+        let reading = self.read(selection, &PushtOptions::default())?;
+        Ok((reading.episodes, reading.warnings))
+    }
+
+    /// Reads and validates the numeric arrays of the selected episodes; what lies outside of them is not judged.
+    ///
+    /// # Errors
+    /// A selection that does not fit; numbers of another unit or actions of another kind than the conventions say; missing or
+    /// broken chunks and values that no Push-T recording can have, all of them in one error, unless the episodes that have them
+    /// are left out and others remain; files that changed since the dataset was opened; `stop` answered yes.
+    pub fn read(&self, selection: &Selection, options: &PushtOptions<'_>) -> Result<PushtReading, IngestError> {
+        self.read_checked(selection, options).map_err(|fault| self.error(fault))
+    }
+
+    fn read_checked(&self, selection: &Selection, options: &PushtOptions<'_>) -> Result<PushtReading, Fault> {
+        let sources = selection.resolve_episodes(self.ranges.len())?;
+        let (mut episodes, mut notes, lost) = self.columns(sources, options)?;
+        let mut bad: Vec<(usize, Fault)> = validate::not_finite(&episodes);
+        let unread = lost_episodes(&episodes, &lost);
+        let is_good = |bad: &[(usize, Fault)]| {
+            let mut good: Vec<bool> = unread.iter().map(|lost| !lost).collect();
+            for (number, _) in bad {
+                good[*number] = false;
+            }
+            good
+        };
+
+        let raw_actions = episodes.action.clone();
+        let judgement = options.conventions.judge(&episodes, &is_good(&bad));
+        let mut faults = judgement.faults;
+        // Actions are held against the positions as they probably are, so that all is told of at once.
+        let conventions = if faults.is_empty() {
+            options.conventions
+        } else {
+            judgement.likely
+        };
+        notes.wrapped = conventions.convert(&mut episodes);
+        bad.extend(judgement.small.into_iter().map(|number| {
+            (number, Fault::Contradicts {
+                episode: episodes.sources[number],
+                what: "positions of the block in array data/state are all within 40 px of the window's corner, where it cannot be".to_owned(),
+            })
+        }));
+        let following = follow::judge(&conventions, &episodes, &raw_actions, &is_good(&bad));
+        faults.extend(following.fault);
+        notes.explained = following.explained;
+        bad.extend(following.odd.into_iter().map(|(number, share)| {
+            (
+                number,
+                Fault::Contradicts {
+                    episode: episodes.sources[number],
+                    what: format!(
+                        "array data/action explains {:.0} % of how the agent's step changes",
+                        100.0 * share
+                    ),
+                },
+            )
+        }));
+        if !faults.is_empty() {
+            if options.on_bad == OnBad::Refuse {
+                faults.extend(lost.into_iter().map(|lost| lost.fault));
+                bad.retain(|(_, fault)| matches!(fault, Fault::NotFinite { .. }));
+                faults.extend(of_episodes(bad, episodes.episode_count(), false));
+            }
+            return Err(Fault::of_all(faults).unwrap_or(Fault::NoEpisodes));
+        }
+        let no_numbers: Vec<usize> = bad
+            .iter()
+            .filter_map(|(number, fault)| matches!(fault, Fault::NotFinite { .. }).then_some(*number))
+            .collect();
+        // Of an array of which an episode lacks a part, zeros were put in its place: what they look like says nothing.
+        bad.extend(validate::faults(&episodes).into_iter().filter(|(number, fault)| {
+            !(unread[*number] || no_numbers.contains(number) && matches!(fault, Fault::NotFinite { .. }))
+        }));
+        bad.retain(|(number, _)| !unread[*number]);
+        bad.sort_by_key(|(number, _)| *number);
+        settle(episodes, &notes, lost, bad, options)
+    }
+
+    /// The columns of the selected episodes as they are in the dataset, and what of them cannot be read.
+    fn columns(
+        &self,
+        sources: Vec<u32>,
+        options: &PushtOptions<'_>,
+    ) -> Result<(PushtEpisodes, Notes, Vec<Lost>), Fault> {
+        let stop = options.stop;
         let rows: Vec<Range<usize>> = sources
             .iter()
             .map(|&source| self.ranges[source as usize].clone())
             .collect();
-        let floats = |array: &ZarrArray| array.read_floats(array.element(|_| true, FLOATS)?);
+        let runs: Vec<Range<u64>> = rows.iter().map(|rows| rows.start as u64..rows.end as u64).collect();
+        let images = self.images.as_ref().filter(|_| options.images);
+        let of_actions = if options.conventions.zero_action_is_usual() {
+            Absent::IsFill
+        } else {
+            Absent::IsLost
+        };
+        // Nothing is read where so much is missing that nothing will come of it.
+        let missing: Vec<Lost> = [
+            self.state.missing(&runs, Absent::IsLost),
+            self.action.missing(&runs, of_actions),
+            self.contacts
+                .as_ref()
+                .and_then(|array| array.missing(&runs, Absent::IsFill)),
+            self.keypoint
+                .as_ref()
+                .and_then(|array| array.missing(&runs, Absent::IsLost)),
+            images.and_then(|images| images.array.missing(&runs, Absent::IsLost)),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        if missing.iter().any(|lost| covers(lost, &runs)) {
+            let missing = missing.into_iter().map(|lost| lost.fault).collect();
+            return Err(Fault::of_all(missing).unwrap_or(Fault::NoEpisodes));
+        }
+        let mut lost = Vec::new();
+        let mut notes = Notes {
+            has_images: self.has_images,
+            ..Notes::default()
+        };
+        let mut floats = |array: &ZarrArray, absent| -> Result<Vec<f64>, Fault> {
+            let element = array.element(|_| true, NUMBERS)?;
+            let read = array.read_floats(element, &runs, absent, stop)?;
+            notes.absent_chunks += read.absent;
+            lost.extend(read.lost);
+            Ok(read.values)
+        };
+        let state = floats(&self.state, Absent::IsLost)?;
+        let action = floats(&self.action, of_actions)?;
+        let contacts = self
+            .contacts
+            .as_ref()
+            .map(|array| floats(array, Absent::IsFill))
+            .transpose()?;
+        let keypoint = self
+            .keypoint
+            .as_ref()
+            .map(|array| floats(array, Absent::IsLost))
+            .transpose()?;
+        if let Some(images) = images {
+            match options.on_bad {
+                OnBad::LeaveOut => lost.extend(images.judge(&runs, stop)?),
+                OnBad::Refuse => lost.extend(images.array.missing(&runs, Absent::IsLost)),
+            }
+        }
         let frames = rows
             .iter()
             .scan(0, |start, rows| {
@@ -159,29 +382,32 @@ impl PushtReader {
                 Some(frames)
             })
             .collect();
-        let episodes = PushtEpisodes {
+        let mut episodes = PushtEpisodes {
             frames,
-            state: select(&floats(&self.state)?, &rows),
-            action: select(&floats(&self.action)?, &rows),
-            contacts: match &self.contacts {
-                Some(contacts) => Some(select::<1>(&floats(contacts)?, &rows).into_iter().flatten().collect()),
-                None => None,
-            },
-            keypoint: match &self.keypoint {
-                Some(keypoint) => Some(
-                    select::<{ 2 * KEYPOINTS }>(&floats(keypoint)?, &rows)
-                        .into_iter()
-                        .map(|row| std::array::from_fn(|point| [row[2 * point], row[2 * point + 1]]))
-                        .collect(),
-                ),
-                None => None,
-            },
+            state: Vec::new(),
+            action: table(&action),
+            contacts,
+            keypoint: keypoint.map(|keypoint| {
+                table::<{ 2 * KEYPOINTS }>(&keypoint)
+                    .into_iter()
+                    .map(|row| std::array::from_fn(|point| [row[2 * point], row[2 * point + 1]]))
+                    .collect()
+            }),
             sources,
             rows,
         };
-        validate::values(&episodes)?;
-        let warnings = validate::warnings(&episodes, self.images.is_some());
-        Ok((episodes, warnings))
+        if self.state.shape().get(1) == Some(&STATE_WITH_VELOCITY) {
+            let wide: Vec<[f64; 7]> = table(&state);
+            check_velocity(&wide, &episodes.frames)?;
+            notes.velocity = true;
+            episodes.state = wide
+                .iter()
+                .map(|[x, y, block_x, block_y, theta, ..]| [*x, *y, *block_x, *block_y, *theta])
+                .collect();
+        } else {
+            episodes.state = table(&state);
+        }
+        Ok((episodes, notes, lost))
     }
 
     /// The pictures of the selected episodes as blocks of consecutive frames, in order, decoded ahead on the current
@@ -192,18 +418,106 @@ impl PushtReader {
     /// The iterator ends after its first error. A chunk that is touched is validated as a whole.
     ///
     /// # Errors
-    /// A dataset without pictures, a selection that does not fit, a missing chunk file; from the iterator, a chunk that
-    /// cannot be decoded and values that are not whole numbers from 0 to 255.
+    /// A dataset without pictures, a selection that does not fit, a missing chunk file; from the iterator, chunks that
+    /// cannot be decoded and values that are not whole numbers from 0 to 255, those of all selected episodes in one error.
     pub fn image_blocks(&self, selection: &Selection) -> Result<ImageBlocks, IngestError> {
-        let source = self.images.as_ref().ok_or_else(|| Fault::NoImages.of(&self.dataset))?;
         let numbers = selection
-            .resolve(self.ranges.len())
+            .resolve_episodes(self.ranges.len())
             .map_err(|error| Fault::from(error).of(&self.dataset))?;
         let runs: Vec<Range<usize>> = numbers
             .iter()
             .map(|&number| self.ranges[number as usize].clone())
             .collect();
-        ImageBlocks::new(Arc::clone(source), &runs)
+        self.blocks(&runs)
+    }
+
+    /// The pictures of episodes that were read; see [`Self::image_blocks`].
+    ///
+    /// # Errors
+    /// As [`Self::image_blocks`].
+    pub fn image_blocks_of(&self, episodes: &PushtEpisodes) -> Result<ImageBlocks, IngestError> {
+        self.blocks(&episodes.rows)
+    }
+
+    fn blocks(&self, runs: &[Range<usize>]) -> Result<ImageBlocks, IngestError> {
+        let source = self.images.as_ref().ok_or_else(|| Fault::NoImages.of(&self.dataset))?;
+        ImageBlocks::new(Arc::clone(source), runs)
+    }
+
+    fn error(&self, fault: Fault) -> IngestError {
+        self.store.explain(fault).of(&self.dataset)
+    }
+}
+
+/// Refuses what cannot be used, or leaves it out.
+fn settle(
+    episodes: PushtEpisodes,
+    notes: &Notes,
+    lost: Vec<Lost>,
+    bad: Vec<(usize, Fault)>,
+    options: &PushtOptions<'_>,
+) -> Result<PushtReading, Fault> {
+    let count = episodes.episode_count();
+    let spread = |lost: &Lost| {
+        let overlaps = |rows: &Range<usize>| {
+            lost.rows
+                .iter()
+                .any(|lost| lost.start < rows.end as u64 && (rows.start as u64) < lost.end)
+        };
+        (0..count)
+            .filter(|number| overlaps(&episodes.rows[*number]))
+            .collect::<Vec<_>>()
+    };
+    let mut why: Vec<Option<String>> = vec![None; count];
+    for lost in &lost {
+        for number in spread(lost) {
+            why[number].get_or_insert_with(|| lost.fault.to_string());
+        }
+    }
+    for (number, fault) in &bad {
+        why[*number].get_or_insert_with(|| fault.to_string());
+    }
+    let left = why.iter().filter(|why| why.is_none()).count();
+    if left == count {
+        let warnings = validate::warnings(&episodes, notes);
+        return Ok(PushtReading {
+            episodes,
+            warnings,
+            left_out: Vec::new(),
+            explained: notes.explained,
+        });
+    }
+    if options.on_bad == OnBad::LeaveOut && left > 0 {
+        let (good, left_out) = without(&episodes, why);
+        let warnings = validate::warnings(&good, notes);
+        return Ok(PushtReading {
+            episodes: good,
+            warnings,
+            left_out,
+            explained: notes.explained,
+        });
+    }
+    let mut faults: Vec<Fault> = lost.into_iter().map(|lost| lost.fault).collect();
+    faults.extend(of_episodes(bad, count, left == 0));
+    Err(Fault::of_all(faults).unwrap_or(Fault::NoEpisodes))
+}
+
+/// What is wrong with single episodes, given by their positions in ascending order; `None` if nothing is.
+fn of_episodes(mut bad: Vec<(usize, Fault)>, episodes: usize, all: bool) -> Option<Fault> {
+    if bad.len() < 2 {
+        return bad.pop().map(|(_, fault)| fault);
+    }
+    let mut numbers: Vec<usize> = bad.iter().map(|(number, _)| *number).collect();
+    numbers.dedup();
+    let faults: Vec<Fault> = bad.into_iter().map(|(_, fault)| fault).collect();
+    Some(Fault::of_episodes(&faults, numbers.len(), episodes, all))
+}
+
+fn missing_array(store: &Store, name: &str) -> Fault {
+    Fault::MissingArray {
+        array: name.to_owned(),
+        file: if store.is_format_3() { "zarr.json" } else { ".zarray" },
+        arrays: store.arrays(),
     }
 }
 
@@ -219,10 +533,195 @@ fn check_shape(array: &ZarrArray, fits: impl Fn(&[u64]) -> bool, expected: &'sta
     }
 }
 
-/// The rows of the selected episodes, of a flat array of `WIDTH` columns.
-fn select<const WIDTH: usize>(values: &[f64], rows: &[Range<usize>]) -> Vec<[f64; WIDTH]> {
-    let (table, _) = values.as_chunks::<WIDTH>();
-    rows.iter()
-        .flat_map(|rows| table[rows.clone()].iter().copied())
+fn check_state(array: &ZarrArray) -> Result<(), Fault> {
+    check_shape(
+        array,
+        |shape| matches!(shape, [_, STATE | STATE_WITH_VELOCITY]),
+        "(N, 5), or (N, 7) with the agent's velocity behind,",
+    )?;
+    // Not whole numbers: one of the columns is an angle in radians.
+    array.element(Element::is_float, FLOATS).map(drop)
+}
+
+fn check_action(array: &ZarrArray) -> Result<(), Fault> {
+    check_shape(array, |shape| matches!(shape, [_, 2]), "(N, 2)")?;
+    array.element(holds_pixels, NUMBERS).map(drop)
+}
+
+fn check_contacts(array: &ZarrArray) -> Result<(), Fault> {
+    check_shape(array, |shape| matches!(shape, [_] | [_, 1]), "(N, 1) or (N,)")?;
+    array.element(|_| true, "a number type").map(drop)
+}
+
+fn check_keypoint(array: &ZarrArray) -> Result<(), Fault> {
+    let flat = 2 * KEYPOINTS as u64;
+    check_shape(
+        array,
+        |shape| match shape {
+            [_, points, 2] => *points == KEYPOINTS as u64,
+            [_, numbers] => *numbers == flat,
+            _ => false,
+        },
+        "(N, 9, 2) or (N, 18)",
+    )?;
+    array.element(holds_pixels, NUMBERS).map(drop)
+}
+
+fn check_ends(array: &ZarrArray) -> Result<(), Fault> {
+    check_shape(array, |shape| matches!(shape, [_] | [_, 1]), "(number of episodes,)")?;
+    array.element(|_| true, "a number type").map(drop)
+}
+
+/// Whether a type can hold every pixel of the window.
+fn holds_pixels(element: Element) -> bool {
+    element.is_float() || element.size() > 1
+}
+
+/// What is wrong with the lengths of arrays.
+fn lengths(state: &ZarrArray, others: &[&ZarrArray]) -> Vec<Fault> {
+    let mut faults: Vec<Fault> = others
+        .iter()
+        .filter(|array| array.len() != state.len())
+        .map(|array| Fault::LengthMismatch {
+            array: array.name().to_owned(),
+            found: array.len(),
+            expected: state.len(),
+        })
+        .collect();
+    if state.len() > FRAME_LIMIT {
+        faults.push(Fault::TooManyFrames {
+            frames: state.len(),
+            limit: FRAME_LIMIT,
+        });
+    }
+    faults
+}
+
+/// Chunks of an array that are missing, wherever they are.
+fn lost_chunks(array: &ZarrArray) -> Option<Fault> {
+    let absent = if array.name() == "data/n_contacts" {
+        Absent::IsFill
+    } else {
+        Absent::IsLost
+    };
+    let all = 0..array.len().min(FRAME_LIMIT);
+    array.missing(std::slice::from_ref(&all), absent).map(|lost| lost.fault)
+}
+
+fn read_ranges(ends: &ZarrArray, frames: u64, stop: Stop<'_>) -> Result<Vec<Range<usize>>, Fault> {
+    if ends.len() > frames {
+        return Err(Fault::TooManyEnds {
+            episodes: ends.len(),
+            frames,
+        });
+    }
+    let element = ends.element(|_| true, "a number type")?;
+    let read = ends.read_integers(element, stop)?;
+    match Fault::of_all(read.lost.into_iter().map(|lost| lost.fault).collect()) {
+        Some(fault) => Err(fault),
+        None => validate::episode_ranges(&read.values, frames),
+    }
+}
+
+/// Whether no row of some runs can be read.
+fn covers(lost: &Lost, runs: &[Range<u64>]) -> bool {
+    runs.iter().all(|run| {
+        let next = lost.rows.partition_point(|rows| rows.end <= run.start);
+        lost.rows
+            .get(next)
+            .is_some_and(|rows| rows.start <= run.start && run.end <= rows.end)
+    })
+}
+
+/// Which episodes have rows that cannot be read.
+fn lost_episodes(episodes: &PushtEpisodes, lost: &[Lost]) -> Vec<bool> {
+    let rows: Vec<&Range<u64>> = lost.iter().flat_map(|lost| &lost.rows).collect();
+    episodes
+        .rows
+        .iter()
+        .map(|here| {
+            rows.iter()
+                .any(|rows| rows.start < here.end as u64 && (here.start as u64) < rows.end)
+        })
         .collect()
+}
+
+/// The rows of a flat array of `WIDTH` columns.
+fn table<const WIDTH: usize>(values: &[f64]) -> Vec<[f64; WIDTH]> {
+    values.as_chunks::<WIDTH>().0.to_vec()
+}
+
+/// The episodes without those for which there is a reason, and these.
+fn without(episodes: &PushtEpisodes, why: Vec<Option<String>>) -> (PushtEpisodes, Vec<LeftOut>) {
+    let mut good = PushtEpisodes {
+        contacts: episodes.contacts.as_ref().map(|_| Vec::new()),
+        keypoint: episodes.keypoint.as_ref().map(|_| Vec::new()),
+        ..PushtEpisodes::default()
+    };
+    let mut left_out = Vec::new();
+    for (number, why) in why.into_iter().enumerate() {
+        if let Some(why) = why {
+            left_out.push(LeftOut {
+                demo: re4_episode::episode_name(episodes.sources[number]),
+                why,
+            });
+            continue;
+        }
+        let frames = episodes.frames[number].clone();
+        let start = good.state.len();
+        good.sources.push(episodes.sources[number]);
+        good.rows.push(episodes.rows[number].clone());
+        good.frames.push(start..start + frames.len());
+        good.state.extend_from_slice(&episodes.state[frames.clone()]);
+        good.action.extend_from_slice(&episodes.action[frames.clone()]);
+        if let (Some(good), Some(contacts)) = (&mut good.contacts, &episodes.contacts) {
+            good.extend_from_slice(&contacts[frames.clone()]);
+        }
+        if let (Some(good), Some(keypoint)) = (&mut good.keypoint, &episodes.keypoint) {
+            good.extend_from_slice(&keypoint[frames]);
+        }
+    }
+    (good, left_out)
+}
+
+/// Steps that say whether two columns are a velocity.
+const ENOUGH_STEPS: usize = 20;
+
+/// Cosine between steps and velocities from which these are velocities; it is above 0.95 for those of the simulator and for
+/// differences of positions.
+const VELOCITY: f64 = 0.8;
+
+/// Accepts the last two of seven columns if they are the agent's velocity, in whatever unit: they go along with its steps.
+fn check_velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(), Fault> {
+    let columns = |why: String| Fault::StateColumns { why };
+    let (mut steps, mut velocities, mut products, mut moving) = (0.0, 0.0, 0.0, 0);
+    // Not at the ends of episodes, where differences over the whole array are none of the agent's.
+    for frame in frames
+        .iter()
+        .flat_map(|frames| frames.start + 1..frames.end.saturating_sub(1))
+    {
+        let [before, here, after] = [frame - 1, frame, frame + 1].map(|frame| states[frame]);
+        for (position, velocity) in [(0, 5), (1, 6)] {
+            let (step, velocity) = (after[position] - before[position], here[velocity]);
+            if step.is_finite() && velocity.is_finite() {
+                steps += step * step;
+                velocities += velocity * velocity;
+                products += step * velocity;
+                moving += usize::from(step != 0.0);
+            }
+        }
+    }
+    if moving < ENOUGH_STEPS {
+        return Err(columns(format!(
+            "the agent moves in {moving} steps only, too few to tell"
+        )));
+    }
+    let likeness = products / (steps * velocities).sqrt();
+    if likeness >= VELOCITY {
+        return Ok(());
+    }
+    let likeness = if likeness.is_finite() { likeness } else { 0.0 };
+    Err(columns(format!(
+        "their likeness with the agent's steps is {likeness:.2}, and that of a velocity is near 1"
+    )))
 }

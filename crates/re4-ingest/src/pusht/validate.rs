@@ -23,11 +23,12 @@ const STATE_COLUMNS: [&str; 5] = ["agent_x", "agent_y", "block_x", "block_y", "b
 const ACTION_COLUMNS: [&str; 2] = ["action_x", "action_y"];
 const THETA: usize = 4;
 
-/// Turns exclusive cumulative ends into frames of episodes.
-pub(super) fn episode_ranges(ends: &[i128], frames: u64) -> Result<Vec<Range<usize>>, Fault> {
+/// Turns exclusive cumulative ends into frames of episodes. `None` stands for a number that is not whole.
+pub(super) fn episode_ranges(ends: &[Option<i128>], frames: u64) -> Result<Vec<Range<usize>>, Fault> {
     let mut previous = 0;
     let mut ranges = Vec::with_capacity(ends.len());
     for (index, &value) in ends.iter().enumerate() {
+        let value = value.ok_or(Fault::FractionalEnd { index })?;
         if value < 0 {
             return Err(Fault::NegativeEnd { index, value });
         }
@@ -54,20 +55,6 @@ struct Place {
     episode: u32,
 }
 
-/// Every frame of the columns with its place, in order.
-fn places(episodes: &PushtEpisodes) -> impl Iterator<Item = Place> {
-    episodes
-        .sources
-        .iter()
-        .zip(&episodes.rows)
-        .flat_map(|(&episode, rows)| {
-            rows.clone().map(move |frame| Place {
-                frame: frame as u64,
-                episode,
-            })
-        })
-}
-
 /// Accepted values of a column.
 #[derive(Clone, Copy)]
 struct Bounds {
@@ -87,17 +74,24 @@ const RADIANS: Bounds = Bounds {
     unit: "radians",
 };
 
-fn check_row(array: &str, place: &Place, row: &[f64], column: impl Fn(usize) -> (String, Bounds)) -> Result<(), Fault> {
+fn check_row(
+    array: &str,
+    place: &Place,
+    row: &[f64],
+    bounds: impl Fn(usize) -> Bounds,
+    name: impl Fn(usize) -> String,
+) -> Result<(), Fault> {
     for (number, &value) in row.iter().enumerate() {
         let Place { frame, episode } = *place;
-        let (name, Bounds { low, high, unit }) = column(number);
+        let Bounds { low, high, unit } = bounds(number);
+        let name = || name(number);
         if !value.is_finite() {
             return Err(Fault::NotFinite {
                 array: array.to_owned(),
                 frame,
                 episode,
                 column: number,
-                name,
+                name: name(),
                 value,
             });
         }
@@ -108,7 +102,7 @@ fn check_row(array: &str, place: &Place, row: &[f64], column: impl Fn(usize) -> 
                 frame,
                 episode,
                 column: number,
-                name,
+                name: name(),
                 value,
                 low,
                 high,
@@ -121,42 +115,120 @@ fn check_row(array: &str, place: &Place, row: &[f64], column: impl Fn(usize) -> 
 
 /// Refuses values no recording can have.
 pub(super) fn values(episodes: &PushtEpisodes) -> Result<(), Fault> {
-    for (place, row) in places(episodes).zip(&episodes.state) {
-        check_row("data/state", &place, row, |column| {
-            (
-                STATE_COLUMNS[column].to_owned(),
-                if column == THETA { RADIANS } else { PIXELS },
-            )
-        })?;
-    }
-    for (place, row) in places(episodes).zip(&episodes.action) {
-        check_row("data/action", &place, row, |column| {
-            (ACTION_COLUMNS[column].to_owned(), PIXELS)
-        })?;
-    }
-    for (place, &value) in places(episodes).zip(episodes.contacts.iter().flatten()) {
-        if !value.is_finite() || value < 0.0 || value.fract() != 0.0 {
-            return Err(Fault::NotACount {
+    faults(episodes)
+        .into_iter()
+        .next()
+        .map_or(Ok(()), |(_, fault)| Err(fault))
+}
+
+/// Every episode's first value in each array that no recording can have, array by array, with the position of the episode.
+pub(super) fn faults(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
+    let mut faults = Vec::new();
+    first_of_each(&mut faults, episodes, &episodes.state, |place, row| {
+        check_row("data/state", place, row, state_bounds, |column| {
+            STATE_COLUMNS[column].to_owned()
+        })
+    });
+    first_of_each(&mut faults, episodes, &episodes.action, |place, row| {
+        check_row(
+            "data/action",
+            place,
+            row,
+            |_| PIXELS,
+            |column| ACTION_COLUMNS[column].to_owned(),
+        )
+    });
+    first_of_each(
+        &mut faults,
+        episodes,
+        episodes.contacts.as_deref().unwrap_or_default(),
+        |place, &value| {
+            if value.is_finite() && value >= 0.0 && value.fract() == 0.0 {
+                return Ok(());
+            }
+            Err(Fault::NotACount {
                 frame: place.frame,
                 episode: place.episode,
                 value,
-            });
-        }
-    }
-    for (place, points) in places(episodes).zip(episodes.keypoint.iter().flatten()) {
-        let row: [f64; 2 * KEYPOINTS] = std::array::from_fn(|i| points[i / 2][i % 2]);
-        check_row("data/keypoint", &place, &row, |column| {
-            (
-                format!("{} of point {}", if column % 2 == 0 { "x" } else { "y" }, column / 2),
-                PIXELS,
+            })
+        },
+    );
+    first_of_each(
+        &mut faults,
+        episodes,
+        episodes.keypoint.as_deref().unwrap_or_default(),
+        |place, points| {
+            let row: [f64; 2 * KEYPOINTS] = std::array::from_fn(|i| points[i / 2][i % 2]);
+            check_row(
+                "data/keypoint",
+                place,
+                &row,
+                |_| PIXELS,
+                |column| format!("{} of point {}", if column % 2 == 0 { "x" } else { "y" }, column / 2),
             )
-        })?;
+        },
+    );
+    faults
+}
+
+/// Every episode's first state or action that is no number, with the position of the episode.
+pub(super) fn not_finite(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
+    let any = Bounds {
+        low: f64::MIN,
+        high: f64::MAX,
+        unit: "",
+    };
+    let mut faults = Vec::new();
+    first_of_each(&mut faults, episodes, &episodes.state, |place, row| {
+        check_row(
+            "data/state",
+            place,
+            row,
+            |_| any,
+            |column| STATE_COLUMNS[column].to_owned(),
+        )
+    });
+    first_of_each(&mut faults, episodes, &episodes.action, |place, row| {
+        check_row(
+            "data/action",
+            place,
+            row,
+            |_| any,
+            |column| ACTION_COLUMNS[column].to_owned(),
+        )
+    });
+    faults
+}
+
+fn state_bounds(column: usize) -> Bounds {
+    if column == THETA { RADIANS } else { PIXELS }
+}
+
+/// The first fault of each episode in a column of rows, which is empty where there is no such array.
+fn first_of_each<T>(
+    faults: &mut Vec<(usize, Fault)>,
+    episodes: &PushtEpisodes,
+    column: &[T],
+    check: impl Fn(&Place, &T) -> Result<(), Fault>,
+) {
+    if column.is_empty() {
+        return;
     }
-    Ok(())
+    let episodes = episodes.sources.iter().zip(&episodes.rows).zip(&episodes.frames);
+    faults.extend(episodes.enumerate().filter_map(|(number, ((&episode, rows), frames))| {
+        let places = rows.clone().map(|frame| Place {
+            frame: frame as u64,
+            episode,
+        });
+        let first = places
+            .zip(&column[frames.clone()])
+            .find_map(|(place, row)| check(&place, row).err());
+        first.map(|fault| (number, fault))
+    }));
 }
 
 /// Collects what is odd, one warning a kind, in the order of [`WarningCode`].
-pub(super) fn warnings(episodes: &PushtEpisodes, has_images: bool) -> Vec<Warning> {
+pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> {
     let steps = |odd: &dyn Fn(usize) -> bool| in_episodes(episodes, |start, frame| frame > start && odd(frame));
     let seam = steps(&|frame| (episodes.state[frame][THETA] - episodes.state[frame - 1][THETA]).abs() > PI);
     let outside = in_episodes(episodes, |_, frame| {
@@ -231,10 +303,73 @@ pub(super) fn warnings(episodes: &PushtEpisodes, has_images: bool) -> Vec<Warnin
     found(
         WarningCode::NoImages,
         None,
-        absent(has_images),
+        absent(notes.has_images),
         "the dataset has no data/img".to_owned(),
     );
+    warnings.extend(noted(notes));
     warnings
+}
+
+/// Warnings of what was noted while reading.
+fn noted(notes: &Notes) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut found = |code, count: u64, message: String| {
+        if count > 0 {
+            warnings.push(Warning {
+                code,
+                message,
+                episode: None,
+                frame: None,
+                count,
+            });
+        }
+    };
+    found(
+        WarningCode::AngleWrapped,
+        notes.wrapped as u64,
+        format!(
+            "{} block angles lie outside 0 to 2π and were put into it by whole turns",
+            notes.wrapped
+        ),
+    );
+    found(
+        WarningCode::AbsentChunks,
+        notes.absent_chunks,
+        format!(
+            "chunks that are not stored, {} in all, were read as the fill value, as zarr's rule has it: newer writers leave such chunks out, and so does a copy that lost files",
+            notes.absent_chunks
+        ),
+    );
+    found(
+        WarningCode::SkippedColumns,
+        2 * u64::from(notes.velocity),
+        "data/state has the agent's velocity in two more columns, which are left out".to_owned(),
+    );
+    let weak = notes.explained.filter(|explained| *explained < super::follow::USUAL);
+    found(
+        WarningCode::Convention,
+        u64::from(weak.is_some()),
+        format!(
+            "the targets explain {:.0} % of how the agent's step changes, and 99.6 % in the original dataset: another controller, another rate or noise",
+            100.0 * weak.unwrap_or_default()
+        ),
+    );
+    warnings
+}
+
+/// What was noted while reading.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Notes {
+    /// Whether there is an array of pictures.
+    pub(super) has_images: bool,
+    /// Block angles that were some turns off.
+    pub(super) wrapped: usize,
+    /// Chunks that are not stored and were read as fill values.
+    pub(super) absent_chunks: u64,
+    /// Whether states have the agent's velocity behind them.
+    pub(super) velocity: bool,
+    /// Share of the agent's changes of step that the targets explain, where enough moves.
+    pub(super) explained: Option<f64>,
 }
 
 /// Episode and frame within it of every frame for which `odd(first frame of its episode, frame)` holds.

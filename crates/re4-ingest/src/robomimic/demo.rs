@@ -1,5 +1,6 @@
 //! One demonstration: its arrays as they are in the file, checked.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::fault::Hdf5Fault;
@@ -53,6 +54,8 @@ pub struct Demo {
     pub model: Option<Arc<str>>,
     /// Datasets that hold single precision.
     pub single_precision: Vec<&'static str>,
+    /// What nothing needs and was left out for the values in it, in words.
+    pub skipped: Vec<String>,
 }
 
 /// The datasets of one demonstration, found and not yet read.
@@ -61,15 +64,18 @@ pub(crate) struct FoundDemo {
     pub(crate) frames: usize,
     pub(crate) model: Option<Arc<str>>,
     datasets: Vec<(Name, Located)>,
+    skipped: Vec<String>,
 }
 
 /// A dataset of a demonstration, and how many numbers its rows have (0 for a single one, `None` for any).
-type Name = (&'static str, Option<usize>);
+pub(super) type Name = (&'static str, Option<usize>);
 
 const ACTIONS: Name = ("actions", Some(7));
 const STATES: Name = ("states", None);
 const OTHERS: [Name; 3] = [STATES, ("rewards", Some(0)), ("dones", Some(0))];
-const OBSERVATIONS: [Name; 3] = [
+/// Datasets that nothing needs.
+const OPTIONAL: [&str; 2] = ["rewards", "dones"];
+pub(super) const OBSERVATIONS: [Name; 3] = [
     ("obs/robot0_eef_pos", Some(3)),
     ("obs/robot0_eef_quat", Some(4)),
     ("obs/robot0_gripper_qpos", Some(2)),
@@ -94,105 +100,105 @@ pub(crate) enum Wanted {
 }
 
 impl FoundDemo {
-    /// Finds the datasets and checks their shapes against each other and against the attribute `num_samples`.
+    /// Finds the datasets and checks their shapes against each other and against the attribute `num_samples`. All that is
+    /// wrong is told at once.
     pub(crate) fn find(file: &File, name: &str, wanted: Wanted) -> Result<Self, Hdf5Fault> {
         let group = format!("data/{name}");
         let members = file.members(&group)?;
         if members.is_empty() {
             return Err(Hdf5Fault::EmptyDemo { demo: name.to_owned() });
         }
-        let has = |members: &[String], name: &str| members.iter().any(|member| member == name);
-        let mut names = vec![ACTIONS];
-        if wanted != Wanted::Actions {
-            names.extend(OTHERS.into_iter().filter(|(name, _)| has(&members, name)));
-            if wanted == Wanted::Raw && !has(&members, STATES.0) {
-                return Err(missing(&group, STATES.0));
-            }
-            if wanted != Wanted::Raw {
-                if !has(&members, "obs") {
-                    return Err(missing(&group, "obs"));
-                }
-                let observations = file.members(&format!("{group}/obs"))?;
-                names.extend(OBSERVATIONS);
-                let optional = [
-                    (OBJECT, true),
-                    (ANGULAR_VELOCITY, wanted == Wanted::ObservedWithVelocities),
-                ];
-                let there = |name: &Name| has(&observations, name.0.trim_start_matches("obs/"));
-                names.extend(
-                    optional
-                        .iter()
-                        .filter(|(name, wanted)| *wanted && there(name))
-                        .map(|(name, _)| *name),
-                );
-                if let Some((missed, _)) = OBSERVATIONS.iter().find(|name| !there(name)) {
-                    return Err(missing(&group, missed));
-                }
-            }
-            if has(&members, ACTIONS_ABS.0) {
-                names.push(ACTIONS_ABS);
-            } else if has(&members, "action_dict") {
-                let kinds = file.members(&format!("{group}/action_dict"))?;
-                if has(&kinds, "abs_pos") && has(&kinds, "abs_rot_axis_angle") {
-                    names.extend([ABS_POSITION, ABS_ROTATION]);
-                }
-            }
-        }
-        if !has(&members, ACTIONS.0) {
-            return Err(missing(&group, ACTIONS.0));
-        }
-        let datasets = names
-            .into_iter()
-            .map(|name| Ok((name, file.locate(&format!("{group}/{}", name.0))?)))
-            .collect::<Result<Vec<_>, Hdf5Fault>>()?;
-        let frames = rows_of(&datasets)?;
-        for (name, located) in &datasets {
-            check_shape(*name, located)?;
-        }
-        if let Some(samples) = file.count(&group, "num_samples")?
-            && usize::try_from(samples) != Ok(frames)
-        {
-            return Err(Hdf5Fault::Count {
-                object: format!("/{group}"),
-                attribute: "num_samples",
-                found: samples,
-                expected: frames,
-                what: format!("rows in {group}/actions"),
+        let mut faults = Vec::new();
+        let names = names_of(file, &group, &members, wanted, &mut faults)?;
+        let (mut datasets, mut skipped) = (Vec::new(), Vec::new());
+        for name in names {
+            let found = file.locate(&format!("{group}/{}", name.0)).and_then(|located| {
+                check_shape(name, &located)?;
+                Ok(located)
             });
+            match found {
+                Ok(located) => datasets.push((name, located)),
+                Err(fault) if file.ends_with(&fault) => return Err(fault),
+                // Nothing is made of them but a column, which stays empty.
+                Err(fault @ (Hdf5Fault::Dtype { .. } | Hdf5Fault::Shape { .. })) if OPTIONAL.contains(&name.0) => {
+                    skipped.push(fault.what());
+                }
+                Err(fault) => faults.push(fault),
+            }
         }
-        let model = if wanted == Wanted::Actions {
-            None
-        } else {
-            file.text(&group, "model_file")?
-        };
-        Ok(Self {
-            name: name.to_owned(),
-            frames,
-            model: model.map(Arc::from),
-            datasets,
-        })
+        let frames = rows_of(&datasets, &mut faults);
+        let sound = faults.is_empty();
+        match file.count(&group, "num_samples") {
+            Ok(Some(samples)) if sound && usize::try_from(samples) != Ok(frames) => {
+                let fault = Hdf5Fault::Count {
+                    object: format!("/{group}"),
+                    attribute: "num_samples",
+                    found: samples,
+                    expected: frames,
+                    what: format!("rows in {group}/actions"),
+                };
+                file.note(&mut faults, fault)?;
+            }
+            Ok(_) => {}
+            Err(fault) => file.note(&mut faults, fault)?,
+        }
+        let mut model = None;
+        if wanted != Wanted::Actions {
+            match file.text(&group, "model_file") {
+                Ok(text) => model = text.map(Arc::from),
+                Err(fault) => file.note(&mut faults, fault)?,
+            }
+        }
+        match Hdf5Fault::all(faults) {
+            Some(fault) => Err(fault),
+            None => Ok(Self {
+                name: name.to_owned(),
+                frames,
+                model,
+                datasets,
+                skipped,
+            }),
+        }
     }
 
-    /// Reads the datasets and checks their values.
+    /// Reads the datasets and checks their values. All that is wrong is told at once.
     pub(crate) fn read(self, file: &File) -> Result<Demo, Hdf5Fault> {
         let mut demo = Demo {
             name: self.name,
             frames: self.frames,
             model: self.model,
+            skipped: self.skipped,
             ..Demo::default()
         };
         let mut goals = [const { Vec::new() }; 2];
+        let mut faults = Vec::new();
         for (name, located) in self.datasets {
-            let values = file.read(&located)?;
+            let values = match file.read(&located) {
+                Ok(values) => values,
+                Err(fault) => {
+                    file.note(&mut faults, fault)?;
+                    continue;
+                }
+            };
             if located.element == Element::F32 {
                 demo.single_precision.push(name.0);
             }
             let columns = located.shape.get(1).copied().unwrap_or(1);
             if name.0 == "dones" {
-                demo.dones = Some(flags(&located, &values)?);
+                match flags(&located, &values) {
+                    Ok(flags) => demo.dones = Some(flags),
+                    Err(why) => demo.skipped.push(why),
+                }
                 continue;
             }
-            finite(&located, &values, columns)?;
+            if let Err(fault) = finite(&located, &values, columns) {
+                if OPTIONAL.contains(&name.0) {
+                    demo.skipped.push(fault.what());
+                } else {
+                    faults.push(fault);
+                }
+                continue;
+            }
             match name {
                 ACTIONS => demo.actions = rows(&values),
                 ("obs/robot0_eef_pos", _) => demo.eef_position = rows(&values),
@@ -210,6 +216,9 @@ impl FoundDemo {
                 _ => demo.rewards = Some(values),
             }
         }
+        if let Some(fault) = Hdf5Fault::all(faults) {
+            return Err(fault);
+        }
         if demo.other_goals.is_none() && !goals[0].is_empty() {
             let join = |([x, y, z], [rx, ry, rz]): (&[f64; 3], &[f64; 3])| [*x, *y, *z, *rx, *ry, *rz];
             demo.other_goals = Some(goals[0].iter().zip(&goals[1]).map(join).collect());
@@ -218,15 +227,71 @@ impl FoundDemo {
     }
 }
 
-fn missing(group: &str, dataset: &str) -> Hdf5Fault {
-    Hdf5Fault::Missing {
-        object: format!("{group}/{dataset}"),
-        mend: "restore it, or leave the demonstration out by a filter key or ingest.select",
+/// The datasets of a demonstration that are wanted and there; those that have to be and are not are faults.
+fn names_of(
+    file: &File,
+    group: &str,
+    members: &[String],
+    wanted: Wanted,
+    faults: &mut Vec<Hdf5Fault>,
+) -> Result<Vec<Name>, Hdf5Fault> {
+    let has = |members: &[String], name: &str| members.iter().any(|member| member == name);
+    let mut names = Vec::new();
+    let mut lacks = Vec::new();
+    let mut need = |names: &mut Vec<Name>, name: Name, there: bool| {
+        if there {
+            names.push(name);
+        } else {
+            lacks.push(format!("{group}/{}", name.0));
+        }
+    };
+    need(&mut names, ACTIONS, has(members, ACTIONS.0));
+    let others: &[Name] = if wanted == Wanted::Actions { &[] } else { &OTHERS };
+    for &name in others {
+        let there = has(members, name.0);
+        if there || (name == STATES && wanted == Wanted::Raw) {
+            need(&mut names, name, there);
+        }
     }
+    if !matches!(wanted, Wanted::Raw | Wanted::Actions) {
+        if has(members, "obs") {
+            let observations = file.members(&format!("{group}/obs"))?;
+            let there = |name: Name| has(&observations, name.0.trim_start_matches("obs/"));
+            for name in OBSERVATIONS {
+                need(&mut names, name, there(name));
+            }
+            let optional = [
+                (OBJECT, true),
+                (ANGULAR_VELOCITY, wanted == Wanted::ObservedWithVelocities),
+            ];
+            let optional = optional.iter().filter(|(name, wanted)| *wanted && there(*name));
+            names.extend(optional.map(|(name, _)| *name));
+        } else {
+            need(&mut names, ("obs", None), false);
+        }
+    }
+    if !lacks.is_empty() {
+        faults.push(Hdf5Fault::Missing {
+            objects: lacks,
+            mend: "restore what is missing, or leave the demonstration out by a filter key or ingest.select",
+        });
+    }
+    if wanted == Wanted::Actions {
+        return Ok(names);
+    }
+    if has(members, ACTIONS_ABS.0) {
+        names.push(ACTIONS_ABS);
+    } else if has(members, "action_dict") {
+        let kinds = file.members(&format!("{group}/action_dict"))?;
+        if has(&kinds, "abs_pos") && has(&kinds, "abs_rot_axis_angle") {
+            names.extend([ABS_POSITION, ABS_ROTATION]);
+        }
+    }
+    Ok(names)
 }
 
-/// Rows that all datasets have.
-fn rows_of(datasets: &[(Name, Located)]) -> Result<usize, Hdf5Fault> {
+/// Rows that the datasets have; every one of another length is a fault.
+fn rows_of(datasets: &[(Name, Located)], faults: &mut Vec<Hdf5Fault>) -> usize {
     let length = |located: &Located| located.shape.first().copied().unwrap_or(0);
     // What most of them have is what the others are measured by.
     let common = datasets
@@ -234,22 +299,24 @@ fn rows_of(datasets: &[(Name, Located)]) -> Result<usize, Hdf5Fault> {
         .map(|(_, located)| length(located))
         .max_by_key(|&rows| datasets.iter().filter(|(_, other)| length(other) == rows).count())
         .unwrap_or(0);
-    if let Some((_, odd)) = datasets.iter().find(|(_, located)| length(located) != common)
-        && let Some((_, other)) = datasets.iter().find(|(_, located)| length(located) == common)
-    {
-        return Err(Hdf5Fault::Length {
-            object: odd.name.clone(),
-            found: length(odd),
-            other: other.name.clone(),
-            expected: common,
-        });
+    if let Some((_, other)) = datasets.iter().find(|(_, located)| length(located) == common) {
+        let lengths: BTreeSet<usize> = datasets.iter().map(|(_, located)| length(located)).collect();
+        for odd in lengths.into_iter().filter(|&odd| odd != common) {
+            let names = datasets.iter().filter(|(_, located)| length(located) == odd);
+            faults.push(Hdf5Fault::Length {
+                objects: names.map(|(_, located)| located.name.clone()).collect(),
+                found: odd,
+                other: other.name.clone(),
+                expected: common,
+            });
+        }
+        if common == 0 {
+            faults.push(Hdf5Fault::NoFrames {
+                object: other.name.clone(),
+            });
+        }
     }
-    match datasets.first() {
-        Some((_, first)) if common == 0 => Err(Hdf5Fault::NoFrames {
-            object: first.name.clone(),
-        }),
-        _ => Ok(common),
-    }
+    common
 }
 
 fn check_shape((_, columns): Name, located: &Located) -> Result<(), Hdf5Fault> {
@@ -293,15 +360,15 @@ fn finite(located: &Located, values: &[f64], columns: usize) -> Result<(), Hdf5F
     })
 }
 
-fn flags(located: &Located, values: &[f64]) -> Result<Vec<bool>, Hdf5Fault> {
+/// Truth values; in words, what is none.
+fn flags(located: &Located, values: &[f64]) -> Result<Vec<bool>, String> {
     let flag = |(row, &value): (usize, &f64)| match value {
         0.0 => Ok(false),
         1.0 => Ok(true),
-        _ => Err(Hdf5Fault::NotAFlag {
-            object: located.name.clone(),
-            row,
-            value,
-        }),
+        _ => Err(format!(
+            "dataset {} has {value} in row {row}, which is no flag",
+            located.name
+        )),
     };
     values.iter().enumerate().map(flag).collect()
 }

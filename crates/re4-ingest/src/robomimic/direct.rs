@@ -9,6 +9,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::os::unix::fs::FileExt as _;
+use std::sync::{Mutex, PoisonError};
 
 /// Addresses and lengths of 8 bytes, as the superblock has to say.
 const WORD: usize = 8;
@@ -19,10 +20,15 @@ const LARGEST: u64 = 64 << 20;
 /// Most nodes of a group's tree, most blocks of an object header.
 const MOST: usize = 65_536;
 
+/// Bytes that are read at once where a small structure is asked for: what belongs together mostly lies together.
+const WINDOW: u64 = 8 << 10;
+
 /// The root group of a file.
 pub(super) struct Direct {
     length: u64,
     root: u64,
+    /// Where the window that was read last begins, and its bytes.
+    window: Mutex<(u64, Vec<u8>)>,
 }
 
 /// A contiguous dataset.
@@ -41,8 +47,23 @@ pub(super) struct Contiguous {
 pub(super) enum Number {
     /// Little-endian double precision.
     F64,
+    /// Little-endian single precision.
+    F32,
     /// Little-endian signed 64-bit integers.
     I64,
+    /// Bytes.
+    U8,
+}
+
+impl Number {
+    /// Bytes of an element in the file.
+    pub(super) fn size(self) -> u64 {
+        match self {
+            Self::F64 | Self::I64 => 8,
+            Self::F32 => 4,
+            Self::U8 => 1,
+        }
+    }
 }
 
 /// A group: addresses of its members' headers by name.
@@ -61,13 +82,21 @@ const LAYOUT: u16 = 0x08;
 const FILTERS: u16 = 0x0b;
 const ATTRIBUTE: u16 = 0x0c;
 const CONTINUATION: u16 = 0x10;
+const ATTRIBUTE_INFO: u16 = 0x15;
 const SYMBOL_TABLE: u16 = 0x11;
 
 /// Datatype messages, bit for bit.
 const F64: [u8; 20] = [
     0x11, 0x20, 0x3f, 0, 8, 0, 0, 0, 0, 0, 64, 0, 52, 11, 0, 52, 0xff, 0x03, 0, 0,
 ];
+const F32: [u8; 20] = [
+    0x11, 0x20, 0x1f, 0, 4, 0, 0, 0, 0, 0, 32, 0, 23, 8, 0, 23, 0x7f, 0, 0, 0,
+];
 const I64: [u8; 12] = [0x10, 0x08, 0, 0, 8, 0, 0, 0, 0, 0, 64, 0];
+const U8: [u8; 12] = [0x10, 0, 0, 0, 1, 0, 0, 0, 0, 0, 8, 0];
+
+/// Class of strings of a fixed length, in version 1 of the datatype message.
+const FIXED_STRING: u8 = 0x13;
 
 impl Direct {
     /// Looks at the superblock.
@@ -82,7 +111,27 @@ impl Direct {
         let end = word(&block, 40)?;
         (plain && end <= length).then_some(())?;
         let root = word(&block, 64)?;
-        Some(Self { length, root })
+        Some(Self {
+            length,
+            root,
+            window: Mutex::default(),
+        })
+    }
+
+    /// Bytes of the file, all of them or none.
+    fn bytes(&self, file: &File, at: u64, size: u64) -> Option<Vec<u8>> {
+        if size > WINDOW / 2 {
+            return bytes(file, self.length, at, size);
+        }
+        let end = at.checked_add(size).filter(|end| *end <= self.length)?;
+        let mut window = self.window.lock().unwrap_or_else(PoisonError::into_inner);
+        let (start, known) = &mut *window;
+        if at < *start || end > *start + known.len() as u64 {
+            *known = bytes(file, self.length, at, WINDOW.min(self.length - at))?;
+            *start = at;
+        }
+        let from = usize::try_from(at - *start).ok()?;
+        Some(known.get(from..from + usize::try_from(size).ok()?)?.to_vec())
     }
 
     /// Members of the root group.
@@ -92,21 +141,30 @@ impl Direct {
 
     /// Messages of the header at an address.
     pub(super) fn header(&self, file: &File, address: u64) -> Option<Header> {
-        let prefix = bytes(file, self.length, address, 16)?;
+        let prefix = self.bytes(file, address, 16)?;
         (prefix[0] == 1).then_some(())?;
         let mut left = usize::from(u16::from_le_bytes([prefix[2], prefix[3]]));
         let size = u64::from(u32::from_le_bytes(prefix[8..12].try_into().ok()?));
         let mut blocks = vec![(address + 16, size)];
         let mut header = Header::default();
         while let Some((start, size)) = blocks.pop() {
-            let block = bytes(file, self.length, start, size)?;
+            let block = self.bytes(file, start, size)?;
             let mut at = 0;
             while left > 0 && at + 8 <= block.len() {
                 let kind = u16::from_le_bytes([block[at], block[at + 1]]);
                 let size = usize::from(u16::from_le_bytes([block[at + 2], block[at + 3]]));
                 let shared = block[at + 4] & 0b10 != 0;
                 let body = block.get(at + 8..at + 8 + size)?;
-                let wanted = [DATASPACE, DATATYPE, EXTERNAL, LAYOUT, FILTERS, ATTRIBUTE, SYMBOL_TABLE];
+                let wanted = [
+                    DATASPACE,
+                    DATATYPE,
+                    EXTERNAL,
+                    LAYOUT,
+                    FILTERS,
+                    ATTRIBUTE,
+                    ATTRIBUTE_INFO,
+                    SYMBOL_TABLE,
+                ];
                 match kind {
                     CONTINUATION => blocks.push((word(body, 0)?, word(body, WORD)?)),
                     kind if wanted.contains(&kind) && shared => return None,
@@ -124,24 +182,24 @@ impl Direct {
     /// Members of a group, from its header.
     pub(super) fn members(&self, file: &File, header: &Header) -> Option<Members> {
         let table = header.only(SYMBOL_TABLE)?;
-        let heap = bytes(file, self.length, word(table, WORD)?, 32)?;
+        let heap = self.bytes(file, word(table, WORD)?, 32)?;
         heap.starts_with(b"HEAP\0").then_some(())?;
-        let names = bytes(file, self.length, word(&heap, 24)?, word(&heap, 8)?)?;
+        let names = self.bytes(file, word(&heap, 24)?, word(&heap, 8)?)?;
         let mut members = Members::new();
         let mut nodes = vec![word(table, 0)?];
         let mut seen = 0;
         while let Some(address) = nodes.pop() {
             seen += 1;
             (seen < MOST).then_some(())?;
-            let head = bytes(file, self.length, address, 24)?;
+            let head = self.bytes(file, address, 24)?;
             if head.starts_with(b"TREE\0") {
                 let entries = u64::from(u16::from_le_bytes([head[6], head[7]]));
-                let body = bytes(file, self.length, address + 24, (2 * entries + 1) * WORD as u64)?;
+                let body = self.bytes(file, address + 24, (2 * entries + 1) * WORD as u64)?;
                 let children = (0..entries as usize).map(|entry| word(&body, (2 * entry + 1) * WORD));
                 nodes.extend(children.collect::<Option<Vec<_>>>()?);
             } else if head.starts_with(b"SNOD\x01") {
                 let entries = u64::from(u16::from_le_bytes([head[6], head[7]]));
-                let body = bytes(file, self.length, address + 8, entries * 40)?;
+                let body = self.bytes(file, address + 8, entries * 40)?;
                 for entry in body.chunks_exact(40) {
                     // Soft links lead elsewhere by name.
                     (entry[16..20] != [2, 0, 0, 0]).then_some(())?;
@@ -164,9 +222,9 @@ impl Direct {
         let length = usize::try_from(u32::from_le_bytes(data.get(..4)?.try_into().ok()?)).ok()?;
         let index = u32::from_le_bytes(data.get(12..16)?.try_into().ok()?);
         let address = word(&data, 4)?;
-        let head = bytes(file, self.length, address, 16)?;
+        let head = self.bytes(file, address, 16)?;
         head.starts_with(b"GCOL\x01").then_some(())?;
-        let heap = bytes(file, self.length, address, word(&head, WORD)?)?;
+        let heap = self.bytes(file, address, word(&head, WORD)?)?;
         let mut at = 16;
         while at + 16 <= heap.len() {
             let object = u32::from(u16::from_le_bytes([heap[at], heap[at + 1]]));
@@ -198,27 +256,73 @@ impl Header {
 
     /// The header as that of a contiguous dataset of numbers.
     pub(super) fn contiguous(&self) -> Option<Contiguous> {
+        let element = number(self.only(DATATYPE)?)?;
+        let (shape, offset) = self.place(element.size())?;
+        Some(Contiguous { shape, element, offset })
+    }
+
+    /// The texts of a contiguous dataset of strings of one fixed length, which h5py pads with zeros.
+    pub(super) fn texts(&self, file: &File, file_length: u64) -> Option<Vec<String>> {
+        let datatype = self.only(DATATYPE)?;
+        // Padded or ended by zeros, not by spaces.
+        let plain = *datatype.first()? == FIXED_STRING && datatype.get(1)? & 0x0f < 2;
+        plain.then_some(())?;
+        let length = u32::from_le_bytes(datatype.get(4..8)?.try_into().ok()?);
+        let (shape, offset) = self.place(length.into())?;
+        let size = shape.iter().map(|&side| side as u64).product::<u64>() * u64::from(length);
+        let all = bytes(file, file_length, offset, size)?;
+        let text = |bytes: &[u8]| {
+            let text = bytes.split(|byte| *byte == 0).next()?;
+            String::from_utf8(text.to_vec()).ok()
+        };
+        all.chunks_exact(length as usize).map(text).collect()
+    }
+
+    /// The header as that of a group.
+    pub(super) fn is_group(&self) -> bool {
+        self.has(SYMBOL_TABLE)
+    }
+
+    /// Shape and offset of a contiguous dataset with elements of so many bytes.
+    fn place(&self, element: u64) -> Option<(Vec<usize>, u64)> {
         (!self.has(FILTERS) && !self.has(EXTERNAL)).then_some(())?;
         let shape = shape(self.only(DATASPACE)?)?;
-        let element = number(self.only(DATATYPE)?)?;
         let layout = self.only(LAYOUT)?;
         (layout.get(..2)? == [3, 1]).then_some(())?;
         let (offset, size) = (word(layout, 2)?, word(layout, 2 + WORD)?);
-        let values = shape
+        let bytes = shape
             .iter()
-            .try_fold(1_u64, |size, &side| size.checked_mul(side as u64))?;
-        let fits = values.checked_mul(8)? == size && values > 0;
-        fits.then_some(Contiguous { shape, element, offset })
+            .try_fold(element, |size, &side| size.checked_mul(side as u64))?;
+        (bytes == size && bytes > 0).then_some((shape, offset))
     }
 
-    /// A whole number in a scalar attribute.
+    /// Whether the header has an attribute of this name; none where that cannot be told from it alone.
+    pub(super) fn has_attribute(&self, name: &str) -> Option<bool> {
+        // Many attributes are kept elsewhere, which this message says.
+        (!self.has(ATTRIBUTE_INFO)).then_some(())?;
+        for (_, body) in self.messages.iter().filter(|message| message.0 == ATTRIBUTE) {
+            let start = match body.first()? {
+                1 | 2 => 8,
+                3 => 9,
+                _ => return None,
+            };
+            let length = usize::from(u16::from_le_bytes([*body.get(2)?, *body.get(3)?]));
+            let own = body.get(start..start + length)?;
+            if own.split(|byte| *byte == 0).next()? == name.as_bytes() {
+                return Some(true);
+            }
+        }
+        Some(false)
+    }
+
+    /// A whole number in an attribute that holds a single one.
     pub(super) fn count(&self, name: &str) -> Option<i64> {
         let (datatype, data) = self.attribute(name)?;
         (number(&datatype)? == Number::I64).then_some(())?;
         Some(i64::from_le_bytes(data.get(..8)?.try_into().ok()?))
     }
 
-    /// Datatype and data of a scalar attribute.
+    /// Datatype and data of an attribute of a single value.
     fn attribute(&self, name: &str) -> Option<(Vec<u8>, Vec<u8>)> {
         for (_, body) in self.messages.iter().filter(|message| message.0 == ATTRIBUTE) {
             let size = |at: usize| Some(usize::from(u16::from_le_bytes([*body.get(at)?, *body.get(at + 1)?])));
@@ -239,7 +343,8 @@ impl Header {
             let own = part(sizes[0])?;
             let (datatype, space) = (part(sizes[1])?, part(sizes[2])?);
             if own.split(|byte| *byte == 0).next()? == name.as_bytes() {
-                shape(space)?.is_empty().then_some(())?;
+                // Some writers store a single value as an array of one.
+                shape(space)?.iter().all(|&side| side == 1).then_some(())?;
                 return Some((datatype.to_vec(), body.get(at..)?.to_vec()));
             }
         }
@@ -261,13 +366,15 @@ fn shape(message: &[u8]) -> Option<Vec<usize>> {
 }
 
 fn number(datatype: &[u8]) -> Option<Number> {
-    if datatype.starts_with(&F64) {
-        Some(Number::F64)
-    } else if datatype.starts_with(&I64) {
-        Some(Number::I64)
-    } else {
-        None
-    }
+    let known: [(&[u8], Number); 4] = [
+        (&F64, Number::F64),
+        (&F32, Number::F32),
+        (&I64, Number::I64),
+        (&U8, Number::U8),
+    ];
+    known
+        .into_iter()
+        .find_map(|(bytes, number)| datatype.starts_with(bytes).then_some(number))
 }
 
 fn word(bytes: &[u8], at: usize) -> Option<u64> {

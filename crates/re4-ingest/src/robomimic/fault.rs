@@ -11,13 +11,29 @@ pub enum Hdf5Fault {
         /// The library's words.
         why: String,
     },
+    /// A program writes to the file, or left it marked so.
+    #[error(
+        "a program has it open for writing, or was killed while it had; close that program, or if there is none, run h5clear -s FILE on a copy of it"
+    )]
+    InUse,
+    /// Only the HDF5 library can read it, and the file was opened without it.
+    #[error("the HDF5 library is needed to read it; open it with the library")]
+    NeedsLibrary,
+    /// Several faults of one demonstration.
+    #[error("{}", several(faults))]
+    Several {
+        /// Two or more.
+        faults: Vec<Hdf5Fault>,
+    },
     /// An object of the file cannot be read.
-    #[error("{object} cannot be read ({why}); {}", mend(why))]
+    #[error("{object}{} cannot be read ({why}); {}", and_others(*others), mend(why))]
     Damaged {
         /// Object within the file.
         object: String,
         /// The library's or the system's words.
         why: String,
+        /// How many objects more of the same demonstration cannot be read for the same reason.
+        others: usize,
     },
     /// An object that lies in another file.
     #[error(
@@ -45,10 +61,10 @@ pub enum Hdf5Fault {
         object: String,
     },
     /// A dataset that is needed is not there.
-    #[error("dataset {object} is missing; {mend}")]
+    #[error("{} missing; {mend}", datasets(objects, "is", "are"))]
     Missing {
-        /// Dataset within the file.
-        object: String,
+        /// Datasets within the file.
+        objects: Vec<String>,
         /// What to do.
         mend: &'static str,
     },
@@ -76,12 +92,13 @@ pub enum Hdf5Fault {
     },
     /// Datasets of different lengths.
     #[error(
-        "dataset {object} has {found} rows and {other} has {expected}; every dataset of a demonstration has one row a frame, so restore or cut the odd one, or leave the demonstration out"
+        "{} {found} rows and {other} has {expected}; every dataset of a demonstration has one row a frame, so restore or cut the odd one, or leave the demonstration out",
+        datasets(objects, "has", "have")
     )]
     Length {
-        /// Dataset within the file.
-        object: String,
-        /// Its rows.
+        /// Datasets within the file.
+        objects: Vec<String>,
+        /// Their rows.
         found: usize,
         /// Dataset that it is compared with.
         other: String,
@@ -115,16 +132,6 @@ pub enum Hdf5Fault {
         row: usize,
         /// Column, from 0.
         column: usize,
-        /// The value.
-        value: f64,
-    },
-    /// A flag that is neither 0 nor 1.
-    #[error("dataset {object} has {value} in row {row}, which is no flag; it holds 0 or 1 a frame, so repair that row")]
-    NotAFlag {
-        /// Dataset within the file.
-        object: String,
-        /// Row, from 0.
-        row: usize,
         /// The value.
         value: f64,
     },
@@ -172,10 +179,80 @@ pub enum Hdf5Fault {
     Other(String),
 }
 
+impl Hdf5Fault {
+    /// What is wrong, without what to do about it.
+    pub(crate) fn what(&self) -> String {
+        let sentence = self.to_string();
+        sentence
+            .split_once("; ")
+            .map_or(sentence.clone(), |(what, _)| what.to_owned())
+    }
+
+    /// All faults as one; none of none.
+    pub(crate) fn all(mut faults: Vec<Self>) -> Option<Self> {
+        if let Some(at) = faults.iter().position(|fault| matches!(fault, Self::NeedsLibrary)) {
+            return Some(faults.swap_remove(at));
+        }
+        let mut merged: Vec<Self> = Vec::new();
+        for fault in faults {
+            // What is wrong with many objects for one reason is told once.
+            let same = merged.iter_mut().find_map(|known| match (known, &fault) {
+                (Self::Damaged { why, others, .. }, Self::Damaged { why: reason, .. }) if why == reason => Some(others),
+                _ => None,
+            });
+            match same {
+                Some(others) => *others += 1,
+                None => merged.push(fault),
+            }
+        }
+        if merged.len() < 2 {
+            return merged.pop();
+        }
+        Some(Self::Several { faults: merged })
+    }
+}
+
+fn and_others(others: usize) -> String {
+    match others {
+        0 => String::new(),
+        1 => " and another one".to_owned(),
+        others => format!(" and {others} others"),
+    }
+}
+
+/// One dataset or several, with the verb.
+fn datasets(names: &[String], one: &str, several: &str) -> String {
+    match names {
+        [only] => format!("dataset {only} {one}"),
+        names => format!("datasets {} {several}", names.join(", ")),
+    }
+}
+
+/// What is wrong, one after the other, and then what to do about each.
+fn several(faults: &[Hdf5Fault]) -> String {
+    let sentences: Vec<String> = faults.iter().map(ToString::to_string).collect();
+    let (mut whats, mut remedies) = (Vec::new(), Vec::new());
+    for sentence in &sentences {
+        let (what, remedy) = sentence.split_once("; ").unwrap_or((sentence, ""));
+        whats.push(what);
+        if !remedy.is_empty() && !remedies.contains(&remedy) {
+            remedies.push(remedy);
+        }
+    }
+    let mut text = whats.join(", and ");
+    for remedy in remedies {
+        text.push_str("; ");
+        text.push_str(remedy);
+    }
+    text
+}
+
 /// What helps, by the library's words.
 fn mend(why: &str) -> &'static str {
     let says = |words: &[&str]| words.iter().any(|word| why.contains(word));
-    if says(&["doesn't exist", "not found", "too many links"]) {
+    if says(&["external file"]) {
+        "it lies in another file, so copy it into this one: one file has to hold all there is to ingest"
+    } else if says(&["doesn't exist", "not found", "too many links"]) {
         "restore it, or leave that demonstration or camera out"
     } else if says(&["not a dataset", "not a group"]) {
         "something of another kind stands in its place, so correct the file's layout"

@@ -3,11 +3,13 @@
 //!
 //! The library takes one lock for everything, and its time to open a dataset. So where a contiguous dataset lies is looked up
 //! beside it in files of the usual format (`direct.rs`), by the library in all others; its bytes are read from the file
-//! itself, in any thread. Chunked and compressed datasets are decoded by the library.
+//! itself, in any thread. Chunked and compressed datasets are decoded by the library. A file can be opened without the
+//! library; whatever would need it is then [`Hdf5Fault::NeedsLibrary`].
 
+use std::collections::BTreeMap;
 use std::ops::Range;
+use std::os::fd::AsRawFd as _;
 use std::os::unix::fs::FileExt as _;
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use hdf5::dataset::Layout;
@@ -17,7 +19,9 @@ use hdf5::{Container, Dataset, Datatype, Hyperslab, SliceOrIndex};
 
 use super::direct::{Direct, Header, Members, Number};
 use super::fault::Hdf5Fault;
+use super::look::{look, unreadable};
 use crate::error::Fault;
+use crate::source::SourceFile;
 
 /// Most bytes that one dataset of numbers may have: a day of control steps of a wide state.
 const MOST_BYTES: u64 = 1 << 30;
@@ -25,18 +29,38 @@ const MOST_BYTES: u64 = 1 << 30;
 /// Names in `/mask` and the attributes' fixed-length texts are at most this long.
 const LONGEST_NAME: usize = 256;
 
-/// An opened file.
-pub(crate) struct File {
-    hdf5: hdf5::File,
-    bytes: std::fs::File,
-    length: u64,
-    direct: Option<Direct>,
-    /// Groups that were looked up last, by path; the root and `/data` stay.
-    groups: Mutex<Vec<(String, Arc<Members>)>>,
+/// How a file may be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Without the HDF5 library, which can fall over on a damaged file. Only the plainest files can be read so.
+    Direct,
+    /// With it, where it is needed.
+    Library,
 }
 
-/// Groups that are remembered: the root, `/data`, a demonstration and the groups in it.
-const GROUPS: usize = 6;
+/// What an object of a file is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Group,
+    Dataset,
+    /// Something else, or a link that leads nowhere.
+    Other,
+}
+
+/// An opened file.
+pub(crate) struct File {
+    source: Arc<SourceFile>,
+    /// None in [`Access::Direct`].
+    library: Option<hdf5::File>,
+    direct: Option<Direct>,
+    /// Whether reading goes on behind a fault, to find all there are.
+    goes_on: bool,
+    /// Groups that were looked up, by path.
+    groups: Mutex<BTreeMap<String, Arc<Members>>>,
+}
+
+/// Most groups that are remembered: those of some thousand demonstrations, a few kilobytes each.
+const GROUPS: usize = 8192;
 
 /// Type of the elements of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +96,7 @@ pub(crate) struct Located {
 }
 
 enum Place {
-    /// At this offset of the file, contiguous.
+    /// At this offset of the file, contiguous, little-endian.
     Offset(u64),
     /// Wherever the library finds it.
     Library(Dataset),
@@ -80,54 +104,86 @@ enum Place {
 
 impl File {
     /// Opens a file for reading.
-    pub(crate) fn open(path: &Path) -> Result<Self, Fault> {
-        let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => Fault::MissingPath,
-            _ => Fault::io("read", path, error),
-        })?;
-        if metadata.is_dir() {
-            return Err(Hdf5Fault::Folder.into());
+    pub(crate) fn open(source: Arc<SourceFile>, access: Access, goes_on: bool) -> Result<Self, Fault> {
+        if let Some(fault) = look(&source)? {
+            return Err(fault.into());
         }
-        let bytes = std::fs::File::open(path).map_err(|error| Fault::io("read", path, error))?;
-        let hdf5 = hdf5::File::open(path).map_err(|error| Hdf5Fault::Unreadable { why: words(&error) })?;
-        let length = metadata.len();
-        let direct = Direct::open(&bytes, length);
-        let root = direct.as_ref().and_then(|direct| direct.root(&bytes));
+        let direct = Direct::open(source.file(), source.length());
+        let root = direct.as_ref().and_then(|direct| direct.root(source.file()));
+        let library = match access {
+            Access::Direct if root.is_none() => return Err(Hdf5Fault::NeedsLibrary.into()),
+            Access::Direct => None,
+            // Through the open handle, so that it is the file whose hash was taken, whatever stands at its path.
+            Access::Library => {
+                let handle = format!("/proc/self/fd/{}", source.file().as_raw_fd());
+                let opened = hdf5::File::open(handle);
+                Some(opened.map_err(|error| unreadable(&words(&error)))?)
+            }
+        };
         Ok(Self {
-            hdf5,
-            bytes,
-            length,
+            source,
+            library,
             direct: direct.filter(|_| root.is_some()),
+            goes_on,
             groups: Mutex::new(root.into_iter().map(|root| (String::new(), Arc::new(root))).collect()),
         })
+    }
+
+    /// Adds a fault to those of a demonstration, or ends with it where nothing is to be read behind one.
+    pub(crate) fn note(&self, faults: &mut Vec<Hdf5Fault>, fault: Hdf5Fault) -> Result<(), Hdf5Fault> {
+        if self.goes_on {
+            faults.push(fault);
+            return Ok(());
+        }
+        Err(fault)
+    }
+
+    /// Whether reading ends at the first fault.
+    pub(crate) fn is_cautious(&self) -> bool {
+        !self.goes_on
+    }
+
+    /// Whether nothing is read behind this fault.
+    pub(crate) fn ends_with(&self, fault: &Hdf5Fault) -> bool {
+        !self.goes_on || matches!(fault, Hdf5Fault::NeedsLibrary)
+    }
+
+    fn library(&self) -> Result<&hdf5::File, Hdf5Fault> {
+        self.library.as_ref().ok_or(Hdf5Fault::NeedsLibrary)
+    }
+
+    fn bytes(&self) -> &std::fs::File {
+        self.source.file()
+    }
+
+    fn length(&self) -> u64 {
+        self.source.length()
     }
 
     /// The header of an object, found beside the library.
     fn header(&self, path: &str) -> Option<Header> {
         let (parent, name) = path.rsplit_once('/').unwrap_or(("", path));
         let address = *self.group(parent)?.get(name)?;
-        self.direct.as_ref()?.header(&self.bytes, address)
+        self.direct.as_ref()?.header(self.bytes(), address)
     }
 
     /// The members of a group, found beside the library.
     fn group(&self, path: &str) -> Option<Arc<Members>> {
-        let known = |groups: &[(String, Arc<Members>)]| {
-            let found = groups.iter().find(|(known, _)| known == path);
-            found.map(|(_, members)| Arc::clone(members))
-        };
-        if let Some(members) = known(&self.groups.lock().unwrap_or_else(PoisonError::into_inner)) {
-            return Some(members);
+        let groups = || self.groups.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(members) = groups().get(path) {
+            return Some(Arc::clone(members));
         }
         if path.is_empty() {
             return None;
         }
         let header = self.header(path)?;
-        let members = Arc::new(self.direct.as_ref()?.members(&self.bytes, &header)?);
-        let mut groups = self.groups.lock().unwrap_or_else(PoisonError::into_inner);
+        let members = Arc::new(self.direct.as_ref()?.members(self.bytes(), &header)?);
+        let mut groups = groups();
         if groups.len() >= GROUPS {
-            groups.remove(2);
+            // Demonstrations are read one after the other, so that the last ones are met again; the root and /data always are.
+            groups.retain(|path, _| !path.contains('/'));
         }
-        groups.push((path.to_owned(), Arc::clone(&members)));
+        groups.insert(path.to_owned(), Arc::clone(&members));
         Some(members)
     }
 
@@ -137,7 +193,7 @@ impl File {
             return Ok(members.keys().cloned().collect());
         }
         let object = format!("group /{group}");
-        let found = self.hdf5.group(group).map_err(damaged(&object))?;
+        let found = self.library()?.group(group).map_err(damaged(&object))?;
         self.own(&found, &object)?;
         let mut names = found.member_names().map_err(damaged(&object))?;
         names.sort_unstable();
@@ -146,7 +202,7 @@ impl File {
 
     /// Names of the members of a group, none where there is no such group.
     pub(crate) fn members_or_none(&self, group: &str) -> Result<Vec<String>, Hdf5Fault> {
-        if self.exists(group) {
+        if self.exists(group)? {
             self.members(group)
         } else {
             Ok(Vec::new())
@@ -154,28 +210,92 @@ impl File {
     }
 
     /// Whether there is an object at this path, link by link.
-    pub(crate) fn exists(&self, path: &str) -> bool {
+    pub(crate) fn exists(&self, path: &str) -> Result<bool, Hdf5Fault> {
         let path = path.trim_start_matches('/');
-        let mut ends = path.match_indices('/').map(|(end, _)| end).chain([path.len()]);
-        ends.all(|end| self.hdf5.link_exists(&path[..end]))
+        let ends = || path.match_indices('/').map(|(end, _)| end).chain([path.len()]);
+        for end in ends() {
+            let (parent, name) = path[..end].rsplit_once('/').unwrap_or(("", &path[..end]));
+            let there = match self.group(parent) {
+                Some(members) => members.contains_key(name),
+                None => self.library()?.link_exists(&path[..end]),
+            };
+            if !there {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// What stands at a path that is there.
+    pub(crate) fn kind(&self, path: &str) -> Result<Kind, Hdf5Fault> {
+        if let Some(header) = self.header(path) {
+            return Ok(if header.is_group() { Kind::Group } else { Kind::Dataset });
+        }
+        let library = self.library()?;
+        Ok(if library.group(path).is_ok() {
+            Kind::Group
+        } else if library.dataset(path).is_ok() {
+            Kind::Dataset
+        } else {
+            Kind::Other
+        })
+    }
+
+    /// Whether a group has an attribute of this name.
+    pub(crate) fn has_attribute(&self, group: &str, name: &str) -> Result<bool, Hdf5Fault> {
+        if let Some(has) = self.header(group).and_then(|header| header.has_attribute(name)) {
+            return Ok(has);
+        }
+        Ok(self.attribute(group, name)?.is_some())
     }
 
     /// A whole number in an attribute of a group that is there; `None` where it has none of this name.
     pub(crate) fn count(&self, group: &str, name: &str) -> Result<Option<i64>, Hdf5Fault> {
-        if let Some(count) = self.header(group).and_then(|header| header.count(name)) {
+        let header = self.header(group);
+        if let Some(count) = header.as_ref().and_then(|header| header.count(name)) {
             return Ok(Some(count));
+        }
+        if header.and_then(|header| header.has_attribute(name)) == Some(false) {
+            return Ok(None);
         }
         let Some((attribute, object)) = self.attribute(group, name)? else {
             return Ok(None);
         };
-        attribute.read_scalar::<i64>().map(Some).map_err(damaged(&object))
+        let refuse = |why: String| damaged(&object)(internal(why));
+        if attribute.size() != 1 {
+            return Err(refuse(format!("it holds {} numbers", attribute.size())));
+        }
+        // As an array, which a single value is, too: some writers store an array of one, others a float or a text.
+        let descriptor = attribute
+            .dtype()
+            .and_then(|dtype| dtype.to_descriptor())
+            .map_err(damaged(&object))?;
+        let count = match descriptor {
+            TypeDescriptor::Integer(_) | TypeDescriptor::Unsigned(_) => {
+                let values = attribute.read_raw::<i64>().map_err(damaged(&object))?;
+                values.first().copied()
+            }
+            TypeDescriptor::Float(_) => {
+                let values = attribute.read_raw::<f64>().map_err(damaged(&object))?;
+                let whole = |value: &&f64| value.fract() == 0.0 && value.abs() < 9e15;
+                values.first().filter(whole).map(|value| *value as i64)
+            }
+            _ => {
+                let texts = texts(&attribute, &object)?;
+                texts.first().and_then(|text| text.trim().parse().ok())
+            }
+        };
+        count.map(Some).ok_or_else(|| refuse("it is no count".to_owned()))
     }
 
     /// The text of an attribute of a group that is there; `None` where it has none of this name.
     pub(crate) fn text(&self, group: &str, name: &str) -> Result<Option<String>, Hdf5Fault> {
         let direct = self.direct.as_ref();
-        if let Some(text) = direct.and_then(|direct| direct.text(&self.bytes, &self.header(group)?, name)) {
+        if let Some(text) = direct.and_then(|direct| direct.text(self.bytes(), &self.header(group)?, name)) {
             return Ok(Some(text));
+        }
+        if self.header(group).and_then(|header| header.has_attribute(name)) == Some(false) {
+            return Ok(None);
         }
         let Some((attribute, object)) = self.attribute(group, name)? else {
             return Ok(None);
@@ -191,7 +311,8 @@ impl File {
 
     /// Refuses an object that a link leads to in another file: the hash of the source would not hold it.
     fn own(&self, location: &hdf5::Location, object: &str) -> Result<(), Hdf5Fault> {
-        if location.filename() == self.hdf5.filename() {
+        let library = self.library()?;
+        if location.filename() == library.filename() {
             return Ok(());
         }
         Err(Hdf5Fault::Elsewhere {
@@ -220,7 +341,7 @@ impl File {
     /// An attribute of a group, by the library.
     fn attribute(&self, group: &str, name: &str) -> Result<Option<(hdf5::Attribute, String)>, Hdf5Fault> {
         let object = format!("group /{group}");
-        let location = self.hdf5.group(group).map_err(damaged(&object))?;
+        let location = self.library()?.group(group).map_err(damaged(&object))?;
         self.own(&location, &object)?;
         let names = location.attr_names().map_err(damaged(&object))?;
         if names.iter().all(|there| there != name) {
@@ -233,10 +354,16 @@ impl File {
 
     /// Names in a dataset of texts.
     pub(crate) fn names(&self, path: &str) -> Result<Vec<String>, Hdf5Fault> {
-        let dataset = self.hdf5.dataset(path).map_err(damaged(path))?;
+        let direct = self
+            .header(path)
+            .and_then(|header| header.texts(self.bytes(), self.length()));
+        if let Some(names) = direct {
+            return Ok(names);
+        }
+        let dataset = self.library()?.dataset(path).map_err(damaged(path))?;
         self.own_numbers(&dataset, &format!("dataset {path}"))?;
         let size = dataset.size() as u64;
-        if size.saturating_mul(4) > self.length {
+        if size.saturating_mul(4) > self.length() {
             return Err(damaged(path)(hdf5::Error::Internal(format!(
                 "it claims to hold {size} names"
             ))));
@@ -247,22 +374,27 @@ impl File {
     /// Finds a dataset of numbers that is there.
     pub(crate) fn locate(&self, path: &str) -> Result<Located, Hdf5Fault> {
         if let Some(found) = self.header(path).and_then(|header| header.contiguous()) {
-            let bytes = found.shape.iter().map(|&side| side as u64).product::<u64>() * 8;
-            if bytes <= MOST_BYTES && found.offset.checked_add(bytes).is_some_and(|end| end <= self.length) {
+            let element = match found.element {
+                Number::F64 => Element::F64,
+                Number::F32 => Element::F32,
+                Number::I64 => Element::I64,
+                Number::U8 => Element::U8,
+            };
+            let values = found.shape.iter().map(|&side| side as u64).product::<u64>();
+            let bytes = values * found.element.size();
+            let fits = element == Element::U8 || values * 8 <= MOST_BYTES;
+            if fits && found.offset.checked_add(bytes).is_some_and(|end| end <= self.length()) {
                 return Ok(Located {
                     name: path.to_owned(),
                     shape: found.shape,
-                    element: match found.element {
-                        Number::F64 => Element::F64,
-                        Number::I64 => Element::I64,
-                    },
+                    element,
                     place: Place::Offset(found.offset),
                 });
             }
         }
         let object = format!("dataset {path}");
         let damaged = || damaged(&object);
-        let dataset = self.hdf5.dataset(path).map_err(damaged())?;
+        let dataset = self.library()?.dataset(path).map_err(damaged())?;
         self.own_numbers(&dataset, &object)?;
         let shape = dataset.get_shape().map_err(damaged())?;
         let dtype = dataset.dtype().map_err(damaged())?;
@@ -277,10 +409,11 @@ impl File {
         let direct = matches!(element, Element::F64 | Element::U8);
         let offset = direct.then(|| dataset.offset()).flatten();
         let place = match offset {
-            Some(offset) if offset.checked_add(bytes).is_none_or(|end| end > self.length) => {
+            Some(offset) if offset.checked_add(bytes).is_none_or(|end| end > self.length()) => {
                 return Err(Hdf5Fault::Damaged {
                     object: format!("dataset {path}"),
                     why: "it leads beyond the end of the file".to_owned(),
+                    others: 0,
                 });
             }
             Some(offset) => Place::Offset(offset),
@@ -301,7 +434,7 @@ impl File {
         match &located.place {
             Place::Offset(offset) => {
                 let mut bytes = vec![0; rows.len() * row];
-                self.bytes
+                self.bytes()
                     .read_exact_at(&mut bytes, offset + (rows.start * row) as u64)
                     .map_err(|error| damaged(internal(error.to_string())))?;
                 Ok(bytes)
@@ -339,18 +472,22 @@ impl File {
             }
             Place::Offset(offset) => {
                 let values: usize = located.shape.iter().product();
-                let mut bytes = vec![0; values * 8];
-                self.bytes
+                let size = if located.element == Element::F32 { 4 } else { 8 };
+                let mut bytes = vec![0; values * size];
+                self.bytes()
                     .read_exact_at(&mut bytes, *offset)
                     .map_err(|error| damaged(internal(error.to_string())))?;
-                let (numbers, _) = bytes.as_chunks::<8>();
-                Ok(if located.element == Element::I64 {
-                    numbers
-                        .iter()
-                        .map(|number| i64::from_le_bytes(*number) as f64)
-                        .collect()
-                } else {
-                    numbers.iter().map(|number| f64::from_le_bytes(*number)).collect()
+                let words = || bytes.as_chunks::<8>().0.iter();
+                Ok(match located.element {
+                    Element::F32 => {
+                        let (numbers, _) = bytes.as_chunks::<4>();
+                        numbers
+                            .iter()
+                            .map(|&number| f32::from_le_bytes(number).into())
+                            .collect()
+                    }
+                    Element::I64 => words().map(|&number| i64::from_le_bytes(number) as f64).collect(),
+                    _ => words().map(|&number| f64::from_le_bytes(number)).collect(),
                 })
             }
         }
@@ -456,6 +593,7 @@ fn damaged(object: &str) -> impl Fn(hdf5::Error) -> Hdf5Fault + use<> {
     move |error| Hdf5Fault::Damaged {
         object: object.clone(),
         why: words(&error),
+        others: 0,
     }
 }
 
@@ -477,21 +615,41 @@ mod tests {
     /// What is found beside the library is what the library finds.
     #[test]
     fn both_ways_to_look_up_agree() {
-        let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/can-sample.hdf5");
-        let direct = File::open(&sample).unwrap();
+        let sample = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/can-sample.hdf5");
+        let source = Arc::new(SourceFile::open(&sample).unwrap());
+        let direct = File::open(Arc::clone(&source), Access::Direct, true).unwrap();
         let library = File {
             direct: None,
             groups: Mutex::default(),
-            ..File::open(&sample).unwrap()
+            ..File::open(source, Access::Library, true).unwrap()
         };
         assert!(direct.group("data/demo_0/obs").is_some());
         assert!(library.group("data").is_none());
         let mut compared = 0;
         assert_eq!(direct.members("data").unwrap(), library.members("data").unwrap());
-        assert_eq!(
-            direct.text("data", "env_args").unwrap(),
-            library.text("data", "env_args").unwrap()
-        );
+        for name in ["env_args", "nothing"] {
+            assert_eq!(direct.text("data", name).unwrap(), library.text("data", name).unwrap());
+            assert_eq!(
+                direct.has_attribute("data", name).unwrap(),
+                library.has_attribute("data", name).unwrap()
+            );
+        }
+        for key in direct.members("mask").unwrap() {
+            let path = format!("mask/{key}");
+            assert_eq!(direct.names(&path).unwrap(), library.names(&path).unwrap());
+        }
+        for path in ["data", "data/demo_0/obs", "data/demo_0/actions"] {
+            assert_eq!(direct.kind(path).unwrap(), library.kind(path).unwrap());
+        }
+        for path in [
+            "data",
+            "data/demo_0/obs/object",
+            "data/demo_99/obs",
+            "mask/nothing",
+            "nowhere/x",
+        ] {
+            assert_eq!(direct.exists(path).unwrap(), library.exists(path).unwrap(), "{path}");
+        }
         for demo in direct.members("data").unwrap() {
             let group = format!("data/{demo}");
             for name in ["num_samples", "nothing"] {

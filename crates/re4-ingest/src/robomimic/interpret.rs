@@ -7,7 +7,8 @@ use nalgebra::Isometry3;
 use rayon::prelude::*;
 use re4_robosuite::actions::{Action, Osc, distance};
 use re4_robosuite::conventions::{
-    ActionKind, Basis, Conventions, DemoArrays, Proof, QuaternionOrder, Rows, Settings, Task,
+    ActionKind, Basis, Contradiction, Conventions, DemoArrays, InitialGoal, Learned, Proof, QuaternionOrder, Rows,
+    Settings, Task, Unproven, zero_rows,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::{Model, Observed, PANDA_RESET};
@@ -16,6 +17,7 @@ use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::reader::{Layout, RobomimicReader};
 use crate::error::{Fault, IngestError};
+use crate::left_out::{LeftOut, refusal};
 
 /// Demonstrations that conventions are proven on.
 const PROVEN_ON: usize = 10;
@@ -98,61 +100,72 @@ enum FromStates {
 }
 
 impl Interpreter {
-    /// Proves the conventions of a file.
+    /// Proves the conventions of a file on the first demonstrations that can be used, and names those that were met and cannot:
+    /// those that cannot be read, and those that contradict what most of the others prove.
     ///
     /// # Errors
-    /// A file of another task, of two arms, without what is needed; a convention that is not proven and not set.
-    pub fn learn(reader: &RobomimicReader, reading: &Reading) -> Result<Self, IngestError> {
+    /// A file of another task, of two arms, without what is needed; a convention that is not proven and not set; no
+    /// demonstration that can be used.
+    pub fn learn(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), IngestError> {
         Self::learn_checked(reader, reading).map_err(|fault| Fault::from(fault).of(&reader.path))
     }
 
-    fn learn_checked(reader: &RobomimicReader, reading: &Reading) -> Result<Self, Hdf5Fault> {
+    fn learn_checked(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), Hdf5Fault> {
         let env = reader.environment(reading.env_args.as_deref())?;
         check_task(&env, reading.task)?;
-        let demos = reader.demos().iter().take(PROVEN_ON);
-        let demos = demos.map(|demo| reader.read(demo)).collect::<Result<Vec<_>, _>>()?;
-        let models = parse_models(&demos)?;
-        let from_states = from_states(reader.layout(), reading, &env, models.first().and_then(Option::as_ref))?;
-        let mut prepared = Vec::new();
-        for (demo, model) in demos.iter().zip(&models) {
-            check_object_columns(demo, reading.task)?;
-            if from_states == FromStates::Nothing && demo.object.is_none() {
-                return Err(no_object(demo));
-            }
-            prepared.push(from_states.complete(demo, model.as_deref())?);
-        }
-        let complete: Vec<DemoArrays<'_>> = prepared
+        let (first, from_states, mut left_out) = Prepared::gather(reader, reading, &env)?;
+        let complete: Vec<DemoArrays<'_>> = first
             .iter()
-            .zip(&demos)
-            .zip(&models)
-            .map(|((columns, demo), model)| arrays(demo, columns, model.as_deref()))
+            .map(|first| arrays(&first.demo, &first.columns, first.model.as_deref()))
             .collect();
-        let settled = Conventions::detect(&complete, &env, &reading.conventions);
-        let (conventions, proofs) = settled
-            .map_err(|error| Hdf5Fault::Other(format!("{error} (settings are keys of [ingest.conventions])")))?;
+        let unproven = |error: Unproven| {
+            Hdf5Fault::Other(match error {
+                Unproven::Odd(_) | Unproven::Demo(_) => format!("{error}; {LEAVE_OUT}"),
+                error => format!("{error} (settings are keys of [ingest.conventions])"),
+            })
+        };
+        let learned = Conventions::detect_leaving_out(&complete, &env, &reading.conventions);
+        let Learned {
+            conventions,
+            proofs,
+            odd,
+        } = learned.map_err(unproven)?;
+        left_out.extend(odd.into_iter().map(|odd| LeftOut {
+            why: format!("{}: {}; {LEAVE_OUT}", odd.demo, odd.why),
+            demo: odd.demo,
+        }));
         let osc = Osc::from_env(&env).map_err(|error| {
             Hdf5Fault::Other(format!(
                 "{error}; restore what attribute env_args lacks, or give it as ingest.env_args"
             ))
         })?;
-        // Raw files were recorded live, and the controller knew where the hand was; robomimic replayed states into a robot
-        // that had just been reset.
-        let initial = match (reader.layout(), models.first()) {
-            (Layout::Observed, Some(Some(model))) => model.site_at(&PANDA_RESET).ok(),
-            _ => None,
+        let models = first.iter().filter_map(|first| first.model.as_deref());
+        let initial = match conventions.initial_goal {
+            InitialGoal::ResetPose => models.into_iter().find_map(|model| model.site_at(&PANDA_RESET).ok()),
+            InitialGoal::FirstPose => None,
         };
         let mut rows: Vec<Convention> = proofs.iter().map(convention).collect();
         rows.extend(stated(reader.layout(), reading, &env, &from_states));
-        Ok(Self {
+        let mut warnings: Vec<String> = proofs.into_iter().filter_map(|proof| proof.warning).collect();
+        if let (Some(distribution @ 1..), Some(own)) =
+            (Task::distribution(&env.env_name), conventions.task.environment())
+        {
+            warnings.push(format!(
+                "environment {} is {own} with initial distribution {distribution} of MimicGen; rollouts start from the placement of {own} itself",
+                env.env_name
+            ));
+        }
+        let interpreter = Self {
             env,
             conventions,
             rows,
-            warnings: proofs.into_iter().filter_map(|proof| proof.warning).collect(),
+            warnings,
             osc,
             initial,
             from_states,
             model: Mutex::default(),
-        })
+        };
+        Ok((interpreter, left_out))
     }
 
     /// What the file says of how it was recorded.
@@ -202,9 +215,7 @@ impl Interpreter {
                 "allow_actions_beyond_range accepts it",
                 "ingest.conventions.allow_actions_beyond_range = true accepts it",
             );
-            Hdf5Fault::Other(format!(
-                "{why}; repair that demonstration, or leave it out by a filter key or ingest.select"
-            ))
+            Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}"))
         })?;
         let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
         let sites = columns
@@ -218,8 +229,19 @@ impl Interpreter {
             columns.object = self.objects(demo).ok_or_else(|| no_object(demo))?;
         }
         let initial = self.initial.as_ref();
+        // Commands of the controller, or goals in the world.
+        let read: Vec<Action>;
+        let actions = if self.conventions.actions.is_plain() {
+            &demo.actions
+        } else {
+            read = demo
+                .actions
+                .iter()
+                .map(|action| self.conventions.actions.read(action))
+                .collect();
+            &read
+        };
         let refuse = |error: re4_robosuite::actions::ActionError| unknown(&error.to_string());
-        let actions = &demo.actions;
         let pairs = |goals: &[Action], known: &[Action]| -> Vec<(f64, f64)> {
             goals
                 .iter()
@@ -289,16 +311,97 @@ impl Interpreter {
     }
 }
 
-/// The models of some demonstrations, each distinct one parsed once.
-fn parse_models(demos: &[Demo]) -> Result<Vec<Option<Arc<Model>>>, Hdf5Fault> {
-    let first = |demo: &Demo| demos.iter().position(|other| other.model == demo.model);
+/// What helps against a demonstration that cannot be used.
+const LEAVE_OUT: &str = "repair that demonstration, or leave it out by a filter key or ingest.select";
+
+/// A demonstration that conventions are proven on.
+struct Prepared {
+    demo: Demo,
+    model: Option<Arc<Model>>,
+    columns: Interpreted,
+}
+
+impl Prepared {
+    /// The first demonstrations that can be used, what is computed from their states, and those that cannot be used.
+    fn gather(
+        reader: &RobomimicReader,
+        reading: &Reading,
+        env: &EnvArgs,
+    ) -> Result<(Vec<Self>, FromStates, Vec<LeftOut>), Hdf5Fault> {
+        let (mut prepared, mut left_out): (Vec<Self>, Vec<LeftOut>) = (Vec::new(), Vec::new());
+        let mut from: Option<FromStates> = None;
+        let mut names = reader.demos().iter();
+        loop {
+            let batch: Vec<_> = names.by_ref().take(PROVEN_ON - prepared.len()).collect();
+            if batch.is_empty() {
+                break;
+            }
+            let mut read: Vec<Result<Demo, Hdf5Fault>> = Vec::new();
+            for name in &batch {
+                read.push(reader.read(name));
+                if let Some(Err(fault)) =
+                    read.pop_if(|read| read.as_ref().is_err_and(|fault| reader.file.ends_with(fault)))
+                {
+                    return Err(fault);
+                }
+            }
+            let models = parse_models(&read);
+            let some = models.iter().find_map(|model| model.as_ref().ok()?.as_ref());
+            let from_states = match from {
+                Some(known) => known,
+                // A file of which nothing could be read says why below.
+                None if read.iter().all(Result::is_err) => FromStates::Nothing,
+                None => from_states(reader, reading, env, some)?,
+            };
+            let demos = read.into_iter().zip(models).zip(&batch);
+            for ((demo, model), name) in demos {
+                let ready = demo.and_then(|demo| {
+                    let model = model?;
+                    check_object_columns(&demo, reading.task)?;
+                    if from_states == FromStates::Nothing && demo.object.is_none() {
+                        return Err(no_object(&demo));
+                    }
+                    let columns = from_states.complete(&demo, model.as_deref())?;
+                    Ok(Self { demo, model, columns })
+                });
+                match ready {
+                    Ok(ready) => prepared.push(ready),
+                    Err(fault) if reader.file.ends_with(&fault) => return Err(fault),
+                    Err(fault) => left_out.push(LeftOut {
+                        demo: name.name.clone(),
+                        why: fault.to_string(),
+                    }),
+                }
+            }
+            from = (!prepared.is_empty()).then_some(from_states);
+            if prepared.is_empty() && left_out.len() == reader.demos().len() {
+                return Err(Hdf5Fault::Other(refusal(&left_out, left_out.len())));
+            }
+        }
+        Ok((prepared, from.unwrap_or(FromStates::Nothing), left_out))
+    }
+}
+
+/// The models of some demonstrations, each distinct one parsed once. One of a demonstration that could not be read is none.
+fn parse_models(demos: &[Result<Demo, Hdf5Fault>]) -> Vec<Result<Option<Arc<Model>>, Hdf5Fault>> {
+    let text = |place: usize| demos[place].as_ref().ok().and_then(|demo| demo.model.clone());
+    let first = |place: usize| (0..=place).find(|other| text(*other) == text(place)).unwrap_or(place);
     let parsed: Vec<_> = demos
         .par_iter()
         .enumerate()
-        .map(|(place, demo)| (first(demo) == Some(place)).then(|| parse_model(demo)).transpose())
-        .collect::<Result<_, _>>()?;
-    let model = |demo: &Demo| first(demo).and_then(|place| parsed[place].clone().flatten());
-    Ok(demos.iter().map(model).collect())
+        .map(|(place, demo)| match demo {
+            Ok(demo) if first(place) == place => parse_model(demo),
+            _ => Ok(None),
+        })
+        .collect();
+    (0..demos.len())
+        .map(|place| match (&parsed[first(place)], &demos[place]) {
+            (Ok(model), _) => Ok(model.clone()),
+            // The fault names the demonstration.
+            (Err(_), Ok(demo)) => parse_model(demo),
+            (Err(_), Err(_)) => Ok(None),
+        })
+        .collect()
 }
 
 fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
@@ -315,6 +418,18 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
 
 /// The file has to be of the task that the pipeline names.
 fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
+    if env.is_foreign() {
+        let by = if env.env_name.starts_with("Isaac") {
+            "Isaac Lab's"
+        } else {
+            "gym's or another library's"
+        };
+        return Err(Hdf5Fault::Other(format!(
+            "it is not robosuite's: env_args names environment {} of type {}, {by} by robomimic's numbers, and only robosuite's (type 1) are read; give an HDF5 file of robosuite's demonstrations",
+            env.env_name,
+            env.kind.unwrap_or_default()
+        )));
+    }
     if env.robots.len() > 1 {
         return Err(Hdf5Fault::Other(format!(
             "it is of environment {} with {} robots, and this version reads tasks of one arm with a two-finger gripper; give such a file",
@@ -324,11 +439,7 @@ fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
     }
     let own = Task::of(&env.env_name);
     if task != Task::Other && own != task {
-        let wanted = match task {
-            Task::Lift => "Lift",
-            Task::Can => "PickPlaceCan",
-            _ => "NutAssemblySquare",
-        };
+        let wanted = task.environment().unwrap_or_default();
         return Err(Hdf5Fault::Other(format!(
             "it is of environment {}, and the pipeline's task needs {wanted}; give the task of the file, or task = \"robosuite\" and ingest.object",
             env.env_name
@@ -339,7 +450,7 @@ fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
 
 fn no_object(demo: &Demo) -> Hdf5Fault {
     Hdf5Fault::Missing {
-        object: format!("data/{}/obs/object", demo.name),
+        objects: vec![format!("data/{}/obs/object", demo.name)],
         mend: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
     }
 }
@@ -358,12 +469,13 @@ fn check_object_columns(demo: &Demo, task: Task) -> Result<(), Hdf5Fault> {
 
 /// What has to come from states, and which body the object is.
 fn from_states(
-    layout: Layout,
+    reader: &RobomimicReader,
     reading: &Reading,
     env: &EnvArgs,
     model: Option<&Arc<Model>>,
 ) -> Result<FromStates, Hdf5Fault> {
-    if layout == Layout::Observed && reading.task != Task::Other {
+    let layout = reader.layout();
+    if layout == Layout::Observed && reading.task != Task::Other && !reader.object_from_states {
         return Ok(FromStates::Nothing);
     }
     let environment = &env.env_name;
@@ -428,8 +540,12 @@ impl FromStates {
                 "one of the two is missing; restore it, or leave the demonstration out".to_owned(),
             ));
         };
-        let rows = states.values.chunks_exact(states.columns);
-        let observed: Vec<Observed> = model.observe(rows, Some(name)).map_err(|error| {
+        let rows = || states.values.chunks_exact(states.columns);
+        if let Some(zeros) = zero_rows(&demo.actions, &rows().collect::<Vec<_>>()) {
+            let why = Contradiction::zeros(&demo.name, &zeros);
+            return Err(Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}")));
+        }
+        let observed: Vec<Observed> = model.observe(rows(), Some(name)).map_err(|error| {
             refuse(format!(
                 "{error}; restore what is wrong, or leave the demonstration out"
             ))
@@ -484,6 +600,7 @@ fn convention(proof: &Proof) -> Convention {
         basis: match proof.basis {
             Basis::Data => "proven",
             Basis::Setting => "setting",
+            Basis::Declared => "declared",
         },
         evidence: proof.evidence.test.clone(),
         measured: own

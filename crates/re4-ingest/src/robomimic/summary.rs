@@ -1,11 +1,11 @@
-//! What is said of a file as a whole: its hash, warnings, errors of converted actions.
-
-use std::path::{Path, PathBuf};
+//! What is said of a file as a whole: warnings, errors of converted actions.
 
 use serde::Serialize;
 
 use super::fault::Hdf5Fault;
-use super::reader::{DemoChoice, MODELS_FOLDER, RobomimicReader};
+use super::file::Access;
+use super::reader::{DemoChoice, RobomimicReader};
+use super::sources::Sources;
 use crate::error::{Fault, IngestError};
 use crate::warning::{Warning, WarningCode};
 
@@ -23,54 +23,6 @@ const TAKEN: [&str; 10] = [
     "states",
 ];
 
-/// BLAKE3 of an HDF5 file. Where models lie beside it in a folder `models`, BLAKE3 over that hash and, for each file of the
-/// folder in the byte order of the names, the length of its name as little-endian u64, its name and the BLAKE3 of its bytes.
-///
-/// # Errors
-/// A file that cannot be read.
-pub fn source_hash(path: &Path) -> Result<[u8; 32], IngestError> {
-    hash_checked(path).map_err(|fault| fault.of(path))
-}
-
-fn hash_checked(path: &Path) -> Result<[u8; 32], Fault> {
-    let metadata = std::fs::metadata(path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => Fault::MissingPath,
-        _ => Fault::io("read", path, error),
-    })?;
-    if metadata.is_dir() {
-        return Err(Hdf5Fault::Folder.into());
-    }
-    let own = hash_file(path)?;
-    let folder = path.parent().unwrap_or(Path::new(".")).join(MODELS_FOLDER);
-    let Ok(entries) = std::fs::read_dir(&folder) else {
-        return Ok(own);
-    };
-    let mut files: Vec<PathBuf> = entries
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| path.is_file())
-        .collect();
-    files.sort_unstable();
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(&own);
-    for file in files {
-        let name = file.file_name().unwrap_or_default().as_encoded_bytes();
-        hasher
-            .update(&(name.len() as u64).to_le_bytes())
-            .update(name)
-            .update(&hash_file(&file)?);
-    }
-    Ok(*hasher.finalize().as_bytes())
-}
-
-fn hash_file(path: &Path) -> Result<[u8; 32], Fault> {
-    let mut hasher = blake3::Hasher::new();
-    hasher
-        .update_mmap_rayon(path)
-        .map_err(|error| Fault::io("read", path, error))?;
-    Ok(*hasher.finalize().as_bytes())
-}
-
 /// Another file of the same demonstrations, whose actions are of the other kind.
 pub struct Comparison {
     reader: RobomimicReader,
@@ -81,8 +33,8 @@ impl Comparison {
     ///
     /// # Errors
     /// As [`RobomimicReader::open`].
-    pub fn open(path: &Path) -> Result<Self, IngestError> {
-        RobomimicReader::open(path, &DemoChoice::default()).map(|reader| Self { reader })
+    pub fn open(sources: Sources, access: Access) -> Result<Self, IngestError> {
+        RobomimicReader::open(sources, &DemoChoice::default(), access).map(|reader| Self { reader })
     }
 
     /// Actions of the demonstration of this name and length; none where there is no such demonstration.
@@ -94,7 +46,7 @@ impl Comparison {
         let actions = self.reader.actions(demo).map_err(refuse)?;
         match actions {
             Some(actions) if actions.len() != frames => Err(refuse(Hdf5Fault::Length {
-                object: format!("data/{demo}/actions"),
+                objects: vec![format!("data/{demo}/actions")],
                 found: actions.len(),
                 other: "the demonstration of that name in ingest.source".to_owned(),
                 expected: frames,

@@ -12,8 +12,10 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use re4_ingest::Selection;
-use re4_ingest::pusht::{PushtEpisodes, PushtReader};
+use re4_ingest::pusht::{PushtEpisodes, PushtOptions, PushtReader};
 use tempfile::TempDir;
+
+pub(crate) mod made;
 
 pub(crate) const FRAMES: usize = 30;
 pub(crate) const RANGES: [Range<usize>; 3] = [0..12, 12..17, 17..30];
@@ -190,9 +192,14 @@ pub(crate) fn refusal(dataset: &Path, folder: &Path) -> String {
 /// Opens a dataset and reads columns and pictures; the sentence of the first error.
 pub(crate) fn read_all(dataset: &Path) -> Result<PushtEpisodes, String> {
     let reader = PushtReader::open(dataset).map_err(|error| error.to_string())?;
-    let (episodes, _) = reader
-        .read_episodes(&Selection::All)
-        .map_err(|error| error.to_string())?;
+    let options = PushtOptions {
+        images: true,
+        ..PushtOptions::default()
+    };
+    let episodes = reader
+        .read(&Selection::All, &options)
+        .map_err(|error| error.to_string())?
+        .episodes;
     if reader.image_shape().is_some() {
         for block in reader
             .image_blocks(&Selection::All)

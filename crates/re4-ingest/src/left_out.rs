@@ -1,0 +1,87 @@
+//! Demonstrations that cannot be used.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What to do with a demonstration that cannot be read, or that contradicts the others.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnBad {
+    /// Refuse the dataset, naming all of them.
+    #[default]
+    Refuse,
+    /// Go on with the others; the artifact lists those that were left out.
+    LeaveOut,
+}
+
+/// A demonstration that cannot be used, and why.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Its name in the source: a group such as `demo_12`, or `episode 12` of Push-T.
+    pub demo: String,
+    /// What is wrong with it, one sentence with the remedy, without the path of the dataset.
+    pub why: String,
+}
+
+/// Demonstrations that are named one by one in a sentence.
+const NAMED: usize = 20;
+
+/// Why a dataset of so many demonstrations is refused for these: one alone with its own sentence, several in one.
+pub fn refusal(left: &[LeftOut], of: usize) -> String {
+    if let [only] = left {
+        return only.why.clone();
+    }
+    if let Some(sentence) = same(left).filter(|_| left.len() == of) {
+        return sentence;
+    }
+    let what = |left: &LeftOut| {
+        let what = left.why.split_once("; ").map_or(&*left.why, |(what, _)| what);
+        let what = what.strip_prefix(&format!("{}: ", left.demo)).unwrap_or(what);
+        format!("{} ({what})", left.demo)
+    };
+    let named: Vec<String> = left.iter().take(NAMED).map(what).collect();
+    let more = match left.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    format!(
+        "{} of {of} demonstrations cannot be used: {}{more}; repair them, leave them out with ingest.select, or set ingest.on_bad = \"leave_out\" to go on without them",
+        left.len(),
+        named.join(", ")
+    )
+}
+
+/// The first sentence, where all say the same of other demonstrations and in other numbers: then that is how the dataset is.
+fn same(left: &[LeftOut]) -> Option<String> {
+    let plain = |left: &LeftOut| -> String {
+        let text = left.why.replace(&left.demo, "");
+        text.chars().filter(|c| !c.is_ascii_digit()).collect()
+    };
+    let first = left.first()?;
+    let (what, remedy) = first.why.split_once("; ").unwrap_or((&first.why, ""));
+    let all = left.iter().all(|other| plain(other) == plain(first));
+    all.then(|| format!("{what}, and so in all {} demonstrations; {remedy}", left.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_faults_are_told_at_once() {
+        let left = |demo: usize| LeftOut {
+            demo: format!("demo_{demo}"),
+            why: format!("row {demo} is odd; repair it"),
+        };
+        assert_eq!(refusal(&[left(3)], 9), "row 3 is odd; repair it");
+        let two = refusal(&[left(3), left(5)], 9);
+        assert!(
+            two.starts_with("2 of 9 demonstrations cannot be used: demo_3 (row 3 is odd), demo_5 (row 5 is odd); "),
+            "{two}"
+        );
+        let all = refusal(&[left(3), left(5)], 2);
+        assert_eq!(all, "row 3 is odd, and so in all 2 demonstrations; repair it");
+        let many: Vec<LeftOut> = (0..25).map(left).collect();
+        assert!(refusal(&many, 30).contains("demo_19 (row 19 is odd) and 5 more; "));
+    }
+}

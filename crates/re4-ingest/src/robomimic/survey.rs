@@ -1,0 +1,163 @@
+//! Whether a file is read by its observations or by its states: what its demonstrations have of either.
+
+use super::demo::OBSERVATIONS;
+use super::fault::Hdf5Fault;
+use super::file::File;
+use super::reader::{DemoName, Layout, listed, warning};
+use crate::warning::{Warning, WarningCode};
+
+/// What a demonstration has of observations.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Observed {
+    /// Those that are needed.
+    Whole,
+    /// A group `obs` that lacks this one.
+    Lacks(&'static str),
+    /// No group `obs`.
+    None,
+}
+
+/// What the demonstrations of a file have.
+#[derive(Debug)]
+pub(super) struct Survey {
+    demos: Vec<(String, Observed)>,
+    /// Whether every demonstration has states and a model.
+    states: bool,
+    /// Whether any has `obs/object`.
+    objects: bool,
+}
+
+impl Survey {
+    /// Looks at the names of the datasets; nothing is read.
+    pub(super) fn of(file: &File, demos: &[DemoName]) -> Result<Self, Hdf5Fault> {
+        let mut survey = Self {
+            demos: Vec::new(),
+            states: true,
+            objects: false,
+        };
+        for demo in demos {
+            let group = format!("data/{}", demo.name);
+            let lost = |fault: Hdf5Fault| match fault {
+                fault if file.ends_with(&fault) => Err(fault),
+                // It is told when the demonstration is read, and says nothing of the others.
+                _ => Ok(Vec::new()),
+            };
+            let members = file.members(&group).or_else(lost)?;
+            if members.is_empty() {
+                continue;
+            }
+            let has = |members: &[String], name: &str| members.iter().any(|member| member == name);
+            let observed = if has(&members, "obs") {
+                let observations = file.members(&format!("{group}/obs")).or_else(lost)?;
+                survey.objects |= has(&observations, "object");
+                let lacks = OBSERVATIONS
+                    .iter()
+                    .find(|(name, _)| !has(&observations, name.trim_start_matches("obs/")));
+                lacks.map_or(Observed::Whole, |(name, _)| Observed::Lacks(name))
+            } else {
+                Observed::None
+            };
+            survey.demos.push((demo.name.clone(), observed));
+            survey.states = survey.states && has(&members, "states") && model(file, &group)?;
+            if file.is_cautious() {
+                break;
+            }
+        }
+        Ok(survey)
+    }
+
+    fn count(&self, which: impl Fn(&Observed) -> bool) -> usize {
+        self.demos.iter().filter(|(_, observed)| which(observed)).count()
+    }
+
+    /// By observations, unless no demonstration has all that are needed, or some have none at all, and all have states.
+    pub(super) fn layout(&self) -> Layout {
+        let whole = self.count(|observed| *observed == Observed::Whole);
+        let none = self.count(|observed| *observed == Observed::None);
+        let by_states = whole == 0 || (none > 0 && whole + none == self.demos.len());
+        let all_none = none == self.demos.len();
+        if by_states && (self.states || all_none) {
+            Layout::Raw
+        } else {
+            Layout::Observed
+        }
+    }
+
+    /// Whether the pose of the object has to come from the states: no demonstration has it, and all have states.
+    pub(super) fn object_from_states(&self) -> bool {
+        !self.objects && self.states
+    }
+
+    /// What is to be said where observations are there and not used.
+    pub(super) fn warning(&self) -> Option<Warning> {
+        let unused: Vec<String> = self
+            .demos
+            .iter()
+            .filter(|(_, observed)| *observed != Observed::None)
+            .map(|(name, _)| name.clone())
+            .collect();
+        if self.layout() == Layout::Observed || unused.is_empty() {
+            return None;
+        }
+        let lacking = self.demos.iter().find_map(|(name, observed)| match observed {
+            Observed::Whole => None,
+            Observed::Lacks(what) => Some(format!("{name} has no {what}")),
+            Observed::None => Some(format!("{name} has no group obs")),
+        });
+        let message = format!(
+            "the observations of {} are not used: {}, so all poses are computed from states and model_file",
+            listed(&unused, ""),
+            lacking.unwrap_or_default()
+        );
+        Some(warning(WarningCode::UnusedObservations, message, unused.len()))
+    }
+}
+
+fn model(file: &File, group: &str) -> Result<bool, Hdf5Fault> {
+    match file.has_attribute(group, "model_file") {
+        Err(fault @ Hdf5Fault::NeedsLibrary) => Err(fault),
+        Err(_) => Ok(false),
+        has => has,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn survey(observed: &[Observed], states: bool) -> Survey {
+        let demos = (0..)
+            .zip(observed)
+            .map(|(i, observed): (u32, _)| (format!("demo_{i}"), observed.clone()));
+        Survey {
+            demos: demos.collect(),
+            states,
+            objects: true,
+        }
+    }
+
+    #[test]
+    fn the_layout_is_one_that_all_have() {
+        use Observed::{Lacks, None, Whole};
+        let lacks = || Lacks("obs/robot0_eef_pos");
+        for (observed, states, layout, said) in [
+            (vec![Whole, Whole], true, Layout::Observed, false),
+            (vec![Whole, Whole], false, Layout::Observed, false),
+            (vec![None, None], true, Layout::Raw, false),
+            (vec![None, None], false, Layout::Raw, false),
+            // Some have no observations: what all have is used, and that is said.
+            (vec![None, Whole], true, Layout::Raw, true),
+            (vec![Whole, None], false, Layout::Observed, false),
+            // All lack some: other names, or fewer of them.
+            (vec![lacks(), lacks()], true, Layout::Raw, true),
+            (vec![lacks(), lacks()], false, Layout::Observed, false),
+            // One lacks some that the others have: that is a fault of it.
+            (vec![Whole, lacks()], true, Layout::Observed, false),
+            (vec![Whole, lacks(), None], true, Layout::Observed, false),
+        ] {
+            let survey = survey(&observed, states);
+            assert_eq!(survey.layout(), layout, "{observed:?} {states}");
+            assert_eq!(survey.warning().is_some(), said, "{observed:?} {states}");
+        }
+    }
+}

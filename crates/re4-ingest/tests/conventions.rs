@@ -1,0 +1,228 @@
+//! Files of other hands, read by the setting that their refusal names, give the columns of the file that they were made from.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+
+use std::path::{Path, PathBuf};
+
+use re4_ingest::robomimic::{Access, DemoChoice, Interpreted, Interpreter, Layout, Reading, RobomimicReader, Sources};
+use re4_ingest::{IngestError, LeftOut, refusal};
+use re4_robosuite::conventions::{ActionFrame, ActionScale, GripperRange, InitialGoal, Settings, Task};
+
+/// A file below the folder of the datasets, if it is at hand.
+fn dataset(name: &str) -> Option<PathBuf> {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let path = std::env::var_os("RE4_DATA")
+        .map_or_else(beside, PathBuf::from)
+        .join(name);
+    if !path.exists() {
+        println!(
+            "skipped: no {}; set RE4_DATA to the folder of the datasets",
+            path.display()
+        );
+    }
+    path.exists().then_some(path)
+}
+
+fn foreign(name: &str) -> Option<PathBuf> {
+    dataset(&format!("foreign/{name}/{name}.hdf5"))
+}
+
+fn reading(task: Task, conventions: Settings) -> Reading {
+    Reading {
+        task,
+        object: None,
+        env_args: None,
+        conventions,
+    }
+}
+
+fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
+    RobomimicReader::open(Sources::open(path)?, &DemoChoice::default(), Access::Library)
+}
+
+type Columns = Vec<(String, Interpreted)>;
+
+/// The interpreter's rows of conventions and the columns of all demonstrations, or the sentence of the refusal.
+fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), String> {
+    let reader = open(path).map_err(|error| error.to_string())?;
+    let (interpreter, left_out) = Interpreter::learn(&reader, reading).map_err(|error| error.to_string())?;
+    if !left_out.is_empty() {
+        return Err(refusal(&left_out, reader.demos().len()));
+    }
+    let mut all = Vec::new();
+    reader
+        .for_each(
+            |_, demo: Result<_, LeftOut>| {
+                let demo = demo.unwrap();
+                let columns = interpreter.interpret(&reader, &demo, None)?;
+                Ok::<_, IngestError>((demo.name, columns))
+            },
+            |_, row| {
+                all.push(row);
+                Ok(())
+            },
+        )
+        .map_err(|error| error.to_string())?;
+    Ok((interpreter, all))
+}
+
+/// Greatest differences of deltas, goals and gripper commands.
+fn differences(a: &Columns, b: &Columns) -> [f64; 3] {
+    assert_eq!(a.len(), b.len());
+    let mut most = [0.0_f64; 3];
+    for ((_, a), (_, b)) in a.iter().zip(b) {
+        let frames = a.goal.len().min(b.goal.len());
+        assert!(frames > 0);
+        for t in 0..frames {
+            for axis in 0..6 {
+                most[0] = most[0].max((a.delta[t][axis] - b.delta[t][axis]).abs());
+                most[1] = most[1].max((a.goal[t][axis] - b.goal[t][axis]).abs());
+            }
+            most[2] = most[2].max((a.goal[t][6] - b.goal[t][6]).abs());
+            most[2] = most[2].max((a.delta[t][6] - b.delta[t][6]).abs());
+        }
+    }
+    most
+}
+
+fn basis(interpreter: &Interpreter, name: &str) -> (String, &'static str) {
+    let row = interpreter.conventions().iter().find(|row| row.name == name).unwrap();
+    (row.value.clone(), row.basis)
+}
+
+#[test]
+fn deltas_in_metres_are_those_of_the_controller_by_the_setting() {
+    let (Some(metres), Some(control)) = (foreign("h26_deltas_in_metres"), foreign("h00_control_can")) else {
+        return;
+    };
+    let refused = ingest(&metres, &reading(Task::Can, Settings::default())).err().unwrap();
+    println!("{refused}");
+    assert!(refused.contains("set action_scale = \"metres\""), "{refused}");
+    let settings = Settings {
+        action_scale: Some(ActionScale::Metres),
+        ..Settings::default()
+    };
+    let (interpreter, columns) = ingest(&metres, &reading(Task::Can, settings)).unwrap();
+    assert_eq!(basis(&interpreter, "action_scale"), ("metres".to_owned(), "proven"));
+    let (interpreter, expected) = ingest(&control, &reading(Task::Can, Settings::default())).unwrap();
+    assert_eq!(basis(&interpreter, "action_scale"), ("controller".to_owned(), "proven"));
+    let most = differences(&columns, &expected);
+    assert!(most.iter().all(|most| *most < 1e-9), "{most:?}");
+    let refused = ingest(&control, &reading(Task::Can, settings)).err().unwrap();
+    println!("{refused}");
+    assert!(refused.contains("action_scale = \"controller\" fits"), "{refused}");
+}
+
+#[test]
+fn gripper_commands_from_0_to_1_are_those_of_robosuite_by_the_setting() {
+    let (Some(zero_one), Some(control)) = (foreign("h28_gripper_zero_one"), foreign("h00_control_lift")) else {
+        return;
+    };
+    let refused = ingest(&zero_one, &reading(Task::Lift, Settings::default()))
+        .err()
+        .unwrap();
+    println!("{refused}");
+    assert!(refused.contains("set gripper_range = \"zero_one\""), "{refused}");
+    let settings = Settings {
+        gripper_range: Some(GripperRange::ZeroOne),
+        ..Settings::default()
+    };
+    let (interpreter, columns) = ingest(&zero_one, &reading(Task::Lift, settings)).unwrap();
+    assert_eq!(basis(&interpreter, "gripper_range"), ("zero_one".to_owned(), "proven"));
+    let (_, expected) = ingest(&control, &reading(Task::Lift, Settings::default())).unwrap();
+    assert_eq!(differences(&columns, &expected), [0.0; 3]);
+}
+
+#[test]
+fn goals_in_the_base_s_frame_are_the_controller_s_by_the_setting() {
+    let (Some(in_base), Some(control)) = (foreign("h24_absolute_in_base_frame"), foreign("h00_control_lift")) else {
+        return;
+    };
+    let settings = Settings {
+        action_frame: Some(ActionFrame::Base),
+        ..Settings::default()
+    };
+    let (interpreter, columns) = ingest(&in_base, &reading(Task::Lift, settings)).unwrap();
+    assert_eq!(basis(&interpreter, "action_frame"), ("base".to_owned(), "proven"));
+    let (_, expected) = ingest(&control, &reading(Task::Lift, Settings::default())).unwrap();
+    let [deltas, goals, gripper] = differences(&columns, &expected);
+    println!("{deltas:.2e} {goals:.2e}");
+    assert!(goals < 1e-6 && gripper == 0.0, "{goals:.2e}");
+}
+
+/// Observations beside the states that they come from change nothing.
+#[test]
+fn the_raw_and_the_observed_layout_give_the_same_goals() {
+    let (Some(live), Some(raw)) = (
+        foreign("h76_live_observations"),
+        dataset("robosuite/robosuite-1.4.1-demos/lift/demo.hdf5"),
+    ) else {
+        return;
+    };
+    let settings = Settings {
+        allow_actions_beyond_range: true,
+        ..Settings::default()
+    };
+    let (of_live, observed) = ingest(&live, &reading(Task::Lift, settings)).unwrap();
+    let (of_raw, states) = ingest(&raw, &reading(Task::Lift, settings)).unwrap();
+    for interpreter in [&of_live, &of_raw] {
+        assert_eq!(basis(interpreter, "initial_goal"), ("reset_pose".to_owned(), "proven"));
+    }
+    let most = differences(&observed, &states);
+    println!("{most:?}");
+    assert!(most.iter().all(|most| *most < 1e-6), "{most:?}");
+    let first = Settings {
+        initial_goal: Some(InitialGoal::FirstPose),
+        ..settings
+    };
+    let refused = ingest(&raw, &reading(Task::Lift, first)).err().unwrap();
+    assert!(
+        refused.contains("initial_goal = \"first_pose\" is contradicted"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn what_was_never_recorded_is_named_or_left_out() {
+    let Some(cut_off) = foreign("h64_preallocated_rows_counted") else {
+        return;
+    };
+    let refused = ingest(&cut_off, &reading(Task::Lift, Settings::default()))
+        .err()
+        .unwrap();
+    println!("{refused}");
+    assert!(refused.contains("demo_2: rows 53 to 79 are zeros"), "{refused}");
+    let reader = open(&cut_off).unwrap();
+    let reading = reading(Task::Lift, Settings::default());
+    let (_, left_out) = Interpreter::learn(&reader, &reading).unwrap();
+    let names: Vec<&str> = left_out.iter().map(|left| left.demo.as_str()).collect();
+    assert_eq!(names, ["demo_2"]);
+    assert!(left_out[0].why.contains("rows 53 to 79"), "{}", left_out[0].why);
+}
+
+#[test]
+fn names_of_environments_are_those_of_their_scene() {
+    let (Some(square), Some(isaac), Some(infinity)) = (
+        foreign("h01_mimicgen_square_d0"),
+        foreign("h20_isaaclab_layout"),
+        foreign("h11_env_args_infinity"),
+    ) else {
+        return;
+    };
+    let (interpreter, columns) = ingest(&square, &reading(Task::Square, Settings::default())).unwrap();
+    assert!(!columns.is_empty());
+    assert_eq!(interpreter.env().env_name, "Square_D0");
+    assert_eq!(interpreter.warnings(), Vec::<String>::new().as_slice());
+    let refused = ingest(&square, &reading(Task::Can, Settings::default())).err().unwrap();
+    assert!(refused.contains("the pipeline's task needs PickPlaceCan"), "{refused}");
+    for task in [Task::Lift, Task::Other] {
+        let refused = ingest(&isaac, &reading(task, Settings::default())).err().unwrap();
+        println!("{refused}");
+        assert!(
+            refused.contains("it is not robosuite's") && refused.contains("Isaac Lab"),
+            "{refused}"
+        );
+    }
+    ingest(&infinity, &reading(Task::Lift, Settings::default())).unwrap();
+    let reader = open(&square).unwrap();
+    assert_eq!(reader.layout(), Layout::Observed);
+}
