@@ -8,12 +8,12 @@ mod support;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Stage, col_binary, col_text, col_u32, tables};
-use support::{Answer, Place, assert_same_bytes, filters, repository, scripted_and_simulators};
+use support::{Answer, Gate, Place, assert_same_bytes, filters, repository, scripted_and_simulators, wait_for};
 
 fn pipeline(place: &Place, name: &str, task: &str, source: &Path, rest: &str) {
     let source = source.display();
@@ -91,6 +91,48 @@ fn pictures_are_those_that_robosuite_recorded() {
     }
 }
 
+/// Most memory that the process that draws took, in MiB, and the answer.
+fn peak_of_worker(place: &Place, simulators: &Path, arguments: &str) -> (u64, Answer) {
+    let mut child = command(place, simulators, arguments);
+    let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let children = format!("/proc/{0}/task/{0}/children", child.id());
+    let mut peak = 0;
+    while child.try_wait().unwrap().is_none() {
+        let workers = fs::read_to_string(&children).unwrap_or_default();
+        for worker in workers.split_whitespace() {
+            // It may have ended meanwhile.
+            let status = fs::read_to_string(format!("/proc/{worker}/status")).unwrap_or_default();
+            let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+            let kilobytes = line.and_then(|line| line.trim().strip_suffix(" kB"));
+            peak = peak.max(kilobytes.map_or(0, |number| number.trim().parse().unwrap()));
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    (
+        peak >> 10,
+        Answer::new(&child.wait_with_output().unwrap(), place.path()),
+    )
+}
+
+#[test]
+fn memory_is_bounded_whatever_the_number_of_jobs() {
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
+    let rest = "select = { first = 8 }\nrender = [\"agentview\", \"robot0_eye_in_hand\"]";
+    let places = [1, 16].map(|jobs| {
+        let place = Place::empty();
+        pipeline(&place, "lift", "lift", &data.join("lift/low_dim.hdf5"), rest);
+        let (peak, answer) = peak_of_worker(&place, &simulators, &format!("ingest lift.toml --jobs {jobs}"));
+        answer.done();
+        println!("{jobs} jobs: {peak} MiB");
+        // A process that draws is not smaller than its libraries.
+        assert!((100..512).contains(&peak), "{jobs} jobs: {peak} MiB");
+        place
+    });
+    assert_same_bytes(&places[0].bytes(), &places[1].bytes());
+}
+
 /// Files of the spool, which has one folder.
 fn spooled(place: &Place) -> Vec<PathBuf> {
     let folders = fs::read_dir(place.artifacts().join("spool")).into_iter().flatten();
@@ -101,15 +143,24 @@ fn spooled(place: &Place) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Kills the program once so many demonstrations are drawn.
-fn kill_after(place: &Place, mut child: Child, demos: usize) {
-    let start = Instant::now();
-    while spooled(place).len() < demos {
-        assert!(start.elapsed() < Duration::from_mins(5) && child.try_wait().unwrap().is_none());
-        std::thread::sleep(Duration::from_millis(5));
-    }
+/// Starts the program and kills it once so many demonstrations are drawn, of `frames` each, and before all are.
+fn kill_after(place: &Place, simulators: &Path, demos: usize, frames: &[usize]) {
+    // Two threads draw a demonstration each; whichever those are, so many pictures are more than fewer whole demonstrations and
+    // parts of two others have.
+    let mut frames = frames.to_vec();
+    frames.sort_unstable_by(|a, b| b.cmp(a));
+    let pictures = frames[..demos - 1].iter().sum::<usize>() + 2 * frames[0];
+    assert!(pictures < frames.iter().sum(), "too few demonstrations");
+    let mut command = command(place, simulators, "ingest lift.toml --jobs 2 --quiet");
+    let gate = Gate::before(&mut command, place, pictures);
+    let mut child = command.spawn().unwrap();
+    let worker = gate.wait(&mut child);
+    wait_for("the files of what is drawn", || {
+        (spooled(place).len() >= demos).then_some(())
+    });
     child.kill().unwrap();
     child.wait().unwrap();
+    worker.wait();
 }
 
 #[test]
@@ -117,7 +168,7 @@ fn a_killed_run_goes_on_where_it_was() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
-    let rest = "select = { first = 6 }\nrender = [\"robot0_eye_in_hand\"]";
+    let rest = "select = { first = 9 }\nrender = [\"robot0_eye_in_hand\"]";
     let place = || {
         let place = Place::empty();
         pipeline(&place, "lift", "lift", &data.join("lift/low_dim.hdf5"), rest);
@@ -126,12 +177,16 @@ fn a_killed_run_goes_on_where_it_was() {
     let undisturbed = place();
     run(&undisturbed, &simulators, "ingest lift.toml --jobs 1").done();
     assert!(!undisturbed.artifacts().join("spool").exists());
+    let episodes = undisturbed.artifact(Stage::Ingest);
+    let episodes = episodes.table(&tables::EPISODES).unwrap().read_all().unwrap();
+    let frames: Vec<usize> = col_u32(&episodes, "frames")
+        .unwrap()
+        .iter()
+        .map(|&frames| frames as usize)
+        .collect();
     let place = place();
     for demos in [2, 4] {
-        let child = command(&place, &simulators, "ingest lift.toml --jobs 2")
-            .spawn()
-            .unwrap();
-        kill_after(&place, child, demos);
+        kill_after(&place, &simulators, demos, &frames);
     }
     let mut kept = spooled(&place);
     kept.sort();
@@ -145,10 +200,7 @@ fn a_killed_run_goes_on_where_it_was() {
     };
     let before = times(&kept[1..]);
     fs::write(&kept[0], b"damaged").unwrap();
-    let child = command(&place, &simulators, "ingest lift.toml --jobs 2")
-        .spawn()
-        .unwrap();
-    kill_after(&place, child, 5);
+    kill_after(&place, &simulators, 5, &frames);
     assert_eq!(times(&kept[1..]), before);
     run(&place, &simulators, "ingest lift.toml --jobs 2").done();
     assert_same_bytes(&place.bytes(), &undisturbed.bytes());

@@ -57,6 +57,19 @@ impl Loaded {
             Self::Egl(_) => Gl::Egl,
         }
     }
+
+    /// # Safety
+    /// A context of the library is current in this thread.
+    unsafe fn make_none_current(&self) -> bool {
+        // SAFETY: by the caller; null stands for none.
+        unsafe {
+            match self {
+                // 0x1406 is GL_FLOAT.
+                Self::OsMesa(library) => (library.make_current)(null_mut(), null_mut(), 0x1406, 0, 0) != 0,
+                Self::Egl(library) => (library.make_current)(library.display, null_mut(), null_mut(), null_mut()) != 0,
+            }
+        }
+    }
 }
 
 /// Contexts are made and unmade by one thread at a time: MuJoCo then fills its table of OpenGL's functions.
@@ -265,7 +278,7 @@ thread_local! {
 /// Side of the buffer that `OSMesa` wants: pictures are drawn to one of MuJoCo's.
 const SIDE: usize = 16;
 
-/// An OpenGL context. It stays in the thread that made it.
+/// An OpenGL context. It stays in the thread that made it, unless it is handed on with [`Context::release_current`].
 pub(crate) struct Context {
     loaded: &'static Loaded,
     pointer: *mut c_void,
@@ -275,17 +288,19 @@ pub(crate) struct Context {
 }
 
 impl Context {
-    pub(crate) fn new() -> Result<Self, MujocoError> {
+    /// A new one, current in this thread. It may share textures and display lists with another, which need not be current.
+    pub(crate) fn new(shares: Option<&Self>) -> Result<Self, MujocoError> {
         let loaded = loaded()?;
         let refused = |reason| MujocoError::Gl {
             gl: loaded.kind(),
             reason,
         };
+        let shares = shares.map_or(null_mut(), |other| other.pointer);
         let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
         let pointer = match loaded {
             // 0x1908 is GL_RGBA; 24 bits of depth, 8 of stencil, none to accumulate.
-            // SAFETY: no other context is shared.
-            Loaded::OsMesa(library) => unsafe { (library.create)(0x1908, 24, 8, 0, null_mut()) },
+            // SAFETY: the other context is one of this library, or null.
+            Loaded::OsMesa(library) => unsafe { (library.create)(0x1908, 24, 8, 0, shares) },
             Loaded::Egl(library) => {
                 let (mut config, mut count) = (null_mut(), 0);
                 // SAFETY: the attributes end as they should, and there is room for one configuration.
@@ -302,8 +317,8 @@ impl Context {
                 if !chosen || count < 1 {
                     return Err(refused("no configuration of it has depth and stencil"));
                 }
-                // SAFETY: display and configuration are the library's own.
-                unsafe { (library.create)(library.display, config, null_mut(), std::ptr::null()) }
+                // SAFETY: display and configuration are the library's own, and so is the other context, or it is null.
+                unsafe { (library.create)(library.display, config, shares, std::ptr::null()) }
             }
         };
         if pointer.is_null() {
@@ -350,6 +365,22 @@ impl Context {
         CURRENT.set(self.pointer);
         Ok(())
     }
+
+    /// Lets other threads make it current: this thread then has none.
+    pub(crate) fn release_current(&mut self) -> Result<(), MujocoError> {
+        if CURRENT.get() != self.pointer {
+            return Ok(());
+        }
+        // SAFETY: none instead of the one that is current.
+        if !unsafe { self.loaded.make_none_current() } {
+            return Err(MujocoError::Gl {
+                gl: self.loaded.kind(),
+                reason: "its context cannot be handed to another thread",
+            });
+        }
+        CURRENT.set(null_mut());
+        Ok(())
+    }
 }
 
 impl Drop for Context {
@@ -357,17 +388,12 @@ impl Drop for Context {
         let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: the context is this thread's own and is not used again; it may be current, and then is not any more.
         unsafe {
+            if CURRENT.get() == self.pointer {
+                self.loaded.make_none_current();
+            }
             match self.loaded {
-                Loaded::OsMesa(library) => {
-                    if CURRENT.get() == self.pointer {
-                        (library.make_current)(null_mut(), null_mut(), 0x1406, 0, 0);
-                    }
-                    (library.destroy)(self.pointer);
-                }
+                Loaded::OsMesa(library) => (library.destroy)(self.pointer),
                 Loaded::Egl(library) => {
-                    if CURRENT.get() == self.pointer {
-                        (library.make_current)(library.display, null_mut(), null_mut(), null_mut());
-                    }
                     (library.destroy)(library.display, self.pointer);
                 }
             }

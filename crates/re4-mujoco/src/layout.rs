@@ -83,6 +83,7 @@ pub(crate) struct Sizes {
     pub(crate) geom: usize,
     pub(crate) eye: usize,
     pub(crate) context: usize,
+    pub(crate) model: usize,
 }
 
 impl Sizes {
@@ -95,6 +96,7 @@ impl Sizes {
             ("mjvGeom", self.geom),
             ("mjvGLCamera", self.eye),
             ("mjrContext", self.context),
+            ("mjModel", self.model),
         ]
     }
 }
@@ -210,6 +212,38 @@ layout! {
     model_geom_size = "m.geom_size",
     /// Radii of spheres around geoms.
     model_geom_rbound = "m.geom_rbound",
+    /// Number of lights.
+    nlight = "m.nlight",
+    /// Whether a light casts shadows.
+    light_castshadow = "m.light_castshadow",
+    /// Number of meshes.
+    nmesh = "m.nmesh",
+    /// Number of triangles of all meshes.
+    nmeshface = "m.nmeshface",
+    /// Number of textures.
+    ntex = "m.ntex",
+    /// Kind of a texture.
+    tex_type = "m.tex_type",
+    /// Its rows.
+    tex_height = "m.tex_height",
+    /// Its columns.
+    tex_width = "m.tex_width",
+    /// Side of the map of shadows, in pixels.
+    shadowsize = "m.vis.quality.shadowsize",
+    /// Samples of a pixel.
+    offsamples = "m.vis.quality.offsamples",
+    /// Width of the buffer that is drawn to.
+    offwidth = "m.vis.global.offwidth",
+    /// Its height.
+    offheight = "m.vis.global.offheight",
+    /// Names of textures that were uploaded.
+    context_texture = "context.texture",
+    /// First display list of planes, behind the names of textures.
+    context_base_plane = "context.basePlane",
+    /// First display list of meshes.
+    context_base_mesh = "context.baseMesh",
+    /// Number of display lists of meshes.
+    context_range_mesh = "context.rangeMesh",
 }
 
 static LAYOUT_2_3_7: Layout = Layout {
@@ -268,6 +302,22 @@ static LAYOUT_2_3_7: Layout = Layout {
     model_geom_type: 1_608,
     model_geom_size: 1_712,
     model_geom_rbound: 1_728,
+    nlight: 40,
+    light_castshadow: 2000,
+    nmesh: 44,
+    nmeshface: 60,
+    ntex: 100,
+    tex_type: 2456,
+    tex_height: 2464,
+    tex_width: 2472,
+    shadowsize: 544,
+    offsamples: 548,
+    offwidth: 532,
+    offheight: 536,
+    context_texture: 772,
+    context_base_plane: 1172,
+    context_base_mesh: 1176,
+    context_range_mesh: 1204,
     sizes: Sizes {
         option: 76,
         camera: 64,
@@ -276,6 +326,7 @@ static LAYOUT_2_3_7: Layout = Layout {
         geom: 248,
         eye: 56,
         context: 2_312,
+        model: 3_560,
     },
 };
 
@@ -335,6 +386,22 @@ static LAYOUT_3_2_7: Layout = Layout {
     model_geom_type: 1_856,
     model_geom_size: 1_968,
     model_geom_rbound: 1_984,
+    nlight: 48,
+    light_castshadow: 2288,
+    nmesh: 88,
+    nmeshface: 104,
+    ntex: 144,
+    tex_type: 3232,
+    tex_height: 3240,
+    tex_width: 3248,
+    shadowsize: 688,
+    offsamples: 692,
+    offwidth: 672,
+    offheight: 676,
+    context_texture: 56_372,
+    context_base_plane: 60_372,
+    context_base_mesh: 60_376,
+    context_range_mesh: 60_404,
     sizes: Sizes {
         option: 92,
         camera: 72,
@@ -343,5 +410,6 @@ static LAYOUT_3_2_7: Layout = Layout {
         geom: 236,
         eye: 64,
         context: 61_512,
+        model: 4_400,
     },
 };

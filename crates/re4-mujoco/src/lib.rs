@@ -9,6 +9,7 @@
 
 #![expect(unsafe_code, reason = "this crate is the binding to a C library")]
 
+mod block;
 mod data;
 mod error;
 mod gl;
@@ -16,6 +17,7 @@ mod layout;
 mod library;
 mod model;
 mod render;
+mod stage;
 mod trim;
 mod view;
 
@@ -25,5 +27,5 @@ pub use gl::Gl;
 pub use layout::Version;
 pub use library::Library;
 pub use model::{Kind, Model};
-pub use render::Renderer;
+pub use render::{Footprint, Renderer};
 pub use view::View;

@@ -43,7 +43,8 @@ macro_rules! functions {
 
 functions! {
     mj_loadXML: fn(*const c_char, *const c_void, *mut c_char, c_int) -> *mut c_void;
-    mj_copyModel: fn(*mut c_void, *const c_void) -> *mut c_void;
+    mj_freeLastXML: fn();
+    mj_sizeModel: fn(*const c_void) -> c_int;
     mj_deleteModel: fn(*mut c_void);
     mj_makeData: fn(*const c_void) -> *mut c_void;
     mj_deleteData: fn(*mut c_void);
@@ -70,7 +71,6 @@ functions! {
     mjr_defaultContext: fn(*mut c_void);
     mjr_makeContext: fn(*const c_void, *mut c_void, c_int);
     mjr_freeContext: fn(*mut c_void);
-    mjr_resizeOffscreen: fn(c_int, c_int, *mut c_void);
     mjr_setBuffer: fn(c_int, *mut c_void);
     mjr_render: fn(Viewport, *mut c_void, *const c_void);
     mjr_readPixels: fn(*mut u8, *mut f32, Viewport, *const c_void);
@@ -207,6 +207,18 @@ impl Library {
 
     pub(crate) fn compiling() -> MutexGuard<'static, ()> {
         COMPILING.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Gives memory that is free back to the system, which the C library otherwise keeps for the next allocation.
+pub(crate) fn give_back_free_memory() {
+    #[cfg(target_env = "gnu")]
+    {
+        unsafe extern "C" {
+            fn malloc_trim(pad: usize) -> c_int;
+        }
+        // SAFETY: memory that is in use stays as it is.
+        unsafe { malloc_trim(0) };
     }
 }
 

@@ -3,8 +3,10 @@
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::io::Write as _;
 use std::ptr::NonNull;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
+use crate::block::Block;
+use crate::stage::{Place, Stage};
 use crate::{Library, MujocoError, Version};
 
 /// `mjGEOM_BOX`.
@@ -64,7 +66,25 @@ struct Inner {
     library: Library,
     pointer: NonNull<c_void>,
     /// The same in models that look the same but for sizes of boxes.
-    family: Arc<()>,
+    family: Arc<Place>,
+    memory: Memory,
+}
+
+/// Whose the memory of a model is.
+enum Memory {
+    /// The library's.
+    Compiled,
+    /// Its structure and some arrays are its own, all others another model's.
+    Resized(#[expect(dead_code, reason = "it is kept for as long as the model lives")] Box<Resized>),
+}
+
+struct Resized {
+    /// Keeps all other arrays where they are.
+    _base: Model,
+    structure: Block,
+    sizes: Vec<[f64; 3]>,
+    radii: Vec<f64>,
+    boxes: Vec<[f64; 6]>,
 }
 
 // SAFETY: the library only reads a model that it simulates or draws, and this crate never writes to one.
@@ -74,8 +94,10 @@ unsafe impl Sync for Inner {}
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        // SAFETY: the pointer came from `mj_loadXML`, and every `Data` holds the model alive.
-        unsafe { (self.library.functions().mj_deleteModel)(self.pointer.as_ptr()) }
+        if let Memory::Compiled = self.memory {
+            // SAFETY: the pointer came from `mj_loadXML`, and every `Data` holds the model alive.
+            unsafe { (self.library.functions().mj_deleteModel)(self.pointer.as_ptr()) }
+        }
     }
 }
 
@@ -110,6 +132,8 @@ impl Model {
                 message.len() as c_int,
             )
         };
+        // SAFETY: it frees what the library keeps of the text, several times a model's memory; nobody asks for that.
+        unsafe { (library.functions().mj_freeLastXML)() };
         let Some(pointer) = NonNull::new(pointer) else {
             // SAFETY: the library ends its message with zero, and the array started as zeros.
             let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
@@ -121,60 +145,66 @@ impl Model {
             inner: Arc::new(Inner {
                 library: library.clone(),
                 pointer,
-                family: Arc::new(()),
+                family: Arc::default(),
+                memory: Memory::Compiled,
             }),
         })
     }
 
     /// The same model with other half sizes of named boxes, in metres: for pictures alone, since masses and inertias stay as
-    /// they were. That takes moments, where compiling takes seconds, and a [`Renderer`](crate::Renderer) of one model draws the
-    /// other, too.
+    /// they were. That takes moments and hardly any memory, where compiling takes seconds, and a
+    /// [`Renderer`](crate::Renderer) of one model draws the other, too.
     ///
     /// # Errors
-    /// When a name is not that of a box, or there is no memory.
+    /// When a name is not that of a box.
     pub fn with_boxes<'a>(&self, boxes: impl IntoIterator<Item = (&'a str, [f64; 3])>) -> Result<Self, MujocoError> {
-        // SAFETY: the model is whole, and a new one is asked for.
-        let pointer = unsafe { (self.library().functions().mj_copyModel)(std::ptr::null_mut(), self.pointer()) };
-        let copy = Inner {
-            library: self.library().clone(),
-            pointer: NonNull::new(pointer).ok_or(MujocoError::Memory)?,
-            family: Arc::clone(&self.inner.family),
-        };
         let layout = self.layout();
+        let geoms = self.count(layout.ngeom);
+        // SAFETY: the fields are arrays with a place for every geom, of an `int` and of three, one and six doubles.
+        let (kinds, mut resized) = unsafe {
+            let resized = Box::new(Resized {
+                _base: self.clone(),
+                structure: self.structure(),
+                sizes: self.array(layout.model_geom_size, geoms).to_vec(),
+                radii: self.array(layout.model_geom_rbound, geoms).to_vec(),
+                boxes: self.array(layout.geom_aabb, geoms).to_vec(),
+            });
+            (self.array::<c_int>(layout.model_geom_type, geoms), resized)
+        };
         for (name, size) in boxes {
             let id = self.id(Kind::Geom, name)?;
-            // SAFETY: the fields are arrays with a place for every geom, of an `int` and of three, one and six doubles; the
-            // copy is nobody else's yet.
-            unsafe {
-                let start = |offset: usize| copy.pointer.as_ptr().byte_add(offset);
-                if start(layout.model_geom_type)
-                    .cast::<*const c_int>()
-                    .read()
-                    .add(id)
-                    .read()
-                    != BOX
-                {
-                    return Err(MujocoError::NoSuch {
-                        kind: "box",
-                        name: name.to_owned(),
-                    });
-                }
-                let [x, y, z] = size;
-                start(layout.model_geom_size)
-                    .cast::<*mut [f64; 3]>()
-                    .read()
-                    .add(id)
-                    .write(size);
-                let around = start(layout.model_geom_rbound).cast::<*mut f64>().read();
-                around.add(id).write((x * x + y * y + z * z).sqrt());
-                start(layout.geom_aabb)
-                    .cast::<*mut [f64; 6]>()
-                    .read()
-                    .add(id)
-                    .write([0.0, 0.0, 0.0, x, y, z]);
+            if kinds[id] != BOX {
+                return Err(MujocoError::NoSuch {
+                    kind: "box",
+                    name: name.to_owned(),
+                });
             }
+            let [x, y, z] = size;
+            resized.sizes[id] = size;
+            resized.radii[id] = (x * x + y * y + z * z).sqrt();
+            resized.boxes[id] = [0.0, 0.0, 0.0, x, y, z];
         }
-        Ok(Self { inner: Arc::new(copy) })
+        let Resized {
+            structure,
+            sizes,
+            radii,
+            boxes,
+            ..
+        } = &mut *resized;
+        // SAFETY: the fields are pointers to these arrays, which stay where they are as long as the structure.
+        unsafe {
+            structure.set(layout.model_geom_size, sizes.as_mut_ptr());
+            structure.set(layout.model_geom_rbound, radii.as_mut_ptr());
+            structure.set(layout.geom_aabb, boxes.as_mut_ptr());
+        }
+        Ok(Self {
+            inner: Arc::new(Inner {
+                library: self.library().clone(),
+                pointer: NonNull::new(structure.pointer()).ok_or(MujocoError::Memory)?,
+                family: Arc::clone(&self.inner.family),
+                memory: Memory::Resized(resized),
+            }),
+        })
     }
 
     /// Whether both are the same but for [`Model::with_boxes`].
@@ -191,6 +221,63 @@ impl Model {
 
     pub(crate) fn pointer(&self) -> *const c_void {
         self.inner.pointer.as_ptr()
+    }
+
+    /// A copy of its structure, with pointers to the same arrays.
+    pub(crate) fn structure(&self) -> Block {
+        // SAFETY: the structure has this size in this version.
+        unsafe { Block::copy(self.pointer(), self.layout().sizes.model) }
+    }
+
+    /// What its renderers share.
+    ///
+    /// # Errors
+    /// When there is no OpenGL library, or it refuses to work.
+    pub(crate) fn stage(&self) -> Result<Arc<Stage>, MujocoError> {
+        let mut place = self.inner.family.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(stage) = place.upgrade() {
+            return Ok(stage);
+        }
+        let stage = Arc::new(Stage::new(self)?);
+        *place = Arc::downgrade(&stage);
+        Ok(stage)
+    }
+
+    /// Whether a light of it casts shadows.
+    pub(crate) fn casts_shadows(&self) -> bool {
+        // SAFETY: the array has a byte for every light.
+        let lights = unsafe { self.array::<u8>(self.layout().light_castshadow, self.count(self.layout().nlight)) };
+        lights.iter().any(|&casts| casts != 0)
+    }
+
+    /// Bytes that it takes, without what it shares with the model whose boxes were resized.
+    pub(crate) fn bytes(&self) -> u64 {
+        // SAFETY: the model is whole.
+        let bytes = unsafe { (self.library().functions().mj_sizeModel)(self.pointer()) };
+        u64::try_from(bytes).unwrap_or(0)
+    }
+
+    /// Kind, rows and columns of every texture.
+    pub(crate) fn textures(&self) -> Vec<(c_int, u64, u64)> {
+        let layout = self.layout();
+        let count = self.count(layout.ntex);
+        // SAFETY: each of the arrays has an `int` for every texture.
+        let [kinds, rows, columns] = [layout.tex_type, layout.tex_height, layout.tex_width]
+            .map(|offset| unsafe { self.array::<c_int>(offset, count) });
+        let number = |number: c_int| u64::try_from(number).unwrap_or(0);
+        (0..count)
+            .map(|id| (kinds[id], number(rows[id]), number(columns[id])))
+            .collect()
+    }
+
+    /// Number of triangles of all meshes.
+    pub(crate) fn triangles(&self) -> u64 {
+        self.count(self.layout().nmeshface) as u64
+    }
+
+    /// Side of the map of shadows, and samples of a pixel.
+    pub(crate) fn quality(&self) -> [u64; 2] {
+        [self.layout().shadowsize, self.layout().offsamples].map(|offset| self.count(offset) as u64)
     }
 
     fn layout(&self) -> &'static crate::layout::Layout {

@@ -1,18 +1,17 @@
 //! Pictures of a simulation, as robosuite draws them.
 
-use std::ffi::{c_int, c_void};
-use std::sync::PoisonError;
+use std::ffi::c_int;
+use std::sync::{Arc, PoisonError};
 
+use crate::block::Block;
 use crate::gl::{Context, MAKING};
 use crate::library::Viewport;
+use crate::stage::{Drawn, Stage};
 use crate::trim::{REFLECTION, trim};
 use crate::{Data, Gl, Kind, Model, MujocoError, View};
 
 /// Things that a scene may hold, as robosuite has it.
 const MAX_GEOMS: c_int = 1_000;
-
-/// `mjFONTSCALE_150`; nothing is written in the pictures.
-const FONT_SCALE: c_int = 150;
 
 /// `mjFB_OFFSCREEN`.
 const OFFSCREEN: c_int = 1;
@@ -26,51 +25,42 @@ const ALL: c_int = 7;
 /// Groups of geoms and of sites (`mjNGROUP`).
 const GROUPS: usize = 6;
 
-/// One of MuJoCo's structures, of a size that the version says, aligned as C wants it.
-struct Block(Box<[u64]>);
+/// `mjTEXTURE_2D`; all other kinds have six sides.
+const FLAT: c_int = 0;
 
-impl Block {
-    fn new(size: usize) -> Self {
-        Self(vec![0; size.div_ceil(8)].into_boxed_slice())
-    }
-
-    fn pointer(&mut self) -> *mut c_void {
-        self.0.as_mut_ptr().cast()
-    }
-
-    /// # Safety
-    /// The structure has `T` at this offset.
-    unsafe fn set<T>(&mut self, offset: usize, value: T) {
-        debug_assert!(offset + size_of::<T>() <= self.0.len() * 8);
-        // SAFETY: by the caller.
-        unsafe { self.pointer().byte_add(offset).cast::<T>().write(value) }
-    }
-
-    /// # Safety
-    /// As for [`Block::set`].
-    unsafe fn get<T: Copy>(&mut self, offset: usize) -> T {
-        debug_assert!(offset + size_of::<T>() <= self.0.len() * 8);
-        // SAFETY: by the caller.
-        unsafe { self.pointer().byte_add(offset).cast::<T>().read() }
-    }
+/// Memory that renderers of a model take, in bytes: where OpenGL draws in software all of it is the process's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Footprint {
+    /// The model, and what all its renderers share.
+    pub shared: u64,
+    /// What each of them takes beside that.
+    pub each: u64,
 }
+
+/// A triangle in a display list of Mesa: three corners of eight numbers and their indices, and what is set aside in vain.
+const TRIANGLE: u64 = 130;
+
+/// What each context of Mesa takes at most, its buffers left out: scenes that it sorts before it draws them, above all.
+const CONTEXT: u64 = 36 << 20;
 
 /// Draws simulations of one model, and of those that look like it, in the thread that made it.
 ///
 /// Pictures are those of robosuite's off-screen renderer: geoms of group 0 (what collides) and sites are left out, everything
-/// else is as MuJoCo has it by default.
+/// else is as MuJoCo has it by default. Renderers of models that look alike share meshes and textures, in whatever thread they
+/// are.
 pub struct Renderer {
     model: Model,
     option: Block,
     perturb: Block,
     camera: Block,
     scene: Block,
-    context: Block,
+    drawn: Drawn,
     width: usize,
     height: usize,
     trimmed: bool,
-    /// Dropped last.
     gl: Context,
+    /// Dropped last.
+    _stage: Arc<Stage>,
 }
 
 impl Renderer {
@@ -79,14 +69,13 @@ impl Renderer {
     /// # Errors
     /// When there is no OpenGL library, or it refuses to work.
     pub fn new(model: &Model, width: usize, height: usize) -> Result<Self, MujocoError> {
-        let mut gl = Context::new()?;
-        gl.make_current()?;
+        let stage = model.stage()?;
+        let (gl, mut drawn) = stage.context(model, width, height)?;
         let layout = model.library().version().layout();
         let functions = model.library().functions();
         let sizes = &layout.sizes;
-        let [mut option, mut perturb, mut camera, mut scene, mut context] =
-            [sizes.option, sizes.perturb, sizes.camera, sizes.scene, sizes.context].map(Block::new);
-        let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
+        let [mut option, mut perturb, mut camera, mut scene] =
+            [sizes.option, sizes.perturb, sizes.camera, sizes.scene].map(Block::new);
         // SAFETY: each structure has the size and the fields of this version, the OpenGL context is current, and the scene and
         // the drawing context are freed when the renderer is dropped.
         unsafe {
@@ -98,31 +87,52 @@ impl Renderer {
             camera.set(layout.camera_type, FIXED);
             (functions.mjv_defaultScene)(scene.pointer());
             (functions.mjv_makeScene)(model.pointer(), scene.pointer(), MAX_GEOMS);
-            (functions.mjr_defaultContext)(context.pointer());
-            (functions.mjr_makeContext)(model.pointer(), context.pointer(), FONT_SCALE);
-            (functions.mjr_setBuffer)(OFFSCREEN, context.pointer());
-            // A buffer no larger than the picture: clearing and resolving it takes time.
-            (functions.mjr_resizeOffscreen)(width as c_int, height as c_int, context.pointer());
+            (functions.mjr_setBuffer)(OFFSCREEN, drawn.context.pointer());
         }
-        // SAFETY: the field is an `int`.
-        if unsafe { context.get::<c_int>(layout.context_buffer) } != OFFSCREEN {
-            return Err(MujocoError::Gl {
-                gl: Gl::of_process()?,
-                reason: "it has no buffers to draw to without a screen",
-            });
-        }
-        Ok(Self {
+        let mut renderer = Self {
             model: model.clone(),
             option,
             perturb,
             camera,
             scene,
-            context,
+            drawn,
             width,
             height,
             trimmed: true,
             gl,
-        })
+            _stage: stage,
+        };
+        // SAFETY: the field is an `int`.
+        if unsafe { renderer.drawn.context.get::<c_int>(layout.context_buffer) } != OFFSCREEN {
+            return Err(MujocoError::Gl {
+                gl: Gl::of_process()?,
+                reason: "it has no buffers to draw to without a screen",
+            });
+        }
+        Ok(renderer)
+    }
+
+    /// About how much memory renderers of pictures of this size take. Shadows take by far the most of what each renderer has
+    /// for itself; where no light casts any, as in robosuite's scenes, there is no map of them.
+    #[must_use]
+    pub fn footprint(model: &Model, width: usize, height: usize) -> Footprint {
+        // Four bytes a pixel, and a third for smaller copies.
+        let textures = model.textures().into_iter().map(|(kind, rows, columns)| {
+            let pixels = if kind == FLAT {
+                rows * columns
+            } else {
+                6 * columns * columns
+            };
+            pixels * 16 / 3
+        });
+        let [shadow, samples] = model.quality();
+        let map = if model.casts_shadows() { 4 * shadow * shadow } else { 0 };
+        // Colour and depth of every sample, and once more without samples.
+        let buffers = 8 * (samples + 1) * (width * height) as u64;
+        Footprint {
+            shared: model.bytes() + textures.sum::<u64>() + TRIANGLE * model.triangles(),
+            each: map + buffers + CONTEXT,
+        }
     }
 
     /// Whether what cannot be seen in a picture is left out before it is drawn, which changes no pixel and takes half of the
@@ -203,12 +213,12 @@ impl Renderer {
             if self.trimmed {
                 trim(self.scene.pointer(), &model, self.width as f64 / self.height as f64);
             }
-            (functions.mjr_render)(viewport, self.scene.pointer(), self.context.pointer());
+            (functions.mjr_render)(viewport, self.scene.pointer(), self.drawn.context.pointer());
             (functions.mjr_readPixels)(
                 pixels.as_mut_ptr(),
                 std::ptr::null_mut(),
                 viewport,
-                self.context.pointer(),
+                self.drawn.context.pointer(),
             );
         }
         flip(pixels, 3 * self.width);
@@ -221,13 +231,14 @@ impl Drop for Renderer {
         let library = self.model.library().clone();
         let functions = library.functions();
         let current = self.gl.make_current().is_ok();
+        self.drawn.part(library.version().layout());
         let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: both were made by the renderer and are not used again. What lies in OpenGL's memory goes with its context,
         // should that not be current.
         unsafe {
             (functions.mjv_freeScene)(self.scene.pointer());
             if current {
-                (functions.mjr_freeContext)(self.context.pointer());
+                (functions.mjr_freeContext)(self.drawn.context.pointer());
             }
         }
     }

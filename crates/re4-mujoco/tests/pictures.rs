@@ -45,6 +45,26 @@ fn model(version: Version) -> Option<Model> {
     Some(Model::compile(&library.unwrap(), SCENE).unwrap())
 }
 
+/// The first scene with a texture on the table, and with a light that casts shadows, or does not.
+fn decorated(shadows: bool) -> String {
+    SCENE
+        .replace(
+            "<asset>",
+            r#"<asset>
+    <texture name="tiles" type="2d" builtin="checker" rgb1="0 0 0" rgb2="0 0 1" width="64" height="64"/>
+    <texture name="sky" type="skybox" builtin="flat" rgb1="0 0.3 0" width="32" height="192"/>
+    <material name="tiles" texture="tiles" texrepeat="4 4"/>"#,
+        )
+        .replace(
+            r#"pos="0 0 0.5" group="1""#,
+            r#"pos="0 0 0.5" group="1" material="tiles""#,
+        )
+        .replace(
+            r#"castshadow="false""#,
+            if shadows { "" } else { r#"castshadow="false""# },
+        )
+}
+
 /// Pictures of the cube at some heights, from both cameras.
 fn pictures(renderer: &mut Renderer, model: &Model) -> Vec<Vec<u8>> {
     let mut data = Data::new(model).unwrap();
@@ -157,5 +177,64 @@ fn boxes_of_another_size_look_as_if_compiled() {
         assert!(before != after && after == pictures(&mut Renderer::new(&compiled, 84, 84).unwrap(), &compiled));
         assert!(before == pictures(&mut renderer, &model));
         assert!(model.with_boxes([("floor", [1.0; 3])]).is_err() && model.with_boxes([("none", [1.0; 3])]).is_err());
+    }
+}
+
+/// Holds the tiles against where they are on the table, each 0.1 m wide, as seen from above with the cube out of sight.
+fn assert_tiles(renderer: &mut Renderer, model: &Model) {
+    let mut data = Data::new(model).unwrap();
+    data.qpos_mut()[0] = 9.0;
+    data.forward();
+    let picture = renderer.draw(&mut data, "above").unwrap();
+    let view = renderer.view().unwrap();
+    let blue: Vec<bool> = (0..16)
+        .map(|tile| {
+            let [x, y] = [tile / 4, tile % 4].map(|number| -0.15 + 0.1 * f64::from(number));
+            let [column, row] = view.pixel([x, y, 0.55], 84, 84).unwrap().map(|place| place as usize);
+            picture[3 * (84 * row + column) + 2] > 40
+        })
+        .collect();
+    for tile in 0..16 {
+        assert_eq!(blue[tile] == blue[0], (tile / 4 + tile % 4) % 2 == 0, "{blue:?}");
+    }
+}
+
+#[test]
+fn textures_and_shadows_are_seen_by_every_renderer() {
+    for plain in Version::ALL.into_iter().filter_map(model) {
+        let compile = |shadows| Model::compile(plain.library(), &decorated(shadows)).unwrap();
+        let (lit, shaded) = (compile(false), compile(true));
+        let small = Renderer::footprint(&lit, 84, 84);
+        let large = Renderer::footprint(&shaded, 84, 84);
+        assert!(small.shared == large.shared && small.each + (1 << 20) < large.each);
+        let mut first = Renderer::new(&lit, 84, 84).unwrap();
+        let alone = pictures(&mut first, &lit);
+        assert!(alone != pictures(&mut Renderer::new(&plain, 84, 84).unwrap(), &plain));
+        let green = |pixel: [u8; 3]| pixel[0] == 0 && pixel[1] > 60 && pixel[2] == 0;
+        let blue = |pixel: [u8; 3]| pixel[0] < 30 && pixel[2] > 60;
+        assert!(count(&alone[0], green) > 100, "the sky");
+        assert!(count(&alone[0], blue) > 50, "tiles of the table");
+        assert_tiles(&mut first, &lit);
+        let shadows = pictures(&mut Renderer::new(&shaded, 84, 84).unwrap(), &shaded);
+        assert!(alone != shadows);
+        // One that shares with the first, in another thread, after the first is gone.
+        let (made, wait) = std::sync::mpsc::channel();
+        let (gone, go) = std::sync::mpsc::channel();
+        std::thread::scope(|scope| {
+            let (lit, alone) = (&lit, &alone);
+            scope.spawn(move || {
+                let mut second = Renderer::new(lit, 84, 84).unwrap();
+                made.send(()).unwrap();
+                go.recv().unwrap();
+                assert!(pictures(&mut second, lit) == *alone);
+            });
+            wait.recv().unwrap();
+            drop(first);
+            gone.send(()).unwrap();
+        });
+        // And after all were gone.
+        assert_tiles(&mut Renderer::new(&lit, 84, 84).unwrap(), &lit);
+        assert!(pictures(&mut Renderer::new(&lit, 84, 84).unwrap(), &lit) == alone);
+        assert!(pictures(&mut Renderer::new(&shaded, 84, 84).unwrap(), &shaded) == shadows);
     }
 }

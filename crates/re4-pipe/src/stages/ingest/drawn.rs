@@ -1,13 +1,14 @@
 //! Pictures of robosuite's cameras, drawn from recorded states through each demonstration's own model.
 
 use std::path::Path;
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Scope, ScopedJoinHandle};
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use re4_artifact::{Columns, Writer, tables};
 use re4_ingest::robomimic::{Demo, Matrix};
-use re4_mujoco::{Data, Gl, Kind, Library, Model, Renderer};
+use re4_mujoco::{Data, Footprint, Gl, Kind, Library, Model, Renderer};
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::models::{Looks, looks, with_assets};
 use re4_sim::robosuite::Profile;
@@ -21,6 +22,13 @@ use crate::pipeline::Camera;
 
 /// Side of a picture, in pixels: what robomimic's datasets hold.
 const SIDE: usize = 84;
+
+/// Most memory that a process that draws is meant to take, in bytes: 512 MiB and a margin. One thread draws whatever that
+/// takes.
+const MEMORY: u64 = 480 << 20;
+
+/// What the process takes beside renderers, in bytes: its libraries, and demonstrations that wait.
+const PROCESS: u64 = 112 << 20;
 
 /// Raised whenever the same states give other pictures.
 const DRAWING_VERSION: u32 = 1;
@@ -53,20 +61,43 @@ pub(super) struct Drawing<'a> {
     gl: Gl,
     cameras: Vec<&'static str>,
     source: &'a Path,
-    /// Models that were compiled, each with what it looks like; the newest last.
-    compiled: Mutex<Vec<(String, Model)>>,
 }
-
-/// Models that are remembered: in known datasets all look alike.
-const REMEMBERED: usize = 4;
 
 /// A demonstration to be drawn.
 struct Job {
     episode: u32,
     demo: String,
-    model: Arc<str>,
+    /// Names and half sizes of the boxes that are its own, in metres.
+    boxes: Vec<(String, [f64; 3])>,
     states: Matrix,
     cameras: Vec<&'static str>,
+}
+
+/// Threads that draw demonstrations whose models look alike, until the queue ends.
+struct Crew<'scope> {
+    /// What the models look like.
+    looks: String,
+    jobs: SyncSender<Job>,
+    threads: Vec<ScopedJoinHandle<'scope, ()>>,
+}
+
+impl Crew<'_> {
+    /// Waits until all its demonstrations are drawn, and its memory is free.
+    fn finish(self) {
+        drop(self.jobs);
+        for thread in self.threads {
+            if let Err(panic) = thread.join() {
+                std::panic::resume_unwind(panic);
+            }
+        }
+    }
+}
+
+/// Number of threads, of so many that may work, that draw a model at the same time.
+fn crew_size(model: &Model, threads: usize) -> usize {
+    let Footprint { shared, each } = Renderer::footprint(model, SIDE, SIDE);
+    let room = MEMORY.saturating_sub(PROCESS + shared);
+    usize::try_from(room / each.max(1)).map_or(threads, |fit| fit.clamp(1, threads.max(1)))
 }
 
 impl<'a> Drawing<'a> {
@@ -79,7 +110,6 @@ impl<'a> Drawing<'a> {
             gl: Gl::of_process().with_context(failed)?,
             cameras,
             source,
-            compiled: Mutex::new(Vec::new()),
         })
     }
 
@@ -99,8 +129,8 @@ impl<'a> Drawing<'a> {
     /// Draws what is not yet in the spool. `read` hands on the demonstrations in order; `tell` hears how many pictures are
     /// done.
     ///
-    /// Every thread draws whole demonstrations. Of several that cannot be drawn the first is reported, whatever the number of
-    /// threads.
+    /// Every thread draws whole demonstrations, as many at a time as [`MEMORY`] allows. Of several that cannot be drawn the
+    /// first is reported, whatever the number of threads.
     pub(super) fn draw(
         &self,
         spool: &Spool,
@@ -109,8 +139,6 @@ impl<'a> Drawing<'a> {
         tell: &(impl Fn(usize) + Sync),
         read: impl FnOnce(&mut dyn FnMut(u32, Demo) -> Result<()>) -> Result<()>,
     ) -> Result<()> {
-        let (jobs, queue) = sync_channel(threads);
-        let queue = Mutex::new(queue);
         let failure: Mutex<Option<(u32, anyhow::Error)>> = Mutex::new(None);
         let failed = || failure.lock().unwrap_or_else(PoisonError::into_inner);
         let count = Mutex::new(0);
@@ -119,28 +147,23 @@ impl<'a> Drawing<'a> {
             *count += pictures;
             tell(*count);
         };
-        let result = std::thread::scope(|scope| {
-            for _ in 0..threads {
-                scope.spawn(|| {
-                    let mut renderer = None;
-                    while let Some(job) = next(&queue) {
-                        // Those before the one that failed are seen to their ends, so that the first one is told.
-                        let in_vain = failed().as_ref().is_some_and(|(episode, _)| *episode < job.episode);
-                        if in_vain || interrupt.requested() {
-                            continue;
-                        }
-                        if let Err(error) = self.draw_demo(&job, &mut renderer, spool, interrupt, &done) {
-                            let error = error.context(self.cannot(&job.demo));
-                            let mut failure = failed();
-                            if failure.as_ref().is_none_or(|(episode, _)| job.episode < *episode) {
-                                *failure = Some((job.episode, error));
-                            }
-                        }
-                    }
-                });
+        let work = |job: &Job, model: &Model, renderer: &mut Option<Renderer>| {
+            // Those before the one that failed are seen to their ends, so that the first one is told.
+            let in_vain = failed().as_ref().is_some_and(|(episode, _)| *episode < job.episode);
+            if in_vain || interrupt.requested() {
+                return;
             }
+            if let Err(error) = draw_demo(job, model, renderer, spool, interrupt, &done) {
+                let error = error.context(self.cannot(&job.demo));
+                let mut failure = failed();
+                if failure.as_ref().is_none_or(|(episode, _)| job.episode < *episode) {
+                    *failure = Some((job.episode, error));
+                }
+            }
+        };
+        let result = std::thread::scope(|scope| {
+            let mut crew: Option<Crew<'_>> = None;
             // The queue ends with the reading.
-            let jobs = jobs;
             read(&mut |episode, mut demo| {
                 interrupt.check("ingest")?;
                 ensure!(failed().is_none(), "a demonstration cannot be drawn");
@@ -156,16 +179,29 @@ impl<'a> Drawing<'a> {
                 }
                 let lacks =
                     |what| anyhow!("it has no {what}; leave ingest.render out").context(self.cannot(&demo.name));
-                let model = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
+                let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
+                let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&demo.name))?;
+                let crew = match &mut crew {
+                    Some(crew) if crew.looks == rest => crew,
+                    other => {
+                        // The memory of the last one first.
+                        if let Some(last) = other.take() {
+                            last.finish();
+                        }
+                        let model = self.compile(&mjcf).with_context(|| self.cannot(&demo.name))?;
+                        other.insert(crew_of(scope, rest, &model, threads, &work))
+                    }
+                };
                 let job = Job {
                     episode,
                     demo: demo.name,
-                    model,
+                    boxes,
                     states,
                     cameras: missing,
                 };
-                jobs.send(job)
+                crew.jobs
+                    .send(job)
                     .map_err(|_| anyhow!("no thread draws any more; run again"))
             })
         });
@@ -180,75 +216,10 @@ impl<'a> Drawing<'a> {
         format!("cannot draw the pictures of {demo} in {}", self.source.display())
     }
 
-    /// Draws a demonstration and puts its pictures into the spool, unless it is interrupted.
-    fn draw_demo(
-        &self,
-        job: &Job,
-        renderer: &mut Option<Renderer>,
-        spool: &Spool,
-        interrupt: &Interrupt,
-        done: &impl Fn(usize),
-    ) -> Result<()> {
-        let model = self.model(&job.model)?;
-        let (nq, nv) = (model.nq(), model.nv());
-        ensure!(
-            job.states.columns == 1 + nq + nv,
-            "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities; states and model_file do not belong together",
-            job.states.columns,
-            1 + nq + nv
-        );
-        let renderer = match renderer {
-            Some(renderer) if renderer.model().looks_like(&model) => renderer,
-            other => {
-                // The memory of the last one first.
-                *other = None;
-                other.insert(Renderer::new(&model, SIDE, SIDE)?)
-            }
-        };
-        let cameras = job
-            .cameras
-            .iter()
-            .map(|camera| model.id(Kind::Camera, camera))
-            .collect::<Result<Vec<_>, _>>()?;
-        let mut data = Data::new(&model)?;
-        let mut pixels = vec![0; 3 * SIDE * SIDE];
-        let mut pictures = vec![Vec::with_capacity(job.states.rows()); cameras.len()];
-        for state in job.states.values.chunks_exact(job.states.columns) {
-            if interrupt.requested() {
-                return Ok(());
-            }
-            simulators::set_state(&mut data, state)?;
-            for (&camera, pictures) in cameras.iter().zip(&mut pictures) {
-                renderer.draw_into(&mut data, camera, &mut pixels)?;
-                pictures.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);
-                done(1);
-            }
-        }
-        for (camera, pictures) in job.cameras.iter().zip(&pictures) {
-            spool.put(camera, job.episode, pictures)?;
-        }
-        Ok(())
-    }
-
-    /// A demonstration's model. Compiling one takes seconds, so what looks alike is compiled once.
-    fn model(&self, mjcf: &str) -> Result<Model> {
-        let Looks { rest, boxes } = looks(mjcf)?;
-        // One thread compiles, the others wait for what may be their model, too.
-        let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = compiled.iter().find(|(known, _)| *known == rest);
-        let model = if let Some((_, model)) = known {
-            model.clone()
-        } else {
-            let text = with_assets(mjcf, &simulators::assets_folder())?;
-            let model = Model::compile(&self.library, &text).context("its model_file does not compile")?;
-            if compiled.len() == REMEMBERED {
-                compiled.remove(0);
-            }
-            compiled.push((rest, model.clone()));
-            model
-        };
-        drop(compiled);
-        Ok(model.with_boxes(boxes.iter().map(|(name, size)| (name.as_str(), *size)))?)
+    /// The model of a demonstration. Compiling it takes seconds, so those that look alike share it.
+    fn compile(&self, mjcf: &str) -> Result<Model> {
+        let text = with_assets(mjcf, &simulators::assets_folder())?;
+        Model::compile(&self.library, &text).context("its model_file does not compile")
     }
 
     /// Writes the pictures of the spool to their table: by camera, episode and frame.
@@ -274,6 +245,77 @@ impl<'a> Drawing<'a> {
         table.finish()?;
         Ok(written)
     }
+}
+
+/// Draws a demonstration and puts its pictures into the spool, unless it is interrupted.
+fn draw_demo(
+    job: &Job,
+    model: &Model,
+    renderer: &mut Option<Renderer>,
+    spool: &Spool,
+    interrupt: &Interrupt,
+    done: &impl Fn(usize),
+) -> Result<()> {
+    let (nq, nv) = (model.nq(), model.nv());
+    ensure!(
+        job.states.columns == 1 + nq + nv,
+        "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities; states and model_file do not belong together",
+        job.states.columns,
+        1 + nq + nv
+    );
+    let renderer = match renderer {
+        Some(renderer) => renderer,
+        none => none.insert(Renderer::new(model, SIDE, SIDE)?),
+    };
+    let cameras = job
+        .cameras
+        .iter()
+        .map(|camera| model.id(Kind::Camera, camera))
+        .collect::<Result<Vec<_>, _>>()?;
+    let model = model.with_boxes(job.boxes.iter().map(|(name, size)| (name.as_str(), *size)))?;
+    let mut data = Data::new(&model)?;
+    let mut pixels = vec![0; 3 * SIDE * SIDE];
+    let mut pictures = vec![Vec::with_capacity(job.states.rows()); cameras.len()];
+    for state in job.states.values.chunks_exact(job.states.columns) {
+        if interrupt.requested() {
+            return Ok(());
+        }
+        simulators::set_state(&mut data, state)?;
+        for (&camera, pictures) in cameras.iter().zip(&mut pictures) {
+            renderer.draw_into(&mut data, camera, &mut pixels)?;
+            pictures.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);
+            done(1);
+        }
+    }
+    for (camera, pictures) in job.cameras.iter().zip(&pictures) {
+        spool.put(camera, job.episode, pictures)?;
+    }
+    Ok(())
+}
+
+/// Starts threads that draw demonstrations of a model, each with a renderer of its own.
+fn crew_of<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    looks: String,
+    model: &Model,
+    threads: usize,
+    work: &'scope (impl Fn(&Job, &Model, &mut Option<Renderer>) + Sync),
+) -> Crew<'scope> {
+    let threads = crew_size(model, threads);
+    let (jobs, queue) = sync_channel(threads);
+    let queue = Arc::new(Mutex::new(queue));
+    let threads = (0..threads)
+        .map(|_| {
+            let (queue, model) = (Arc::clone(&queue), model.clone());
+            scope.spawn(move || {
+                let mut renderer = None;
+                while let Some(job) = next(&queue) {
+                    work(&job, &model, &mut renderer);
+                }
+            })
+        })
+        .collect();
+    Crew { looks, jobs, threads }
 }
 
 /// The next demonstration for a thread; none when there are no more.
