@@ -67,6 +67,18 @@ pub struct PlanarEpisode {
     pub frames: Vec<PlanarFrame>,
 }
 
+impl PlanarEpisode {
+    /// What the demonstration is called in tables, pages and sentences: `episode 12`.
+    pub fn name(&self) -> String {
+        episode_name(self.source)
+    }
+}
+
+/// What an episode of a dataset whose episodes have numbers, and no names, is called in tables, pages and sentences.
+pub fn episode_name(source: u32) -> String {
+    format!("episode {source}")
+}
+
 /// A maximal run of frames of one mode.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {

@@ -33,8 +33,8 @@ impl SpatialFrame {
 /// A spatial demonstration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialEpisode {
-    /// Number of the demonstration in its source dataset.
-    pub source: u32,
+    /// Name of the demonstration in its source: that of its group in an HDF5 file.
+    pub name: String,
     /// Frames in the order of time.
     pub frames: Vec<SpatialFrame>,
 }

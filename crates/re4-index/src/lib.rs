@@ -76,7 +76,7 @@ pub struct Retrieved {
 }
 
 /// Why an index could not be built or queried.
-#[derive(Debug, Error, PartialEq)]
+#[derive(Debug, Clone, Error, PartialEq)]
 pub enum IndexError {
     /// There is nothing to retrieve from.
     #[error("cannot build the index: there are no frames; select at least one episode")]
@@ -90,6 +90,16 @@ pub enum IndexError {
         episode: u32,
         /// Frame inside the demonstration.
         frame: u32,
+    },
+    /// What is wrong with a demonstration whose name is known: [`IndexError::NotFinite`] and [`IndexError::Duplicate`] become this.
+    #[error("cannot build the index: frame {frame} of {demo} {problem}")]
+    Demonstration {
+        /// Name of the demonstration in its source.
+        demo: String,
+        /// Frame inside the demonstration.
+        frame: u32,
+        /// What is wrong with it, and how to mend it.
+        problem: &'static str,
     },
     /// More frames than 32-bit frame numbers reach.
     #[error("cannot build the index: {frames} frames are more than the {limit} that one index holds; split the dataset", limit = u32::MAX)]
@@ -129,4 +139,24 @@ pub enum IndexError {
         "cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration; check the observation it was made from"
     )]
     QueryNotFinite,
+}
+
+impl IndexError {
+    /// The same error, with the demonstration called what its source calls it, where `name` knows that.
+    #[must_use]
+    pub fn named(self, name: impl Fn(u32) -> Option<String>) -> Self {
+        let (episode, frame, problem) = match self {
+            Self::NotFinite { episode, frame } => (
+                episode,
+                frame,
+                "has a coordinate that is not finite; repair the episodes artifact",
+            ),
+            Self::Duplicate { episode, frame } => (episode, frame, "is there twice; give every frame once"),
+            _ => return self,
+        };
+        match name(episode) {
+            Some(demo) => Self::Demonstration { demo, frame, problem },
+            None => self,
+        }
+    }
 }

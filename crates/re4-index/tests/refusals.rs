@@ -42,6 +42,13 @@ fn no_frames_or_the_same_frame_twice_are_refused() {
     let error = RetrievalIndex::build(twice, AngleMetric::Raw).err().unwrap();
     assert_eq!(error, IndexError::Duplicate { episode: 1, frame: 5 });
     assert!(error.to_string().contains("episode 1 has frame 5 twice"), "{error}");
+    let named = error.clone().named(|episode| Some(format!("demo_{}", episode + 3)));
+    assert_eq!(
+        named.to_string(),
+        "cannot build the index: frame 5 of demo_4 is there twice; give every frame once"
+    );
+    assert_eq!(error.clone().named(|_| None), error);
+    assert_eq!(IndexError::Empty.named(|_| Some(String::new())), IndexError::Empty);
 }
 
 #[test]

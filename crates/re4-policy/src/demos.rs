@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use re4_episode::{Mode, PlanarFrame};
 
+use crate::names::DemoNames;
+
 /// Frames of all demonstrations, one after the other, with their modes.
 #[derive(Debug, Clone, Default)]
 pub struct DemoSet {
@@ -11,6 +13,7 @@ pub struct DemoSet {
     modes: Vec<Mode>,
     /// Number and frames of each demonstration, in ascending order of the number.
     demos: Vec<(u32, Range<usize>)>,
+    names: DemoNames,
 }
 
 impl DemoSet {
@@ -29,6 +32,18 @@ impl DemoSet {
         }
         set.demos.sort_by_key(|(number, _)| *number);
         set
+    }
+
+    /// The same demonstrations with the names that they have in their source.
+    #[must_use]
+    pub fn with_names(mut self, names: DemoNames) -> Self {
+        self.names = names;
+        self
+    }
+
+    /// Names of the demonstrations.
+    pub fn names(&self) -> &DemoNames {
+        &self.names
     }
 
     /// Number and frames of every demonstration.

@@ -2,6 +2,7 @@
 
 mod config;
 mod demos;
+mod names;
 mod open_loop;
 mod outcome;
 mod path;
@@ -18,6 +19,7 @@ pub use config::{
     PRESETS, Planner, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig, Selector, Tracking,
 };
 pub use demos::DemoSet;
+pub use names::DemoNames;
 pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
 pub use perception::{Observation, Perception, Sight};
@@ -68,11 +70,11 @@ pub enum PolicyError {
     },
     /// What is retrieved is not among the demonstrations.
     #[error(
-        "cannot replay demonstration {demo} at frame {frame}: the index names a frame that it does not hold; build the index again"
+        "cannot replay {demo} at frame {frame}: the index names a frame that it does not hold; build the index again"
     )]
     UnknownDemo {
-        /// Demonstration that the index names.
-        demo: u32,
+        /// Name of the demonstration that the index names.
+        demo: String,
         /// Frame that the index names.
         frame: u32,
     },

@@ -12,6 +12,7 @@ use re4_sim::{GOAL, coverage, depth_in_walls};
 
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
+use crate::names::DemoNames;
 use crate::outcome::{Body, Chunk, ChunkLibrary};
 use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
@@ -74,7 +75,7 @@ pub struct Decision {
     pub eef: Point2,
     /// Object pose of the query.
     pub object: Pose2,
-    /// Retrieved demonstration.
+    /// Retrieved demonstration, by its number in the index.
     pub demo: u32,
     /// Retrieved frame.
     pub demo_frame: u32,
@@ -107,9 +108,9 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// The decision in words.
-    pub fn reason(&self) -> String {
-        let chosen = format!("demonstration {} from frame {}", self.demo, self.demo_frame);
+    /// The decision in words, in which demonstrations have their names.
+    pub fn reason(&self, names: &DemoNames) -> String {
+        let chosen = format!("{} from frame {}", names.of(self.demo), self.demo_frame);
         let why = match (self.d_q, self.d_o) {
             (Some(d_q), Some(d_o)) => format!(
                 "nearest object pose (d_o {d_o:.4}) among the nearest states of {} demonstrations (d_q {d_q:.4})",
@@ -190,7 +191,10 @@ fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame],
         .demo(demo)
         .and_then(|frames| frames.get(frame as usize..))
         .filter(|frames| !frames.is_empty())
-        .ok_or(PolicyError::UnknownDemo { demo, frame })
+        .ok_or_else(|| PolicyError::UnknownDemo {
+            demo: demos.names().of(demo),
+            frame,
+        })
 }
 
 /// Whether the block, moved from `block` as `chunk` records it, stays clear of the walls: beyond them the demonstration
@@ -460,7 +464,10 @@ impl Re4 {
         let rest = demo_frames(&knowledge.demos, demo, start)?;
         let frames = rest
             .get(..=(end - start) as usize)
-            .ok_or(PolicyError::UnknownDemo { demo, frame: end })?;
+            .ok_or_else(|| PolicyError::UnknownDemo {
+                demo: knowledge.demos.names().of(demo),
+                frame: end,
+            })?;
         let plan_steps = self.queue_plan(&connection);
         let replay_steps = self.queue_chunk(frames, &reframed);
         let poses: Vec<Pose2> = frames.iter().map(|f| reframed.carry.compose(f.object)).collect();

@@ -4,6 +4,7 @@
 mod toy;
 
 use re4_geometry::spatial::Symmetry;
+use re4_policy::DemoNames;
 use re4_policy::spatial::{
     EndOfDemo, PoseNoise, SpatialDecisionKind, SpatialDemoSet, SpatialPhase, SpatialPolicyConfig,
 };
@@ -122,11 +123,15 @@ fn a_missed_grasp_leads_home_and_to_another_demonstration() {
     assert!(run.steps(SpatialPhase::Home) > 3);
     assert_eq!(decisions[lost].newly_banned, [first_demo(&run)]);
     assert_eq!(run.banned, [first_demo(&run)]);
-    assert!(
-        decisions[lost].reason().contains("the grasp is lost"),
-        "{}",
-        decisions[lost].reason()
-    );
+    let names = DemoNames::new((0..8).map(|number| format!("demo_{}", 3 * number + 1)).collect());
+    let called = |demo: u32| format!("demo_{}", 3 * demo + 1);
+    let reason = decisions[lost].reason(&names);
+    assert!(reason.starts_with("the grasp is lost"), "{reason}");
+    let end = format!("; not followed again: {}", called(first_demo(&run)));
+    assert!(reason.ends_with(&end), "{reason}");
+    let reason = decisions[0].reason(&names);
+    let start = format!("{} from frame ", called(first_demo(&run)));
+    assert!(reason.starts_with(&start), "{reason}");
     let next = decisions[lost + 1];
     assert_eq!(next.kind, SpatialDecisionKind::Retrieve);
     assert_ne!(next.choice.unwrap().demo, first_demo(&run));

@@ -9,11 +9,11 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::Mode;
 use re4_geometry::spatial::{Symmetry, pose_distance, rotation_vector};
-use re4_policy::PolicyError;
 use re4_policy::spatial::{
     ObjectEstimate, PoseFilterConfig, PoseNoise, SPATIAL_PRESETS, SpatialDemoSet, SpatialKnowledge, SpatialObservation,
     SpatialPhase, SpatialPolicy as _, SpatialPolicyConfig, SpatialRe4, TransferReplay, reframe_spatial,
 };
+use re4_policy::{DemoNames, PolicyError};
 use toy::{Random, World, block, demonstrate, demonstrations, knowledge, yaw};
 
 fn pose() -> impl Strategy<Value = Isometry3<f64>> {
@@ -345,13 +345,14 @@ fn observations_and_demonstrations_that_are_not_finite_are_refused() {
     }
     let mut frames = demonstrate(block(0.0, 0.0, 0.0), 0);
     frames[3].goal.translation.x = f64::NAN;
-    let refused = SpatialKnowledge::new(
-        SpatialDemoSet::new([(7, frames)]),
-        &config.retrieve,
-        Symmetry::None,
-        |_, _| false,
-    );
-    assert!(refused.err().unwrap().to_string().contains("episode 7, frame 3"));
+    let refusal = |demos: SpatialDemoSet| {
+        let refused = SpatialKnowledge::new(demos, &config.retrieve, Symmetry::None, |_, _| false);
+        refused.err().unwrap().to_string()
+    };
+    let demos = SpatialDemoSet::new([(1, frames)]);
+    assert!(refusal(demos.clone()).contains("episode 1, frame 3"));
+    let names = DemoNames::new(vec!["demo_4".to_owned(), "demo_11".to_owned()]);
+    assert!(refusal(demos.with_names(names)).contains("frame 3 of demo_11 has"));
 }
 
 #[test]

@@ -15,8 +15,8 @@ use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_policy::{
-    DemoSet, EpisodeRollout, Knowledge, Observation, PRESETS, Perception, Phase, PlanKind, Planner, Policy as _,
-    PolicyConfig, PolicyError, Re4, RolloutError, Selector, Tracking, rollouts,
+    DemoNames, DemoSet, EpisodeRollout, Knowledge, Observation, PRESETS, Perception, Phase, PlanKind, Planner,
+    Policy as _, PolicyConfig, PolicyError, Re4, RolloutError, Selector, Tracking, rollouts,
 };
 
 const SEEDS: [u32; 4] = [810_000, 810_001, 810_002, 810_003];
@@ -260,8 +260,13 @@ fn what_cannot_be_followed_is_refused_in_one_sentence() {
         matches!(error, PolicyError::NoFrameOfMode { mode: Mode::Transit }),
         "{error}"
     );
-    let error = refusal("paper", Mode::Transit, Some(DemoSet::default())).unwrap_err();
-    assert!(matches!(error, PolicyError::UnknownDemo { demo: 4, .. }), "{error}");
+    let names = (0..5).map(|number| format!("episode {}", 10 * number)).collect();
+    let nothing = DemoSet::default().with_names(DemoNames::new(names));
+    let error = refusal("paper", Mode::Transit, Some(nothing)).unwrap_err();
+    assert!(
+        matches!(&error, PolicyError::UnknownDemo { demo, .. } if demo == "episode 40"),
+        "{error}"
+    );
     // The two-stage selector needs no push.
     assert!(refusal("paper", Mode::Transit, None).is_ok());
 }

@@ -24,8 +24,8 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for Pictu
 pub struct PictureDecision {
     /// Control step at which it was taken.
     pub step: u32,
-    /// Demonstration that it follows.
-    pub demo: u32,
+    /// Name of the demonstration that it follows.
+    pub demo: String,
     /// Plan to the start of the chunk, world frame, pixels.
     pub plan: Vec<[f64; 2]>,
 }
@@ -113,7 +113,7 @@ pub fn rollout_picture(rollout: &RolloutPicture) -> Result<String, PictureError>
         let demos: Vec<String> = rollout
             .decisions
             .iter()
-            .map(|d| format!("step {}: demo {}", d.step, d.demo))
+            .map(|d| format!("step {}: {}", d.step, d.demo))
             .collect();
         let caption = format!("seed {}, score {:.3} after {last} steps", rollout.seed, rollout.score);
         let font = ("sans-serif", 14).into_font();
@@ -281,7 +281,7 @@ mod tests {
             replaying: vec![true],
             decisions: vec![PictureDecision {
                 step: 0,
-                demo: 3,
+                demo: "episode 3".to_owned(),
                 plan: vec![[50.0, 50.0], [55.0, 55.0]],
             }],
             goal: [256.0, 256.0, 0.7],
@@ -297,7 +297,7 @@ mod tests {
         // The goal and the block at the decision and at the end: one polygon each for a block of one part.
         assert_eq!(svg.matches("<polygon").count(), 3);
         assert!(svg.contains("seed 7, score 0.500 after 1 steps"));
-        assert!(svg.contains("step 0: demo 3"));
+        assert!(svg.contains("step 0: episode 3"));
         assert_eq!(svg, rollout_picture(&sample()).unwrap());
     }
 

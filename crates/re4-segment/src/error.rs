@@ -20,18 +20,18 @@ pub enum SegmentError {
     )]
     NoGripper,
     /// An episode without frames.
-    #[error("cannot segment episode {episode} of the dataset: it has no frames; leave it out of the selection")]
+    #[error("cannot segment {demo}: it has no frames; leave it out by ingest.select")]
     Empty {
-        /// Number of the demonstration in its source dataset.
-        episode: u32,
+        /// Name of the demonstration in its source.
+        demo: String,
     },
     /// A coordinate that is no number.
     #[error(
-        "cannot segment episode {episode} of the dataset: {column} is {value} at frame {frame}; repair that frame or leave the episode out"
+        "cannot segment {demo}: {column} is {value} at frame {frame}; repair that frame, or leave {demo} out by ingest.select"
     )]
     NotFinite {
-        /// Number of the demonstration in its source dataset.
-        episode: u32,
+        /// Name of the demonstration in its source.
+        demo: String,
         /// Frame in the episode, from 0.
         frame: usize,
         /// Name of the coordinate.

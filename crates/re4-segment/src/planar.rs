@@ -79,9 +79,7 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
     }
     let frames = &episode.frames;
     if frames.is_empty() {
-        return Err(SegmentError::Empty {
-            episode: episode.source,
-        });
+        return Err(SegmentError::Empty { demo: episode.name() });
     }
     check_finite(episode)?;
     let steps: Vec<StepMotion> = frames
@@ -128,7 +126,7 @@ fn check_finite(episode: &PlanarEpisode) -> Result<(), SegmentError> {
         ] {
             if !value.is_finite() {
                 return Err(SegmentError::NotFinite {
-                    episode: episode.source,
+                    demo: episode.name(),
                     frame: i,
                     column,
                     value,

@@ -97,7 +97,7 @@ pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Resu
     let frames = &episode.frames;
     if frames.is_empty() {
         return Err(SegmentError::Empty {
-            episode: episode.source,
+            demo: episode.name.clone(),
         });
     }
     check_finite(episode)?;
@@ -164,7 +164,7 @@ fn check_finite(episode: &SpatialEpisode) -> Result<(), SegmentError> {
         ] {
             if !value.is_finite() {
                 return Err(SegmentError::NotFinite {
-                    episode: episode.source,
+                    demo: episode.name.clone(),
                     frame: i,
                     column,
                     value,

@@ -314,14 +314,14 @@ fn what_cannot_be_segmented_is_named() {
     };
     assert_eq!(
         segment_planar(&empty, &rigid()).unwrap_err().to_string(),
-        "cannot segment episode 5 of the dataset: it has no frames; leave it out of the selection"
+        "cannot segment episode 5: it has no frames; leave it out by ingest.select"
     );
     let mut s = scene();
     s.reach(1.0, 1.0, 4);
     s.frames[2].object.theta = f64::NAN;
     assert_eq!(
         segment_planar(&s.episode(), &rigid()).unwrap_err().to_string(),
-        "cannot segment episode 3 of the dataset: object_theta is NaN at frame 2; repair that frame or leave the episode out"
+        "cannot segment episode 3: object_theta is NaN at frame 2; repair that frame, or leave episode 3 out by ingest.select"
     );
     for (field, config) in [
         (

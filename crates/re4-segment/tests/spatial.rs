@@ -54,7 +54,7 @@ impl Scene {
 
     fn episode(&self) -> SpatialEpisode {
         SpatialEpisode {
-            source: 7,
+            name: "demo_7".to_owned(),
             frames: self.frames.clone(),
         }
     }
@@ -212,24 +212,23 @@ fn rigid_motion_finds_the_carrying_alone() {
 #[test]
 fn what_makes_no_sense_is_refused() {
     let empty = SpatialEpisode {
-        source: 3,
+        name: "demo_3".to_owned(),
         frames: Vec::new(),
     };
     assert_eq!(
         segment_spatial(&empty, &SegmentConfig::spatial()),
-        Err(SegmentError::Empty { episode: 3 })
+        Err(SegmentError::Empty {
+            demo: "demo_3".to_owned()
+        })
     );
     let mut broken = pick_and_place().episode();
     broken.frames[5].fingers[1] = f64::NAN;
-    assert!(matches!(
-        segment_spatial(&broken, &SegmentConfig::spatial()),
-        Err(SegmentError::NotFinite {
-            episode: 7,
-            frame: 5,
-            column: "finger position",
-            ..
-        })
-    ));
+    assert_eq!(
+        segment_spatial(&broken, &SegmentConfig::spatial())
+            .unwrap_err()
+            .to_string(),
+        "cannot segment demo_7: finger position is NaN at frame 5; repair that frame, or leave demo_7 out by ingest.select"
+    );
 }
 
 /// Any motion of a hand, with an object that is carried in some of its steps.

@@ -3,6 +3,8 @@
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 
+use crate::names::DemoNames;
+
 /// What was decided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SpatialDecisionKind {
@@ -31,7 +33,7 @@ impl SpatialDecisionKind {
 /// The chunk that a decision chose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpatialChoice {
-    /// Demonstration.
+    /// Demonstration, by its number in the index.
     pub demo: u32,
     /// First frame of the chunk.
     pub demo_frame: u32,
@@ -82,8 +84,8 @@ pub struct SpatialDecision {
 }
 
 impl SpatialDecision {
-    /// The decision in words.
-    pub fn reason(&self) -> String {
+    /// The decision in words, in which demonstrations have their names.
+    pub fn reason(&self, names: &DemoNames) -> String {
         let mut reason = match (self.kind, &self.choice) {
             (SpatialDecisionKind::GraspLost, _) => format!(
                 "the grasp is lost: told to close, the fingers are {:.4} m apart; back to the initial pose with the gripper open",
@@ -93,7 +95,7 @@ impl SpatialDecision {
                 "the demonstration ended without success; back to the initial pose with the gripper open".to_owned()
             }
             (kind, Some(choice)) => {
-                let chosen = format!("demonstration {} from frame {}", choice.demo, choice.demo_frame);
+                let chosen = format!("{} from frame {}", names.of(choice.demo), choice.demo_frame);
                 let why = if kind == SpatialDecisionKind::Continue {
                     format!(
                         "followed further, its next frame being nearly as near (d_q {:.4}, d_o {:.4}) as any",
@@ -115,13 +117,9 @@ impl SpatialDecision {
             (_, None) => "nothing was chosen".to_owned(),
         };
         for (i, demo) in self.newly_banned.iter().enumerate() {
-            let before = if i == 0 {
-                "; not followed again: demonstration "
-            } else {
-                ", "
-            };
+            let before = if i == 0 { "; not followed again: " } else { ", " };
             reason.push_str(before);
-            reason.push_str(&demo.to_string());
+            reason.push_str(&names.of(*demo));
         }
         reason
     }

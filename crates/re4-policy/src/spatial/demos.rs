@@ -5,6 +5,7 @@ use re4_episode::{Mode, SpatialFrame};
 use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_sound, rotation_from_vector};
 use re4_index::{IndexError, IndexedSpatialFrame, SpatialIndex};
 
+use crate::names::DemoNames;
 use crate::spatial::config::SpatialRetrieveConfig;
 
 /// A frame as a policy replays it. World frame, metres.
@@ -46,6 +47,7 @@ impl SpatialDemoFrame {
 #[derive(Debug, Clone, Default)]
 pub struct SpatialDemoSet {
     demos: Vec<(u32, Vec<SpatialDemoFrame>)>,
+    names: DemoNames,
 }
 
 impl SpatialDemoSet {
@@ -55,7 +57,22 @@ impl SpatialDemoSet {
         let mut demos: Vec<_> = demos.into_iter().filter(|(_, frames)| !frames.is_empty()).collect();
         demos.sort_by_key(|(number, _)| *number);
         demos.dedup_by_key(|(number, _)| *number);
-        Self { demos }
+        Self {
+            demos,
+            names: DemoNames::default(),
+        }
+    }
+
+    /// The same demonstrations with the names that they have in their source.
+    #[must_use]
+    pub fn with_names(mut self, names: DemoNames) -> Self {
+        self.names = names;
+        self
+    }
+
+    /// Names of the demonstrations.
+    pub fn names(&self) -> &DemoNames {
+        &self.names
     }
 
     /// Number and frames of every demonstration.
@@ -106,6 +123,7 @@ impl SpatialKnowledge {
         symmetry: Symmetry,
         excluded: impl Fn(u32, u32) -> bool,
     ) -> Result<Self, IndexError> {
+        let named = |error: IndexError| error.named(|episode| demos.names.get(episode).map(str::to_owned));
         let mut frames = Vec::new();
         for (episode, all) in demos.iter() {
             let end = match last_release(all) {
@@ -114,7 +132,7 @@ impl SpatialKnowledge {
             };
             for (number, frame) in (0..).zip(all) {
                 if !is_sound(&frame.goal) || !frame.gripper.is_finite() {
-                    return Err(IndexError::NotFinite { episode, frame: number });
+                    return Err(named(IndexError::NotFinite { episode, frame: number }));
                 }
                 if (number as usize) < end && !excluded(episode, number) {
                     frames.push(IndexedSpatialFrame {
@@ -128,7 +146,7 @@ impl SpatialKnowledge {
             }
         }
         Ok(Self {
-            index: SpatialIndex::build(frames, retrieve.metric(symmetry))?,
+            index: SpatialIndex::build(frames, retrieve.metric(symmetry)).map_err(named)?,
             group: symmetry.group()?,
             demos,
         })

@@ -539,8 +539,8 @@ fn frames_of(knowledge: &SpatialKnowledge, demo: u32, frame: usize) -> Result<&[
         .demos()
         .demo(demo)
         .filter(|frames| frame < frames.len())
-        .ok_or(PolicyError::UnknownDemo {
-            demo,
+        .ok_or_else(|| PolicyError::UnknownDemo {
+            demo: knowledge.demos().names().of(demo),
             frame: frame as u32,
         })
 }

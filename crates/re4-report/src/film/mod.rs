@@ -82,8 +82,8 @@ pub struct FilmState {
 /// A decision of a rollout, world frame, pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FilmDecision {
-    /// Demonstration that was retrieved.
-    pub demo: u32,
+    /// Name of the demonstration that was retrieved.
+    pub demo: String,
     /// First frame of the chunk, and its last one, included.
     pub frames: (u32, u32),
     /// Plan to the start of the chunk.
@@ -283,7 +283,12 @@ impl<'a> Tile<'a> {
         );
         let second = self.rollout.decisions.get(state.decision).map_or(String::new(), |d| {
             let phase = if state.replaying { "REPLAY" } else { "PLAN" };
-            format!("{phase}  DEMO {} FRAMES {}-{}", d.demo, d.frames.0, d.frames.1)
+            format!(
+                "{phase}  {} FRAMES {}-{}",
+                d.demo.to_uppercase(),
+                d.frames.0,
+                d.frames.1
+            )
         });
         let colour = if state.replaying { REPLAY } else { PLAN };
         let coverage = format!("COVERAGE {:.3}", state.coverage);

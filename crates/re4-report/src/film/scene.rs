@@ -1,6 +1,7 @@
 //! Films of rollouts whose pictures come from outside, such as from MuJoCo: over a strip with the timeline of retrieved
 //! demonstrations, what the step is part of, and where there is room, text.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 
 use gif::{Encoder, EncodingError, Repeat};
@@ -38,6 +39,8 @@ pub struct SceneRollout {
     pub success: bool,
     /// States before each control step and after the last; at least one.
     pub states: Vec<SceneState>,
+    /// What demonstrations are called, by their numbers.
+    pub names: BTreeMap<u32, String>,
 }
 
 /// Draws a rollout, by its place, in a state: rows from top to bottom of a square of the film's size, three bytes a pixel.
@@ -184,7 +187,8 @@ fn strip(pixels: &mut Vec<u8>, size: u32, rollout: &SceneRollout, at: usize, pal
     let right = side.saturating_sub(margin + text::width(word, scale));
     text::write(strip, side, (right, 25 * scale), scale, word, palette.of(colour));
     if let Some(demo) = state.demo {
-        let words = format!("DEMO {demo}");
+        let name = rollout.names.get(&demo).map_or("", String::as_str);
+        let words = text::fitting(&name.to_uppercase(), right.saturating_sub(2 * margin), scale);
         text::write(
             strip,
             side,
@@ -221,6 +225,7 @@ mod tests {
             seed: 200_000,
             success: true,
             states: (0..states).map(state).collect(),
+            names: BTreeMap::from([(0, "demo_4".to_owned())]),
         }
     }
 

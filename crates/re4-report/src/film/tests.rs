@@ -10,7 +10,7 @@ fn rollout(seed: u32, steps: usize) -> FilmRollout {
         replaying: i > 3,
     });
     let decision = |demo| FilmDecision {
-        demo,
+        demo: format!("episode {demo}"),
         frames: (3, 17),
         plan: vec![Point2::new(100.0, 380.0), Point2::new(100.0, 450.0)],
         chunk: vec![Point2::new(400.0, 430.0), Point2::new(440.0, 430.0)],

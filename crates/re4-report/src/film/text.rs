@@ -4,7 +4,7 @@ const WIDTH: usize = 5;
 const ADVANCE: usize = WIDTH + 1;
 
 /// Rows from the top, the leftmost pixel in the highest of five bits.
-const GLYPHS: [(char, [u8; 7]); 32] = [
+const GLYPHS: [(char, [u8; 7]); 39] = [
     ('0', [0b01110, 0b10001, 0b10011, 0b10101, 0b11001, 0b10001, 0b01110]),
     ('1', [0b00100, 0b01100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
     ('2', [0b01110, 0b10001, 0b00001, 0b00110, 0b01000, 0b10000, 0b11111]),
@@ -26,22 +26,34 @@ const GLYPHS: [(char, [u8; 7]); 32] = [
     ('G', [0b01110, 0b10001, 0b10000, 0b10111, 0b10001, 0b10001, 0b01110]),
     ('H', [0b10001, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001]),
     ('I', [0b01110, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
+    ('J', [0b00111, 0b00010, 0b00010, 0b00010, 0b00010, 0b10010, 0b01100]),
+    ('K', [0b10001, 0b10010, 0b10100, 0b11000, 0b10100, 0b10010, 0b10001]),
     ('L', [0b10000, 0b10000, 0b10000, 0b10000, 0b10000, 0b10000, 0b11111]),
     ('M', [0b10001, 0b11011, 0b10101, 0b10101, 0b10001, 0b10001, 0b10001]),
     ('N', [0b10001, 0b11001, 0b10101, 0b10011, 0b10001, 0b10001, 0b10001]),
     ('O', [0b01110, 0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b01110]),
     ('P', [0b11110, 0b10001, 0b10001, 0b11110, 0b10000, 0b10000, 0b10000]),
+    ('Q', [0b01110, 0b10001, 0b10001, 0b10001, 0b10101, 0b10010, 0b01101]),
     ('R', [0b11110, 0b10001, 0b10001, 0b11110, 0b10100, 0b10010, 0b10001]),
     ('S', [0b01111, 0b10000, 0b10000, 0b01110, 0b00001, 0b00001, 0b11110]),
     ('T', [0b11111, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100]),
     ('U', [0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b01110]),
     ('V', [0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b01010, 0b00100]),
+    ('W', [0b10001, 0b10001, 0b10001, 0b10101, 0b10101, 0b11011, 0b10001]),
+    ('X', [0b10001, 0b10001, 0b01010, 0b00100, 0b01010, 0b10001, 0b10001]),
     ('Y', [0b10001, 0b10001, 0b01010, 0b00100, 0b00100, 0b00100, 0b00100]),
+    ('Z', [0b11111, 0b00001, 0b00010, 0b00100, 0b01000, 0b10000, 0b11111]),
+    ('_', [0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b11111]),
 ];
 
 /// Width of a text, in pixels.
 pub(super) fn width(text: &str, scale: usize) -> usize {
     (text.chars().count() * ADVANCE * scale).saturating_sub(scale)
+}
+
+/// The beginning of a text that is no wider than so many pixels.
+pub(super) fn fitting(text: &str, most: usize, scale: usize) -> String {
+    text.chars().take((most + scale) / (ADVANCE * scale).max(1)).collect()
 }
 
 /// Writes on rows of `side` pixels, from a corner (x, y) on; what does not fit is cut off. What has no glyph is a blank.
@@ -92,11 +104,16 @@ mod tests {
         assert_eq!(cut, ["#.....#."; 5]);
         assert_eq!(drawn("-", 10, 14, 2)[6], "..######..");
         assert_eq!((width("T1", 1), width("T1", 2), width("", 1)), (11, 22, 0));
+        for (most, fits) in [(0, ""), (4, ""), (5, "D"), (10, "D"), (11, "DE"), (99, "DEM")] {
+            assert_eq!(fitting("DEM", most, 1), fits, "{most}");
+            assert_eq!(fitting("DEM", 2 * most, 2), fits, "{most}");
+        }
     }
 
     #[test]
     fn every_word_of_a_film_has_its_letters() {
-        let words = "SEED STEP OF COVERAGE PLAN REPLAY DEMO FRAMES 0123456789.-";
+        // Names of demonstrations have any.
+        let words = "ABCDEFGHIJKLMNOPQRSTUVWXYZ 0123456789.-_";
         for letter in words.chars().filter(|letter| *letter != ' ') {
             assert!(GLYPHS.iter().any(|(of, _)| *of == letter), "{letter}");
         }

@@ -127,6 +127,7 @@ fn decisions_json(decisions: &[&DecisionTrace]) -> Value {
         "plan": decisions.iter().map(|d| d.plan.as_str()).collect::<Vec<_>>(),
         "selector": decisions.iter().map(|d| d.selector.as_str()).collect::<Vec<_>>(),
         "reason": decisions.iter().map(|d| d.reason.as_str()).collect::<Vec<_>>(),
+        "demo_name": decisions.iter().map(|d| d.demo_name.as_str()).collect::<Vec<_>>(),
     })
 }
 

@@ -189,8 +189,10 @@ pub struct DecisionTrace {
     pub transfer: bool,
     /// Pose of the block that the decision was taken on.
     pub object: [f64; 3],
-    /// Retrieved demonstration.
+    /// Retrieved demonstration, by its number in the index.
     pub demo: u32,
+    /// Its name in its source.
+    pub demo_name: String,
     /// First frame of the chunk.
     pub demo_frame: u32,
     /// Last frame of the chunk, included.

@@ -30,6 +30,7 @@ fn decision(reason: &str) -> DecisionTrace {
         transfer: false,
         object: [256.0, 240.0, 0.5],
         demo: 7,
+        demo_name: "episode 31".to_owned(),
         demo_frame: 1,
         demo_end: 2,
         compared: 3,

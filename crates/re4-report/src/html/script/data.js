@@ -32,6 +32,7 @@ const decisionAt = (columns, row) => {
   return {
     step: columns.step[row],
     demo: columns.demo[row],
+    name: columns.demo_name[row],
     first: columns.demo_frame[row],
     last: columns.demo_end[row],
     compared: columns.compared[row],

@@ -20,7 +20,7 @@ const distanceFacts = ({ dq, do: d_o, predictedCoverage, selector, compared }) =
 };
 
 const decisionFacts = (decision) => [
-  fact("Demonstration", `${decision.demo}, frames ${decision.first}–${decision.last}`, { "data-fact": "demo", "data-value": decision.demo }),
+  fact("Demonstration", `${decision.name}, frames ${decision.first}–${decision.last}`, { "data-fact": "demo_name", "data-value": decision.name }),
   ...distanceFacts(decision),
   fact("δ", `${point(decision.delta)}, ${degrees(around(decision.delta[2]))}`, {
     "data-fact": "delta", "data-value": decision.delta.join(" "),
@@ -61,8 +61,8 @@ const showDecision = (data, step, number) => {
 const showDemoWords = (index, decision, chunk) => {
   if (decision === undefined) return;
   byId("demo-note").textContent = chunk
-    ? `Demonstration ${decision.demo} as it was recorded: frame ${decision.first}, the pusher’s way and the block (dashed) up to frame ${decision.last}.`
-    : `Demonstration ${decision.demo}, frame ${decision.first}, cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`;
+    ? `As recorded in ${decision.name}: frame ${decision.first}, the pusher’s way and the block (dashed) up to frame ${decision.last}.`
+    : `The recording of ${decision.name}, frame ${decision.first}, cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`;
 };
 
 const showStep = () => {

@@ -121,6 +121,7 @@ fn decisions_json(decisions: &[&SpatialDecision]) -> Value {
         "delta": f64s(decisions.iter().flat_map(|d| d.choice.as_ref().map_or([f64::NAN; 6], |c| c.delta))),
         "kind": decisions.iter().map(|d| d.kind.as_str()).collect::<Vec<_>>(),
         "reason": decisions.iter().map(|d| d.reason.as_str()).collect::<Vec<_>>(),
+        "demo_name": decisions.iter().map(|d| d.choice.as_ref().map_or("", |c| c.demo_name.as_str())).collect::<Vec<_>>(),
     })
 }
 

@@ -210,8 +210,10 @@ pub type FrameInPicture = [Option<[f64; 2]>; 4];
 /// What a decision retrieved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialChosen {
-    /// Demonstration.
+    /// Demonstration, by its number in the index.
     pub demo: u32,
+    /// Its name in its source.
+    pub demo_name: String,
     /// First frame of the chunk.
     pub demo_frame: u32,
     /// Last frame of the chunk, included.

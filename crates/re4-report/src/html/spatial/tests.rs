@@ -25,6 +25,7 @@ fn trace(seed: u32, success: bool) -> SpatialTrace {
     };
     let choice = SpatialChosen {
         demo: 17,
+        demo_name: "demo_40".to_owned(),
         demo_frame: 3,
         demo_end: 4,
         compared: 20,

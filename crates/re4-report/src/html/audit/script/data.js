@@ -34,7 +34,7 @@ const panelValues = remember((key) => {
 });
 const flagValues = remember((flag) => unpack(REPORT.flags[flag].values));
 
-const nameOf = (demo) => DEMOS.name[demo] || `demonstration ${DEMOS.number[demo]}`;
+const nameOf = (demo) => DEMOS.name[demo];
 const wordsOf = (code) => code.replaceAll(/[_-]/g, " ");
 const counted = (count, one, many = `${one}s`) => `${count} ${count === 1 ? one : many}`;
 

@@ -285,8 +285,7 @@ const showDemo = () => {
     counted(DEMOS.frames[demo], "frame"), `${(DEMOS.frames[demo] * REPORT.frame_seconds).toFixed(1)} s`, `${Math.round(100 * share(demo))} % transfer`,
     counted(DEMOS.segments[demo], "segment"), `object ends ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit} from where it began`, severityWords(demo),
   ];
-  const number = new RegExp(`(^|\\D)${DEMOS.number[demo]}$`).test(nameOf(demo)) ? [] : [`number ${DEMOS.number[demo]}`];
-  byId("evidence-facts").textContent = [...number, ...facts].join(" · ");
+  byId("evidence-facts").textContent = facts.join(" · ");
   showFindings();
   showSegments();
 };

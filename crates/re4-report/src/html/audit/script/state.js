@@ -77,10 +77,10 @@ const walkDemos = (steps) => {
   selectDemo(order[at < 0 ? 0 : clamp(at + steps, 0, order.length - 1)]);
 };
 
-// The place in the page's address: #demo=<number>, and &frames=<first>-<last> where a part is looked at.
+// The place in the page's address: #demo=<name>, and &frames=<first>-<last> where a part is looked at.
 const addressOf = () => {
   const { demo, range } = selection;
-  return `#demo=${DEMOS.number[demo]}${range === null ? "" : `&frames=${range[0]}-${range[1] - 1}`}`;
+  return `#demo=${encodeURIComponent(nameOf(demo))}${range === null ? "" : `&frames=${range[0]}-${range[1] - 1}`}`;
 };
 
 let addressTimer = 0;
@@ -106,20 +106,19 @@ const decoded = (text) => {
   }
 };
 
-// The place that an address names: a demonstration by number or name, and a range of its frames; words where there is none.
+// The place that an address names: a demonstration by its name, and a range of its frames; words where there is none.
 const placeOf = (hash) => {
   const found = /^#demo=([^&]+)(?:&frames=(\d+)-(\d+))?$/.exec(hash);
   if (found === null) {
     // The page's own links to its parts are no places of this kind.
     const dead = hash.length > 1 && byId(hash.slice(1)) === null;
-    return { words: dead ? `The link ${hash} leads nowhere in this page. Links look like #demo=${DEMOS.number[0] ?? 0}.` : "" };
+    return { words: dead ? `The link ${hash} leads nowhere in this page. Links look like #demo=${encodeURIComponent(DEMOS.name[0] ?? "demo_0")}.` : "" };
   }
   const called = decoded(found[1]);
-  const byNumber = /^\d+$/.test(called) ? DEMOS.number.indexOf(Number(called)) : -1;
-  const demo = byNumber >= 0 ? byNumber : DEMOS.name.indexOf(called);
+  const demo = DEMOS.name.indexOf(called);
   if (demo < 0) {
-    const numbers = COUNT > 0 ? `, numbered ${DEMOS.number[0]} to ${DEMOS.number[COUNT - 1]}` : "";
-    return { words: `The link leads to demonstration ${called}, which this audit does not have: it has ${counted(COUNT, "demonstration")}${numbers}.` };
+    const names = COUNT > 0 ? `, ${nameOf(0)} to ${nameOf(COUNT - 1)}` : "";
+    return { words: `The link leads to ${called}, which this audit does not have: it has ${counted(COUNT, "demonstration")}${names}.` };
   }
   if (found[2] === undefined) return { demo, range: null, words: "" };
   const frames = DEMOS.frames[demo];

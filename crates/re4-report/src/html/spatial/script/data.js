@@ -31,6 +31,7 @@ const decisionAt = (columns, i) => ({
   setPoint: row(columns.set_point, 7, i),
   reason: columns.reason[i],
   demo: columns.demo[i] === NO_DEMO ? undefined : columns.demo[i],
+  name: columns.demo_name[i],
   first: columns.demo_frame[i],
   last: columns.demo_end[i],
   compared: columns.compared[i],
@@ -114,5 +115,5 @@ const moved = (motion, point) => {
 const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
 const millimetres = (value, count = 1) => `${digits(1000 * value, count)} mm`;
 
-// A colour for each demonstration: neighbouring numbers differ most; the number stands beside it where there is room.
+// A colour for each demonstration: neighbouring ones differ most; the name stands beside it where there is room.
 const demoStyle = (demo) => `--hue:${near((demo * 137.508) % 360)};--shade:${(Math.floor(demo / 5) % 3) * 7 - 7}%`;

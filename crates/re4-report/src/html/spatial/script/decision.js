@@ -9,7 +9,7 @@ const KINDS = {
 };
 
 const chosenFacts = (decision) => [
-  said("Demonstration", `${decision.demo}, frames ${decision.first}–${decision.last}`, "demo", decision.demo),
+  said("Demonstration", `${decision.name}, frames ${decision.first}–${decision.last}`, "demo_name", decision.name),
   said("d_q", digits(decision.dq, 4), "d_q", decision.dq, "Distance of the full object-augmented states, without unit"),
   said("d_o", digits(decision.do, 4), "d_o", decision.do, "Distance of the object poses alone"),
   said("d_e", digits(decision.de, 4), "d_e", decision.de, "Distance of the end effectors as seen from the object"),
@@ -49,5 +49,5 @@ const showDecision = (data, step, number) => {
   byId("decision-title").textContent = decision === undefined ? "No decision" : `Decision ${number + 1} of ${data.decisions.length}, taken at step ${decision.step}`;
   byId("reason").textContent = decision === undefined ? "" : `${decision.reason}.`;
   byId("demo-note").textContent = decision?.demo === undefined || chunk !== undefined ? ""
-    : `Demonstration ${decision.demo} cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`;
+    : `The recording of ${decision.name} cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`;
 };

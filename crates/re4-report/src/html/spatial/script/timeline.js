@@ -68,9 +68,10 @@ const bands = (data, x) => {
   const span = (run) => `steps ${run.start} to ${run.end}`;
   for (const run of runs(data, (i) => data.decisions[data.decisionOf[i]]?.demo)) {
     const home = run.value === undefined;
-    const words = home ? "back to the initial pose" : `demonstration ${run.value}`;
+    const { name } = data.decisions[data.decisionOf[run.start]] ?? {};
+    const words = home ? "back to the initial pose" : name;
     const width = rect(run, PLACE.demos, TIMELINE.band, home ? "demo none" : "demo", `${words}, ${span(run)}`, home ? null : demoStyle(run.value));
-    const label = home ? "home" : String(run.value);
+    const label = home ? "home" : name;
     if (width > 7.5 * label.length + 8) {
       group.append(svg("text", { class: "demo-label", x: near(x(run.start) + 5), y: PLACE.demos + 20 }, label));
     }

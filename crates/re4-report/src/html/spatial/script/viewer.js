@@ -12,16 +12,16 @@ const showStep = () => {
   phase.className = `badge ${over ? (data.success ? "good" : "bad") : now}`;
   byId("scrubber").value = step;
   byId("scrubber").setAttribute("aria-valuetext", `step ${step} of ${data.length}`);
-  const demo = data.decisions[number]?.demo;
+  const { demo, name } = data.decisions[number] ?? {};
   const height = heightOf(data.artifact, data.object[step][2]);
   const text = byId("step-text");
   text.dataset.step = step;
-  text.dataset.demo = demo ?? "";
+  text.dataset.demo = demo === undefined ? "" : name;
   text.dataset.height = height;
   text.dataset.fingers = data.fingers[step];
   text.replaceChildren(
     html("b", {}, `Step ${step}`), ` of ${data.length}`,
-    demo === undefined ? " · on the way home" : html("span", {}, " · ", html("i", { class: "swatch", style: demoStyle(demo) }), " demonstration ", html("b", {}, String(demo))),
+    demo === undefined ? " · on the way home" : html("span", {}, " · ", html("i", { class: "swatch", style: demoStyle(demo) }), " ", html("b", {}, name)),
     ` · fingers ${millimetres(data.fingers[step], 0)} apart · object ${digits(100 * height, 1)} cm above the table`,
   );
   scene.root.setAttribute("aria-label", `Scene of seed ${data.seed} at step ${step} of ${data.length}, from above and from behind the robot`);

@@ -1,0 +1,374 @@
+//! A demonstration is called what its source calls it, from the selection to the rollout, whatever its place in a file or an artifact.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use arrow::array::RecordBatch;
+use insta::{assert_snapshot, with_settings};
+use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use serde_json::Value;
+use support::{Answer, Place, filters, repository, scripted_and_simulators};
+
+fn pipeline(task: &str, source: &Path) -> String {
+    format!(
+        r#"task = "{task}"
+variant = "state"
+[ingest]
+source = "{}"
+[segment]
+[pose]
+source = "recorded"
+[index]
+leave_out = []
+[rollout]
+policy = "re4"
+seeds = "200000..200002"
+max_steps = 60
+"#,
+        source.display()
+    )
+}
+
+/// A place with a pipeline file on a dataset.
+fn place(task: &str, source: &Path) -> Place {
+    let place = Place::empty();
+    place.write("p.toml", pipeline(task, source));
+    place
+}
+
+/// The same, with the dataset beside it, so that sentences name no other folder.
+fn place_of(made: &Path, name: &str) -> Place {
+    let place = place("can", Path::new(name));
+    fs::copy(made.join(name), place.path().join("data").join(name)).unwrap();
+    place
+}
+
+fn sample() -> PathBuf {
+    repository().join("data/can-sample.hdf5")
+}
+
+/// The files that `make_gaps.py` writes; none without Python.
+fn made(place: &Place) -> Option<PathBuf> {
+    let Some(python) = std::env::var_os("RE4_PYTHON") else {
+        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+        return None;
+    };
+    let folder = place.path().join("made");
+    let output = Command::new(python)
+        .arg(repository().join("tests/make_gaps.py"))
+        .args([&sample(), &folder])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(folder)
+}
+
+/// A file made from a public report, where it is.
+fn reported(name: &str) -> Option<PathBuf> {
+    let data = std::env::var_os("RE4_DATA").map_or_else(|| repository().join("../shared/data"), PathBuf::from);
+    let path = data.join(format!("foreign/{name}/{name}.hdf5"));
+    if !path.exists() {
+        println!(
+            "skipped: no {}; set RE4_DATA to the folder of the datasets",
+            path.display()
+        );
+        return None;
+    }
+    Some(path.canonicalize().unwrap())
+}
+
+fn rows(artifact: &Artifact, spec: &'static TableSpec) -> RecordBatch {
+    artifact.table(spec).unwrap().read_all().unwrap()
+}
+
+fn texts(rows: &RecordBatch, column: &str) -> Vec<String> {
+    let column = col_text(rows, column).unwrap();
+    column
+        .into_iter()
+        .map(|text| text.unwrap_or_default().to_owned())
+        .collect()
+}
+
+/// Names of the demonstrations of an `episodes` artifact, in its order.
+fn names(episodes: &Artifact) -> Vec<String> {
+    texts(&rows(episodes, &tables::DEMOS), "demo")
+}
+
+/// What a table says of each demonstration, frame by frame, by the name that its place stands for.
+fn by_name<T>(rows: &RecordBatch, names: &[String], values: Vec<T>) -> BTreeMap<String, Vec<T>> {
+    let mut found: BTreeMap<String, Vec<T>> = BTreeMap::new();
+    for (episode, value) in col_u32(rows, "episode").unwrap().iter().zip(values) {
+        found.entry(names[*episode as usize].clone()).or_default().push(value);
+    }
+    found
+}
+
+fn numbers(rows: &RecordBatch, names: &[String], column: &str) -> BTreeMap<String, Vec<u64>> {
+    let values = col_f64(rows, column).unwrap().iter().map(|value| value.to_bits());
+    by_name(rows, names, values.collect())
+}
+
+/// Where the hand is in each demonstration, bit for bit: no two of the sample have the same, but for the copy.
+fn hands(episodes: &Artifact) -> BTreeMap<String, Vec<u64>> {
+    numbers(&rows(episodes, &tables::SPATIAL_FRAMES), &names(episodes), "eef_x")
+}
+
+/// Ingests anew with more arguments, and says where the hand is.
+fn ingested(place: &Place, arguments: &str) -> BTreeMap<String, Vec<u64>> {
+    let _ = fs::remove_dir_all(place.artifacts());
+    place.run(&format!("ingest p.toml {arguments}")).done();
+    hands(&place.artifact(Stage::Ingest))
+}
+
+#[test]
+fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
+    let whole = place("can", &sample());
+    let Some(folder) = made(&whole) else { return };
+    let gaps = place_of(&folder, "gaps.hdf5");
+    for place in [&whole, &gaps] {
+        place.run("index p.toml").done();
+        place.run("audit p.toml").done();
+    }
+    let of = |place: &Place| place.artifact(Stage::Ingest);
+    let known = names(&of(&gaps));
+    assert_eq!(
+        known.join(" "),
+        "demo_1 demo_2 demo_4 demo_6 demo_7 demo_8 demo_9 demo_10 demo_11 demo_12 demo_14 demo_15 demo_16 demo_17 demo_18"
+    );
+    let listing = rows(&of(&gaps), &tables::EPISODES);
+    let own = known
+        .iter()
+        .map(|name| name.trim_start_matches("demo_").parse::<u32>().unwrap());
+    assert_eq!(col_u32(&listing, "source_episode").unwrap(), own.collect::<Vec<_>>());
+    // In the whole sample places, numbers and names agree, so there is nothing to confuse.
+    let whole_names = names(&of(&whole));
+    assert!((0..19).all(|number| whole_names[number] == format!("demo_{number}")));
+    let same = |what: &str, [whole, gaps]: [BTreeMap<String, Vec<u64>>; 2]| {
+        assert_eq!(gaps.len(), 15, "{what}");
+        for (name, values) in gaps {
+            assert!(whole[&name] == values, "{what} of {name}");
+        }
+    };
+    same("frames", [&whole, &gaps].map(|place| hands(&of(place))));
+    same(
+        "modes",
+        [&whole, &gaps].map(|place| {
+            let modes = rows(&place.artifact(Stage::Segment), &tables::SPATIAL_MODES);
+            numbers(&modes, &names(&of(place)), "finger_separation")
+        }),
+    );
+    same(
+        "the index",
+        [&whole, &gaps].map(|place| {
+            let index = rows(&place.artifact(Stage::Index), &tables::SPATIAL_INDEX);
+            numbers(&index, &names(&of(place)), "eef_x")
+        }),
+    );
+    let audit = gaps.artifact(Stage::Audit);
+    assert_eq!(texts(&rows(&audit, &tables::AUDITED_EPISODES), "demo"), known);
+    let findings = rows(&audit, &tables::FINDINGS);
+    let places = col_u32(&findings, "episode").unwrap();
+    let called = texts(&findings, "demo_name");
+    assert!(
+        places
+            .iter()
+            .zip(&called)
+            .all(|(place, name)| known[*place as usize] == *name)
+    );
+    let told: Vec<(String, String)> = called
+        .into_iter()
+        .zip(texts(&findings, "code").into_iter().zip(texts(&findings, "message")))
+        .filter(|(_, (code, _))| code == "duplicate" || code == "no_transfer")
+        .map(|(name, (_, message))| (name, message))
+        .collect();
+    assert_eq!(told.len(), 2, "{told:?}");
+    assert_eq!(told[0].0, "demo_10");
+    assert_eq!(
+        told[1],
+        ("demo_16".to_owned(), "the same as demo_2, bit for bit".to_owned())
+    );
+}
+
+#[test]
+fn selections_are_by_the_names_of_the_file() {
+    let whole = place("can", &sample());
+    let Some(folder) = made(&whole) else { return };
+    let whole = ingested(&whole, "");
+    let gaps = place_of(&folder, "gaps.hdf5");
+    for (select, expected) in [
+        ("episodes=[4]", "demo_4"),
+        ("episodes=[\"demo_4\"]", "demo_4"),
+        ("episodes=[18,2,\"demo_7\"]", "demo_18 demo_2 demo_7"),
+        ("range=\"2..7\"", "demo_2 demo_4 demo_6"),
+        ("first=3", "demo_1 demo_2 demo_4"),
+        ("last=2", "demo_17 demo_18"),
+    ] {
+        let found = ingested(&gaps, &format!("--set ingest.select={{{select}}}"));
+        assert_eq!(found.keys().map(String::as_str).collect::<Vec<_>>().join(" "), expected);
+        assert!(found.iter().all(|(name, hand)| whole[name] == *hand), "{select}");
+    }
+    let mut sentences = String::new();
+    for arguments in [
+        "--set ingest.select={episodes=[3]}",
+        "--set ingest.select={episodes=[4,\"demo_13\"]}",
+        "--set ingest.select={episodes=[4,\"demo_4\"]}",
+        "--set ingest.select={episodes=[-1]}",
+        "--set ingest.select={episodes=[true]}",
+        "--set ingest.select={range=\"15..25\"}",
+        "--set ingest.select={range=\"3..4\"}",
+        "--set ingest.select={first=16}",
+        "--set ingest.filter=valid --set ingest.select={episodes=[6]}",
+    ] {
+        let refused = gaps.run(&format!("ingest p.toml {arguments}")).refused();
+        writeln!(sentences, "{arguments}\n  {refused}").unwrap();
+    }
+    with_settings!({ filters => filters() }, { assert_snapshot!(sentences) });
+}
+
+#[test]
+fn any_names_come_in_the_order_of_their_numbers() {
+    let whole = place("can", &sample());
+    let Some(folder) = made(&whole) else { return };
+    let whole = ingested(&whole, "");
+    let others = place_of(&folder, "names.hdf5");
+    let found = ingested(&others, "");
+    let episodes = others.artifact(Stage::Ingest);
+    assert_eq!(
+        names(&episodes).join(" "),
+        "demo1 demo2 a_3 b_3 take-7 demo10 run_99999999999999999999 last"
+    );
+    let listing = rows(&episodes, &tables::EPISODES);
+    // a_3 and b_3 share a number, the next but last has one too long, the last has none.
+    let own = [Some(1), Some(2), None, None, Some(7), Some(10), None, None];
+    assert_eq!(col_u32_or_null(&listing, "source_episode").unwrap(), own);
+    let origins: BTreeMap<String, String> =
+        serde_json::from_slice(&fs::read(folder.join("names.json")).unwrap()).unwrap();
+    assert_eq!(found.len(), origins.len());
+    for (name, hand) in &found {
+        assert!(whole[&origins[name]] == *hand, "{name}");
+    }
+    let taken = |select: &str| {
+        ingested(&others, &format!("--set ingest.select={{{select}}}"));
+        names(&others.artifact(Stage::Ingest)).join(" ")
+    };
+    assert_eq!(taken("episodes=[10,\"last\",\"b_3\"]"), "b_3 demo10 last");
+    assert_eq!(taken("range=\"2..8\""), "demo2 a_3 b_3 take-7");
+    let refused = others.run("ingest p.toml --set ingest.select={episodes=[3]}").refused();
+    assert!(refused.contains("a_3, b_3 have that number"), "{refused}");
+    let filtered = others
+        .run("ingest p.toml --set ingest.filter=some --set ingest.select={first=2}")
+        .done();
+    assert!(filtered.stdout.contains("2 episodes") || filtered.stderr.contains("2 episodes"));
+}
+
+#[test]
+fn reported_files_are_read_by_their_names() {
+    let Some(unnumbered) = reported("h03_demo1_no_underscore") else {
+        return;
+    };
+    let place = place("lift", &unnumbered);
+    ingested(&place, "");
+    let episodes = place.artifact(Stage::Ingest);
+    let expected: Vec<String> = (1..=12).map(|number| format!("demo{number}")).collect();
+    assert_eq!(names(&episodes), expected);
+    let listing = rows(&episodes, &tables::EPISODES);
+    assert_eq!(
+        col_u32(&listing, "source_episode").unwrap(),
+        (1..=12).collect::<Vec<u32>>()
+    );
+    let first = ingested(&place, "--set ingest.select={first=3}");
+    assert_eq!(first.into_keys().collect::<Vec<_>>(), ["demo1", "demo2", "demo3"]);
+
+    let Some(lost) = reported("h05_lost_demos_masks") else {
+        return;
+    };
+    let place = self::place("lift", &lost);
+    let all = ingested(&place, "");
+    assert_eq!(
+        all.keys().cloned().collect::<Vec<_>>().join(" "),
+        "demo_0 demo_1 demo_3 demo_4 demo_6"
+    );
+    for number in [3, 6] {
+        let one = ingested(&place, &format!("--set ingest.select={{episodes=[{number}]}}"));
+        assert_eq!(one.len(), 1);
+        let name = format!("demo_{number}");
+        assert!(one[&name] == all[&name], "{name}");
+    }
+    let refused = place.run("ingest p.toml --set ingest.select={episodes=[2]}").refused();
+    assert!(refused.contains("there is no demo_2"), "{refused}");
+}
+
+#[test]
+fn replays_and_rollouts_name_what_they_follow() {
+    let (Some(source), Some((_, simulators))) = (reported("h05_lost_demos_masks"), scripted_and_simulators()) else {
+        return;
+    };
+    let place = place("lift", &source);
+    let run = |arguments: &str| -> Answer {
+        let mut command = place.command();
+        command
+            .env("RE4_SIMULATORS", &simulators)
+            .args(arguments.split_whitespace());
+        Answer::new(&command.output().unwrap(), place.path())
+    };
+    let replayed = run("replay p.toml --json").done().json();
+    run("rollout p.toml").done();
+    let episodes = place.artifact(Stage::Ingest);
+    let known = names(&episodes);
+    assert_eq!(known, ["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
+    let replays = rows(&place.artifact(Stage::Replay), &tables::SPATIAL_REPLAYS);
+    let places = col_u32(&replays, "episode").unwrap();
+    let called = texts(&replays, "demo_name");
+    assert_eq!(called.len(), 10);
+    assert!(
+        places
+            .iter()
+            .zip(&called)
+            .all(|(place, name)| known[*place as usize] == *name)
+    );
+    let own: Vec<u32> = called
+        .iter()
+        .map(|name| name.trim_start_matches("demo_").parse().unwrap())
+        .collect();
+    assert_eq!(col_u32(&replays, "source_episode").unwrap(), own);
+    let failed = replayed["summary"]["delta"]["failed_demonstrations"]
+        .as_array()
+        .unwrap();
+    assert!(failed.iter().all(Value::is_string), "{failed:?}");
+
+    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let (demos, frames) = (
+        col_u32_or_null(&decisions, "demo").unwrap(),
+        col_u32_or_null(&decisions, "demo_frame").unwrap(),
+    );
+    let (called, reasons) = (texts(&decisions, "demo_name"), texts(&decisions, "reason"));
+    for row in 0..decisions.num_rows() {
+        match demos[row] {
+            Some(demo) => {
+                assert_eq!(called[row], known[demo as usize]);
+                let start = format!("{} from frame {}: ", called[row], frames[row].unwrap());
+                assert!(reasons[row].starts_with(&start), "{}", reasons[row]);
+            }
+            None => assert_eq!(called[row], ""),
+        }
+    }
+    // One alone, which is number 3 among those that are there.
+    fs::remove_dir_all(place.artifacts()).unwrap();
+    run("rollout p.toml --set ingest.select={episodes=[4]}").done();
+    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let mut called = texts(&decisions, "demo_name");
+    called.retain(|name| !name.is_empty());
+    called.dedup();
+    assert_eq!(called, ["demo_4"]);
+}
