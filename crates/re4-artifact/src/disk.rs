@@ -1,7 +1,7 @@
 //! Files on disk: hashing, syncing, and the lock that tells a live temporary from a dead writer's.
 
 use std::fs::{File, OpenOptions};
-use std::io;
+use std::io::{self, Read as _};
 use std::path::Path;
 
 use crate::error::ArtifactError;
@@ -44,9 +44,24 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), ArtifactError> {
         .map_err(ArtifactError::io("sync", folder))
 }
 
-/// BLAKE3 of a file, memory-mapped and hashed on all cores.
+/// Bytes that are hashed at once: enough for all cores.
+const BLOCK: usize = 4 << 20;
+
+/// BLAKE3 of a file, read block by block and hashed on all cores. It is not memory-mapped: a file that is cut off while it is
+/// mapped ends the process.
 pub(crate) fn hash_file(path: &Path) -> io::Result<Key> {
+    let mut file = File::open(path)?;
+    let length = usize::try_from(file.metadata()?.len()).unwrap_or(BLOCK);
+    let mut block = vec![0; BLOCK.min(length).max(1)];
     let mut hasher = blake3::Hasher::new();
-    hasher.update_mmap_rayon(path)?;
-    Ok(hasher.finalize().into())
+    loop {
+        match file.read(&mut block) {
+            Ok(0) => return Ok(hasher.finalize().into()),
+            Ok(read) => {
+                hasher.update_rayon(&block[..read]);
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
 }

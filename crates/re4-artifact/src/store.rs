@@ -11,7 +11,7 @@ use crate::disk::{LOCK_NAME, TEMPORARY_PREFIX, is_alive, lock};
 use crate::error::ArtifactError;
 use crate::key::{Key, Recipe, Stage};
 use crate::reader::Artifact;
-use crate::writer::Writer;
+use crate::writer::{Writer, remove_own};
 
 const RUNS: &str = "runs";
 
@@ -47,6 +47,16 @@ impl Store {
             Err(error) => return Err(error),
         }
         Ok(store)
+    }
+
+    /// Removes what this process and dead ones have begun to write. For a process that ends in the next moment, whatever its
+    /// threads are doing: until it has ended, nothing can be published, as the lock that is returned is held.
+    pub fn abandon(&self) -> Option<impl Sized> {
+        let guard = self.lock().ok()?;
+        remove_own();
+        // What cannot be removed now is removed when the store is opened next.
+        let _ = self.remove_leftovers();
+        Some(guard)
     }
 
     /// The root of the store.

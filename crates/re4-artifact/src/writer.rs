@@ -1,6 +1,6 @@
 //! Writing an artifact: tables into a temporary folder, then publication in one rename.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -56,6 +56,23 @@ pub struct Writer {
     files: Mutex<BTreeMap<String, FileFacts>>,
 }
 
+/// Temporaries of this process's writers; some of them may be gone.
+static OWN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Removes what this process has begun to write. Only for a process that is about to end, with the store's lock held until it
+/// has: a writer that is still at work then fails, and publishes nothing.
+pub(crate) fn remove_own() {
+    for path in std::mem::take(&mut *locked(&OWN)) {
+        // A thread may add a file while the folder is emptied.
+        for _ in 0..100 {
+            match fs::remove_dir_all(&path) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {}
+                _ => break,
+            }
+        }
+    }
+}
+
 impl Writer {
     pub(crate) fn new(store: &Store, recipe: &Recipe) -> Result<Self, ArtifactError> {
         let key = recipe.key();
@@ -68,6 +85,7 @@ impl Writer {
             .tempdir_in(&parent)
             .map_err(ArtifactError::io("make a temporary folder in", &parent))?;
         let own_lock = lock(&temporary.path().join(LOCK_NAME))?;
+        locked(&OWN).insert(temporary.path().to_path_buf());
         drop(guard);
         Ok(Self {
             store: store.clone(),

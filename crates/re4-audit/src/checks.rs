@@ -230,6 +230,11 @@ pub const CHECKS: &[Check] = &[
         ..check("idle", Severity::Note, Applies::Everywhere)
     },
     Check {
+        meaning: "The demonstration cannot be read, or contradicts the conventions that the others prove. It is in none of what follows. Repair it, or leave it out by ingest.select.",
+        measure: "Whether ingest can use it",
+        ..check("left_out", Severity::Error, Applies::Everywhere)
+    },
+    Check {
         meaning: "The object was held, and left the hand while the command was still to close. The frames after that are labelled transfer and are not: poses taken from the hand are wrong there. Leave the demonstration out, or cut it at the loss.",
         measure: "Distance of the end effector, in the object's frame, from the grasp transform",
         unit: "m",

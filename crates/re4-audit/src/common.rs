@@ -11,14 +11,16 @@ use crate::thresholds::{Observation, Thresholds};
 /// Collects findings of one demonstration.
 pub(crate) struct Sink<'a> {
     episode: u32,
+    demo: String,
     pub(crate) thresholds: &'a Thresholds,
     pub(crate) findings: Vec<Finding>,
 }
 
 impl<'a> Sink<'a> {
-    pub(crate) fn new(episode: u32, thresholds: &'a Thresholds) -> Self {
+    pub(crate) fn new(episode: u32, demo: &str, thresholds: &'a Thresholds) -> Self {
         Self {
             episode,
+            demo: demo.to_owned(),
             thresholds,
             findings: Vec::new(),
         }
@@ -31,6 +33,7 @@ impl<'a> Sink<'a> {
             severity: check.map_or(Severity::Note, |check| check.severity),
             code,
             episode: self.episode,
+            demo: self.demo.clone(),
             frames: frames.start as u32..frames.end as u32,
             value,
             threshold: self.thresholds.value(code),
@@ -99,12 +102,12 @@ pub fn audit_copies(observations: &[Observation], thresholds: &Thresholds) -> Ve
     for (place, observation) in observations.iter().enumerate() {
         let before = observations.get(..place).unwrap_or_default();
         let all = 0..observation.frames as usize;
-        let mut sink = Sink::new(observation.episode, thresholds);
+        let mut sink = Sink::new(observation.episode, &observation.demo, thresholds);
         if let Some(same) = before.iter().find(|other| other.recording == observation.recording) {
-            let message = format!("the same as demonstration {}, bit for bit", same.episode);
+            let message = format!("the same as {}, bit for bit", same.demo);
             sink.add("duplicate", all, None, message);
         } else if let Some(same) = before.iter().find(|other| other.actions == observation.actions) {
-            let message = format!("the same actions as demonstration {}, from other states", same.episode);
+            let message = format!("the same actions as {}, from other states", same.demo);
             sink.add("same_actions", all, None, message);
         }
         findings.append(&mut sink.findings);

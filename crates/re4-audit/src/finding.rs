@@ -33,6 +33,8 @@ pub struct Finding {
     pub code: &'static str,
     /// Number of the demonstration in the artifact, from 0.
     pub episode: u32,
+    /// Its name in its source.
+    pub demo: String,
     /// Frames that it concerns.
     pub frames: Range<u32>,
     /// What was measured.

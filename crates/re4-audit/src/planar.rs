@@ -28,6 +28,7 @@ pub fn observe_planar(demo: &PlanarDemo) -> Observation {
     let steps = demo.segmented.evidence.iter().filter_map(|e| e.eef_step);
     Observation {
         episode: demo.number,
+        demo: demo.episode.name(),
         frames: frames.len() as u32,
         values: vec![
             ("discontinuity_eef", steps.fold(0.0, f64::max)),
@@ -49,7 +50,7 @@ pub fn observe_planar(demo: &PlanarDemo) -> Observation {
 /// The second look: everything that exceeds its threshold.
 pub fn audit_planar(demo: &PlanarDemo, thresholds: &Thresholds) -> Vec<Finding> {
     let frames = &demo.episode.frames;
-    let mut sink = Sink::new(demo.number, thresholds);
+    let mut sink = Sink::new(demo.number, &demo.episode.name(), thresholds);
     let segments: Vec<_> = demo.segmented.segments.iter().map(|s| s.segment.clone()).collect();
     lengths_and_flicker(&mut sink, &segments, frames.len());
     check_contacts(&demo.segmented.evidence, &mut sink);

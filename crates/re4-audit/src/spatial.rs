@@ -71,6 +71,7 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
     let rewards: Vec<f64> = frames.iter().filter_map(|frame| frame.reward).collect();
     Observation {
         episode: demo.number,
+        demo: demo.episode.name.clone(),
         frames: frames.len() as u32,
         values,
         last_object: frames
@@ -84,7 +85,7 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
 
 /// The second look: everything that exceeds its threshold.
 pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &GraspLimits) -> SpatialAudit {
-    let mut sink = Sink::new(demo.number, thresholds);
+    let mut sink = Sink::new(demo.number, &demo.episode.name, thresholds);
     let grasps = judge(demo, limits);
     lengths_and_flicker(
         &mut sink,

@@ -48,6 +48,8 @@ pub struct Threshold {
 pub struct Observation {
     /// Number of the demonstration in the artifact, from 0.
     pub episode: u32,
+    /// Its name in its source.
+    pub demo: String,
     /// Its frames.
     pub frames: u32,
     /// Values by the code of the check that they serve.

@@ -58,7 +58,10 @@ fn flawless(number: u32) -> Vec<SpatialFrame> {
 }
 
 fn demo(number: u32, frames: Vec<SpatialFrame>) -> SpatialDemo {
-    let episode = SpatialEpisode { source: number, frames };
+    let episode = SpatialEpisode {
+        name: format!("demo_{}", 2 * number),
+        frames,
+    };
     SpatialDemo {
         number,
         segmented: segment_spatial(&episode, &SegmentConfig::spatial()).unwrap(),

@@ -54,11 +54,22 @@ pub fn main() -> ExitCode {
         Command::IngestWorker => stages::serve_ingest().map(|()| commands::Outcome::Done),
     };
     match outcome {
+        Ok(_) if !interrupt::answer() => loop {
+            // The watchdog ends the process: it has removed what was not published.
+            std::thread::park();
+        },
         Ok(commands::Outcome::Done) => ExitCode::SUCCESS,
         Ok(commands::Outcome::GateFailed) => ExitCode::from(1),
         Err(error) => {
-            console::print_error(&error);
-            ExitCode::from(2)
+            if interrupt::answer() {
+                console::print_error(&error);
+                ExitCode::from(2)
+            } else {
+                // The watchdog ends the process.
+                loop {
+                    std::thread::park();
+                }
+            }
         }
     }
 }

@@ -76,6 +76,10 @@ const ABOUT_THE_OBJECT: [&str; 8] = [
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     let ingest = &pipeline.ingest;
     ensure!(
+        ingest.pusht.is_default(),
+        "ingest.pusht belongs to Push-T; leave it out"
+    );
+    ensure!(
         ingest.object.is_none() || pipeline.task == TaskName::Robosuite,
         "ingest.object is given and the task says which object it is; leave it out, or set task = \"robosuite\""
     );
@@ -274,6 +278,9 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ];
     if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
         bail!("ingest.{key} belongs to robosuite's tasks; leave it out");
+    }
+    if let Err(why) = ingest.pusht.check() {
+        bail!("ingest.pusht.{why}");
     }
     ensure!(
         ingest.render.iter().all(|&camera| camera == Camera::Image),

@@ -8,7 +8,8 @@ use re4_audit::AuditConfig;
 use re4_encoder::EncoderConfig;
 use re4_geometry::Pose2;
 use re4_geometry::spatial::Symmetry;
-use re4_ingest::Selection;
+use re4_ingest::pusht::PushtConventions;
+use re4_ingest::{OnBad, Selection};
 use re4_policy::spatial::{
     PoseFilterConfig, SPATIAL_PRESETS, SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig,
     SpatialReplanConfig, SpatialReplayConfig, SpatialRetrieveConfig,
@@ -183,6 +184,9 @@ pub(crate) struct IngestSection {
     /// robosuite tasks: conventions of the file that are stated, because its data cannot prove them.
     #[serde(default)]
     pub(crate) conventions: Conventions,
+    /// Push-T: what the numbers of the dataset mean, where it is not what those of the original dataset do.
+    #[serde(default, skip_serializing_if = "PushtConventions::is_default")]
+    pub(crate) pusht: PushtConventions,
     /// Whether the pictures are ingested too.
     #[serde(default = "yes")]
     pub(crate) images: bool,
@@ -193,6 +197,15 @@ pub(crate) struct IngestSection {
     /// Which episodes to take.
     #[serde(default)]
     pub(crate) select: Selection,
+    /// What to do with a demonstration that cannot be read, or that contradicts the others: `refuse` the dataset, or
+    /// `leave_out` that demonstration. `audit` always leaves it out, and reports it.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub(crate) on_bad: OnBad,
+}
+
+/// Whether a setting need not be written.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// Cameras of the tasks.

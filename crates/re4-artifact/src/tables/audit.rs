@@ -1,13 +1,13 @@
 //! Tables of the audit of a segmentation: planar and spatial demonstrations alike. Units are those of the row.
 
-use super::{EPISODE, category, id, number};
+use super::{EPISODE, NAME_IN_SOURCE, category, id, number};
 use crate::spec::ColumnKind::{F64, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 /// Findings.
 pub const FINDINGS: TableSpec = TableSpec {
     name: "findings",
-    version: 1,
+    version: 2,
     description: "One row a finding: what looks wrong, where, by which measure against which threshold. Sorted by episode, first frame and code.",
     columns: &[
         id("finding", "Number of the finding in this artifact, from 0."),
@@ -28,6 +28,7 @@ pub const FINDINGS: TableSpec = TableSpec {
         ColumnSpec::new("threshold", F64, "What it was compared with; null likewise.").nullable(),
         category("unit", "Unit of value and threshold; empty for none."),
         ColumnSpec::new("message", Text, "The finding in one sentence."),
+        NAME_IN_SOURCE,
     ],
 };
 

@@ -4,6 +4,7 @@
 //! growing angle turns clockwise on the screen. Angles are radians. Frames are control steps of 0.1 s.
 
 mod audit;
+mod left_out;
 mod spatial;
 mod spatial_rollouts;
 
@@ -12,6 +13,7 @@ use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
+pub use left_out::LEFT_OUT;
 pub use spatial::{
     CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_POSES,
     SPATIAL_SEGMENTS, STATES, TRAINING,
@@ -63,6 +65,14 @@ const fn category(name: &'static str, description: &'static str) -> ColumnSpec {
 }
 
 const EPISODE: ColumnSpec = id("episode", "Number of the demonstration in this artifact, from 0.");
+/// A second version's column beside a demonstration's number in the artifact.
+const NAME_IN_SOURCE: ColumnSpec = ColumnSpec::new(
+    "demo_name",
+    Text,
+    "Name of the demonstration in its source: the group below /data of an HDF5 file, such as demo_12; of Push-T the word episode and its number. Null in older artifacts.",
+)
+.nullable()
+.since(2);
 const FRAME: ColumnSpec = id(
     "frame",
     "Number of the frame in its episode, from 0; one control step of 0.1 s each.",
@@ -121,14 +131,15 @@ pub const FRAMES: TableSpec = TableSpec {
 /// The demonstrations.
 pub const EPISODES: TableSpec = TableSpec {
     name: "episodes",
-    version: 1,
+    version: 2,
     description: "One row a demonstration, in the order of the artifact.",
     columns: &[
         EPISODE,
         id(
             "source_episode",
-            "Number of the demonstration in the raw dataset, from 0.",
-        ),
+            "Number of the demonstration in its source: of Push-T its place there, from 0; of an HDF5 file, whose demonstrations have names (table demos), the number that the name ends in, null where there is none, it exceeds 32 bits, or several have it. In artifacts of version 1 a place stands in for those numbers.",
+        )
+        .nullable(),
         id("frames", "Frames of the demonstration."),
     ],
 };
@@ -474,7 +485,7 @@ pub const STEPS: TableSpec = TableSpec {
 /// Decisions of rollouts: the reason for every action.
 pub const DECISIONS: TableSpec = TableSpec {
     name: "decisions",
-    version: 1,
+    version: 2,
     description: "One row a decision of the policy: what it saw, what it retrieved, how it moved it, what it planned and what it executed. Sorted by seed and decision.",
     columns: &[
         SEED,
@@ -487,7 +498,10 @@ pub const DECISIONS: TableSpec = TableSpec {
         world("query_object_x", "Observed origin of the block's frame, x."),
         world("query_object_y", "Observed origin of the block's frame, y."),
         heading("query_object_theta", "Observed angle of the block."),
-        id("demo", "Retrieved demonstration: its episode in the index."),
+        id(
+            "demo",
+            "Retrieved demonstration: its episode in the index, which is its place there; demo_name says what it is in the source.",
+        ),
         id(
             "demo_frame",
             "Retrieved frame of that demonstration, where the chunk starts.",
@@ -550,6 +564,7 @@ pub const DECISIONS: TableSpec = TableSpec {
         ),
         number("predicted_coverage", "Coverage of the goal at that predicted pose."),
         ColumnSpec::new("reason", Text, "The decision in words."),
+        NAME_IN_SOURCE,
     ],
 };
 
@@ -627,6 +642,7 @@ pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
             &SPATIAL_FRAMES,
             &DEMOS,
             &CONVENTIONS,
+            &LEFT_OUT,
             &STATES,
             &MODELS,
             &CAMERA_IMAGES,
@@ -690,6 +706,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 38);
+        assert_eq!(names.len(), 39);
     }
 }

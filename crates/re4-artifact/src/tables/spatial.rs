@@ -99,7 +99,7 @@ pub const SPATIAL_FRAMES: TableSpec = TableSpec {
         .frame("world"),
         number(
             "gripper",
-            "Gripper command as recorded; what its sign means says row gripper_sign of table conventions (robosuite: below 0 opens, above 0 closes).",
+            "Gripper command as recorded, 0 and 1 as -1 and 1 where row gripper_range of table conventions says so; what its sign means says row gripper_sign (robosuite: below 0 opens, above 0 closes).",
         ),
         number("reward", "Reward of the step; null where it was not recorded.").nullable(),
         flag(

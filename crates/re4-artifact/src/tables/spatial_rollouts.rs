@@ -4,7 +4,7 @@
 //! orientation. A control step is 0.05 s.
 
 use super::spatial::{attitude, length, turn, world};
-use super::{EPISODE, MODE, SEED, category, flag, id, number};
+use super::{EPISODE, MODE, NAME_IN_SOURCE, SEED, category, flag, id, number};
 use crate::spec::ColumnKind::{Bool, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
@@ -186,8 +186,8 @@ pub const SPATIAL_STEPS: TableSpec = TableSpec {
 /// Decisions of rollouts.
 pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
     name: "spatial_decisions",
-    version: 1,
-    description: "One row a decision of the policy: what it saw, what it retrieved, how it moved it, where it goes first and what it replays. Columns from demo to replay_steps are null on the way home. Sorted by seed and decision.",
+    version: 2,
+    description: "One row a decision of the policy: what it saw, what it retrieved, how it moved it, where it goes first and what it replays. Columns from demo to replay_steps, and demo_name, are null on the way home. Sorted by seed and decision.",
     columns: &[
         SEED,
         id("decision", "Number of the decision in its rollout, from 0."),
@@ -215,7 +215,12 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         attitude("query_object_qz", "Object of the query, quaternion part z."),
         attitude("query_object_qw", "Object of the query, quaternion part w."),
         length("finger_separation", "Distance between the fingers."),
-        ColumnSpec::new("demo", U32, "Retrieved demonstration: its episode in the index.").nullable(),
+        ColumnSpec::new(
+            "demo",
+            U32,
+            "Retrieved demonstration: its episode in the index, which is its place there; demo_name says what it is in the source.",
+        )
+        .nullable(),
         ColumnSpec::new("demo_frame", U32, "Retrieved frame, where the chunk starts.").nullable(),
         ColumnSpec::new("demo_end", U32, "Last frame of the chunk, included.").nullable(),
         ColumnSpec::new("compared", U32, "Demonstrations compared.").nullable(),
@@ -265,17 +270,22 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         ),
         id("banned", "Demonstrations that are not followed again by now."),
         ColumnSpec::new("reason", Text, "The decision in words."),
+        NAME_IN_SOURCE,
     ],
 };
 
 /// Open-loop replays of demonstrations.
 pub const SPATIAL_REPLAYS: TableSpec = TableSpec {
     name: "spatial_replays",
-    version: 1,
+    version: 2,
     description: "One row a replay: a demonstration's actions, played open-loop in the simulator from its first recorded state. Distances are between the simulator's state and the recorded one before the same action. Sorted by episode and actions.",
     columns: &[
         EPISODE,
-        id("source_episode", "Number of the demonstration in the raw dataset."),
+        id(
+            "source_episode",
+            "Number that the name of the demonstration ends in, as in table episodes.",
+        )
+        .nullable(),
         category("actions", "Which actions were played: delta or absolute."),
         category(
             "origin",
@@ -301,6 +311,7 @@ pub const SPATIAL_REPLAYS: TableSpec = TableSpec {
         ),
         length("eef_max", "Largest distance of the grip site from the recorded one."),
         number("arm_max", "Largest difference of a joint position of the arm.").unit("rad"),
+        NAME_IN_SOURCE,
     ],
 };
 

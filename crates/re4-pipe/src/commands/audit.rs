@@ -15,7 +15,8 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
         .as_deref()
         .map(|path| Output::at(path, "page"))
         .transpose()?;
-    let runner = Runner::new(&arguments.stage, &[])?;
+    // What cannot be used is what an audit is there to find.
+    let runner = Runner::new(&arguments.stage, &["ingest.on_bad=leave_out".to_owned()])?;
     if let Some(page) = &page {
         page.spares(&runner.inputs(&arguments.stage)?)?;
     }

@@ -245,7 +245,11 @@ impl Told {
     fn write_findings_of(&self, code: &str, text: &mut String) -> Result<()> {
         let found: Vec<&Finding> = self.findings.iter().filter(|finding| finding.code == code).collect();
         for (place, finding) in found.iter().take(SHOWN).enumerate() {
-            let frames = format!("{}-{}", finding.first_frame, finding.end_frame.saturating_sub(1));
+            // A demonstration that was left out has none.
+            let frames = match finding.end_frame.checked_sub(1) {
+                Some(last) => format!("{}-{last}", finding.first_frame),
+                None => String::new(),
+            };
             if place == 0 {
                 write!(text, "\n\n  {} {code}", finding.severity)?;
             }

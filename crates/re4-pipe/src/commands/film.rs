@@ -14,7 +14,7 @@ use re4_report::{FilmDecision, FilmRollout, FilmSettings, FilmState, write_film,
 use re4_sim::{GOAL, coverage};
 use serde_json::json;
 
-use super::Outcome;
+use super::{Outcome, names_of_decisions};
 use crate::arguments::FilmArguments;
 use crate::console::Console;
 use crate::interrupt::Interrupt;
@@ -23,7 +23,7 @@ use crate::output::Output;
 /// Writes the film, whole or not at all.
 pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let interrupt = Interrupt::listen();
+    let interrupt = Interrupt::listen(None);
     let out = &arguments.out;
     if !out
         .extension()
@@ -46,7 +46,7 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
     let in_space = artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name);
     let mut films = if in_space {
         let store = &arguments.common.artifacts;
-        Films::Spatial(spatial::Films::read(&artifact, seeds, arguments.size, store)?)
+        Films::Spatial(Box::new(spatial::Films::read(&artifact, seeds, arguments.size, store)?))
     } else {
         let (rollouts, chunks) = read_films(&artifact, seeds, console)?;
         Films::Planar(rollouts, chunks)
@@ -109,7 +109,7 @@ enum Films {
     /// Push-T's rollouts, and whether the film shows chunks.
     Planar(Vec<FilmRollout>, bool),
     /// Rollouts of a robosuite task.
-    Spatial(spatial::Films),
+    Spatial(Box<spatial::Films>),
 }
 
 impl Films {
@@ -188,6 +188,7 @@ fn read_states(results: &RecordBatch, row: usize, steps: &RecordBatch, seed: u32
 fn read_decisions(decisions: &RecordBatch, seed: u32, demos: Option<&Demos>) -> Result<Vec<FilmDecision>> {
     let number = |name| col_u32(decisions, name);
     let (demo, first, last) = (number("demo")?, number("demo_frame")?, number("demo_end")?);
+    let names = names_of_decisions(decisions)?;
     let column = |name| col_f64(decisions, name);
     let (x, y, theta) = (column("delta_x")?, column("delta_y")?, column("delta_theta")?);
     let (modes, plans) = (col_text(decisions, "mode")?, col_f64_list(decisions, "plan_path")?);
@@ -200,7 +201,7 @@ fn read_decisions(decisions: &RecordBatch, seed: u32, demos: Option<&Demos>) -> 
         };
         let chunk = demos.map_or(&[][..], |demos| demos.chunk(demo[at], first[at], last[at]));
         FilmDecision {
-            demo: demo[at],
+            demo: names[at].clone(),
             frames: (first[at], last[at]),
             plan: plans[at].chunks_exact(2).map(|p| Point2::new(p[0], p[1])).collect(),
             chunk: chunk.iter().map(|p| carry.transform_point(*p)).collect(),

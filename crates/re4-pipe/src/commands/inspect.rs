@@ -8,7 +8,7 @@ use re4_artifact::{Artifact, Table, json_description, tables};
 use re4_report::{RolloutPicture, rollout_picture};
 use serde_json::{Value, json};
 
-use super::Outcome;
+use super::{Outcome, names_of_decisions};
 use crate::arguments::InspectArguments;
 use crate::console::Console;
 
@@ -120,7 +120,7 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
         picture.replaying.push(phases[i] == Some("replay"));
     }
     let decisions = artifact.table(&tables::DECISIONS)?.read_all()?;
-    let (step, demo) = (col_u32(&decisions, "step")?, col_u32(&decisions, "demo")?);
+    let (step, names) = (col_u32(&decisions, "step")?, names_of_decisions(&decisions)?);
     let paths = col_f64_list(&decisions, "plan_path")?;
     for (i, _) in col_u32(&decisions, "seed")?
         .iter()
@@ -130,7 +130,7 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
         let path = paths[i].chunks_exact(2).map(|p| [p[0], p[1]]).collect();
         picture.decisions.push(re4_report::PictureDecision {
             step: step[i],
-            demo: demo[i],
+            demo: names[i].clone(),
             plan: path,
         });
     }

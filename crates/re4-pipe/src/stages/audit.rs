@@ -8,22 +8,23 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use nalgebra::Isometry3;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Stage, Writer, col_text, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage, Writer};
 use re4_audit::{
-    Finding, GraspLimits, JudgedGrasp, PlanarDemo, SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial,
-    contact_and_motion, observe_planar, observe_spatial,
+    Finding, GraspLimits, JudgedGrasp, PlanarDemo, Severity, SpatialDemo, Thresholds, audit_copies, audit_planar,
+    audit_spatial, contact_and_motion, observe_planar, observe_spatial,
 };
 use re4_episode::{Mode, Segment};
+use re4_ingest::LeftOut;
 use re4_segment::segment_planar;
 use re4_sim::{GOAL, coverage};
 
 use self::summary::{Contacts, summary};
-use super::demos::{SegmentedEpisodes, in_portions};
+use super::demos::{SegmentedEpisodes, SpatialEpisodes, in_portions};
 use super::segment::read_episodes;
 use super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 3;
 
 /// What the audit's table of demonstrations says of one.
 struct Listed {
@@ -57,6 +58,31 @@ struct Audited {
     contacts: Option<Contacts>,
 }
 
+impl Audited {
+    /// Lists the demonstrations that ingest could not use behind the others, without frames, each with a finding.
+    fn report_left_out(&mut self, left: Vec<LeftOut>) {
+        for left in left {
+            self.findings.push(Finding {
+                severity: Severity::Error,
+                code: "left_out",
+                episode: self.listed.len() as u32,
+                demo: left.demo.clone(),
+                frames: 0..0,
+                value: None,
+                threshold: None,
+                unit: "",
+                message: left.why,
+            });
+            self.listed.push(Listed {
+                demo: left.demo,
+                frames: 0,
+                segments: Vec::new(),
+                displacement: 0.0,
+            });
+        }
+    }
+}
+
 impl Runner {
     /// The `audit` artifact.
     pub(crate) fn audit(&self, episodes: &Built, modes: &Built) -> Result<Built> {
@@ -70,6 +96,7 @@ impl Runner {
             } else {
                 self.audit_spatial(&episodes.artifact, &modes.artifact, &Ok)?
             };
+            audited.report_left_out(super::ingest::left_out(&episodes.artifact)?);
             audited
                 .findings
                 .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
@@ -104,24 +131,21 @@ impl Runner {
     ) -> Result<Audited> {
         let read = || -> Result<_> { Ok(SegmentedEpisodes::open(episodes, modes)?.map(|demo| look(demo?))) };
         let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
-        let named = names(episodes)?;
-        let bar = self.console.progress(2 * named.len() as u64, "audit");
+        let demos = SpatialEpisodes::open(episodes)?.demos();
+        let bar = self.console.progress(2 * demos as u64, "audit");
         let given = |code: &'static str| self.pipeline.audit.threshold(code).or_else(|| constant(code));
         let limits = GraspLimits {
             closed: given("missed_grasp").unwrap_or(gripper.closed),
             lost: given("lost_grasp").unwrap_or_default(),
             flicker: given("flicker").unwrap_or_default().ceil() as usize,
         };
-        let mut observations = Vec::with_capacity(named.len());
-        let mut listed = Vec::with_capacity(named.len());
+        let mut observations = Vec::with_capacity(demos);
+        let mut listed = Vec::with_capacity(demos);
         for portion in in_portions(read()?) {
             self.interrupt.check("audit")?;
             let demos = portion?;
             observations.par_extend(demos.par_iter().map(|demo| observe_spatial(demo, &limits)));
-            for demo in &demos {
-                let name = named.get(demo.number as usize).cloned().unwrap_or_default();
-                listed.push(list_spatial(demo, name));
-            }
+            listed.extend(demos.iter().map(list_spatial));
             bar.inc(demos.len() as u64);
         }
         let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, false, gripper.closed);
@@ -197,20 +221,11 @@ fn constant(code: &str) -> Option<f64> {
     }
 }
 
-/// Names of the demonstrations in their source.
-fn names(episodes: &Artifact) -> Result<Vec<String>> {
-    let rows = episodes.table(&tables::DEMOS)?.read_all()?;
-    Ok(col_text(&rows, "demo")?
-        .into_iter()
-        .map(|name| name.unwrap_or_default().to_owned())
-        .collect())
-}
-
-fn list_spatial(demo: &SpatialDemo, name: String) -> Listed {
+fn list_spatial(demo: &SpatialDemo) -> Listed {
     let frames = &demo.episode.frames;
     let at = |frame: Option<&re4_episode::SpatialFrame>| frame.map(|frame| frame.object.translation.vector);
     Listed {
-        demo: name,
+        demo: demo.episode.name.clone(),
         frames: frames.len(),
         segments: demo.segmented.segments.iter().map(|s| s.segment.clone()).collect(),
         displacement: match (at(frames.first()), at(frames.last())) {
@@ -223,7 +238,7 @@ fn list_spatial(demo: &SpatialDemo, name: String) -> Listed {
 fn list_planar(demo: &PlanarDemo) -> Listed {
     let frames = &demo.episode.frames;
     Listed {
-        demo: format!("episode {}", demo.episode.source),
+        demo: demo.episode.name(),
         frames: frames.len(),
         segments: demo.segmented.segments.iter().map(|s| s.segment.clone()).collect(),
         displacement: match (frames.first(), frames.last()) {

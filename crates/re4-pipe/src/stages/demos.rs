@@ -8,7 +8,8 @@ use re4_artifact::{
     Artifact, Batches, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
 };
 use re4_audit::SpatialDemo;
-use re4_episode::{Mode, Segment, SpatialEpisode, SpatialFrame};
+use re4_episode::{Mode, Segment, SpatialEpisode, SpatialFrame, episode_name};
+use re4_policy::DemoNames;
 use re4_segment::{Grasp, SegmentedSpatial, SpatialEvidence, SpatialSegment};
 
 /// Demonstrations that are worked on at a time.
@@ -71,6 +72,28 @@ impl Iterator for ByEpisode {
     }
 }
 
+/// What the demonstrations of an `episodes` artifact are called in their source.
+pub(super) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
+    if episodes.manifest().tables.contains_key(tables::DEMOS.name) {
+        return Ok(DemoNames::new(group_names(episodes)?));
+    }
+    let rows = episodes.table(&tables::EPISODES)?.read_columns(&["source_episode"])?;
+    let numbers = col_u32(&rows, "source_episode")?;
+    Ok(DemoNames::new(
+        numbers.iter().map(|number| episode_name(*number)).collect(),
+    ))
+}
+
+/// Groups of the demonstrations in their HDF5 file.
+fn group_names(episodes: &Artifact) -> Result<Vec<String>> {
+    let rows = episodes.table(&tables::DEMOS)?.read_columns(&["demo"])?;
+    let names = col_text(&rows, "demo")?;
+    Ok(names
+        .into_iter()
+        .map(|name| name.unwrap_or_default().to_owned())
+        .collect())
+}
+
 /// Whether a command above 0 closes the gripper, by table `conventions`.
 fn positive_closes(artifact: &Artifact) -> Result<bool> {
     let conventions = artifact.table(&tables::CONVENTIONS)?.read_all()?;
@@ -104,7 +127,7 @@ fn isometry([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Isometry3<f64> {
 }
 
 /// A demonstration from its rows of table `spatial_frames`.
-fn spatial_episode(source: u32, rows: &RecordBatch, positive_closes: bool) -> Result<SpatialEpisode> {
+fn spatial_episode(name: String, rows: &RecordBatch, positive_closes: bool) -> Result<SpatialEpisode> {
     let column = |name: &str| col_f64(rows, name);
     let six = |prefix: &str| -> Result<Vec<[f64; 6]>> {
         let parts = ["x", "y", "z", "rx", "ry", "rz"]
@@ -136,7 +159,7 @@ fn spatial_episode(source: u32, rows: &RecordBatch, positive_closes: bool) -> Re
             reward: reward[i],
         })
         .collect();
-    Ok(SpatialEpisode { source, frames })
+    Ok(SpatialEpisode { name, frames })
 }
 
 fn flag(array: &BooleanArray, row: usize) -> Option<bool> {
@@ -253,31 +276,32 @@ fn read_segments(rows: &RecordBatch) -> Result<Vec<SpatialSegment>> {
 /// The demonstrations of an `episodes` artifact, in order.
 pub(super) struct SpatialEpisodes {
     rows: ByEpisode,
-    sources: Vec<u32>,
+    names: Vec<String>,
     positive_closes: bool,
 }
 
 impl SpatialEpisodes {
     /// Those of this artifact.
     pub(super) fn open(artifact: &Artifact) -> Result<Self> {
-        let listing = artifact.table(&tables::EPISODES)?.read_all()?;
         Ok(Self {
             rows: ByEpisode::open(artifact, &tables::SPATIAL_FRAMES)?,
-            sources: col_u32(&listing, "source_episode")?.to_vec(),
+            names: group_names(artifact)?,
             positive_closes: positive_closes(artifact)?,
         })
     }
 
     /// How many there are.
     pub(super) fn demos(&self) -> usize {
-        self.sources.len()
+        self.names.len()
     }
 
     fn read(&self, number: u32, rows: &RecordBatch) -> Result<(u32, SpatialEpisode)> {
-        let source = self.sources.get(number as usize).copied().with_context(|| {
-            format!("table spatial_frames names episode {number}, which table episodes lacks; ingest the dataset anew")
+        let name = self.names.get(number as usize).cloned().with_context(|| {
+            format!(
+                "table spatial_frames names demonstration {number} of the artifact, which table demos lacks; ingest the dataset anew"
+            )
         })?;
-        Ok((number, spatial_episode(source, rows, self.positive_closes)?))
+        Ok((number, spatial_episode(name, rows, self.positive_closes)?))
     }
 }
 
@@ -308,7 +332,8 @@ impl SegmentedEpisodes {
     }
 
     fn join(&mut self, number: u32, episode: SpatialEpisode) -> Result<SpatialDemo> {
-        let missing = || format!("demonstration {number} is not segmented; segment the dataset anew");
+        let name = episode.name.clone();
+        let missing = || format!("{name} is not segmented; segment the dataset anew");
         let (modes_of, modes) = self.modes.next().with_context(missing)??;
         let (segments_of, segments) = self.segments.next().with_context(missing)??;
         let segmented = segmented(&modes, &segments)?;

@@ -13,7 +13,7 @@ use re4_artifact::{
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2, wrap_to_pi};
 use re4_index::{AngleMetric, IndexedFrame, Normalization, Range, RetrievalIndex};
-use re4_policy::{Chunk, ChunkLibrary, DemoSet, Knowledge, PolicyConfig, Selector, collect_chunks};
+use re4_policy::{Chunk, ChunkLibrary, DemoNames, DemoSet, Knowledge, PolicyConfig, Selector, collect_chunks};
 use re4_pose::Flag;
 use serde_json::json;
 
@@ -252,15 +252,15 @@ fn write_chunks(chunks: &[Chunk], writer: &Writer) -> Result<()> {
     Ok(())
 }
 
-/// What a policy needs of an `index` artifact.
-pub(super) fn open_index(artifact: &Artifact, policy: &PolicyConfig) -> Result<Knowledge> {
+/// What a policy needs of an `index` artifact, whose demonstrations have these names.
+pub(super) fn open_index(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> Result<Knowledge> {
     let open_chunks = || -> Result<Option<ChunkLibrary>> {
         Ok(match policy.retrieve.selector {
             Selector::Outcome => Some(ChunkLibrary::build(read_chunks(artifact)?)?),
             Selector::TwoStage => None,
         })
     };
-    let (states, chunks) = rayon::join(|| open_states(artifact, policy), open_chunks);
+    let (states, chunks) = rayon::join(|| open_states(artifact, policy, names), open_chunks);
     let (demos, index) = states?;
     Ok(Knowledge {
         demos,
@@ -269,7 +269,7 @@ pub(super) fn open_index(artifact: &Artifact, policy: &PolicyConfig) -> Result<K
     })
 }
 
-fn open_states(artifact: &Artifact, policy: &PolicyConfig) -> Result<(DemoSet, RetrievalIndex)> {
+fn open_states(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> Result<(DemoSet, RetrievalIndex)> {
     // The normalised coordinates are in the table for other readers; they follow from the states and the scales.
     let table = artifact.table(&tables::INDEX)?.read_columns(&[
         "episode",
@@ -326,8 +326,9 @@ fn open_states(artifact: &Artifact, policy: &PolicyConfig) -> Result<(DemoSet, R
         ranges: read_scales(artifact)?,
         angle: policy.retrieve.angle,
     };
-    let index = RetrievalIndex::with_normalization(indexed, normalization)?;
-    Ok((DemoSet::new(demos), index))
+    let index = RetrievalIndex::with_normalization(indexed, normalization)
+        .map_err(|error| error.named(|episode| names.get(episode).map(str::to_owned)))?;
+    Ok((DemoSet::new(demos).with_names(names), index))
 }
 
 fn read_scales(artifact: &Artifact) -> Result<[Range; 5]> {

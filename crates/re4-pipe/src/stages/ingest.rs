@@ -14,19 +14,20 @@ use image::{ExtendedColorType, ImageEncoder as _};
 use rayon::prelude::*;
 use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
 use re4_geometry::{Point2, Pose2};
-use re4_ingest::WarningCode;
-use re4_ingest::pusht::{PushtEpisodes, PushtReader};
+use re4_ingest::pusht::{PushtEpisodes, PushtOptions, PushtReader};
+use re4_ingest::{Fault, IngestError, Warning, WarningCode, refusal};
 use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::json;
 
+use self::spatial::write_left_out;
 use super::{Built, Runner, data_folders};
 use crate::arguments::StageArguments;
 
-pub(crate) use robosuite::serve_ingest;
+pub(crate) use robosuite::{left_out, serve_ingest};
 pub(crate) use worker::SUBCOMMAND as INGEST_WORKER;
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// Pictures in a row group: few enough that one picture is read without decoding many.
 const PICTURES_IN_GROUP: usize = 256;
@@ -44,15 +45,16 @@ impl Runner {
             "cannot ingest {}: it is an HDF5 file, and Push-T is read from a zarr store; give one, or set task to the file's own, such as \"can\"",
             path.display()
         );
-        let reader = PushtReader::open(&path)?;
-        let hash = reader.source_hash()?;
+        let stop = || self.interrupt.requested();
+        let reader = PushtReader::open_for(&path, section.images, &stop).map_err(|error| self.or_interrupted(error))?;
+        let hash = reader.source_hash(&stop).map_err(|error| self.or_interrupted(error))?;
         let facts = json!({
-            "format": "zarr v2, Push-T replay buffer",
+            "format": format!("zarr v{}, Push-T replay buffer", reader.zarr_format()),
             "episodes": reader.episode_ranges().len(),
             "frames": reader.frame_count(),
         });
         anyhow::ensure!(
-            section.render.is_empty() || reader.image_shape().is_none(),
+            section.render.is_empty() || !reader.has_images(),
             "cannot render pictures for {}: it holds recorded ones; leave ingest.render out",
             path.display()
         );
@@ -60,35 +62,80 @@ impl Runner {
         if let (Some(config), false) = (config.as_object_mut(), section.render.is_empty()) {
             config.insert("render".to_owned(), json!(section.render));
         }
+        if let (Some(config), false) = (config.as_object_mut(), section.pusht.is_default()) {
+            config.insert("pusht".to_owned(), json!(section.pusht));
+        }
         let recipe = Recipe::new(Stage::Ingest, CODE_VERSION)
             .config(&config)?
             .source(&hash, facts);
-        self.build(&recipe, |writer| self.ingest_from(&reader, writer))
+        let built = self.build(&recipe, |writer| self.ingest_from(&reader, writer))?;
+        self.refuse_left_out(&built.artifact)?;
+        Ok(built)
     }
 
     fn ingest_from(&self, reader: &PushtReader, writer: &Writer) -> Result<Facts> {
         let section = &self.pipeline.ingest;
-        let (episodes, warnings) = reader.read_episodes(&section.select)?;
+        let options = PushtOptions {
+            conventions: section.pusht,
+            on_bad: section.on_bad,
+            images: section.images && section.render.is_empty(),
+            stop: &|| self.interrupt.requested(),
+        };
+        let reading = reader
+            .read(&section.select, &options)
+            .map_err(|error| self.or_interrupted(error))?;
+        let (episodes, mut warnings) = (reading.episodes, reading.warnings);
         write_episodes(&episodes, writer)?;
+        write_left_out(writer, &reading.left_out)?;
         let mut pictures = 0;
         if let (true, Some(shape)) = (section.images, reader.image_shape()) {
             pictures = self.write_images(reader, &episodes, shape, writer)?;
         } else if !section.render.is_empty() {
             pictures = self.render_images(&episodes, writer)?;
         }
+        if !reading.left_out.is_empty() {
+            warnings.push(Warning {
+                code: WarningCode::LeftOut,
+                message: format!(
+                    "left out: {}",
+                    refusal(&reading.left_out, episodes.episode_count() + reading.left_out.len())
+                ),
+                episode: None,
+                frame: None,
+                count: reading.left_out.len() as u64,
+            });
+        }
         let warnings = warnings
             .iter()
             .filter(|warning| section.render.is_empty() || warning.code != WarningCode::NoImages)
             .map(serde_json::to_value)
             .collect::<Result<_, _>>()?;
-        Ok(Facts {
-            summary: json!({
-                "episodes": episodes.episode_count(),
-                "frames": episodes.frame_count(),
-                "images": pictures,
-            }),
-            warnings,
-        })
+        let mut summary = json!({
+            "episodes": episodes.episode_count(),
+            "frames": episodes.frame_count(),
+            "images": pictures,
+        });
+        if !reading.left_out.is_empty() {
+            summary["left_out"] = json!(reading.left_out.len());
+        }
+        if let (Some(summary), false) = (summary.as_object_mut(), section.pusht.is_default()) {
+            let explained = reading.explained.map(|share| (1000.0 * share).round() / 1000.0);
+            summary.insert(
+                "conventions".to_owned(),
+                json!({ "settings": section.pusht, "motion_explained_by_targets": explained }),
+            );
+        }
+        // After the last byte was read: what is published is of the files that were hashed.
+        reader.unchanged()?;
+        Ok(Facts { summary, warnings })
+    }
+
+    /// The error, or that the user asked to stop, where that is the reason.
+    fn or_interrupted(&self, error: IngestError) -> anyhow::Error {
+        match *error.fault {
+            Fault::Stopped => self.interrupt.check("ingest").err().unwrap_or_else(|| error.into()),
+            _ => error.into(),
+        }
     }
 
     fn write_images(
@@ -102,7 +149,7 @@ impl Runner {
         let mut table = writer.table_in_groups(&tables::IMAGES, PICTURES_IN_GROUP)?;
         let mut episode = 0;
         let mut written = 0;
-        for block in reader.image_blocks(&self.pipeline.ingest.select)? {
+        for block in reader.image_blocks_of(episodes)? {
             self.interrupt.check("ingest")?;
             let block = block?;
             let encoded = block

@@ -18,7 +18,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, Facts, Recipe, Stage, Store, Writer};
+use re4_artifact::{Artifact, Facts, Key, Recipe, Stage, Store, Writer};
+use re4_ingest::{IngestError, Stop};
 use serde_json::{Value, json};
 
 use crate::arguments::{Common, StageArguments};
@@ -88,12 +89,20 @@ impl Runner {
                 file.display()
             );
         }
+        let store = Store::open(artifacts)?;
         Ok(Self {
             pipeline,
-            store: Store::open(artifacts)?,
+            interrupt: Interrupt::listen(Some(&store)),
+            store,
             console: Console::new(&arguments.common),
-            interrupt: Interrupt::listen(),
         })
+    }
+
+    /// The hash of a source. Ctrl-C ends the hashing.
+    fn hash(&self, hash: impl FnOnce(Stop<'_>) -> Result<[u8; 32], IngestError>, stage: &str) -> Result<Key> {
+        let hashed = hash(&|| self.interrupt.requested());
+        self.interrupt.check(stage)?;
+        Ok(Key::from_bytes(hashed?))
     }
 
     /// Makes an artifact unless it is there.

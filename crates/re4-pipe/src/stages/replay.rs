@@ -61,8 +61,8 @@ fn replay_all(episodes: &Artifact) -> Result<Vec<Replay>> {
         .map(|episode| {
             let mut simulator = PushT::new()?;
             let replay = replay_open_loop(&mut simulator, &episode.frames)
-                .with_context(|| format!("cannot replay demonstration {}", episode.source))?
-                .with_context(|| format!("cannot replay demonstration {}: it has no frames", episode.source))?;
+                .with_context(|| format!("cannot replay {}", episode.name()))?
+                .with_context(|| format!("cannot replay {}: it has no frames", episode.name()))?;
             Ok((episode.source, replay))
         })
         .collect::<Vec<_>>()

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col_u32, tables};
 use re4_episode::PlanarFrame;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::{Decision, EpisodeRollout, Perception, Start, StepRecord, rollouts};
+use re4_policy::{Decision, DemoNames, EpisodeRollout, Perception, Start, StepRecord, rollouts};
 use re4_report::{Interval, mean_interval, median, wilson_interval};
 use re4_sim::{
     AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
@@ -21,13 +21,14 @@ use serde_json::{Value, json};
 pub(crate) use eye::{Lens, Studio, put_renderer_away, unseen};
 
 use super::budgets::Budgets;
+use super::demos::demo_names;
 use super::index::open_index;
 use super::scenes::read_starts;
 use super::train_pose::open_estimator;
 use super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 4;
+const CODE_VERSION: u32 = 5;
 
 /// Seed of the bootstrap, so that intervals are the same in every run.
 pub(super) const BOOTSTRAP_SEED: u64 = 0;
@@ -62,7 +63,7 @@ impl Runner {
         }
         self.build(&recipe, |writer| {
             let opening = Instant::now();
-            let knowledge = Arc::new(open_index(&index.artifact, &policy)?);
+            let knowledge = Arc::new(open_index(&index.artifact, &policy, demo_names(&episodes.artifact)?)?);
             self.console.note(&format!(
                 "{:>10}  index opened in {:.1} ms",
                 "rollout",
@@ -78,7 +79,7 @@ impl Runner {
                 bar.inc(1);
                 !self.interrupt.requested()
             };
-            let mut tables = Tables::begin(writer)?;
+            let mut tables = Tables::begin(writer, knowledge.demos.names())?;
             let mut outcomes = Outcomes::default();
             let mut budgets = Budgets::up_to(section.max_steps);
             // In batches, so that memory does not grow with the number of steps.
@@ -207,16 +208,18 @@ pub(crate) fn metrics(artifact: &Artifact) -> Value {
         .unwrap_or(Value::Null)
 }
 
-struct Tables {
+struct Tables<'a> {
+    names: &'a DemoNames,
     results: re4_artifact::TableWriter,
     steps: re4_artifact::TableWriter,
     decisions: re4_artifact::TableWriter,
     episodes: u32,
 }
 
-impl Tables {
-    fn begin(writer: &Writer) -> Result<Self> {
+impl<'a> Tables<'a> {
+    fn begin(writer: &Writer, names: &'a DemoNames) -> Result<Self> {
         Ok(Self {
+            names,
             results: writer.table(&tables::RESULTS)?,
             steps: writer.table(&tables::STEPS)?,
             decisions: writer.table(&tables::DECISIONS)?,
@@ -228,7 +231,7 @@ impl Tables {
         self.results.write_columns(result_columns(episodes, self.episodes))?;
         self.episodes += episodes.len() as u32;
         self.steps.write_columns(step_columns(episodes))?;
-        self.decisions.write_columns(decision_columns(episodes))?;
+        self.decisions.write_columns(decision_columns(episodes, self.names))?;
         Ok(())
     }
 
@@ -304,7 +307,7 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
         )
 }
 
-fn decision_columns(episodes: &[EpisodeRollout]) -> Columns {
+fn decision_columns(episodes: &[EpisodeRollout], names: &DemoNames) -> Columns {
     let rows = || {
         episodes.iter().flat_map(|e| {
             e.decisions
@@ -352,7 +355,8 @@ fn decision_columns(episodes: &[EpisodeRollout]) -> Columns {
         .f64("predicted_object_y", of(|d| d.predicted_object.y))
         .f64("predicted_object_theta", of(|d| d.predicted_object.theta))
         .f64("predicted_coverage", of(|d| d.predicted_coverage))
-        .text("reason", rows().map(|(_, _, d)| d.reason()))
+        .text("reason", rows().map(|(_, _, d)| d.reason(names)))
+        .text_or_null("demo_name", rows().map(|(_, _, d)| names.get(d.demo)))
 }
 
 /// Reads the rollouts of an artifact back: the state before each action, the action, and the contact points counted in

@@ -167,7 +167,7 @@ impl Scenes {
             .get(demo as usize)
             .copied()
             .flatten()
-            .with_context(|| format!("demonstration {demo} has no model_file"))?;
+            .context("it has no model_file")?;
         let place = Arc::clone(
             self.compiled
                 .lock()

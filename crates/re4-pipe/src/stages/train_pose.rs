@@ -13,6 +13,7 @@ use image::ImageFormat;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Table, Writer, col_binary, col_f64, col_u32, tables};
 use re4_geometry::{Pose2, periodic_distance};
+use re4_policy::DemoNames;
 use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Outline, Picture, PictureError, SIDE};
 use re4_report::quantile;
 use re4_sim::{OUTLINE_RADIUS, tee_rectangles};
@@ -20,12 +21,13 @@ use serde_json::{Value, json};
 
 pub(super) use encoder::WEIGHTS;
 
+use super::demos::demo_names;
 use super::pictures::check_pictures;
 use super::{Built, Runner};
 use crate::pipeline::{PoseSection, PoseSource};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// Every picture of a frame whose number this divides is looked at for the goal; the first of every demonstration is
 /// among them.
@@ -77,7 +79,7 @@ impl Runner {
             }
             Ok(Facts {
                 summary,
-                warnings: warnings(&estimates, &flags),
+                warnings: warnings(&estimates, &flags, &pictures.names),
             })
         })
     }
@@ -157,6 +159,7 @@ struct Row {
 struct Pictures {
     table: Table,
     path: std::path::PathBuf,
+    names: DemoNames,
 }
 
 impl Pictures {
@@ -170,6 +173,7 @@ impl Pictures {
         Ok(Self {
             table: episodes.table(&tables::IMAGES)?,
             path,
+            names: demo_names(episodes)?,
         })
     }
 
@@ -203,9 +207,9 @@ impl Pictures {
         let (episodes, frames) = (col_u32(rows, "episode")?, col_u32(rows, "frame")?);
         let place = |row: usize| {
             format!(
-                "cannot estimate poses from {}: table images, episode {}, frame {}",
+                "cannot estimate poses from {}: the picture of {}, frame {}",
                 self.path.display(),
-                episodes[row],
+                self.names.of(episodes[row]),
                 frames[row]
             )
         };
@@ -260,7 +264,7 @@ fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
     flags
 }
 
-fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>) -> Vec<Value> {
+fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
     let mut doubtful = rows.iter().filter(|row| row.estimate.flag != Flag::Clear);
     let Some(first) = doubtful.next() else {
         return Vec::new();
@@ -273,11 +277,11 @@ fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>) -> Vec<Value> {
     vec![json!({
         "code": "pose_not_clear",
         "message": format!(
-            "the pose is not clear in {} of {} frames ({}), first in episode {}, frame {}; they are not retrieved",
+            "the pose is not clear in {} of {} frames ({}), first in {}, frame {}; they are not retrieved",
             1 + doubtful.count(),
             rows.len(),
             counted.join(", "),
-            first.episode,
+            names.of(first.episode),
             first.frame,
         ),
     })]

@@ -1,6 +1,7 @@
 //! Films of robosuite's tasks: the rollout is simulated again from its first state with its own actions, checked against the
 //! table, and drawn by MuJoCo's renderer.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -16,6 +17,7 @@ use re4_sim::robosuite::{
     RobosuiteTask, with_cube_size,
 };
 
+use super::super::names_of_decisions;
 use super::super::report::{find_input, stated};
 use crate::stages::Scenes;
 
@@ -86,6 +88,7 @@ impl Films {
                 seed,
                 success: col_bool(&results, "success")?.value(row),
                 states: of_seed.states()?,
+                names: of_seed.names()?,
             });
         }
         Ok(films)
@@ -203,6 +206,17 @@ impl Steps {
             gripper: at("gripper")?,
         };
         Ok((action, [at("object_x")?, at("object_y")?, at("object_z")?]))
+    }
+
+    /// What demonstrations are called, by their numbers.
+    fn names(&self) -> Result<BTreeMap<u32, String>> {
+        let demos = col_u32_or_null(&self.decisions, "demo")?;
+        let names = names_of_decisions(&self.decisions)?;
+        Ok(demos
+            .into_iter()
+            .zip(names)
+            .filter_map(|(demo, name)| Some((demo?, name)))
+            .collect())
     }
 
     /// States with the action that follows; the last one has that of the action before it.

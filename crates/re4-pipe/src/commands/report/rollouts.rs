@@ -11,6 +11,8 @@ use re4_report::html::{DecisionTrace, Metrics, Rollout, Rollouts, Starts, StepTr
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use super::super::names_of_decisions;
+
 /// Reads manifest and tables.
 pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
     let manifest = artifact.manifest();
@@ -259,6 +261,7 @@ impl Decisions {
             Ok([part("x")?, part("y")?, part("theta")?])
         };
         let (step, demo, frame, end) = (count("step")?, count("demo")?, count("demo_frame")?, count("demo_end")?);
+        let names = names_of_decisions(&rows)?;
         let (compared, replay_steps) = (count("compared")?, count("replay_steps")?);
         let (plan_steps, plan_nodes) = (count("plan_steps")?, count("plan_nodes")?);
         let (object, delta, predicted) = (pose("query_object")?, pose("delta")?, pose("predicted_object")?);
@@ -275,6 +278,7 @@ impl Decisions {
                 transfer: mode[i] == Some("transfer"),
                 object: object.map(|column| column[i]),
                 demo: demo[i],
+                demo_name: names[i].clone(),
                 demo_frame: frame[i],
                 demo_end: end[i],
                 compared: compared[i],

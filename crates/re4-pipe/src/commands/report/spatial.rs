@@ -14,6 +14,7 @@ use re4_report::html::spatial::{
 };
 use re4_sim::robosuite::RobosuiteTask;
 
+use super::super::names_of_decisions;
 use super::rollouts::{inclusive, rows, stated};
 
 /// Names of the columns of a pose, after its prefix.
@@ -238,6 +239,7 @@ fn read_decisions(rows: &RecordBatch) -> Result<Vec<SpatialDecision>> {
     let whole = |name| col_u32_or_null(rows, name);
     let real = |name| col_f64_or_null(rows, name);
     let (demo, first, last) = (whole("demo")?, whole("demo_frame")?, whole("demo_end")?);
+    let names = names_of_decisions(rows)?;
     let (compared, replay_steps) = (whole("compared")?, whole("replay_steps")?);
     let (d_q, d_o, d_e, turn) = (real("d_q")?, real("d_o")?, real("d_e")?, real("symmetry_turn")?);
     let mut delta = Vec::with_capacity(6);
@@ -251,6 +253,7 @@ fn read_decisions(rows: &RecordBatch) -> Result<Vec<SpatialDecision>> {
         }
         Some(SpatialChosen {
             demo: demo[i]?,
+            demo_name: names[i].clone(),
             demo_frame: first[i]?,
             demo_end: last[i]?,
             compared: compared[i]?,

@@ -113,10 +113,14 @@ fn told(built: &Built) -> Result<String> {
             .as_array()
             .into_iter()
             .flatten()
-            .map(ToString::to_string)
+            // Artifacts of older versions have numbers.
+            .map(|demo| {
+                demo.as_str()
+                    .map_or_else(|| format!("demonstration {demo}"), str::to_owned)
+            })
             .collect();
         if !failed.is_empty() {
-            write!(text, "\n    failed: demonstration {}", failed.join(", "))?;
+            write!(text, "\n    failed: {}", failed.join(", "))?;
         }
     }
     Ok(text)

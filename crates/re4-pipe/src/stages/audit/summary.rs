@@ -81,7 +81,9 @@ pub(super) fn summary(audited: &Audited) -> Value {
         .into_iter()
         .map(|(code, (found, _))| (code, found))
         .collect();
-    let lengths: Vec<f64> = audited.listed.iter().map(|l| l.frames as f64).collect();
+    // Those that were left out have no frames.
+    let kept = audited.listed.iter().filter(|l| l.frames > 0);
+    let lengths: Vec<f64> = kept.map(|l| l.frames as f64).collect();
     let mut answer = json!({
         "episodes": audited.listed.len(),
         "frames": frames,

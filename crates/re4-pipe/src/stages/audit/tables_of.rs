@@ -22,7 +22,8 @@ pub(super) fn findings(findings: &[Finding], writer: &Writer) -> Result<()> {
             .f64_or_null("value", findings.iter().map(|f| f.value).collect())
             .f64_or_null("threshold", findings.iter().map(|f| f.threshold).collect())
             .text("unit", findings.iter().map(|f| f.unit))
-            .text("message", findings.iter().map(|f| &f.message)),
+            .text("message", findings.iter().map(|f| &f.message))
+            .text("demo_name", findings.iter().map(|f| &f.demo)),
     )?;
     table.finish()?;
     Ok(())

@@ -59,9 +59,9 @@ impl EstimatedPoses {
         let (start, count) = self.rows.get(&demo.number).copied().unwrap_or_default();
         ensure!(
             count == frames,
-            "cannot index: table spatial_poses of {} has {count} rows of episode {}, which has {frames} frames; the poses are those of other demonstrations, so train the encoder on these",
+            "cannot index: table spatial_poses of {} has {count} rows of {}, which has {frames} frames; the poses are those of other demonstrations, so train the encoder on these",
             self.path,
-            demo.number
+            demo.episode.name
         );
         let own = &self.poses[start..start + count];
         let eef: Vec<Isometry3<f64>> = demo.episode.frames.iter().map(|frame| frame.eef).collect();

@@ -9,6 +9,7 @@ use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_bool, col_f64, c
 use re4_audit::SpatialDemo;
 use re4_episode::Mode;
 use re4_geometry::spatial::Symmetry;
+use re4_policy::DemoNames;
 use re4_policy::spatial::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialRetrieveConfig};
 use re4_robosuite::hand_to_site;
 use serde_json::json;
@@ -187,11 +188,12 @@ pub(super) fn read_poses(table: &RecordBatch, prefix: &str) -> Result<Vec<Isomet
         .collect())
 }
 
-/// What a policy needs of an `index` artifact.
+/// What a policy needs of an `index` artifact, whose demonstrations have these names.
 pub(in super::super) fn open_spatial_index(
     artifact: &Artifact,
     retrieve: &SpatialRetrieveConfig,
     symmetry: Symmetry,
+    names: DemoNames,
 ) -> Result<SpatialKnowledge> {
     let table = artifact.table(&tables::SPATIAL_INDEX)?.read_all()?;
     let column = |name: &str| col_f64(&table, name);
@@ -232,7 +234,7 @@ pub(in super::super) fn open_spatial_index(
         }
     }
     Ok(SpatialKnowledge::new(
-        SpatialDemoSet::new(demos),
+        SpatialDemoSet::new(demos).with_names(names),
         retrieve,
         symmetry,
         |demo, frame| excluded.contains(&(demo, frame)),

@@ -1,23 +1,24 @@
-//! Ingest of robosuite's tasks: an HDF5 file to `episodes`, made in a process of its own.
+//! Ingest of robosuite's tasks: an HDF5 file to `episodes`. Where the HDF5 library is needed, it is made in a process of its own.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, anyhow, bail};
+use indicatif::ProgressBar;
 use nix::sys::resource::{Resource, setrlimit};
 use rayon::prelude::*;
-use re4_artifact::{Columns, Facts, Key, Recipe, Stage, Store, Writer, tables};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Store, Writer, col_text, tables};
 use re4_ingest::robomimic::{
-    Comparison, DemoChoice, GoalErrors, Interpreter, Layout, Reading, RobomimicReader, source_hash,
+    Access, Comparison, Demo, DemoChoice, DemoName, GoalErrors, Interpreter, Layout, Reading, RobomimicReader, Sources,
 };
-use re4_ingest::{Warning, WarningCode};
+use re4_ingest::{IngestError, LeftOut, OnBad, Warning, WarningCode, refusal};
 use re4_robosuite::conventions::{ActionKind, Task};
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
 
 use super::super::{Built, Runner};
 use super::drawn::{self, Drawing};
-use super::spatial::{Row, Written, write_conventions, write_tables};
+use super::spatial::{Row, Written, write_conventions, write_left_out, write_tables};
 use super::spool::Spool;
 use super::worker::{self, Order, Word};
 use super::{PICTURES_IN_GROUP, encode_png, find_source};
@@ -26,45 +27,93 @@ use crate::interrupt::Interrupt;
 use crate::pipeline::{IngestSection, Pipeline, TaskName};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// How long a worker that lost its parent may take to stop by itself.
-const GRACE: Duration = Duration::from_secs(5);
+const GRACE: Duration = Duration::from_millis(400);
 
 /// Longest order that a worker reads.
 const LONGEST_ORDER: u64 = 16 << 20;
 
 impl Runner {
-    /// The `episodes` artifact of a robosuite task. This process does not touch the file with the HDF5 library.
+    /// The `episodes` artifact of a robosuite task. This process does not touch the file with the HDF5 library: it reads the
+    /// plainest files itself, and leaves all others to a worker.
     pub(super) fn ingest_robosuite(&self) -> Result<Built> {
         let start = Instant::now();
         let section = &self.pipeline.ingest;
         let source = find_source(&section.source)?;
+        let gl = (!section.render.is_empty())
+            .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
+            .transpose()
+            .with_context(|| format!("cannot draw the pictures of {}", source.display()))?;
+        let mut sources = Sources::open(&source)?;
         let compare = section.compare.as_deref().map(find_source).transpose()?;
-        let order = Order {
-            hash: Key::from_bytes(source_hash(&source)?),
-            compare_hash: compare.as_deref().map(source_hash).transpose()?.map(Key::from_bytes),
-            gl: (!section.render.is_empty())
-                .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
-                .transpose()
-                .with_context(|| format!("cannot draw the pictures of {}", source.display()))?,
+        let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
+        let mut order = Order {
+            hash: None,
+            identity: sources.identity(),
+            compare_hash: None,
+            compare_identity: compare_sources.as_ref().map(Sources::identity),
+            gl,
             source,
             compare,
             pipeline: self.pipeline.clone(),
             artifacts: self.store.root().to_path_buf(),
             threads: rayon::current_num_threads(),
+            cautious: false,
         };
+        let hash = |sources: &Sources| self.hash(|stop| sources.hash(stop), "ingest");
+        // What there is and what it means is found out while the file is hashed, unless there may be models to be hashed, too.
+        let alone = !sources.has_models_folder();
+        let (early, direct, learned) = std::thread::scope(|scope| {
+            let hashing = alone.then(|| scope.spawn(|| hash(&sources)));
+            let direct = self.open_direct(&sources);
+            let here = direct.as_ref().ok().and_then(Option::as_ref);
+            let here = here.filter(|_| section.render.is_empty());
+            let learned = here.map(|reader| Interpreter::learn(reader, &reading(&self.pipeline)));
+            (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
+        });
+        let direct = direct?;
+        match &direct {
+            Some(reader) => sources = reader.sources().clone(),
+            // Which models there are is known to the library alone.
+            None if !alone => {
+                let names = self.attended(&order, |bar| worker::models(&order, &self.interrupt, bar))?;
+                sources = sources.with_models(names);
+            }
+            None => {}
+        }
+        order.identity = sources.identity();
+        order.hash = Some(match early {
+            Some(hashed) => hashed.map_err(|_| anyhow!("the hashing stopped; run again"))??,
+            None => hash(&sources)?,
+        });
+        order.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
         let recipe = recipe(&order, Value::Null)?;
         if let Some(built) = self.unchanged(&recipe, start)? {
+            self.refuse_left_out(&built.artifact)?;
             return Ok(built);
         }
-        let bar = self.console.progress(0, "ingest");
-        let ended = worker::run(&order, &self.interrupt, &bar);
-        if ended.is_err() {
-            // What a worker that fell over had begun is removed when the store is opened.
-            Store::open(self.store.root())?;
+        if let Some(reader) = direct.filter(|_| section.render.is_empty()) {
+            let bar = self.console.progress(0, "ingest");
+            let tell = |done: u64, all: u64| {
+                bar.set_length(all);
+                bar.set_position(done);
+            };
+            let inputs = Inputs {
+                reader,
+                compare: compare_sources.clone(),
+                access: Access::Direct,
+                learned,
+            };
+            let made = make(&order, inputs, &self.interrupt, &tell);
+            bar.finish_and_clear();
+            match made {
+                Err(error) if needs_library(&error) => {}
+                made => return self.made(made?, &recipe, start),
+            }
         }
-        ended?;
+        self.attended(&order, |bar| worker::run(&order, &self.interrupt, bar))?;
         let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
         let artifact = artifact.with_context(|| {
             format!(
@@ -74,11 +123,74 @@ impl Runner {
         })?;
         self.made(artifact, &recipe, start)
     }
+
+    /// The file, opened without the HDF5 library; none where that takes the library.
+    fn open_direct(&self, sources: &Sources) -> Result<Option<RobomimicReader>> {
+        if std::env::var_os(HDF5_VARIABLE).is_some_and(|value| value == "library") {
+            return Ok(None);
+        }
+        match RobomimicReader::open(sources.clone(), &choice(&self.pipeline, false), Access::Direct) {
+            Err(error) if error.needs_library() => Ok(None),
+            opened => Ok(Some(opened?)),
+        }
+    }
+
+    /// Lets a worker do something, and clears up after one that fell over.
+    fn attended<T>(&self, order: &Order, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
+        let ended = work(&self.console.progress(0, "ingest"));
+        if ended.is_err() {
+            self.interrupt.check("ingest")?;
+            // What a worker that fell over had begun is removed when the store is opened.
+            Store::open(&order.artifacts)?;
+        }
+        ended
+    }
+
+    /// Refuses an artifact that lacks demonstrations, where all are to be there.
+    pub(super) fn refuse_left_out(&self, artifact: &Artifact) -> Result<()> {
+        let left = left_out(artifact)?;
+        if left.is_empty() || self.pipeline.ingest.on_bad == OnBad::LeaveOut {
+            return Ok(());
+        }
+        let kept = artifact.manifest().summary["episodes"].as_u64().unwrap_or_default();
+        bail!(
+            "cannot ingest {}: {}",
+            find_source(&self.pipeline.ingest.source)?.display(),
+            refusal(&left, kept as usize + left.len())
+        )
+    }
+}
+
+/// Replaces the choice between reading beside the HDF5 library and with it, for tests: `library`.
+const HDF5_VARIABLE: &str = "RE4_HDF5";
+
+/// Demonstrations of the source that are not in an `episodes` artifact.
+pub(crate) fn left_out(artifact: &Artifact) -> Result<Vec<LeftOut>> {
+    if !artifact.manifest().tables.contains_key(tables::LEFT_OUT.name) {
+        return Ok(Vec::new());
+    }
+    let rows = artifact.table(&tables::LEFT_OUT)?.read_all()?;
+    let (demos, reasons) = (col_text(&rows, "demo")?, col_text(&rows, "why")?);
+    let text = |text: Option<&str>| text.unwrap_or_default().to_owned();
+    Ok(demos
+        .into_iter()
+        .zip(reasons)
+        .map(|(demo, why)| LeftOut {
+            demo: text(demo),
+            why: text(why),
+        })
+        .collect())
+}
+
+fn needs_library(error: &anyhow::Error) -> bool {
+    let cause = error.downcast_ref::<IngestError>();
+    cause.is_some_and(IngestError::needs_library)
 }
 
 /// Everything that decides the bytes of the artifact.
 fn recipe(order: &Order, facts: Value) -> Result<Recipe> {
     let section = &order.pipeline.ingest;
+    let hash = order.hash.context("the source was not hashed")?;
     let mut config = json!({
         "cameras": section.cameras,
         "compare_blake3": order.compare_hash,
@@ -95,7 +207,7 @@ fn recipe(order: &Order, facts: Value) -> Result<Recipe> {
     }
     Ok(Recipe::new(Stage::Ingest, CODE_VERSION)
         .config(&config)?
-        .source(order.hash.as_bytes(), facts))
+        .source(hash.as_bytes(), facts))
 }
 
 /// The worker: reads its order, makes and publishes the artifact, and tells how it went.
@@ -113,67 +225,112 @@ pub(crate) fn serve_ingest() -> Result<()> {
     let memory = worker::memory(&order);
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
-    let interrupt = Interrupt::listen();
+    let store = Store::open(&order.artifacts)?;
+    let interrupt = Interrupt::listen_and_say(Some(&store), |sentence| tell(&Word::Failed(sentence.to_owned())));
     let stop = interrupt.clone();
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut input, &mut std::io::sink());
         stop.request();
         std::thread::sleep(GRACE);
+        // Until the process has ended, nothing more is published.
+        let _locked = store.abandon();
         #[allow(
             clippy::exit,
             reason = "nobody waits for this process any more, and its thread is stuck in C code"
         )]
         std::process::exit(2);
     });
-    let word = match make(&order, interrupt) {
-        Ok(()) => Word::Done,
+    let word = match serve(&order, &interrupt) {
+        Ok(word) => word,
         Err(error) => Word::Failed(sentence(&error)),
     };
     tell(&word);
     Ok(())
 }
 
-fn make(order: &Order, interrupt: Interrupt) -> Result<()> {
+fn serve(order: &Order, interrupt: &Interrupt) -> Result<Word> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(order.threads)
         .build_global()
         .with_context(|| format!("cannot start {} worker threads; give a smaller --jobs", order.threads))?;
-    let ingest = Ingest {
-        order,
-        interrupt,
-        reader: RobomimicReader::open(&order.source, &choice(&order.pipeline))?,
+    let sources = Sources::open_again(&order.source, &order.identity)?;
+    let reader = RobomimicReader::open(sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
+    if order.hash.is_none() {
+        return Ok(Word::Models(
+            reader.sources().model_names().map(str::to_owned).collect(),
+        ));
+    }
+    // Models that came or went since are a change, too.
+    if reader.sources().identity() != order.identity {
+        return Err(reader.sources().changed().into());
+    }
+    let compare = match (&order.compare, &order.compare_identity) {
+        (Some(path), Some(identity)) => Some(Sources::open_again(path, identity)?),
+        _ => None,
     };
-    let interpreter = Interpreter::learn(&ingest.reader, &reading(&order.pipeline))?;
-    let env = interpreter.env();
-    let facts = json!({
-        "format": match ingest.reader.layout() {
-            Layout::Observed => "hdf5, robomimic",
-            Layout::Raw => "hdf5, robosuite raw",
-        },
-        "environment": env.env_name,
-        "robosuite_version": env.env_version,
-        "file": order.source.file_name().map(|name| name.to_string_lossy()),
-    });
-    let drawing = ingest.drawing(env)?;
-    let recipe = recipe(order, facts)?;
-    let writer = Store::open(&order.artifacts)?.begin(&recipe)?;
-    let drawn = match drawing {
-        Some(drawing) => Some((drawing, Spool::open(&order.artifacts, recipe.key())?)),
-        None => None,
+    let inputs = Inputs {
+        reader,
+        compare,
+        access: Access::Library,
+        learned: None,
     };
-    let facts = ingest.write(&interpreter, drawn.as_ref(), &writer)?;
-    ingest.interrupt.check("ingest")?;
-    writer.publish(facts)?;
-    match drawn {
-        Some((_, spool)) => spool.remove(),
-        None => Ok(()),
+    make(order, inputs, interrupt, &|done, all| {
+        worker::progress(done, all, interrupt);
+    })?;
+    Ok(Word::Done)
+}
+
+/// Conventions, and the demonstrations that were met and cannot be used.
+type Learned = Result<(Interpreter, Vec<LeftOut>), IngestError>;
+
+/// What an ingest reads.
+struct Inputs {
+    reader: RobomimicReader,
+    compare: Option<Sources>,
+    access: Access,
+    /// The conventions, where they are known already.
+    learned: Option<Learned>,
+}
+
+impl Inputs {
+    /// Whether all files are still what they were when they were hashed.
+    fn unchanged(&self) -> Result<()> {
+        self.reader.sources().unchanged()?;
+        if let Some(compare) = &self.compare {
+            compare.unchanged()?;
+        }
+        Ok(())
     }
 }
 
-fn choice(pipeline: &Pipeline) -> DemoChoice {
+/// Makes and publishes the artifact.
+fn make(
+    order: &Order,
+    mut inputs: Inputs,
+    interrupt: &Interrupt,
+    progress: &(dyn Fn(u64, u64) + Sync),
+) -> Result<Artifact> {
+    let learned = inputs.learned.take();
+    let ingest = Ingest {
+        order,
+        interrupt,
+        progress,
+        inputs,
+    };
+    let made = ingest.publish(learned);
+    if made.is_err() {
+        interrupt.check("ingest")?;
+        // Whatever is wrong with a file that changed is not what has to be mended.
+        ingest.inputs.unchanged()?;
+    }
+    made
+}
+
+fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
     DemoChoice {
         filter: pipeline.ingest.filter.clone(),
         select: pipeline.ingest.select.clone(),
+        cautious,
     }
 }
 
@@ -192,16 +349,66 @@ fn reading(pipeline: &Pipeline) -> Reading {
     }
 }
 
-/// A worker at work.
+/// An ingest at work.
 struct Ingest<'a> {
     order: &'a Order,
-    interrupt: Interrupt,
-    reader: RobomimicReader,
+    interrupt: &'a Interrupt,
+    progress: &'a (dyn Fn(u64, u64) + Sync),
+    inputs: Inputs,
+}
+
+/// What came of writing the tables.
+enum Wrote {
+    All(Facts),
+    /// These demonstrations proved to be of no use after they had been written.
+    Again(Vec<LeftOut>),
 }
 
 impl Ingest<'_> {
     fn section(&self) -> &IngestSection {
         &self.order.pipeline.ingest
+    }
+
+    fn reader(&self) -> &RobomimicReader {
+        &self.inputs.reader
+    }
+
+    fn publish(&self, learned: Option<Learned>) -> Result<Artifact> {
+        let learn = || Interpreter::learn(self.reader(), &reading(&self.order.pipeline));
+        let (interpreter, mut excluded) = learned.unwrap_or_else(learn)?;
+        let env = interpreter.env();
+        let facts = json!({
+            "format": match self.reader().layout() {
+                Layout::Observed => "hdf5, robomimic",
+                Layout::Raw => "hdf5, robosuite raw",
+            },
+            "environment": env.env_name,
+            "robosuite_version": env.env_version,
+            "file": self.order.source.file_name().map(|name| name.to_string_lossy()),
+        });
+        let drawing = self.drawing(env)?;
+        let recipe = recipe(self.order, facts)?;
+        let store = Store::open(&self.order.artifacts)?;
+        let drawn = match drawing {
+            Some(drawing) => Some((drawing, Spool::open(&self.order.artifacts, recipe.key())?)),
+            None => None,
+        };
+        let artifact = loop {
+            let writer = store.begin(&recipe)?;
+            match self.write(&interpreter, drawn.as_ref(), &excluded, &writer)? {
+                Wrote::All(facts) => {
+                    self.interrupt.check("ingest")?;
+                    self.inputs.unchanged()?;
+                    break writer.publish(facts)?;
+                }
+                // Each time there are fewer.
+                Wrote::Again(more) => excluded.extend(more),
+            }
+        };
+        if let Some((_, spool)) = drawn {
+            spool.remove()?;
+        }
+        Ok(artifact)
     }
 
     /// What draws the pictures that are asked for.
@@ -210,7 +417,7 @@ impl Ingest<'_> {
         if render.is_empty() {
             return Ok(None);
         }
-        let recorded = self.reader.cameras(None)?;
+        let recorded = self.reader().cameras(None)?;
         anyhow::ensure!(
             recorded.is_empty(),
             "cannot render pictures for {}: it holds recorded ones ({}); leave ingest.render out",
@@ -220,51 +427,77 @@ impl Ingest<'_> {
         Ok(Some(Drawing::new(render, env, &self.order.source)?))
     }
 
-    fn write(&self, interpreter: &Interpreter, drawn: Option<&(Drawing<'_>, Spool)>, writer: &Writer) -> Result<Facts> {
-        let comparison = self.order.compare.as_deref().map(Comparison::open).transpose()?;
+    fn write(
+        &self,
+        interpreter: &Interpreter,
+        drawn: Option<&(Drawing<'_>, Spool)>,
+        excluded: &[LeftOut],
+        writer: &Writer,
+    ) -> Result<Wrote> {
+        let comparison = match &self.inputs.compare {
+            Some(sources) => Some(Comparison::open(sources.clone(), self.inputs.access)?),
+            None => None,
+        };
         let cameras = if let Some((drawing, _)) = drawn {
             drawing.cameras()
         } else if self.section().images {
-            self.reader.cameras(self.section().cameras.as_deref())?
+            self.reader().cameras(self.section().cameras.as_deref())?
         } else {
             Vec::new()
         };
         write_conventions(writer, interpreter.conventions())?;
-        let demos = self.reader.demos();
-        let written = write_tables(writer, demos, |take| {
-            self.reader.for_each(
-                |episode, demo| {
-                    let other = match &comparison {
-                        Some(comparison) => comparison.actions(&demo.name, demo.frames)?,
-                        None => None,
-                    };
-                    let columns = interpreter.interpret(&self.reader, &demo, other.as_deref())?;
-                    anyhow::Ok(Row {
-                        episode: episode as u32,
+        let recorded: &[String] = if drawn.is_some() { &[] } else { &cameras };
+        let demos = self.reader().demos();
+        let mut left = Vec::new();
+        let refuse = self.section().on_bad == OnBad::Refuse;
+        let written = write_tables(writer, |take| {
+            self.reader().for_each(
+                |place, demo| {
+                    self.interpret(
+                        interpreter,
+                        comparison.as_ref(),
+                        recorded,
+                        excluded,
+                        &demos[place],
                         demo,
-                        columns,
-                    })
+                    )
                 },
-                |episode, row| {
+                |place, row| {
                     self.interrupt.check("ingest")?;
-                    tell(&Word::Progress(episode as u64 + 1, demos.len() as u64));
-                    take(row)
+                    (self.progress)(place as u64 + 1, demos.len() as u64);
+                    match row {
+                        Err(bad) => left.push(bad),
+                        // What is refused in the end is only read on to learn what else is wrong.
+                        Ok(_) if refuse && !left.is_empty() => {}
+                        Ok(row) => take(row)?,
+                    }
+                    Ok(())
                 },
             )
         })?;
+        self.refuse(&left, refuse || written.demos.is_empty())?;
         anyhow::ensure!(
             comparison.is_none() || !written.goal_errors.is_empty(),
             "cannot compare with {}: it holds none of the demonstrations of {}; leave ingest.compare out, or give the file of the same demonstrations",
             self.order.compare.as_deref().unwrap_or(&self.order.source).display(),
             self.order.source.display()
         );
-        let pictures = match drawn {
-            Some((drawing, spool)) => self.draw_pictures(drawing, spool, &written.lengths, writer)?,
-            None => self.write_pictures(&cameras, &written.lengths, writer)?,
+        let pictures = if let Some((drawing, spool)) = drawn {
+            self.draw_pictures(drawing, spool, &written, writer)?
+        } else {
+            match self.write_pictures(&cameras, &written, writer)? {
+                Ok(pictures) => pictures,
+                Err(more) => {
+                    left.extend(more.iter().cloned());
+                    self.refuse(&left, refuse || left.len() == demos.len())?;
+                    return Ok(Wrote::Again(more));
+                }
+            }
         };
-        let warnings = self.warnings(interpreter, &cameras, &written, comparison.is_some())?;
+        write_left_out(writer, &left)?;
+        let warnings = self.warnings(interpreter, &cameras, &written, comparison.is_some(), &left)?;
         let mut summary = json!({
-            "episodes": demos.len(),
+            "episodes": written.demos.len(),
             "frames": written.frames,
             "images": pictures,
             "cameras": cameras,
@@ -273,61 +506,153 @@ impl Ingest<'_> {
                 ActionKind::Absolute => "absolute",
             },
         });
+        if !left.is_empty() {
+            summary["left_out"] = json!(left.len());
+        }
         if let Some((drawing, _)) = drawn {
             summary["drawn"] = drawing.facts();
         }
         if let Some(errors) = GoalErrors::of(&written.goal_errors) {
             summary["goal_error"] = json!(errors);
         }
-        Ok(Facts { summary, warnings })
+        Ok(Wrote::All(Facts { summary, warnings }))
     }
 
-    fn draw_pictures(&self, drawing: &Drawing<'_>, spool: &Spool, lengths: &[usize], writer: &Writer) -> Result<usize> {
+    /// Refuses the dataset for these demonstrations.
+    fn refuse(&self, left: &[LeftOut], refuse: bool) -> Result<()> {
+        anyhow::ensure!(
+            left.is_empty() || !refuse,
+            "cannot ingest {}: {}",
+            self.order.source.display(),
+            refusal(left, self.reader().demos().len())
+        );
+        Ok(())
+    }
+
+    /// The rows of a demonstration, or why it cannot be used.
+    fn interpret(
+        &self,
+        interpreter: &Interpreter,
+        comparison: Option<&Comparison>,
+        cameras: &[String],
+        excluded: &[LeftOut],
+        name: &DemoName,
+        demo: Result<Demo, LeftOut>,
+    ) -> Result<Result<Row, LeftOut>> {
+        if let Some(known) = excluded.iter().find(|left| left.demo == name.name) {
+            return Ok(Err(known.clone()));
+        }
+        let demo = match demo {
+            Ok(demo) => demo,
+            Err(left) => return Ok(Err(left)),
+        };
+        if let Err(left) = self.reader().check_cameras(&demo, cameras)? {
+            return Ok(Err(left));
+        }
+        let other = match comparison {
+            Some(comparison) => comparison.actions(&demo.name, demo.frames)?,
+            None => None,
+        };
+        match interpreter.interpret(self.reader(), &demo, other.as_deref()) {
+            Ok(columns) => Ok(Ok(Row {
+                name: name.clone(),
+                demo,
+                columns,
+            })),
+            Err(error) if error.needs_library() => Err(error.into()),
+            Err(error) => Ok(Err(LeftOut {
+                demo: name.name.clone(),
+                why: error.fault.to_string(),
+            })),
+        }
+    }
+
+    fn draw_pictures(&self, drawing: &Drawing<'_>, spool: &Spool, written: &Written, writer: &Writer) -> Result<usize> {
+        let lengths: Vec<usize> = written.demos.iter().map(|(_, frames)| *frames).collect();
         let all = (lengths.iter().sum::<usize>() * drawing.cameras().len()) as u64;
         drawing.draw(
             spool,
             self.order.threads,
-            &self.interrupt,
-            &|pictures| tell(&Word::Progress(pictures as u64, all)),
+            self.interrupt,
+            &|pictures| (self.progress)(pictures as u64, all),
             |take| {
-                self.reader
-                    .for_each(|_, demo| anyhow::Ok(demo), |episode, demo| take(episode as u32, demo))
+                let mut episode = 0;
+                self.reader().for_each(
+                    |_, demo| anyhow::Ok(demo),
+                    |place, demo| {
+                        let name = &self.reader().demos()[place];
+                        match (demo, written.demos.get(episode)) {
+                            (Ok(demo), Some((kept, _))) if kept == name => {
+                                episode += 1;
+                                take(episode as u32 - 1, demo)
+                            }
+                            _ => Ok(()),
+                        }
+                    },
+                )
             },
         )?;
-        drawing.write(spool, lengths, writer)
+        drawing.write(spool, &lengths, writer)
     }
 
-    fn write_pictures(&self, cameras: &[String], lengths: &[usize], writer: &Writer) -> Result<usize> {
+    /// Writes the recorded images; the demonstrations whose images cannot be decoded, where there are any.
+    fn write_pictures(
+        &self,
+        cameras: &[String],
+        written: &Written,
+        writer: &Writer,
+    ) -> Result<Result<usize, Vec<LeftOut>>> {
         if cameras.is_empty() {
-            return Ok(0);
+            return Ok(Ok(0));
         }
-        let all = (lengths.iter().sum::<usize>() * cameras.len()) as u64;
+        let demos: Vec<(String, usize)> = written
+            .demos
+            .iter()
+            .map(|(demo, frames)| (demo.name.clone(), *frames))
+            .collect();
+        let all = (demos.iter().map(|(_, frames)| frames).sum::<usize>() * cameras.len()) as u64;
         let mut table = writer.table_in_groups(&tables::CAMERA_IMAGES, PICTURES_IN_GROUP)?;
-        let mut written = 0;
+        let mut pictures = 0;
+        let mut left: Vec<LeftOut> = Vec::new();
         for camera in cameras {
-            self.reader.for_each_block(camera, lengths, |block| {
+            self.reader().for_each_block(camera, &demos, |block| {
                 self.interrupt.check("ingest")?;
+                let block = match block {
+                    Ok(block) => block,
+                    Err(bad) => {
+                        if left.iter().all(|left| left.demo != bad.demo) {
+                            left.push(bad);
+                        }
+                        return Ok(());
+                    }
+                };
+                if !left.is_empty() {
+                    return Ok(());
+                }
                 let (height, width) = (block.height as u32, block.width as u32);
                 let encoded = block
                     .bytes
                     .par_chunks_exact(block.height * block.width * 3)
                     .map(|pixels| encode_png(pixels, width, height))
                     .collect::<Result<Vec<_>>>()?;
-                let pictures = encoded.len();
+                let count = encoded.len();
                 table.write_columns(
                     Columns::new(&tables::CAMERA_IMAGES)
-                        .text("camera", vec![camera; pictures])
-                        .u32("episode", vec![block.episode as u32; pictures])
+                        .text("camera", vec![camera; count])
+                        .u32("episode", vec![block.episode as u32; count])
                         .u32("frame", block.frames.map(|frame| frame as u32).collect())
                         .binary("image", encoded),
                 )?;
-                written += pictures;
-                tell(&Word::Progress(written as u64, all));
+                pictures += count;
+                (self.progress)(pictures as u64, all);
                 anyhow::Ok(())
             })?;
         }
+        if !left.is_empty() {
+            return Ok(Err(left));
+        }
         table.finish()?;
-        Ok(written)
+        Ok(Ok(pictures))
     }
 
     fn warnings(
@@ -336,6 +661,7 @@ impl Ingest<'_> {
         cameras: &[String],
         written: &Written,
         compared: bool,
+        left: &[LeftOut],
     ) -> Result<Vec<Value>> {
         let warning = |code, message, count| Warning {
             code,
@@ -344,7 +670,21 @@ impl Ingest<'_> {
             frame: None,
             count,
         };
-        let mut warnings = Vec::new();
+        let mut warnings = self.reader().warnings().to_vec();
+        if !left.is_empty() {
+            let message = format!("left out: {}", refusal(left, self.reader().demos().len()));
+            warnings.push(warning(WarningCode::LeftOut, message, left.len() as u64));
+        } else if let Some(stale) = self.reader().total_warning(written.frames)? {
+            warnings.push(stale);
+        }
+        if let Some(first) = written.skipped.first() {
+            let message = format!("{first}; these values are not used, and stay empty in the table");
+            warnings.push(warning(
+                WarningCode::SkippedValues,
+                message,
+                written.skipped.len() as u64,
+            ));
+        }
         if let Some((demo, dataset)) = written.single_precision.first() {
             let message = format!("single precision in {demo}/{dataset}, widened to double precision");
             warnings.push(warning(
@@ -363,7 +703,7 @@ impl Ingest<'_> {
                 written.not_compared.len() as u64,
             ));
         }
-        warnings.extend(self.reader.skipped_warning(cameras)?);
+        warnings.extend(self.reader().skipped_warning(cameras)?);
         Ok(warnings.iter().map(serde_json::to_value).collect::<Result<_, _>>()?)
     }
 }

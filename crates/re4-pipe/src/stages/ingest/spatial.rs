@@ -6,6 +6,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context as _, Result, anyhow};
 use re4_artifact::{Columns, TableWriter, Writer, tables};
+use re4_ingest::LeftOut;
 use re4_ingest::robomimic::{Convention, Demo, DemoName, Interpreted, Matrix};
 
 /// Rows that are gathered before they are handed to a table, which are also those of its row groups: a group is encoded while
@@ -17,7 +18,7 @@ const WAITING: usize = 8;
 
 /// What the tables take of a demonstration.
 pub(super) struct Row {
-    pub(super) episode: u32,
+    pub(super) name: DemoName,
     pub(super) demo: Demo,
     pub(super) columns: Interpreted,
 }
@@ -26,16 +27,17 @@ pub(super) struct Row {
 #[derive(Default)]
 pub(super) struct Written {
     pub(super) frames: u64,
-    pub(super) lengths: Vec<usize>,
+    /// The demonstrations that were written, in order, with their frames.
+    pub(super) demos: Vec<(DemoName, usize)>,
     pub(super) goal_errors: Vec<(f64, f64)>,
     pub(super) not_compared: Vec<String>,
     pub(super) single_precision: Vec<(String, &'static str)>,
+    pub(super) skipped: Vec<String>,
 }
 
 /// Writes all tables but those of pictures, while `read` hands demonstrations on in order.
 pub(super) fn write_tables(
     writer: &Writer,
-    names: &[DemoName],
     read: impl FnOnce(&mut dyn FnMut(Row) -> Result<()>) -> Result<()>,
 ) -> Result<Written> {
     std::thread::scope(|scope| {
@@ -48,8 +50,9 @@ pub(super) fn write_tables(
         let mut written = Written::default();
         let mut demos = Demos::default();
         let result = read(&mut |row: Row| {
+            let episode = written.demos.len() as u32;
             let Row {
-                episode,
+                name,
                 mut demo,
                 columns,
             } = row;
@@ -76,7 +79,8 @@ pub(super) fn write_tables(
                 .single_precision
                 .extend(demo.single_precision.iter().map(|&name| (demo.name.clone(), name)));
             written.frames += demo.frames as u64;
-            written.lengths.push(demo.frames);
+            written.demos.push((name, demo.frames));
+            written.skipped.append(&mut demo.skipped);
             if let Some(matrix) = demo.states.take() {
                 let _ = to_states.send((episode, matrix));
             }
@@ -89,7 +93,7 @@ pub(super) fn write_tables(
         let ended = [frames.join(), states.join(), models.join()].map(|ended| ended.unwrap_or_else(|_| Err(gone())));
         result?;
         ended.into_iter().collect::<Result<()>>()?;
-        write_demos(writer, names, &written, demos)?;
+        write_demos(writer, &written, demos)?;
         Ok(written)
     })
 }
@@ -103,25 +107,44 @@ struct Demos {
     rotation: Vec<Option<f64>>,
 }
 
-fn write_demos(writer: &Writer, names: &[DemoName], written: &Written, demos: Demos) -> Result<()> {
-    let numbers: Vec<u32> = (0..names.len() as u32).collect();
+fn write_demos(writer: &Writer, written: &Written, demos: Demos) -> Result<()> {
+    let numbers: Vec<u32> = (0..written.demos.len() as u32).collect();
+    let names = || written.demos.iter().map(|(name, _)| name);
     let mut table = writer.table(&tables::EPISODES)?;
     table.write_columns(
         Columns::new(&tables::EPISODES)
             .u32("episode", numbers.clone())
-            .u32("source_episode", names.iter().map(|demo| demo.number).collect())
-            .u32("frames", written.lengths.iter().map(|&frames| frames as u32).collect()),
+            .u32_or_null("source_episode", names().map(|demo| demo.number).collect())
+            .u32(
+                "frames",
+                written.demos.iter().map(|&(_, frames)| frames as u32).collect(),
+            ),
     )?;
     table.finish()?;
     let mut table = writer.table(&tables::DEMOS)?;
     table.write_columns(
         Columns::new(&tables::DEMOS)
             .u32("episode", numbers)
-            .text("demo", names.iter().map(|demo| &demo.name))
-            .text("filter_keys", names.iter().map(|demo| demo.filter_keys.join(",")))
+            .text("demo", names().map(|demo| &demo.name))
+            .text("filter_keys", names().map(|demo| demo.filter_keys.join(",")))
             .u32_or_null("model", demos.model)
             .f64_or_null("goal_error_position", demos.position)
             .f64_or_null("goal_error_rotation", demos.rotation),
+    )?;
+    table.finish()?;
+    Ok(())
+}
+
+/// The table of demonstrations that cannot be used, where there are any.
+pub(super) fn write_left_out(writer: &Writer, left: &[LeftOut]) -> Result<()> {
+    if left.is_empty() {
+        return Ok(());
+    }
+    let mut table = writer.table(&tables::LEFT_OUT)?;
+    table.write_columns(
+        Columns::new(&tables::LEFT_OUT)
+            .text("demo", left.iter().map(|left| &left.demo))
+            .text("why", left.iter().map(|left| &left.why)),
     )?;
     table.finish()?;
     Ok(())
@@ -252,7 +275,7 @@ impl Frames {
         extend(fingers, &columns.fingers);
         extend(delta, &columns.delta);
         extend(goal, &columns.goal);
-        gripper.extend(demo.actions.iter().map(|action| action[6]));
+        gripper.extend(columns.goal.iter().map(|action| action[6]));
         let place = |i: usize| demo.rewards.as_ref().and_then(|rewards| rewards.get(i).copied());
         self.rewards.extend((0..frames).map(place));
         let place = |i: usize| demo.dones.as_ref().and_then(|dones| dones.get(i).copied());

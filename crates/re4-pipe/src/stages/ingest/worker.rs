@@ -7,16 +7,19 @@
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use indicatif::ProgressBar;
 use re4_artifact::Key;
+use re4_ingest::robomimic::SourcesIdentity;
 use serde::{Deserialize, Serialize};
 
+use crate::console::tell;
 use crate::interrupt::Interrupt;
 use crate::pipeline::Pipeline;
 
@@ -29,8 +32,15 @@ const PATIENCE: Duration = Duration::from_mins(3);
 /// Replaces [`PATIENCE`], in seconds, for tests.
 const PATIENCE_VARIABLE: &str = "RE4_WORKER_PATIENCE";
 
+/// For tests: a number and a file, separated by a blank. A worker that has done so many demonstrations or pictures writes its
+/// process number to the file and waits, once, until the file is gone or it is asked to stop.
+const GATE_VARIABLE: &str = "RE4_WORKER_GATE";
+
 /// How long a worker that was asked to stop may take to clear up.
-const CLEARING: Duration = Duration::from_secs(5);
+const CLEARING: Duration = Duration::from_millis(300);
+
+/// How long a worker may take to end by itself.
+const ENDING: Duration = Duration::from_secs(5);
 
 /// Threads that Mesa's software renderer starts for each of its own.
 const MESA_THREADS: &str = "LP_NUM_THREADS";
@@ -51,24 +61,30 @@ pub(super) fn memory(order: &Order) -> u64 {
 const LAST_WORDS: u64 = 1 << 16;
 
 /// What a worker is to do.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Order {
     /// The pipeline, overrides applied.
     pub(crate) pipeline: Pipeline,
     /// The HDF5 file.
     pub(crate) source: PathBuf,
-    /// Hash of the source.
-    pub(crate) hash: Key,
+    /// Hash of the source; none where only the models are asked for that its demonstrations name.
+    pub(crate) hash: Option<Key>,
+    /// The files that were hashed.
+    pub(crate) identity: SourcesIdentity,
     /// Another file of the same demonstrations.
     pub(crate) compare: Option<PathBuf>,
     /// Hash of that.
     pub(crate) compare_hash: Option<Key>,
+    /// The files of that.
+    pub(crate) compare_identity: Option<SourcesIdentity>,
     /// The OpenGL library to draw with, where anything is drawn.
     pub(crate) gl: Option<String>,
     /// The artifacts folder.
     pub(crate) artifacts: PathBuf,
     /// Threads.
     pub(crate) threads: usize,
+    /// Whether to end at the first fault of the file.
+    pub(crate) cautious: bool,
 }
 
 /// What a worker tells, one JSON object a line.
@@ -77,19 +93,85 @@ pub(crate) struct Order {
 pub(crate) enum Word {
     /// Demonstrations, or pictures, that are done, and how many there are.
     Progress(u64, u64),
+    /// Names of models beside the source.
+    Models(Vec<String>),
     /// The artifact is published.
     Done,
     /// Why it stopped, in one sentence.
     Failed(String),
 }
 
-/// Runs a worker to its end.
+/// The worker tells that so many demonstrations, or pictures, of all are done.
+pub(super) fn progress(done: u64, all: u64, interrupt: &Interrupt) {
+    tell(&Word::Progress(done, all));
+    wait_at_gate(done, interrupt);
+}
+
+/// Waits where a test has put a gate.
+fn wait_at_gate(done: u64, interrupt: &Interrupt) {
+    static PASSED: AtomicBool = AtomicBool::new(false);
+    let Ok(gate) = std::env::var(GATE_VARIABLE) else { return };
+    let Some((count, file)) = gate.split_once(' ') else {
+        return;
+    };
+    let reached = count.parse().is_ok_and(|count: u64| done >= count);
+    if !reached || PASSED.swap(true, Ordering::Relaxed) {
+        return;
+    }
+    // Without its newline the number is not whole.
+    if std::fs::write(file, format!("{}\n", std::process::id())).is_ok() {
+        while Path::new(file).exists() && !interrupt.requested() {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+}
+
+/// Lets a worker make the artifact.
 pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
+    work(order, interrupt, bar).map(drop)
+}
+
+/// Asks a worker for the models beside the source that its demonstrations name.
+pub(super) fn models(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
+    match work(order, interrupt, bar)? {
+        Word::Models(names) => Ok(names),
+        _ => bail!(
+            "the process that reads {} did not say which models it names; run again",
+            order.source.display()
+        ),
+    }
+}
+
+/// Runs a worker to its end; its last word.
+fn work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word> {
+    match try_to_work(order, interrupt, bar) {
+        // Behind a fault of the file, the library may have been led astray: then that fault is what there is to tell.
+        Err(error) if error.is::<FellOver>() => {
+            let cautious = Order {
+                cautious: true,
+                ..order.clone()
+            };
+            try_to_work(&cautious, interrupt, bar)
+        }
+        worked => worked,
+    }
+}
+
+/// The library fell over.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct FellOver(String);
+
+fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word> {
     let refuse = |why: String| anyhow!("cannot ingest {}: {why}", order.source.display());
     let program =
         std::env::current_exe().context("cannot find this program's own file to read HDF5 in another process")?;
     let mut command = Command::new(program);
     command.arg(SUBCOMMAND);
+    if order.cautious {
+        // A test's gate is for the first worker.
+        command.env_remove(GATE_VARIABLE);
+    }
     if let Some(gl) = &order.gl {
         command.env("RE4_GL", gl);
         // Every thread draws by itself, so Mesa needs no threads of its own.
@@ -103,6 +185,7 @@ pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Re
         .stderr(Stdio::piped())
         .spawn()
         .context("cannot start another process to read HDF5 in; end other programs and run again")?;
+    interrupt.set_worker(Some(child.id()));
     let mut line = serde_json::to_vec(order)?;
     line.push(b'\n');
     let mut stdin = child.stdin.take();
@@ -123,22 +206,37 @@ pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Re
     drop(stdin);
     let status = match &ended {
         Ended::Silent => end(&mut child),
-        _ => wait(&mut child, CLEARING),
+        Ended::Interrupted => wait(&mut child, CLEARING),
+        // It has said its last word, and only has to end.
+        _ => wait(&mut child, ENDING),
     };
+    interrupt.set_worker(None);
     let status = status.context("cannot learn how the process that reads HDF5 ended")?;
     match ended {
-        Ended::Word(Word::Done) if status.success() => return Ok(()),
-        Ended::Word(Word::Failed(sentence)) => bail!(sentence),
-        Ended::Interrupted => interrupt.check("ingest")?,
+        // The artifact is published, however long the worker took to go.
+        Ended::Word(word @ (Word::Done | Word::Models(_))) => return Ok(word),
+        Ended::Word(Word::Failed(sentence)) => {
+            interrupt.check("ingest")?;
+            bail!(sentence)
+        }
         Ended::Silent => bail!(refuse(format!(
             "the HDF5 library made no headway for {} s, so the file may be damaged or its disk may not answer; copy the file to a local disk or download it again",
             patience.as_secs()
         ))),
-        Ended::Word(_) | Ended::Gone => {}
+        // Ctrl-C in a terminal reaches the worker, too.
+        Ended::Interrupted | Ended::Word(_) | Ended::Gone => interrupt.check("ingest")?,
     }
     let last_words = last_words.join().unwrap_or_default();
-    Err(refuse(how_it_ended(status, &last_words)))
+    let refusal = refuse(how_it_ended(status, &last_words));
+    Err(match status.signal() {
+        Some(SIGABRT | SIGBUS | SIGSEGV) => FellOver(refusal.to_string()).into(),
+        _ => refusal,
+    })
 }
+
+const SIGABRT: i32 = 6;
+const SIGBUS: i32 = 7;
+const SIGSEGV: i32 = 11;
 
 /// Why the parent no longer listens.
 enum Ended {
@@ -156,6 +254,10 @@ enum Ended {
 fn attend(words: &Receiver<Word>, interrupt: &Interrupt, bar: &ProgressBar, patience: Duration) -> Ended {
     let mut heard = Instant::now();
     loop {
+        // Also while words come faster than this loop would wait for one.
+        if interrupt.requested() {
+            return Ended::Interrupted;
+        }
         match words.recv_timeout(Duration::from_millis(50)) {
             Ok(Word::Progress(done, all)) => {
                 bar.set_length(all);
@@ -164,7 +266,6 @@ fn attend(words: &Receiver<Word>, interrupt: &Interrupt, bar: &ProgressBar, pati
             }
             Ok(word) => return Ended::Word(word),
             Err(RecvTimeoutError::Disconnected) => return Ended::Gone,
-            Err(RecvTimeoutError::Timeout) if interrupt.requested() => return Ended::Interrupted,
             Err(RecvTimeoutError::Timeout) if heard.elapsed() > patience => return Ended::Silent,
             Err(RecvTimeoutError::Timeout) => {}
         }

@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result, ensure};
 use nalgebra::UnitQuaternion;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, tables};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
 use re4_episode::SpatialEpisode;
 use re4_report::{quantile, wilson_interval};
 use re4_sim::Simulator as _;
@@ -18,7 +18,7 @@ use super::super::simulators::{Scenes, profile};
 use super::super::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// Replays that are made before their rows are written.
 const AT_A_TIME: usize = 32;
@@ -59,7 +59,7 @@ struct Distance {
 
 struct Replay {
     number: u32,
-    source: u32,
+    name: String,
     kind: Kind,
     success: Vec<bool>,
     distances: Vec<Distance>,
@@ -84,6 +84,11 @@ impl Runner {
             .input("episodes", episodes.artifact.key());
         self.build(&recipe, |writer| {
             let recorded = recorded_kind(&episodes.artifact)?;
+            let listing = episodes
+                .artifact
+                .table(&tables::EPISODES)?
+                .read_columns(&["source_episode"])?;
+            let numbers = col_u32_or_null(&listing, "source_episode")?;
             let to_site = orientation_to_site(&episodes.artifact)?;
             let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
@@ -104,8 +109,8 @@ impl Runner {
                     .map(|(recording, kind)| {
                         let replay = play(&scenes, recording, kind, &to_site).with_context(|| {
                             format!(
-                                "cannot replay demo_{}, which a filter key or ingest.select can leave out",
-                                recording.episode.source
+                                "cannot replay {}, which a filter key or ingest.select can leave out",
+                                recording.episode.name
                             )
                         });
                         bar.inc(1);
@@ -117,7 +122,7 @@ impl Runner {
                 for replay in &played {
                     summaries[usize::from(replay.kind == Kind::Absolute)].add(replay);
                 }
-                replays.write_columns(replay_columns(&played, &recorded))?;
+                replays.write_columns(replay_columns(&played, &recorded, &numbers))?;
                 divergence.write_columns(divergence_columns(&played))?;
             }
             bar.finish_and_clear();
@@ -174,7 +179,8 @@ impl Iterator for Recordings {
     fn next(&mut self) -> Option<Self::Item> {
         let episode = self.episodes.next()?;
         Some(episode.and_then(|(number, episode)| {
-            let missing = || format!("table states lacks demonstration {number}; ingest the dataset anew");
+            let name = episode.name.clone();
+            let missing = || format!("table states lacks {name}; ingest the dataset anew");
             let (of, rows) = self.states.next().with_context(missing)??;
             let states = col_f64_list(&rows, "state")?;
             ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());
@@ -195,7 +201,7 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuater
     let Some(first) = recording.states.first() else {
         return Ok(Replay {
             number: recording.number,
-            source: recording.episode.source,
+            name: recording.episode.name.clone(),
             kind,
             success,
             distances,
@@ -234,7 +240,7 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuater
     }
     Ok(Replay {
         number: recording.number,
-        source: recording.episode.source,
+        name: recording.episode.name.clone(),
         kind,
         success,
         distances,
@@ -267,7 +273,7 @@ struct Summary {
     replays: u64,
     successes: u64,
     object: Vec<f64>,
-    failed: Vec<u32>,
+    failed: Vec<String>,
 }
 
 impl Summary {
@@ -276,7 +282,7 @@ impl Summary {
         self.successes += u64::from(replay.succeeded());
         self.object.push(replay.largest(|d| d.object));
         if !replay.succeeded() {
-            self.failed.push(replay.source);
+            self.failed.push(replay.name.clone());
         }
     }
 
@@ -299,11 +305,17 @@ impl Summary {
     }
 }
 
-fn replay_columns(replays: &[Replay], recorded: &str) -> Columns {
+fn replay_columns(replays: &[Replay], recorded: &str, numbers: &[Option<u32>]) -> Columns {
     let of = |value: &dyn Fn(&Replay) -> f64| replays.iter().map(value).collect::<Vec<f64>>();
     Columns::new(&tables::SPATIAL_REPLAYS)
         .u32("episode", replays.iter().map(|r| r.number).collect())
-        .u32("source_episode", replays.iter().map(|r| r.source).collect())
+        .u32_or_null(
+            "source_episode",
+            replays
+                .iter()
+                .map(|r| numbers.get(r.number as usize).copied().flatten())
+                .collect(),
+        )
         .text("actions", replays.iter().map(|r| r.kind.as_str()))
         .text(
             "origin",
@@ -333,6 +345,7 @@ fn replay_columns(replays: &[Replay], recorded: &str) -> Columns {
         .f64("object_turn_max", of(&|r| r.largest(|d| d.turn)))
         .f64("eef_max", of(&|r| r.largest(|d| d.eef)))
         .f64("arm_max", of(&|r| r.largest(|d| d.arm)))
+        .text("demo_name", replays.iter().map(|r| &r.name))
 }
 
 fn divergence_columns(replays: &[Replay]) -> Columns {

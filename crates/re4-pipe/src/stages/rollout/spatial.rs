@@ -7,6 +7,7 @@ use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, TableWriter, Writer, tables};
 use re4_encoder::Predictor;
+use re4_policy::DemoNames;
 use re4_policy::spatial::{
     MakeObserver, NoiseLevel, ObjectSight, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout,
     SpatialStart, SpatialStepRecord, spatial_rollouts,
@@ -16,6 +17,7 @@ use re4_sim::SimError;
 use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, SIMULATION_STEPS, with_cube_size};
 use serde_json::{Value, json};
 
+use super::super::demos::demo_names;
 use super::super::index::open_spatial_index;
 use super::super::simulators::{Scenes, profile};
 use super::super::train_pose::WEIGHTS;
@@ -26,7 +28,7 @@ use crate::pipeline::SpatialRolloutSection;
 use crate::poses::pose_columns;
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// Seeds rolled out before their rows are written.
 const BATCH: usize = 128;
@@ -95,7 +97,12 @@ impl Runner {
             recipe = recipe.input("poses", poses.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let knowledge = Arc::new(open_spatial_index(&index.artifact, &policy.retrieve, symmetry)?);
+            let knowledge = Arc::new(open_spatial_index(
+                &index.artifact,
+                &policy.retrieve,
+                symmetry,
+                demo_names(&episodes.artifact)?,
+            )?);
             let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
             // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
@@ -129,7 +136,7 @@ impl Runner {
                 bar.inc(1);
                 !self.interrupt.requested()
             };
-            let mut tables = Tables::begin(writer)?;
+            let mut tables = Tables::begin(writer, knowledge.demos().names())?;
             let mut outcomes = Outcomes::default();
             for batch in seeds.chunks(BATCH) {
                 let rollouts = spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going)?;
@@ -211,16 +218,18 @@ fn losses(rollout: &SpatialRollout) -> u32 {
     rollout.decisions.iter().filter(lost).count() as u32
 }
 
-struct Tables {
+struct Tables<'a> {
+    names: &'a DemoNames,
     results: TableWriter,
     steps: TableWriter,
     decisions: TableWriter,
     rollouts: u32,
 }
 
-impl Tables {
-    fn begin(writer: &Writer) -> Result<Self> {
+impl<'a> Tables<'a> {
+    fn begin(writer: &Writer, names: &'a DemoNames) -> Result<Self> {
         Ok(Self {
+            names,
             results: writer.table(&tables::SPATIAL_RESULTS)?,
             steps: writer.table(&tables::SPATIAL_STEPS)?,
             decisions: writer.table(&tables::SPATIAL_DECISIONS)?,
@@ -232,7 +241,7 @@ impl Tables {
         self.results.write_columns(result_columns(rollouts, self.rollouts))?;
         self.rollouts += rollouts.len() as u32;
         self.steps.write_columns(step_columns(rollouts))?;
-        self.decisions.write_columns(decision_columns(rollouts))?;
+        self.decisions.write_columns(decision_columns(rollouts, self.names))?;
         Ok(())
     }
 
@@ -300,7 +309,7 @@ fn step_columns(rollouts: &[SpatialRollout]) -> Columns {
     pose_columns(columns, "seen", &poses(|s| s.seen.object))
 }
 
-fn decision_columns(rollouts: &[SpatialRollout]) -> Columns {
+fn decision_columns(rollouts: &[SpatialRollout], names: &DemoNames) -> Columns {
     let rows = || {
         rollouts
             .iter()
@@ -352,5 +361,9 @@ fn decision_columns(rollouts: &[SpatialRollout]) -> Columns {
     pose_columns(columns, "set_point", &poses(|d| d.set_point))
         .bool("bridge", rows().map(|(_, _, d)| d.bridge).collect())
         .u32("banned", number(|d| d.banned))
-        .text("reason", rows().map(|(_, _, d)| d.reason()))
+        .text("reason", rows().map(|(_, _, d)| d.reason(names)))
+        .text_or_null(
+            "demo_name",
+            rows().map(|(_, _, d)| d.choice.and_then(|c| names.get(c.demo))),
+        )
 }

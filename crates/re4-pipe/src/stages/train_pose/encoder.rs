@@ -3,8 +3,6 @@
 //! Until the poses are written, only the columns named in [`EEF_COLUMNS`], modes and pictures are read: no recorded object
 //! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
 
-use std::path::PathBuf;
-
 use anyhow::{Context as _, Result, bail, ensure};
 use image::ImageFormat;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
@@ -18,15 +16,17 @@ use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
+use re4_ingest::SourceFile;
 use serde_json::{Value, json};
 
+use super::super::demos::demo_names;
 use super::super::index::orientation_to_site;
 use super::super::{Built, Runner};
 use super::{card, evaluate};
 use crate::poses::pose_columns;
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 /// What is read of table `spatial_frames` before the poses are written.
 const EEF_COLUMNS: [&str; 9] = [
@@ -111,11 +111,16 @@ impl Runner {
             .config(&json!({ "pose": { "source": "encoder", "encoder": config } }))?
             .input("episodes", episodes.key())
             .input("modes", modes.key());
+        let mut weights_file = None;
         if let Some(path) = &weights {
-            let hash = blake3::Hasher::new()
-                .update_mmap_rayon(path)
-                .with_context(|| format!("cannot read the weights {}", path.display()))?
-                .finalize();
+            let cannot_read = || format!("cannot read the weights {}", path.display());
+            let opened = SourceFile::open(path)
+                .map_err(|error| error.fault)
+                .with_context(cannot_read)?;
+            let file = weights_file.insert(opened);
+            let hash = self
+                .hash(|stop| file.hash(stop), "train-pose")
+                .with_context(cannot_read)?;
             recipe = recipe.source(hash.as_bytes(), json!({ "weights": config.weights }));
         }
         let key = recipe.key();
@@ -125,7 +130,7 @@ impl Runner {
         let built = self.build(&recipe, |writer| {
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (facts, measured) =
-                self.fit_encoder(&config, weights.as_ref(), (episodes, modes), &key, kept, writer)?;
+                self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
             rate = measured;
             Ok(facts)
         })?;
@@ -155,21 +160,22 @@ impl Runner {
     fn fit_encoder(
         &self,
         config: &EncoderConfig,
-        weights: Option<&PathBuf>,
+        weights: Option<&SourceFile>,
         (episodes, modes): (&Artifact, &Artifact),
         key: &Key,
         checkpoints: &Checkpoints,
         writer: &Writer,
     ) -> Result<(Facts, Option<f64>)> {
         let demos = read_demos(config, episodes, modes)?;
+        let names = demo_names(episodes)?;
         let mut warnings = Vec::new();
         let (mut taught, mut held_out) = (Vec::new(), Vec::new());
         for demo in &demos {
             let Some(training) = demo.training() else {
                 warnings.push(json!({
                     "code": "no_grasp",
-                    "episode": demo.episode,
-                    "message": format!("episode {} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on", demo.episode),
+                    "demo_name": names.of(demo.episode),
+                    "message": format!("{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on", names.of(demo.episode)),
                 }));
                 continue;
             };
@@ -200,11 +206,16 @@ impl Runner {
             sampler: &sampler,
             pictures: &pictures,
             held_out: &held_out,
-            weights: weights.map(PathBuf::as_path),
+            weights: weights.map(SourceFile::path),
         };
         let steps = u64::from(steps_of(config, &sampler));
         let bar = self.console.progress(u64::from(config.epochs) * steps, "train-pose");
+        let mut begun = false;
         let trained = train(&task, checkpoints, |progress: &Progress| -> Result<()> {
+            // The weights have been read by now, and are not read again.
+            if let Some(file) = weights.filter(|_| !std::mem::replace(&mut begun, true)) {
+                file.unchanged().map_err(|error| error.fault).context("cannot train")?;
+            }
             bar.set_position(progress.steps);
             let [sum, absolute, relative, cross] = progress.losses;
             bar.set_message(format!(
@@ -242,6 +253,7 @@ impl Runner {
         writer: &Writer,
     ) -> Result<PictureFile> {
         let path = episodes.path();
+        let names = demo_names(episodes)?;
         let table = episodes.table(&tables::CAMERA_IMAGES)?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.console.progress(frames as u64, "pictures");
@@ -262,9 +274,9 @@ impl Runner {
                     .map(|&row| {
                         let place = || {
                             format!(
-                                "cannot train on {}: the picture of episode {}, frame {}",
+                                "cannot train on {}: the picture of {}, frame {}",
                                 path.display(),
-                                episode[row],
+                                names.of(episode[row]),
                                 frame[row]
                             )
                         };

@@ -59,9 +59,9 @@ fn read(
         let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
         let (poses, &trained_on) = own.with_context(|| {
             format!(
-                "cannot evaluate the estimated poses: they are not those of the {} frames of demonstration {} of {}; train again",
+                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}; train again",
                 frames.len(),
-                demo.number,
+                demo.episode.name,
                 episodes.path().display()
             )
         })?;
