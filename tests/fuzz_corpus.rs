@@ -10,6 +10,8 @@
 mod artifact;
 #[path = "../fuzz/harness/edits.rs"]
 mod edits;
+#[path = "../fuzz/harness/hdf5.rs"]
+mod hdf5;
 #[path = "../fuzz/harness/pipeline.rs"]
 mod pipeline;
 #[path = "../fuzz/harness/zarr.rs"]
@@ -60,6 +62,12 @@ fn stores() {
 fn stores_in_zip_files() {
     let zip = zip::Zip::new();
     replay("zip", |input| zip.run(input));
+}
+
+#[test]
+fn hdf5_files() {
+    let hdf5 = hdf5::Hdf5::new(&repository());
+    replay("hdf5", |input| hdf5.run(input));
 }
 
 #[test]

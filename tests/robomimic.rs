@@ -113,7 +113,7 @@ fn demonstrations_are_filtered_and_then_counted() {
         names("--set ingest.select={first=11}").split(' ').next_back(),
         Some("demo_10")
     );
-    let train = names("--set ingest.filter=train --set ingest.select={episodes=[4,5]}");
+    let train = names("--set ingest.filter=train --set ingest.select={episodes=[5,\"demo_6\"]}");
     assert_eq!(train, "demo_5 demo_6");
     let table = only(&place).table(&tables::EPISODES).unwrap().read_all().unwrap();
     assert_eq!(col_u32(&table, "source_episode").unwrap(), &[5, 6]);

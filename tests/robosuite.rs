@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use re4_ingest::IngestError;
-use re4_ingest::robomimic::{Demo, DemoChoice, RobomimicReader};
+use re4_ingest::robomimic::{Access, Demo, DemoChoice, RobomimicReader, Sources};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::without_pictures;
@@ -43,13 +43,14 @@ fn folder(variable: &str, otherwise: &str, below: &str, how: &str) -> Option<Pat
 
 /// Demonstrations by number.
 fn demonstrations(path: &Path) -> BTreeMap<u32, Demo> {
-    let reader = RobomimicReader::open(path, &DemoChoice::default()).unwrap();
+    let sources = Sources::open(path).unwrap();
+    let reader = RobomimicReader::open(sources, &DemoChoice::default(), Access::Library).unwrap();
     let mut demos = BTreeMap::new();
     reader
         .for_each::<Demo, IngestError>(
-            |_, demo| Ok(demo),
+            |_, demo| Ok(demo.unwrap()),
             |at, demo| {
-                demos.insert(reader.demos()[at].number, demo);
+                demos.insert(reader.demos()[at].number.unwrap(), demo);
                 Ok(())
             },
         )

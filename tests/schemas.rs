@@ -89,6 +89,7 @@ fn the_schemas_describe_the_columns_that_are_written() {
     assert_eq!(
         missing,
         [
+            "left_out",
             "states",
             "models",
             "camera_images",
