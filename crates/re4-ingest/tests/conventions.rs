@@ -36,7 +36,7 @@ fn reading(task: Task, conventions: Settings) -> Reading {
 }
 
 fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
-    RobomimicReader::open(Sources::open(path)?, &DemoChoice::default(), Access::Library)
+    RobomimicReader::open(&Sources::open(path)?, &DemoChoice::default(), Access::Library)
 }
 
 type Columns = Vec<(String, Interpreted)>;

@@ -77,7 +77,7 @@ impl RobomimicReader {
     /// # Errors
     /// What is no HDF5 file of demonstrations, a filter key that is not there or names what is not there, a selection that
     /// does not fit; with [`Access::Direct`], [`Hdf5Fault::NeedsLibrary`].
-    pub fn open(sources: Sources, choice: &DemoChoice, access: Access) -> Result<Self, IngestError> {
+    pub fn open(sources: &Sources, choice: &DemoChoice, access: Access) -> Result<Self, IngestError> {
         let opened = Self::open_checked(sources.clone(), choice, access);
         opened.map_err(|fault| {
             let error = fault.of(sources.path());

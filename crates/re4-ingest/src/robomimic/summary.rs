@@ -33,7 +33,7 @@ impl Comparison {
     ///
     /// # Errors
     /// As [`RobomimicReader::open`].
-    pub fn open(sources: Sources, access: Access) -> Result<Self, IngestError> {
+    pub fn open(sources: &Sources, access: Access) -> Result<Self, IngestError> {
         RobomimicReader::open(sources, &DemoChoice::default(), access).map(|reader| Self { reader })
     }
 

@@ -129,7 +129,7 @@ impl Runner {
         if std::env::var_os(HDF5_VARIABLE).is_some_and(|value| value == "library") {
             return Ok(None);
         }
-        match RobomimicReader::open(sources.clone(), &choice(&self.pipeline, false), Access::Direct) {
+        match RobomimicReader::open(sources, &choice(&self.pipeline, false), Access::Direct) {
             Err(error) if error.needs_library() => Ok(None),
             opened => Ok(Some(opened?)),
         }
@@ -254,7 +254,7 @@ fn serve(order: &Order, interrupt: &Interrupt) -> Result<Word> {
         .build_global()
         .with_context(|| format!("cannot start {} worker threads; give a smaller --jobs", order.threads))?;
     let sources = Sources::open_again(&order.source, &order.identity)?;
-    let reader = RobomimicReader::open(sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
+    let reader = RobomimicReader::open(&sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
     if order.hash.is_none() {
         return Ok(Word::Models(
             reader.sources().model_names().map(str::to_owned).collect(),
@@ -435,7 +435,7 @@ impl Ingest<'_> {
         writer: &Writer,
     ) -> Result<Wrote> {
         let comparison = match &self.inputs.compare {
-            Some(sources) => Some(Comparison::open(sources.clone(), self.inputs.access)?),
+            Some(sources) => Some(Comparison::open(sources, self.inputs.access)?),
             None => None,
         };
         let cameras = if let Some((drawing, _)) = drawn {
