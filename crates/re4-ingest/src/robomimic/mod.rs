@@ -21,5 +21,5 @@ pub use file::Access;
 pub use images::CameraBlock;
 pub use interpret::{Convention, Interpreted, Interpreter, Reading};
 pub use reader::{DemoChoice, DemoName, Layout, RobomimicReader};
-pub use sources::{MODELS_FOLDER, Sources, SourcesIdentity};
+pub use sources::{Sources, SourcesIdentity};
 pub use summary::{Comparison, GoalErrors};

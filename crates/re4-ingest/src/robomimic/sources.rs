@@ -11,7 +11,7 @@ use crate::error::{Fault, IngestError};
 use crate::source::{Identity, SourceFile, Stop, check_unchanged};
 
 /// Folder beside a raw file that holds its models, where `model_file` is a name.
-pub const MODELS_FOLDER: &str = "models";
+pub(super) const MODELS_FOLDER: &str = "models";
 
 /// Longest model that is read, in bytes.
 const LONGEST_MODEL: u64 = 64 << 20;

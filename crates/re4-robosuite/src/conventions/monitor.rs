@@ -189,6 +189,20 @@ fn greatest(values: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> 
     values.reduce(|best, next| if next.1.total_cmp(&best.1).is_gt() { next } else { best })
 }
 
+/// Refuses a demo of this name as a whole.
+fn refuse_whole(name: &str) -> impl Fn(&'static str, &'static str, f64, f64, usize) -> Result<(), Contradiction> {
+    move |dataset, what, measured, threshold, frames| {
+        Err(Contradiction::Whole {
+            demo: name.to_owned(),
+            dataset,
+            what,
+            measured,
+            threshold,
+            frames,
+        })
+    }
+}
+
 impl Conventions {
     /// Holds these conventions against a demo, row by row.
     ///
@@ -253,16 +267,7 @@ impl Conventions {
 
     /// Unit, direction and frame of the actions, and the range of the gripper's command, over the whole demo.
     fn check_commands(&self, demo: &Sound<'_>) -> Result<(), Contradiction> {
-        let refuse = |dataset: &'static str, what: &'static str, measured: f64, threshold: f64, frames: usize| {
-            Err(Contradiction::Whole {
-                demo: demo.arrays.name.to_owned(),
-                dataset,
-                what,
-                measured,
-                threshold,
-                frames,
-            })
-        };
+        let refuse = refuse_whole(demo.arrays.name);
         if self.actions.gripper == GripperRange::MinusOneOne {
             let (held, frames) = commands::held_travel(demo);
             if held > MOVED_WHILE_HELD && frames >= 5 {
@@ -390,16 +395,7 @@ impl Conventions {
 
     /// Shares over the whole demo.
     fn check_motion(&self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
-        let refuse = |dataset: &'static str, what: &'static str, measured: f64, threshold: f64, frames: usize| {
-            Err(Contradiction::Whole {
-                demo: demo.arrays.name.to_owned(),
-                dataset,
-                what,
-                measured,
-                threshold,
-                frames,
-            })
-        };
+        let refuse = refuse_whole(demo.arrays.name);
         let mut fingers = residuals::finger_travel(demo);
         if self.gripper_sign == GripperSign::PositiveOpens {
             fingers = fingers.complement();
