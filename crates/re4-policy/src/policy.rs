@@ -11,6 +11,7 @@ use re4_index::{Query, RetrievalIndex};
 use re4_rollout::{Act, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses};
 use re4_sim::{GOAL, coverage, depth_in_walls};
 
+use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
 use crate::names::DemoNames;
@@ -19,7 +20,6 @@ use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
-use crate::LookupError;
 
 /// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
 const PLANS_TRIED: usize = 8;

@@ -6,7 +6,9 @@ use re4_sim::robosuite::{FirstTorques, Robosuite, RobosuiteModel, RobosuiteScene
 use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, SimError, Simulator as _, Step};
 
 use crate::studio::{Lens, Studio};
-use crate::{ArmAction, ArmState, Domain, PlacedScene, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action};
+use crate::{
+    ArmAction, ArmState, Domain, PlacedScene, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action,
+};
 
 /// An image: RGB, 8 bits a channel, row by row from the top.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
