@@ -1,10 +1,4 @@
 //! ARCHITECTURE.md names the crates there are, and dependencies point down only.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,12 +6,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../..")
-        .canonicalize()
-        .unwrap()
-}
+use crate::support::repository;
 
 /// Crates of the workspace and the crates of the workspace that they need to be built, tests aside.
 fn crates() -> BTreeMap<String, BTreeSet<String>> {

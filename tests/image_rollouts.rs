@@ -1,14 +1,6 @@
 //! Rollouts of robosuite's tasks from pictures, with an invented encoder in the place of a trained one. They run where `RE4_DATA`
 //! names the folder of the datasets (or it lies in ../shared/data) and `RE4_SIMULATORS` that of the simulators (or
 //! scripts/setup-simulators.sh has put them into data/simulators).
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
+use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{
@@ -36,7 +29,6 @@ use re4_sim::robosuite::{
 };
 use re4_stages::testing::{Estimate, Invented, pictures};
 use serde_json::json;
-use support::{Answer, Place, filters, repository, scripted_and_simulators};
 
 fn pipeline(task: &str, source: &Path, variant: &str, policy: &str) -> String {
     let pose = if variant == "image" { "encoder" } else { "recorded" };
@@ -76,7 +68,7 @@ fn data_and_simulators() -> Option<(PathBuf, PathBuf)> {
 }
 
 fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
-    let mut folders = support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
+    let mut folders = crate::support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
     assert_eq!(folders.len(), 1, "{stage:?}");
     Artifact::open(&folders.remove(0)).unwrap()
 }

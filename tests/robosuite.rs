@@ -1,19 +1,12 @@
 //! What is observed, and when a task is done, on robosuite's own states: skipped where data or simulators are missing.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
 
 #[path = "../crates/re4-sim/tests/reference/mod.rs"]
 mod reference;
-mod support;
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::support::repository;
 use re4_ingest::IngestError;
 use re4_ingest::robomimic::{Access, Demo, DemoChoice, RobomimicReader, Sources};
 use re4_mujoco::Library;
@@ -22,7 +15,6 @@ use re4_robosuite::physics::without_pictures;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{FirstTorques, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask};
 use reference::Reference;
-use support::repository;
 
 const TASKS: [(RobosuiteTask, &str); 3] = [
     (RobosuiteTask::Lift, "lift"),

@@ -11,8 +11,8 @@ use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicR
 use re4_robosuite::conventions::{Settings, Task};
 use tempfile::TempDir;
 
-use crate::edits::{Input, edit};
-use crate::zarr::selection;
+use super::edits::{Input, edit};
+use super::zarr::selection;
 
 const MOST_EDITS: usize = 8;
 
