@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use re4_ingest::IngestError;
 use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, Sources};
-use re4_robosuite::conventions::{Settings, Task};
+use re4_robosuite::conventions::{RobosuiteTask, Settings};
 use tempfile::TempDir;
 
 use super::edits::{Input, edit};
@@ -64,7 +64,7 @@ fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
     let reader = RobomimicReader::open(&Sources::open(path)?, &choice, Access::Direct)?;
     reader.sources().hash(&|| false)?;
     let reading = Reading {
-        task: Task::Can,
+        task: RobosuiteTask::named("can"),
         object: None,
         env_args: None,
         conventions: Settings::default(),

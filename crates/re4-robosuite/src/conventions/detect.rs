@@ -9,8 +9,8 @@ use super::opening::initial_goal;
 use super::reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, InitialGoal};
 use super::residuals::{self, Kinds, Relation, Share};
 use super::{
-    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof,
-    QuaternionOrder, RelativeLag, Settings, Task, Unproven,
+    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, Proof, QuaternionOrder,
+    RelativeLag, RobosuiteTask, Settings, Unproven,
 };
 use crate::env_args::EnvArgs;
 
@@ -185,7 +185,7 @@ impl Odd {
 
 /// What is known of a file beside its demos.
 struct File<'a> {
-    task: Task,
+    task: Option<RobosuiteTask>,
     env: &'a EnvArgs,
     settings: &'a Settings,
     controls: Option<Controls>,
@@ -200,7 +200,7 @@ impl<'a> File<'a> {
         let controls = Controls::of(env);
         let base = demos.iter().find_map(|demo| demo.model?.base());
         Ok(Self {
-            task: Task::of(&env.env_name),
+            task: RobosuiteTask::of_environment(&env.env_name),
             env,
             settings,
             reading: reading(settings, controls.as_ref(), base.as_ref())?,
@@ -285,8 +285,9 @@ impl<'a> File<'a> {
         )?;
         proofs.push(proof);
 
-        let has_object = task != Task::Other && demos.iter().any(|demo| demo.arrays.object.is_some());
-        let eef = eef(demos, task, has_object, kind, env);
+        let has_object = |demo: &Sound<'_>| demo.arrays.object.is_some();
+        let object_task = task.filter(|_| demos.iter().any(has_object));
+        let eef = eef(demos, object_task, kind, env);
         let (eef_quaternion, proof) = eef.order.settle(
             "eef_quaternion",
             settings.eef_quaternion,
@@ -318,18 +319,20 @@ impl<'a> File<'a> {
             initial_goal: InitialGoal::FirstPose,
             controls: self.controls,
         };
-        if has_object {
+        if let Some(task) = object_task {
             let related = relations(demos, task, &[eef_quaternion], &[eef_orientation], true);
             let (layout, proof) = Verdict::new(OBJECT, related.iter().map(|(relation, fit)| (relation.layout, *fit)))
                 .settle(
                 "object_layout",
                 settings.object_layout,
-                declared_layout(env, task).as_ref(),
+                env.version()
+                    .map(|version| robosuite(env, task.layout(version)))
+                    .as_ref(),
             )?;
             proofs.push(proof);
             let of_layout = || related.iter().filter(|(relation, _)| relation.layout == layout);
             let mut order = Verdict::new(OBJECT, of_layout().map(|(relation, fit)| (relation.object, *fit)));
-            if task == Task::Lift && order.proven().is_none() {
+            if !layout.relates_rotations() && order.proven().is_none() {
                 order = at_rest(demos);
             }
             let (object_quaternion, proof) = order.settle(
@@ -541,26 +544,6 @@ fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
     })
 }
 
-fn declared_layout(env: &EnvArgs, task: Task) -> Option<Declared<ObjectLayout>> {
-    let relative_first = env.version()? >= (1, 5);
-    let value = match (task, relative_first) {
-        (Task::Lift, false) => ObjectLayout::LiftEefMinusCube,
-        (Task::Lift, true) => ObjectLayout::LiftCubeMinusEef,
-        (Task::Can | Task::Square, false) => ObjectLayout::PoseFirst,
-        (Task::Can | Task::Square, true) => ObjectLayout::RelativeFirst,
-        (Task::Other, _) => return None,
-    };
-    Some(robosuite(env, value))
-}
-
-fn layouts(task: Task) -> &'static [ObjectLayout] {
-    match task {
-        Task::Lift => &[ObjectLayout::LiftEefMinusCube, ObjectLayout::LiftCubeMinusEef],
-        Task::Can | Task::Square => &[ObjectLayout::PoseFirst, ObjectLayout::RelativeFirst],
-        Task::Other => &[],
-    }
-}
-
 /// Order and frame of the end effector's quaternion.
 struct Eef {
     order: Verdict<QuaternionOrder>,
@@ -593,7 +576,8 @@ fn eef_hypotheses() -> impl Iterator<Item = (QuaternionOrder, EefOrientation)> {
         .flat_map(|order| FRAMES.into_iter().map(move |frame| (order, frame)))
 }
 
-fn eef(demos: &[Sound<'_>], task: Task, has_object: bool, kind: ActionKind, env: &EnvArgs) -> Eef {
+/// From the object vector, too, where `task` is given.
+fn eef(demos: &[Sound<'_>], task: Option<RobosuiteTask>, kind: ActionKind, env: &EnvArgs) -> Eef {
     if demos.iter().any(|demo| !demo.observed.is_empty()) {
         let fits = eef_hypotheses().map(|(order, frame)| {
             let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
@@ -601,7 +585,7 @@ fn eef(demos: &[Sound<'_>], task: Task, has_object: bool, kind: ActionKind, env:
         });
         return Eef::joint(EEF_KINEMATICS, fits);
     }
-    if has_object && task != Task::Lift {
+    if let Some(task) = task.filter(|task| task.layouts[0].relates_rotations()) {
         let related = relations(demos, task, &ORDERS, &FRAMES, false);
         let fits = related
             .iter()
@@ -646,13 +630,13 @@ fn every(demos: &[Sound<'_>], residual: impl Fn(&Sound<'_>, usize) -> Option<f64
 /// All hypotheses about the object vector under the given ones about the end effector.
 fn relations(
     demos: &[Sound<'_>],
-    task: Task,
+    task: RobosuiteTask,
     eefs: &[QuaternionOrder],
     frames: &[EefOrientation],
     with_states: bool,
 ) -> Vec<Related> {
     let mut related = Vec::new();
-    for &layout in layouts(task) {
+    for &layout in &task.layouts {
         for object in ORDERS {
             for &eef in eefs {
                 for &frame in frames {

@@ -12,7 +12,7 @@ use re4_ingest::robomimic::{
     Access, Comparison, Demo, DemoChoice, DemoName, GoalErrors, Interpreter, Layout, Reading, RobomimicReader, Sources,
 };
 use re4_ingest::{IngestError, LeftOut, OnBad, Warning, WarningCode, refusal};
-use re4_robosuite::conventions::{ActionKind, Task};
+use re4_robosuite::conventions::ActionKind;
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
 
@@ -25,7 +25,7 @@ use crate::inputs::pictures::encode_png;
 use crate::inputs::sources::{find_source, left_out};
 use crate::interrupt::Interrupt;
 use crate::notes::sentence;
-use crate::pipeline::{IngestSection, Pipeline, TaskName};
+use crate::pipeline::{IngestSection, Pipeline};
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
@@ -324,12 +324,7 @@ fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
 fn reading(pipeline: &Pipeline) -> Reading {
     let section = &pipeline.ingest;
     Reading {
-        task: match pipeline.task {
-            TaskName::Lift => Task::Lift,
-            TaskName::Can => Task::Can,
-            TaskName::Square => Task::Square,
-            TaskName::PushT | TaskName::Robosuite => Task::Other,
-        },
+        task: pipeline.task.robosuite(),
         object: section.object.clone(),
         env_args: section.env_args.clone(),
         conventions: section.conventions,
