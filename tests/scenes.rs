@@ -13,7 +13,7 @@ use std::fs;
 
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
-use re4_report::{mean_interval, wilson_interval};
+use re4_stats::{mean_interval, wilson_interval};
 use support::{Place, assert_same_bytes, filters, folders_in, repository};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.

@@ -12,9 +12,9 @@ use re4_policy::spatial::{
     MakeObserver, NoiseLevel, ObjectSight, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout,
     SpatialStart, SpatialStepRecord, spatial_rollouts,
 };
-use re4_report::{median, wilson_interval};
 use re4_sim::SimError;
 use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, SIMULATION_STEPS, with_cube_size};
+use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
 use super::super::demos::demo_names;
@@ -23,7 +23,6 @@ use super::super::simulators::{Scenes, profile};
 use super::super::train_pose::WEIGHTS;
 use super::super::{Built, Runner};
 use super::eye::{self, Eye, Studio, unseen};
-use super::interval;
 use crate::pipeline::SpatialRolloutSection;
 use crate::poses::pose_columns;
 
@@ -169,7 +168,7 @@ impl Outcomes {
         let mut summary = json!({
             "rollouts": self.steps.len(),
             "successes": self.successes,
-            "metrics": { "success_rate": interval(success) },
+            "metrics": { "success_rate": success },
             "medians": { "steps_of_successes": median(&self.success_steps) },
             "longest_success": self.success_steps.iter().copied().fold(0.0, f64::max),
             "losses": self.losses,
