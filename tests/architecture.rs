@@ -82,9 +82,9 @@ fn dependencies_point_down() {
     // Films are drawn by the simulator's own renderer.
     assert_eq!(
         needs("re4-report").iter().collect::<Vec<_>>(),
-        ["re4-geometry", "re4-sim", "re4-task"]
+        ["re4-geometry", "re4-sim", "re4-stats", "re4-task"]
     );
-    for name in ["re4-artifact", "re4-fetch"] {
+    for name in ["re4-artifact", "re4-fetch", "re4-stats"] {
         assert!(
             needs(name).is_empty(),
             "{name} knows nothing of robots: {:?}",

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix4, Quaternion, SymmetricEigen, UnitQuaternion};
-use re4_audit::{GraspOutcome, Severity, median, quantile};
+use re4_audit::{GraspOutcome, Severity};
 use re4_episode::Mode;
+use re4_stats::{median, quantile, sorted};
 use serde_json::{Map, Value, json};
 
 use super::{Audited, ListedGrasp, by_code};
@@ -106,7 +107,8 @@ pub(super) fn summary(audited: &Audited) -> Value {
 
 /// Least, quartiles and greatest; null where there is nothing.
 fn quartiles(values: &[f64]) -> Value {
-    let part = |share| quantile(values, share);
+    let values = sorted(values.iter().copied());
+    let part = |share| quantile(&values, share);
     json!({ "min": part(0.0), "q1": part(0.25), "median": part(0.5), "q3": part(0.75), "max": part(1.0) })
 }
 

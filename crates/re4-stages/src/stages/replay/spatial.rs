@@ -5,12 +5,12 @@ use nalgebra::UnitQuaternion;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
 use re4_episode::SpatialEpisode;
-use re4_report::{quantile, wilson_interval};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
 use re4_task::RobosuiteTask;
+use re4_stats::{spread, wilson_interval};
 use serde_json::{Value, json};
 
 use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
@@ -291,20 +291,12 @@ impl Summary {
     }
 
     fn to_json(&self) -> Value {
-        let mut object = self.object.clone();
-        object.sort_by(f64::total_cmp);
-        let rate = wilson_interval(self.successes, self.replays);
         json!({
             "replays": self.replays,
             "successes": self.successes,
-            "success_rate": { "value": rate.value, "low": rate.low, "high": rate.high },
+            "success_rate": wilson_interval(self.successes, self.replays),
             "failed_demonstrations": self.failed,
-            "object_max_m": {
-                "p50": quantile(&object, 0.5),
-                "p90": quantile(&object, 0.9),
-                "p99": quantile(&object, 0.99),
-                "max": quantile(&object, 1.0),
-            },
+            "object_max_m": spread(self.object.iter().copied(), &[0.5, 0.9, 0.99, 1.0]),
         })
     }
 }
