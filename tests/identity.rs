@@ -9,7 +9,9 @@ use std::process::Command;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::Value;
 
 fn pipeline(task: &str, source: &Path) -> String {
@@ -156,7 +158,7 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "modes",
         [&whole, &gaps].map(|place| {
-            let modes = rows(&place.artifact(Stage::Segment), &tables::SPATIAL_MODES);
+            let modes = rows(&place.artifact(Stage::Segment), ModeRow::<SpatialEvidence>::table());
             numbers(&modes, &names(&of(place)), "finger_separation")
         }),
     );

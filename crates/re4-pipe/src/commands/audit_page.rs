@@ -2,6 +2,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use arrow::record_batch::RecordBatch;
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
 };
@@ -9,6 +10,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_report::html::audit::{
     Audit, Check, Contacts, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
 };
+use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 use crate::arguments::StageArguments;
 use crate::console::Console;
@@ -264,9 +266,9 @@ fn findings(audit: &Artifact, places: &Places) -> Result<Vec<Finding>> {
 
 fn segments(modes: &Artifact, planar: bool, places: &Places) -> Result<Vec<Segment>> {
     let spec = if planar {
-        &tables::SEGMENTS
+        SegmentRow::<SegmentFacts>::table()
     } else {
-        &tables::SPATIAL_SEGMENTS
+        SegmentRow::<SpatialSegment>::table()
     };
     let rows = modes.table(spec)?.read_all()?;
     let mode = texts(&rows, "mode")?;
@@ -350,7 +352,7 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], p
         values.push(col_f64(&rows, column)?);
     }
     let listed = modes
-        .table(&tables::MODES)?
+        .table(ModeRow::<Evidence>::table())?
         .read_columns(&["episode", "frame", "contact"])?;
     let (episode, frame) = (col_u32(&listed, "episode")?, col_u32(&listed, "frame")?);
     let contact: Vec<Option<bool>> = col_bool(&listed, "contact")?.iter().collect();
@@ -363,7 +365,7 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], p
         let length = (row..listed.num_rows())
             .take_while(|&later| episode[later] == episode[row] && touching(later))
             .count() as u32;
-        let demo = places.of(modes, &tables::MODES, episode[row])?;
+        let demo = places.of(modes, ModeRow::<Evidence>::table(), episode[row])?;
         let [x, y, object_x, object_y, theta] = std::array::from_fn(|column| values[column][row]);
         let seen = Pose2::new(object_x, object_y, theta).inverse_transform_point(Point2::new(x, y));
         begins.push(Grasp {
@@ -456,7 +458,7 @@ fn degrees() -> f64 {
 }
 
 fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>, Vec<Panel>)> {
-    let rows = modes.table(&tables::SPATIAL_MODES)?.read_all()?;
+    let rows = modes.table(ModeRow::<SpatialEvidence>::table())?.read_all()?;
     let recorded = episodes
         .table(&tables::SPATIAL_FRAMES)?
         .read_columns(&["eef_z", "object_z"])?;
@@ -501,7 +503,7 @@ fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>,
 }
 
 fn planar_evidence(modes: &Artifact) -> Result<(Vec<Flag>, Vec<Panel>)> {
-    let rows = modes.table(&tables::MODES)?.read_all()?;
+    let rows = modes.table(ModeRow::<Evidence>::table())?.read_all()?;
     let flags = vec![
         flag(&rows, "contact", "in contact")?,
         flag(&rows, "object_moving", "object moves")?,

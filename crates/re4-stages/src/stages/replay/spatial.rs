@@ -9,11 +9,11 @@ use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
-use re4_task::RobosuiteTask;
 use re4_stats::{spread, wilson_interval};
+use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
-use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
+use crate::inputs::demos::{BatchesByEpisode, SpatialEpisodes};
 use crate::inputs::simulators::{Scenes, profile};
 use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
@@ -162,7 +162,7 @@ fn recorded_kind(episodes: &Artifact) -> Result<String> {
 /// Demonstrations with their recorded states, one after the other.
 struct Recordings {
     episodes: SpatialEpisodes,
-    states: ByEpisode,
+    states: BatchesByEpisode,
     demos: usize,
 }
 
@@ -172,7 +172,7 @@ impl Recordings {
         Ok(Self {
             demos: episodes.demos(),
             episodes,
-            states: ByEpisode::open(artifact, &tables::STATES)?,
+            states: BatchesByEpisode::open(artifact, &tables::STATES)?,
         })
     }
 }

@@ -7,6 +7,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use image::ImageFormat;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rayon::prelude::*;
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, Columns, Facts, Key, Recipe, Stage, Writer, col_binary, col_f64, col_text, col_u32, tables,
 };
@@ -17,6 +18,7 @@ use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_ingest::SourceFile;
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
 
 use super::{card, evaluate};
@@ -364,7 +366,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     let to_site = orientation_to_site(episodes)?;
     let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
     let modes_of = modes
-        .table(&tables::SPATIAL_MODES)?
+        .table(ModeRow::<SpatialEvidence>::table())?
         .read_columns(&["episode", "frame", "mode"])?;
     let (episode, frame) = (col_u32(&frames, "episode")?, col_u32(&frames, "frame")?);
     ensure!(
