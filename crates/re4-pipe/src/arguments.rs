@@ -15,8 +15,15 @@ use re4_stages::{Notes, Runner, Seeds, Settings};
 #[derive(Debug, Parser)]
 #[command(name = "re4-pipe", version, max_term_width = 100, propagate_version = true)]
 pub(crate) struct Arguments {
-    /// Log what is done on standard error; -vv logs more, RUST_LOG by crate
-    #[arg(short, long, action = ArgAction::Count, global = true, display_order = 900)]
+    /// How much is logged.
+    #[arg(
+        short,
+        long,
+        action = ArgAction::Count,
+        global = true,
+        display_order = 900,
+        help = "Log what is done on standard error; -vv logs more, RUST_LOG by crate"
+    )]
     pub(crate) verbose: u8,
     /// What to do.
     #[command(subcommand)]
