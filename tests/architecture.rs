@@ -122,7 +122,7 @@ fn no_stage_imports_another() {
         let own = place.components().next().unwrap().as_os_str().to_str().unwrap();
         let own = own.trim_end_matches(".rs");
         for line in text.lines() {
-            let named = line.split("stages::").skip(1).next();
+            let named = line.split("stages::").nth(1);
             let foreign = named.is_some_and(|rest| !rest.starts_with(own));
             // In a file of depth 1, `super` is the module of all stages; a test module is one deeper.
             let leads_out = line.contains(&"super::".repeat(depth)) && !line.trim_start().starts_with("use super::*");

@@ -362,6 +362,9 @@ fn decision_columns(episodes: &[EpisodeRollout], names: &DemoNames) -> Columns {
 
 /// Reads the rollouts of an artifact back: the state before each action, the action, and the contact points counted in
 /// the step that led to the state. Rollouts without steps are left out.
+///
+/// # Errors
+/// When the tables cannot be read, or the steps end too early.
 pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
     let results = artifact.table(&tables::RESULTS)?.read_all()?;
     let steps = artifact.table(&tables::STEPS)?.read_all()?;

@@ -15,6 +15,7 @@ use re4_ingest::{IngestError, LeftOut, OnBad, Warning, WarningCode, refusal};
 use re4_robosuite::conventions::ActionKind;
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
+use tracing::info;
 
 use super::PICTURES_IN_GROUP;
 use super::drawn::{self, Drawing};
@@ -42,6 +43,7 @@ impl Runner {
     /// plainest files itself, and leaves all others to a worker.
     pub(super) fn ingest_robosuite(&self) -> Result<Built> {
         let start = Instant::now();
+        let _span = tracing::info_span!("stage", name = "ingest").entered();
         let section = &self.pipeline.ingest;
         let source = find_source(&section.source)?;
         let gl = (!section.render.is_empty())
@@ -76,6 +78,7 @@ impl Runner {
             (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
         });
         let direct = direct?;
+        info!(source = %order.source.display(), library = direct.is_none(), "HDF5 file opened");
         match &direct {
             Some(reader) => sources = reader.sources().clone(),
             // Which models there are is known to the library alone.
@@ -111,7 +114,7 @@ impl Runner {
             let made = make(&order, inputs, &self.interrupt, &tell);
             bar.finish_and_clear();
             match made {
-                Err(error) if needs_library(&error) => {}
+                Err(error) if needs_library(&error) => info!("the HDF5 library is needed after all"),
                 made => return self.made(made?, &recipe, start),
             }
         }

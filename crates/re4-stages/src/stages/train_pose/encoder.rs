@@ -20,6 +20,7 @@ use re4_episode::Mode;
 use re4_ingest::SourceFile;
 use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
+use tracing::info;
 
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
@@ -125,6 +126,7 @@ impl Runner {
         let mut checkpoints = None;
         let mut rate = None;
         let built = self.build(&recipe, |writer| {
+            info!(checkpoints = %folder.display(), going_on = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (facts, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
