@@ -75,12 +75,10 @@ fn dependencies_point_down() {
     let needs = |name: &str| &crates[name];
     for (name, needed) in &crates {
         assert!(!needed.contains("re4-pipe"), "{name} needs the program");
-        if name != "re4-pipe" {
-            assert!(
-                !needed.contains("re4-artifact"),
-                "{name} needs re4-artifact, which only the program wires to stages"
-            );
-        }
+        assert!(
+            name == "re4-pipe" || !needed.contains("re4-stages"),
+            "{name} needs re4-stages"
+        );
     }
     let stages = ["re4-ingest", "re4-segment", "re4-index"];
     for stage in stages {
@@ -102,6 +100,48 @@ fn dependencies_point_down() {
             "{name} knows nothing of robots: {:?}",
             needs(name)
         );
+    }
+}
+
+/// The files below a folder that hold Rust, and their text.
+fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files.extend(sources(&path));
+        } else if path.extension().is_some_and(|end| end == "rs") {
+            let text = std::fs::read_to_string(&path).unwrap();
+            files.push((path, text));
+        }
+    }
+    files
+}
+
+/// A stage knows the others by their artifacts. So whatever path begins at `stages` names the file's own stage, and `super`
+/// does not lead out of it.
+#[test]
+fn no_stage_imports_another() {
+    let stages = repository().join("crates/re4-stages/src/stages");
+    for (path, text) in sources(&stages) {
+        let place = path.strip_prefix(&stages).unwrap();
+        if place == Path::new("mod.rs") {
+            continue;
+        }
+        let depth = place.components().count();
+        let own = place.components().next().unwrap().as_os_str().to_str().unwrap();
+        let own = own.trim_end_matches(".rs");
+        for line in text.lines() {
+            let named = line.split("stages::").skip(1).next();
+            let foreign = named.is_some_and(|rest| !rest.starts_with(own));
+            // In a file of depth 1, `super` is the module of all stages; a test module is one deeper.
+            let leads_out = line.contains(&"super::".repeat(depth)) && !line.trim_start().starts_with("use super::*");
+            assert!(
+                !foreign && !leads_out,
+                "{} imports another stage: {line}",
+                place.display()
+            );
+        }
     }
 }
 

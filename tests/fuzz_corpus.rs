@@ -87,7 +87,7 @@ fn pipelines_of_great_depth() {
     let deep = 60_000;
     let demo = std::fs::read_to_string(repository().join("pipelines/demo.toml")).unwrap();
     let key = vec!["a"; deep].join(".");
-    let refused = |text: &str, set: &[String]| re4_pipe::fuzzing::pipeline(text, set).unwrap_err();
+    let refused = |text: &str, set: &[String]| re4_stages::fuzzing::pipeline(text, set).unwrap_err();
     assert_eq!(
         refused(&demo, &[format!("{key}=1")]),
         "cannot apply --set: the key has 60000 parts, and no setting has more than 16; write stage.key=value"
@@ -101,9 +101,9 @@ fn pipelines_of_great_depth() {
         "[[a]]\n[a.b]\n".repeat(deep),
     ] {
         assert!(!refused(&text, &[]).is_empty());
-        let _ = re4_pipe::fuzzing::pipeline(&demo, &[text]);
+        let _ = re4_stages::fuzzing::pipeline(&demo, &[text]);
     }
-    assert!(re4_pipe::fuzzing::pipeline(&demo, &[]).is_ok());
+    assert!(re4_stages::fuzzing::pipeline(&demo, &[]).is_ok());
 }
 
 #[test]

@@ -24,7 +24,6 @@ use re4_artifact::{
     tables,
 };
 use re4_mujoco::{Library, Version};
-use re4_pipe::testing::{Estimate, Invented, pictures};
 use re4_policy::PolicyError;
 use re4_policy::spatial::{
     ObjectSight, Observer, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4,
@@ -35,6 +34,7 @@ use re4_robosuite::physics::without_pictures;
 use re4_sim::robosuite::{
     Placement, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask, with_cube_size,
 };
+use re4_stages::testing::{Estimate, Invented, pictures};
 use serde_json::json;
 use support::{Answer, Place, filters, repository, scripted_and_simulators};
 

@@ -10,7 +10,7 @@ pub(crate) fn run(input: &[u8]) -> Result<(), String> {
             None => file.push_str(line),
         }
     }
-    let written = re4_pipe::fuzzing::pipeline(&file, &overrides)?;
+    let written = re4_stages::fuzzing::pipeline(&file, &overrides)?;
     let set: Vec<String> = serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(&written)
         .unwrap()
         .into_iter()
@@ -18,7 +18,7 @@ pub(crate) fn run(input: &[u8]) -> Result<(), String> {
         .map(|(key, value)| format!("{key}={value}"))
         .collect();
     assert_eq!(
-        re4_pipe::fuzzing::pipeline(&file, &[overrides, set].concat()).as_ref(),
+        re4_stages::fuzzing::pipeline(&file, &[overrides, set].concat()).as_ref(),
         Ok(&written)
     );
     Ok(())

@@ -3,9 +3,9 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
+use anyhow::Result;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-
-use crate::seeds::Seeds;
+use re4_stages::{Notes, Runner, Seeds, Settings};
 
 /// Staged batch jobs from robot demonstrations to explainable imitation policies.
 ///
@@ -54,7 +54,7 @@ pub(crate) enum Command {
     /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
     Schemas(SchemasArguments),
     /// Read HDF5 for another process of this program
-    #[command(name = crate::stages::INGEST_WORKER, hide = true)]
+    #[command(name = re4_stages::INGEST_WORKER, hide = true)]
     IngestWorker,
 }
 
@@ -90,6 +90,24 @@ pub(crate) struct StageArguments {
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,
+}
+
+impl StageArguments {
+    /// The pipeline with its overrides, those of the command line first.
+    pub(crate) fn runner(&self, more_overrides: &[String]) -> Result<Runner> {
+        let mut overrides = self.set.clone();
+        if self.no_images {
+            overrides.push("ingest.images=false".to_owned());
+        }
+        overrides.extend_from_slice(more_overrides);
+        Runner::new(&Settings {
+            pipeline: &self.pipeline,
+            overrides,
+            artifacts: &self.common.artifacts,
+            jobs: self.common.jobs,
+            notes: Notes::new(self.common.quiet),
+        })
+    }
 }
 
 /// Arguments of `audit`.

@@ -1,10 +1,11 @@
 //! Everything that is printed. Results go to standard output, notes and progress to standard error.
 
-use std::io::{IsTerminal as _, Write as _};
+use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::Result;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
+use re4_stages::Notes;
 use serde_json::Value;
 
 use crate::arguments::Common;
@@ -14,7 +15,7 @@ use crate::output::Output;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Console {
     json: bool,
-    quiet: bool,
+    notes: Notes,
 }
 
 impl Console {
@@ -22,16 +23,13 @@ impl Console {
     pub(crate) fn new(common: &Common) -> Self {
         Self {
             json: common.json,
-            quiet: common.quiet,
+            notes: Notes::new(common.quiet),
         }
     }
 
     /// A note on progress, on standard error.
     pub(crate) fn note(self, text: &str) {
-        if !self.quiet {
-            // A closed standard error is no reason to stop the work.
-            let _ = writeln!(std::io::stderr(), "{text}");
-        }
+        self.notes.note(text);
     }
 
     /// A part of the result for people, on standard output.
@@ -61,27 +59,7 @@ impl Console {
 
     /// A progress bar; invisible when asked to be quiet or when standard error is no terminal.
     pub(crate) fn progress(self, length: u64, what: &'static str) -> ProgressBar {
-        let visible = !self.quiet && std::io::stderr().is_terminal();
-        let target = if visible {
-            ProgressDrawTarget::stderr()
-        } else {
-            ProgressDrawTarget::hidden()
-        };
-        let bar = ProgressBar::with_draw_target(Some(length), target);
-        if let Ok(style) = ProgressStyle::with_template("{msg:>10} [{bar:40}] {pos}/{len} {per_sec} eta {eta}") {
-            bar.set_style(style.progress_chars("=> "));
-        }
-        bar.set_message(what);
-        bar
-    }
-}
-
-/// One line of JSON for the process that started this one.
-pub(crate) fn tell(word: &impl serde::Serialize) {
-    if let Ok(text) = serde_json::to_string(word) {
-        let mut output = std::io::stdout().lock();
-        // Where nobody listens any more, this process is about to stop, too.
-        let _ = writeln!(output, "{text}").and_then(|()| output.flush());
+        self.notes.progress(length, what)
     }
 }
 
@@ -93,11 +71,6 @@ fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
     }
 }
 
-/// Prints an error as one sentence on standard error.
-pub(crate) fn print_error(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr(), "error: {}", sentence(error));
-}
-
 /// Prints what is wrong with the command line, as one sentence on standard error.
 pub(crate) fn print_usage_error(error: &clap::Error) {
     let _ = writeln!(
@@ -105,29 +78,6 @@ pub(crate) fn print_usage_error(error: &clap::Error) {
         "error: {}",
         usage_sentence(&error.render().to_string())
     );
-}
-
-/// What, where and how to mend: contexts are written `what; mend`, and their cause stands between the two. A cause that
-/// the sentence already tells is not told again.
-pub(crate) fn sentence(error: &anyhow::Error) -> String {
-    let (mut text, mut mend) = (String::new(), String::new());
-    for words in error.chain().map(ToString::to_string) {
-        if text.contains(&words) || mend.contains(&words) {
-            continue;
-        }
-        let (what, how) = words
-            .split_once("; ")
-            .map_or((words.as_str(), None), |(what, how)| (what, Some(how)));
-        if !text.contains(what) {
-            text.push_str(if text.is_empty() { "" } else { ": " });
-            text.push_str(what);
-        }
-        if let Some(how) = how.filter(|how| !mend.contains(how)) {
-            mend.push_str("; ");
-            mend.push_str(how);
-        }
-    }
-    text + &mend
 }
 
 /// The parser answers in paragraphs: what is wrong (in its last line, the names it is about), a tip, the usage.

@@ -13,8 +13,8 @@ use re4_report::html::audit::{
 use crate::arguments::StageArguments;
 use crate::console::Console;
 use crate::output::Output;
-use crate::pipeline::TaskName;
-use crate::stages::{Built, Runner};
+use re4_stages::TaskName;
+use re4_stages::{Built, Runner};
 
 /// A page beyond this many bytes takes a while to open, which is said.
 const LARGE_PAGE: usize = 12_000_000;

@@ -7,7 +7,7 @@ use serde_json::json;
 use super::Outcome;
 use crate::arguments::FetchArguments;
 use crate::console::Console;
-use crate::stages::data_folders;
+use re4_stages::data_folders;
 
 /// Downloads, checks and puts in place.
 pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {

@@ -17,8 +17,8 @@ use serde_json::json;
 use super::{Outcome, names_of_decisions};
 use crate::arguments::FilmArguments;
 use crate::console::Console;
-use crate::interrupt::Interrupt;
 use crate::output::Output;
+use re4_stages::Interrupt;
 
 /// Writes the film, whole or not at all.
 pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {

@@ -13,7 +13,7 @@ use super::Outcome;
 use crate::arguments::ReportArguments;
 use crate::console::Console;
 use crate::output::Output;
-use crate::seeds::Seeds;
+use re4_stages::Seeds;
 
 mod pictures;
 mod rollouts;

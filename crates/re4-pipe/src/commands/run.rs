@@ -15,35 +15,39 @@ use serde_json::{Value, json};
 use super::audit_text::Told;
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
+use crate::console::Console;
 use crate::output::Output;
-use crate::pipeline::PoseSource;
-use crate::stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
+use re4_stages::PoseSource;
+use re4_stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
 
 /// `re4-pipe ingest`.
 pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
-    let runner = Runner::new(arguments, &[])?;
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner(&[])?;
     let built = runner.ingest()?;
-    answer(&runner, &built)
+    answer(console, &built)
 }
 
 /// `re4-pipe segment`.
 pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
-    let runner = Runner::new(arguments, &[])?;
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner(&[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let audit = runner.audit(&episodes, &modes)?;
     let told = Told::read(&audit.artifact)?;
     let mut both = modes.to_json();
     both["audit"] = audit.to_json();
-    runner.console.answer(&both)?;
+    console.answer(&both)?;
     let text = format!("{}\naudit: {}; see re4-pipe audit", described(&modes)?, told.headline());
-    runner.console.say(&text)?;
+    console.say(&text)?;
     Ok(Outcome::Done)
 }
 
 /// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
-    let runner = Runner::new(arguments, &[])?;
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner(&[])?;
     let planar = runner.pipeline.task.is_planar();
     anyhow::ensure!(
         runner.pipeline.pose()?.source != PoseSource::Recorded,
@@ -58,26 +62,28 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         runner.train_spatial(&episodes, &runner.segment(&episodes)?)?
     };
     let built = built.context("no pose estimator")?;
-    answer(&runner, &built)
+    answer(console, &built)
 }
 
 /// `re4-pipe index`.
 pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
-    let runner = Runner::new(arguments, &[])?;
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner(&[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     if !runner.pipeline.task.is_planar() {
         let poses = runner.train_spatial(&episodes, &modes)?;
-        return answer(&runner, &runner.index_spatial(&episodes, &modes, poses.as_ref())?);
+        return answer(console, &runner.index_spatial(&episodes, &modes, poses.as_ref())?);
     }
     let poses = runner.train_pose(&episodes)?;
     let built = runner.index(&episodes, &modes, poses.as_ref())?;
-    answer(&runner, &built)
+    answer(console, &built)
 }
 
 /// `re4-pipe scenes`.
 pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
-    let runner = Runner::new(arguments, &[])?;
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner(&[])?;
     anyhow::ensure!(
         runner.pipeline.task.is_planar(),
         "no scenes to choose: they are for Push-T; rollouts of robosuite's tasks start from rollout.seeds"
@@ -88,7 +94,7 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
         arguments.pipeline.display()
     );
     let built = runner.scenes(&runner.ingest()?)?.context("no table [scenes]")?;
-    answer(&runner, &built)
+    answer(console, &built)
 }
 
 /// `re4-pipe rollout`.
@@ -105,6 +111,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
 
 /// `re4-pipe run`: up to the last stage that the pipeline has a table for.
 pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
     let runner = runner(arguments)?;
     if runner.pipeline.rollout.is_some() {
         return roll_out(&runner, arguments);
@@ -120,7 +127,7 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let built = runner.audit(&episodes, &modes)?;
-    answer(&runner, &built)
+    answer(console, &built)
 }
 
 fn runner(arguments: &RolloutArguments) -> Result<Runner> {
@@ -139,7 +146,7 @@ fn runner(arguments: &RolloutArguments) -> Result<Runner> {
             .map(|policy| format!("rollout.policy={}", text(policy))),
     );
     overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
-    Runner::new(&arguments.stage, &overrides)
+    arguments.stage.runner(&overrides)
 }
 
 /// The page that `--report` asks for.
@@ -155,11 +162,11 @@ impl<'a> Page<'a> {
             return Ok(None);
         };
         let output = Output::at(path, "report")?;
-        output.spares(&runner.inputs(&arguments.stage)?)?;
+        output.spares(&runner.inputs()?)?;
         Ok(Some(Self { path, output }))
     }
 
-    fn write(&self, runner: &Runner, arguments: &RolloutArguments, built: &Built) -> Result<()> {
+    fn write(&self, console: Console, arguments: &RolloutArguments, built: &Built) -> Result<()> {
         let store = &arguments.stage.common.artifacts;
         let written = report::write(
             &[built.artifact.path().to_path_buf()],
@@ -167,15 +174,16 @@ impl<'a> Page<'a> {
             &self.output,
             store,
         )?;
-        written.say_warnings(runner.console);
+        written.say_warnings(console);
         let path = self.path.display();
         let headline = written.headline();
-        runner.console.note(&format!("{:>10}  {path}  {headline}", "report"));
+        console.note(&format!("{:>10}  {path}  {headline}", "report"));
         Ok(())
     }
 }
 
 fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
     if let Some(path) = &arguments.record {
         anyhow::ensure!(
@@ -198,10 +206,10 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let scenes = runner.scenes(&episodes)?;
     let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
     if let Some(path) = &arguments.record {
-        record(runner, &built, path)?;
+        record(console, &built, path)?;
     }
     if let Some(page) = &page {
-        page.write(runner, arguments, &built)?;
+        page.write(console, arguments, &built)?;
     }
     let metrics = metrics(&built.artifact);
     let section = runner.pipeline.rollout()?;
@@ -221,18 +229,19 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     if let Some(budgets) = &budgets {
         answer["budgets"] = json!(budgets);
     }
-    runner.console.answer(&answer)?;
+    console.answer(&answer)?;
     let mut text = score_table(&section.policy, rollouts, section.max_steps, &metrics)?;
     if let Some(budgets) = &budgets {
         text += &budget_table(budgets)?;
     }
-    runner.console.say(&text)?;
+    console.say(&text)?;
     Ok(Outcome::Done)
 }
 
 /// `re4-pipe replay`.
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
-    let runner = Runner::new(&arguments.stage, &[])?;
+    let console = Console::new(&arguments.stage.common);
+    let runner = arguments.stage.runner(&[])?;
     if !runner.pipeline.task.is_planar() {
         return spatial::replay(&runner, arguments);
     }
@@ -249,18 +258,18 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
         let frames = col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
             .with_context(|| format!("cannot draw {}", path.display()))?;
-        runner.console.picture(path, &svg)?;
+        console.picture(path, &svg)?;
     }
-    answer(&runner, &built)
+    answer(console, &built)
 }
 
-fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
+fn record(console: Console, built: &Built, path: &Path) -> Result<()> {
     let episodes: Vec<RecordedEpisode> = read_rollouts(&built.artifact)?
         .into_iter()
         .map(|frames| RecordedEpisode { frames })
         .collect();
     PushtWriter::write(path, &episodes)?;
-    runner.console.note(&format!(
+    console.note(&format!(
         "{:>10}  {}  {} episodes",
         "record",
         path.display(),
@@ -269,9 +278,9 @@ fn record(runner: &Runner, built: &Built, path: &Path) -> Result<()> {
     Ok(())
 }
 
-fn answer(runner: &Runner, built: &Built) -> Result<Outcome> {
-    runner.console.answer(&built.to_json())?;
-    runner.console.say(&described(built)?)?;
+fn answer(console: Console, built: &Built) -> Result<Outcome> {
+    console.answer(&built.to_json())?;
+    console.say(&described(built)?)?;
     Ok(Outcome::Done)
 }
 

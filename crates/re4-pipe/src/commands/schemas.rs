@@ -10,7 +10,6 @@ use serde_json::json;
 use super::Outcome;
 use crate::arguments::SchemasArguments;
 use crate::console::Console;
-use crate::pipeline;
 
 /// Writes the folder, or compares it.
 pub(crate) fn schemas(arguments: &SchemasArguments) -> Result<Outcome> {
@@ -56,7 +55,7 @@ fn generate() -> Result<BTreeMap<String, String>> {
     for (_, spec) in tables::all() {
         files.insert(format!("{}.json", spec.name), json_description(spec));
     }
-    files.insert("pipeline.schema.json".to_owned(), pipeline::schema());
+    files.insert("pipeline.schema.json".to_owned(), re4_stages::schema());
     files.insert(
         "manifest.schema.json".to_owned(),
         json!(schemars::schema_for!(Manifest)),

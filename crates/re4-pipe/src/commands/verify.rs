@@ -8,7 +8,8 @@ use serde_json::json;
 
 use super::Outcome;
 use crate::arguments::VerifyArguments;
-use crate::console::{Console, print_error};
+use crate::console::Console;
+use re4_stages::print_error;
 
 /// Verifies the artifacts named, or all below the artifacts folder; the first damaged one is the error.
 pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {

@@ -19,7 +19,7 @@ use re4_sim::robosuite::{
 
 use super::super::names_of_decisions;
 use super::super::report::{find_input, stated};
-use crate::stages::Scenes;
+use re4_stages::Scenes;
 
 /// robosuite's camera in front of the robot.
 pub(in super::super) const CAMERA: &str = "agentview";

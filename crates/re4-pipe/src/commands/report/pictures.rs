@@ -11,8 +11,8 @@ use re4_mujoco::View;
 use re4_report::html::spatial::{DecisionPicture, FrameInPicture, Pose, SpatialRollouts, SpatialTrace};
 
 use super::super::film::spatial::{CAMERA, Films};
-use crate::poses::from_numbers;
-use crate::stages::encode_png;
+use re4_stages::encode_png;
+use re4_stages::from_numbers;
 
 /// Rollouts that have pictures, where nobody asks for a number and poses come from pictures.
 const ROLLOUTS: usize = 8;

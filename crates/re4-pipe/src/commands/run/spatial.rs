@@ -10,10 +10,12 @@ use serde_json::{Value, json};
 use super::super::Outcome;
 use super::Page;
 use crate::arguments::{ReplayArguments, RolloutArguments};
-use crate::stages::{Built, Runner};
+use crate::console::Console;
+use re4_stages::{Built, Runner};
 
 /// Runs every stage up to the rollouts.
 pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
     ensure!(
         arguments.record.is_none(),
@@ -26,7 +28,7 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     let index = runner.index_spatial(&episodes, &modes, poses.as_ref())?;
     let built = runner.rollout_spatial(&episodes, poses.as_ref(), &index)?;
     if let Some(page) = &page {
-        page.write(runner, arguments, &built)?;
+        page.write(console, arguments, &built)?;
     }
     let summary = &built.artifact.manifest().summary;
     let section = runner.pipeline.spatial_rollout()?;
@@ -48,7 +50,7 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     if let Some(pictures) = pictures {
         answer["pictures"] = json!(pictures);
     }
-    runner.console.answer(&answer)?;
+    console.answer(&answer)?;
     let [value, low, high] = ["value", "low", "high"].map(|key| rate[key].as_f64().unwrap_or(f64::NAN));
     let mut text = format!(
         "policy {}, {rollouts} rollouts of at most {} steps; mean, 95 % interval\n  success rate  {value:.3}   [{low:.3}, {high:.3}]",
@@ -66,7 +68,7 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         let steps = built.artifact.table(&tables::SPATIAL_STEPS)?.rows();
         write!(text, "\n  {pictures} pictures looked at in {steps} steps")?;
     }
-    runner.console.say(&text)?;
+    console.say(&text)?;
     Ok(Outcome::Done)
 }
 
@@ -76,13 +78,14 @@ fn ordered(rate: &Value) -> Value {
 
 /// `re4-pipe replay` for robosuite's tasks.
 pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
     ensure!(
         arguments.plot.is_none(),
         "--plot draws Push-T's replays; for robosuite's tasks, table spatial_divergence holds the distances"
     );
     let built = runner.replay_spatial(&runner.ingest()?)?;
-    runner.console.answer(&built.to_json())?;
-    runner.console.say(&told(&built)?)?;
+    console.answer(&built.to_json())?;
+    console.say(&told(&built)?)?;
     let summary = &built.artifact.manifest().summary;
     let rate = |kind: &str| summary[kind]["success_rate"]["value"].as_f64().unwrap_or(0.0);
     let short = arguments

@@ -1,0 +1,14 @@
+//! Readers of foreign text, without the file system: what fuzzers and the replay of their corpora call.
+
+use std::path::Path;
+
+/// Reads a pipeline from its text, with `--set` overrides, and checks its limits: all that `run` does before its first stage.
+/// The answer is the pipeline as JSON.
+///
+/// # Errors
+/// The sentence that the program would print.
+pub fn pipeline(text: &str, overrides: &[String]) -> Result<String, String> {
+    let pipeline = crate::pipeline::parse(text, Path::new("pipeline.toml"), overrides);
+    let written = pipeline.and_then(|pipeline| Ok(serde_json::to_string(&pipeline)?));
+    written.map_err(|error| crate::notes::sentence(&error))
+}

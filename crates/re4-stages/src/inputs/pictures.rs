@@ -1,0 +1,40 @@
+//! What stages that look at pictures of robosuite's tasks need of an `episodes` artifact.
+
+use anyhow::{Context as _, Result, ensure};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _};
+use re4_artifact::{Artifact, tables};
+
+/// Refuses demonstrations without pictures of a camera.
+pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
+    let manifest = episodes.manifest();
+    let cameras: Vec<&str> = manifest.summary["cameras"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(|camera| camera.as_str())
+        .collect();
+    let there = if cameras.is_empty() {
+        "holds no pictures".to_owned()
+    } else {
+        format!("holds pictures of {} alone", cameras.join(", "))
+    };
+    ensure!(
+        manifest.tables.contains_key(tables::CAMERA_IMAGES.name) && cameras.contains(&camera),
+        "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}; set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera",
+        episodes.path().display()
+    );
+    Ok(())
+}
+
+/// A picture as the bytes of a PNG file: 8-bit RGB, first row at the top.
+///
+/// # Errors
+/// When there are more or fewer bytes than pixels of this size have.
+pub fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(4096);
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(pixels, width, height, ExtendedColorType::Rgb8)
+        .context("cannot encode a picture as PNG")?;
+    Ok(bytes)
+}

@@ -1,0 +1,188 @@
+//! robosuite's simulator for the demonstrations of an `episodes` artifact.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
+use re4_mujoco::{Data, Library};
+use re4_robosuite::models::with_assets;
+use re4_robosuite::physics::{without_contacts, without_pictures};
+use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
+
+/// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
+pub(crate) fn simulators_folder() -> PathBuf {
+    std::env::var_os("RE4_SIMULATORS")
+        .filter(|value| !value.is_empty())
+        .map_or_else(|| PathBuf::from("data/simulators"), PathBuf::from)
+}
+
+/// Folder with the meshes and textures that models name. Those of robosuite 1.4.1 serve 1.5 as well.
+pub(crate) fn assets_folder() -> PathBuf {
+    let folder = simulators_folder().join("robosuite-1.4.1");
+    // Paths in models have to be absolute.
+    std::path::absolute(&folder).unwrap_or(folder)
+}
+
+/// The MuJoCo that goes with a version of robosuite.
+pub(crate) fn library(profile: Profile) -> Result<Library> {
+    let version = profile.mujoco();
+    Ok(Library::open(
+        &simulators_folder().join(format!("mujoco-{version}")),
+        version,
+    )?)
+}
+
+/// Puts a flattened state (time, coordinates, velocities) into a simulation and computes what a picture of it depends on.
+///
+/// # Errors
+/// When the state has another length than the model's.
+pub(crate) fn set_state(data: &mut Data, state: &[f64]) -> Result<()> {
+    let (nq, nv) = (data.model().nq(), data.model().nv());
+    ensure!(
+        state.len() == 1 + nq + nv,
+        "cannot draw a state of {} numbers: the model has the time, {nq} coordinates and {nv} velocities",
+        state.len()
+    );
+    data.set_time(state[0]);
+    data.qpos_mut().copy_from_slice(&state[1..=nq]);
+    data.qvel_mut().copy_from_slice(&state[1 + nq..]);
+    data.forward();
+    Ok(())
+}
+
+/// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
+pub struct Scenes {
+    task: RobosuiteTask,
+    profile: Profile,
+    library: Library,
+    fidelity: Fidelity,
+    /// MJCF by number, with paths of this machine and without what is only drawn.
+    mjcf: Vec<String>,
+    /// Model of every demonstration.
+    of_demo: Vec<Option<u32>>,
+    compiled: Mutex<BTreeMap<u32, Arc<Mutex<Option<RobosuiteModel>>>>>,
+}
+
+/// The version of robosuite that the demonstrations of an artifact come from.
+///
+/// # Errors
+/// When the artifact does not name it, or it is one that is not known.
+pub(crate) fn profile(episodes: &Artifact) -> Result<Profile> {
+    let named = episodes.manifest().source["robosuite_version"].as_str();
+    let Some(named) = named else {
+        bail!(
+            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args",
+            episodes.path().display()
+        );
+    };
+    Profile::of(named).with_context(|| {
+        format!(
+            "cannot simulate the demonstrations of {}: they were recorded with robosuite {named}, and the versions known here are 1.4 and 1.5",
+            episodes.path().display()
+        )
+    })
+}
+
+impl Scenes {
+    /// Those of this artifact.
+    ///
+    /// # Errors
+    /// When MuJoCo's library or an asset is missing, or the artifact has no models.
+    pub fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
+        let profile = profile(episodes)?;
+        let library = library(profile)?;
+        let demos = episodes.table(&tables::DEMOS)?.read_columns(&["demo", "model"])?;
+        let names = col_text(&demos, "demo")?;
+        let of_demo = col_u32_or_null(&demos, "model")?;
+        let has_models = episodes.manifest().tables.contains_key(tables::MODELS.name);
+        ensure!(
+            has_models,
+            "cannot simulate the demonstrations of {}: they have no model_file; ingest a file whose demonstrations have that attribute",
+            episodes.path().display()
+        );
+        let table = episodes.table(&tables::MODELS)?.read_all()?;
+        let folder = assets_folder();
+        let numbers = col_u32(&table, "model")?;
+        let mut mjcf = Vec::with_capacity(numbers.len());
+        for (number, text) in numbers.iter().zip(col_text(&table, "mjcf")?) {
+            let user = of_demo.iter().position(|model| model == &Some(*number));
+            let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
+            let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
+            // Files that are only drawn need not be here.
+            let mut text = without_pictures(text.unwrap_or_default())
+                .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
+                .with_context(place)?;
+            if fidelity == Fidelity::Fast {
+                text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
+            }
+            let text = with_assets(&text, &folder).with_context(place)?;
+            mjcf.push(text);
+        }
+        Ok(Self {
+            task,
+            profile,
+            library,
+            fidelity,
+            mjcf,
+            of_demo,
+            compiled: Mutex::default(),
+        })
+    }
+
+    /// The version of robosuite whose behaviour is reproduced.
+    pub fn profile(&self) -> Profile {
+        self.profile
+    }
+
+    /// MJCF of the first demonstration that has a model.
+    pub fn first_mjcf(&self) -> Result<&str> {
+        let first = self.of_demo.iter().flatten().next();
+        let text = first.and_then(|number| self.mjcf.get(*number as usize));
+        Ok(text.context("no demonstration has a model")?)
+    }
+
+    /// The same MJCF with what is only drawn, and everything touching.
+    pub fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+        let first = self.of_demo.iter().flatten().next();
+        let number = *first.context("no demonstration has a model")?;
+        let table = episodes.table(&tables::MODELS)?.read_all()?;
+        let texts = col_text(&table, "mjcf")?;
+        let text = texts.get(number as usize).copied().flatten().unwrap_or_default();
+        with_assets(text, &assets_folder())
+            .with_context(|| format!("cannot draw the models of {}", episodes.path().display()))
+    }
+
+    /// A scene from MJCF that is not a demonstration's own.
+    pub fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
+        let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
+        Ok(model.with_fidelity(self.fidelity))
+    }
+
+    /// The scene of a demonstration, by its number in the artifact.
+    pub fn of(&self, demo: u32) -> Result<RobosuiteModel> {
+        let number = self
+            .of_demo
+            .get(demo as usize)
+            .copied()
+            .flatten()
+            .context("it has no model_file")?;
+        let place = Arc::clone(
+            self.compiled
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .entry(number)
+                .or_default(),
+        );
+        // One thread compiles, others that need the same model wait for it.
+        let mut place = place.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(model) = &*place {
+            return Ok(model.clone());
+        }
+        let mjcf = self.mjcf.get(number as usize).context("table models ends too early")?;
+        let model = self.compile(mjcf)?;
+        *place = Some(model.clone());
+        Ok(model)
+    }
+}

@@ -1,0 +1,73 @@
+//! Raw datasets and weights: where they are, and what of them is in no artifact.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use re4_artifact::{Artifact, col_text, tables};
+use re4_ingest::LeftOut;
+
+/// A file of weights, looked for as sources are.
+pub(crate) fn find_weights(weights: &Path) -> Result<PathBuf> {
+    find_source(weights).map_err(|_| {
+        anyhow::anyhow!(
+            "cannot start from the weights {}: there is no such file; get ResNet-18's with re4-pipe fetch resnet18, or leave pose.encoder.weights out to start from random ones",
+            weights.display()
+        )
+    })
+}
+
+/// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.
+pub(crate) fn find_source(source: &Path) -> Result<PathBuf> {
+    if source.is_absolute() {
+        return Ok(source.to_owned());
+    }
+    let mut folders = data_folders();
+    folders.push(PathBuf::new());
+    if let Some(found) = folders
+        .iter()
+        .map(|folder| folder.join(source))
+        .find(|path| path.exists())
+    {
+        return Ok(found);
+    }
+    let looked_below: Vec<String> = data_folders()
+        .iter()
+        .map(|folder| folder.display().to_string())
+        .collect();
+    let fetch = if source.starts_with("pusht") {
+        ", or get it with re4-pipe fetch pusht"
+    } else {
+        ""
+    };
+    anyhow::bail!(
+        "cannot ingest {}: it is not below {} (seen from the current folder), nor in the current folder itself; set RE4_DATA to the folder that it is below, or give its absolute path{fetch}",
+        source.display(),
+        looked_below.join(" or ")
+    )
+}
+
+/// The folders with raw datasets, in the order in which they are searched: `RE4_DATA` where it is set, then `data`.
+pub fn data_folders() -> Vec<PathBuf> {
+    let named = std::env::var_os("RE4_DATA")
+        .filter(|value| !value.is_empty())
+        .map(PathBuf::from);
+    named.into_iter().chain([PathBuf::from("data")]).collect()
+}
+
+/// Demonstrations of the source that are not in an `episodes` artifact.
+pub(crate) fn left_out(artifact: &Artifact) -> Result<Vec<LeftOut>> {
+    if !artifact.manifest().tables.contains_key(tables::LEFT_OUT.name) {
+        return Ok(Vec::new());
+    }
+    let rows = artifact.table(&tables::LEFT_OUT)?.read_all()?;
+    let (demos, reasons) = (col_text(&rows, "demo")?, col_text(&rows, "why")?);
+    let text = |text: Option<&str>| text.unwrap_or_default().to_owned();
+    Ok(demos
+        .into_iter()
+        .zip(reasons)
+        .map(|(demo, why)| LeftOut {
+            demo: text(demo),
+            why: text(why),
+        })
+        .collect())
+}

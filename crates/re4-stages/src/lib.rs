@@ -1,0 +1,28 @@
+//! What stages do: they read a pipeline file and artifacts, let the library crates compute, and leave artifacts.
+//!
+//! A [`Runner`] holds a pipeline, and has one method a stage. Stages know each other by their artifacts alone: what more than
+//! one of them reads is in `inputs`, and no stage imports another.
+
+#[doc(hidden)]
+pub mod fuzzing;
+mod inputs;
+mod interrupt;
+mod notes;
+mod pipeline;
+mod runner;
+mod stages;
+#[doc(hidden)]
+pub mod testing;
+
+pub use inputs::pictures::encode_png;
+pub use inputs::poses::from_numbers;
+pub use inputs::simulators::Scenes;
+pub use inputs::sources::data_folders;
+pub use interrupt::{Interrupt, answer};
+pub use notes::{Notes, print_error, sentence};
+pub use pipeline::{
+    Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
+    Seeds, SpatialRolloutSection, TaskName, Variant, schema,
+};
+pub use runner::{Built, Runner, Settings};
+pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};

@@ -1,0 +1,96 @@
+//! The pipeline file: one experiment, stage by stage.
+
+mod checks;
+mod load;
+mod rollout;
+mod schema;
+mod sections;
+mod seeds;
+mod task;
+
+use anyhow::{Context as _, Result};
+use re4_audit::AuditConfig;
+use re4_scenes::ScenesConfig;
+use re4_segment::SegmentConfig;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub(crate) use load::{load, parse};
+pub use rollout::{NoiseSection, RolloutSection, SpatialRolloutSection};
+pub use schema::schema;
+pub use sections::{Camera, Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
+pub use seeds::Seeds;
+pub use task::{TaskName, Variant};
+
+/// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pipeline {
+    /// Task of the experiment.
+    pub task: TaskName,
+    /// What the policy observes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variant: Option<Variant>,
+    /// Raw dataset to `episodes`.
+    pub ingest: IngestSection,
+    /// `episodes` to `modes`.
+    pub segment: SegmentConfig,
+    /// `episodes` and `modes` to `audit`.
+    #[serde(default)]
+    pub audit: AuditConfig,
+    /// Where object poses come from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<PoseSection>,
+    /// `episodes` and `modes` to `index`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub index: Option<IndexSection>,
+    /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scenes: Option<ScenesConfig>,
+    /// `index` to `rollouts`, for Push-T.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rollout: Option<RolloutSection>,
+    /// `index` to `rollouts`, for robosuite's tasks. In files it is called `rollout`, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spatial_rollout: Option<SpatialRolloutSection>,
+}
+
+impl Pipeline {
+    fn missing(table: &str) -> String {
+        format!(
+            "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
+        )
+    }
+
+    /// Where object poses come from.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[pose]`.
+    pub fn pose(&self) -> Result<&PoseSection> {
+        self.pose.as_ref().with_context(|| Self::missing("pose"))
+    }
+
+    /// How the index is made.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[index]`.
+    pub fn index(&self) -> Result<&IndexSection> {
+        self.index.as_ref().with_context(|| Self::missing("index"))
+    }
+
+    /// How the policy is rolled out, for Push-T.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[rollout]`.
+    pub fn rollout(&self) -> Result<&RolloutSection> {
+        self.rollout.as_ref().with_context(|| Self::missing("rollout"))
+    }
+
+    /// How the policy is rolled out, for robosuite's tasks.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[rollout]`.
+    pub fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
+        self.spatial_rollout.as_ref().with_context(|| Self::missing("rollout"))
+    }
+}

@@ -1,0 +1,189 @@
+//! A pipeline, and what all its stages need.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use re4_artifact::{Artifact, Facts, Key, Recipe, Stage, Store, Writer};
+use re4_ingest::{IngestError, Stop};
+use serde_json::{Value, json};
+
+use crate::interrupt::Interrupt;
+use crate::notes::Notes;
+use crate::pipeline::{Pipeline, load};
+
+/// What the stages of a pipeline are run with.
+#[derive(Debug, Clone)]
+pub struct Settings<'a> {
+    /// The pipeline file.
+    pub pipeline: &'a Path,
+    /// Settings that replace those of the file, as `stage.key=value`.
+    pub overrides: Vec<String>,
+    /// The artifacts folder.
+    pub artifacts: &'a Path,
+    /// Worker threads; all processors where it is not said.
+    pub jobs: Option<NonZeroUsize>,
+    /// What people are told.
+    pub notes: Notes,
+}
+
+/// A pipeline with all that its stages need.
+pub struct Runner {
+    /// The pipeline file, overrides applied.
+    pub pipeline: Pipeline,
+    /// Where that file is.
+    pub(crate) file: PathBuf,
+    /// Where artifacts are.
+    pub(crate) store: Store,
+    /// What people are told.
+    pub notes: Notes,
+    /// Ctrl-C.
+    pub(crate) interrupt: Interrupt,
+}
+
+/// An artifact, and how it came about.
+pub struct Built {
+    /// Stage.
+    pub stage: Stage,
+    /// The artifact.
+    pub artifact: Artifact,
+    /// Whether it was there already.
+    pub skipped: bool,
+    /// How long making or checking it took.
+    pub wall: Duration,
+}
+
+impl Built {
+    /// For `--json`.
+    pub fn to_json(&self) -> Value {
+        json!({
+            "stage": self.stage.as_str(),
+            "artifact": self.artifact.path(),
+            "key": self.artifact.key(),
+            "skipped": self.skipped,
+            "summary": self.artifact.manifest().summary,
+            "warnings": self.artifact.manifest().warnings,
+            "wall_s": self.wall.as_secs_f64(),
+        })
+    }
+}
+
+impl Runner {
+    /// Reads the pipeline file, sets up threads and opens the store.
+    ///
+    /// # Errors
+    /// When the pipeline file cannot be used, or there can be no artifacts in the folder.
+    pub fn new(settings: &Settings<'_>) -> Result<Self> {
+        let pipeline = load(settings.pipeline, &settings.overrides)?;
+        if let Some(jobs) = settings.jobs {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(jobs.get())
+                .build_global()
+                .with_context(|| format!("cannot start {jobs} worker threads; give a smaller --jobs"))?;
+        }
+        let artifacts = settings.artifacts;
+        if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
+            anyhow::bail!(
+                "cannot keep artifacts in {}: {} is a file; name a folder with --artifacts",
+                artifacts.display(),
+                file.display()
+            );
+        }
+        let store = Store::open(artifacts)?;
+        Ok(Self {
+            pipeline,
+            file: settings.pipeline.to_owned(),
+            interrupt: Interrupt::listen(Some(&store)),
+            store,
+            notes: settings.notes,
+        })
+    }
+
+    /// The hash of a source. Ctrl-C ends the hashing.
+    pub(crate) fn hash(
+        &self,
+        hash: impl FnOnce(Stop<'_>) -> Result<[u8; 32], IngestError>,
+        stage: &str,
+    ) -> Result<Key> {
+        let hashed = hash(&|| self.interrupt.requested());
+        self.interrupt.check(stage)?;
+        Ok(Key::from_bytes(hashed?))
+    }
+
+    /// Makes an artifact unless it is there.
+    pub(crate) fn build(&self, recipe: &Recipe, make: impl FnOnce(&Writer) -> Result<Facts>) -> Result<Built> {
+        let start = Instant::now();
+        if let Some(built) = self.unchanged(recipe, start)? {
+            return Ok(built);
+        }
+        let writer = self.store.begin(recipe)?;
+        let facts = make(&writer)?;
+        self.interrupt.check(recipe.stage().as_str())?;
+        self.made(writer.publish(facts)?, recipe, start)
+    }
+
+    /// The artifact of a recipe, if it is there.
+    pub(crate) fn unchanged(&self, recipe: &Recipe, start: Instant) -> Result<Option<Built>> {
+        let stage = recipe.stage();
+        let Some(artifact) = self.store.lookup(stage, &recipe.key())? else {
+            return Ok(None);
+        };
+        self.notes.note(&format!(
+            "{:>10}  {}  unchanged, skipped",
+            stage.as_str(),
+            artifact.path().display()
+        ));
+        Ok(Some(Built {
+            stage,
+            artifact,
+            skipped: true,
+            wall: start.elapsed(),
+        }))
+    }
+
+    /// Records the run that made an artifact, and says so.
+    pub(crate) fn made(&self, artifact: Artifact, recipe: &Recipe, start: Instant) -> Result<Built> {
+        let stage = recipe.stage();
+        let wall = start.elapsed();
+        // Facts of the run itself stand beside the artifact, outside of every hash.
+        self.store.record_run(
+            stage,
+            &recipe.key(),
+            &json!({ "wall_s": wall.as_secs_f64(), "threads": rayon::current_num_threads() }),
+        )?;
+        let manifest = artifact.manifest();
+        self.notes.note(&format!(
+            "{:>10}  {}  {}{}  {:.2} s",
+            stage.as_str(),
+            artifact.path().display(),
+            headline(&manifest.summary),
+            match manifest.warnings.len() {
+                0 => String::new(),
+                1 => ", 1 warning".to_owned(),
+                n => format!(", {n} warnings"),
+            },
+            wall.as_secs_f64()
+        ));
+        Ok(Built {
+            stage,
+            artifact,
+            skipped: false,
+            wall,
+        })
+    }
+}
+
+/// Whole numbers of a summary, as `25650 frames, 206 episodes`.
+fn headline(summary: &Value) -> String {
+    summary
+        .as_object()
+        .map(|map| {
+            map.iter()
+                .filter(|(_, value)| value.is_u64())
+                .map(|(name, value)| format!("{value} {}", name.replace('_', " ")))
+                .collect::<Vec<_>>()
+                .join(", ")
+        })
+        .unwrap_or_default()
+}

@@ -1,0 +1,291 @@
+//! Audit: `episodes` and `modes` to the findings of an `audit`.
+
+mod summary;
+mod tables_of;
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use nalgebra::Isometry3;
+use rayon::prelude::*;
+use re4_artifact::{Artifact, Facts, Recipe, Stage, Writer};
+use re4_audit::{
+    Finding, GraspLimits, JudgedGrasp, PlanarDemo, Severity, SpatialDemo, Thresholds, audit_copies, audit_planar,
+    audit_spatial, contact_and_motion, observe_planar, observe_spatial,
+};
+use re4_episode::{Mode, Segment};
+use re4_ingest::LeftOut;
+use re4_segment::segment_planar;
+use re4_sim::{GOAL, coverage};
+
+use self::summary::{Contacts, summary};
+use crate::inputs::demos::{SegmentedEpisodes, SpatialEpisodes, in_portions};
+use crate::inputs::episodes::read_episodes;
+use crate::inputs::sources::left_out;
+use crate::runner::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 3;
+
+/// What the audit's table of demonstrations says of one.
+struct Listed {
+    demo: String,
+    frames: usize,
+    segments: Vec<Segment>,
+    displacement: f64,
+}
+
+impl Listed {
+    fn frames_in(&self, mode: Mode) -> usize {
+        let of_mode = self.segments.iter().filter(|segment| segment.mode == mode);
+        of_mode.map(|segment| segment.frames.len()).sum()
+    }
+}
+
+/// A transfer segment with the grasp transform that the segmentation gave it.
+struct ListedGrasp {
+    episode: u32,
+    judged: JudgedGrasp,
+    transform: Isometry3<f64>,
+    separation: f64,
+}
+
+/// All that an audit finds.
+struct Audited {
+    thresholds: Thresholds,
+    listed: Vec<Listed>,
+    findings: Vec<Finding>,
+    grasps: Vec<ListedGrasp>,
+    contacts: Option<Contacts>,
+}
+
+impl Audited {
+    /// Lists the demonstrations that ingest could not use behind the others, without frames, each with a finding.
+    fn report_left_out(&mut self, left: Vec<LeftOut>) {
+        for left in left {
+            self.findings.push(Finding {
+                severity: Severity::Error,
+                code: "left_out",
+                episode: self.listed.len() as u32,
+                demo: left.demo.clone(),
+                frames: 0..0,
+                value: None,
+                threshold: None,
+                unit: "",
+                message: left.why,
+            });
+            self.listed.push(Listed {
+                demo: left.demo,
+                frames: 0,
+                segments: Vec::new(),
+                displacement: 0.0,
+            });
+        }
+    }
+}
+
+impl Runner {
+    /// The `audit` artifact.
+    ///
+    /// # Errors
+    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    pub fn audit(&self, episodes: &Built, modes: &Built) -> Result<Built> {
+        let recipe = Recipe::new(Stage::Audit, CODE_VERSION)
+            .config(&self.audit_config())?
+            .input("episodes", episodes.artifact.key())
+            .input("modes", modes.artifact.key());
+        self.build(&recipe, |writer| {
+            let mut audited = if self.pipeline.task.is_planar() {
+                self.audit_planar(&episodes.artifact)?
+            } else {
+                self.audit_spatial(&episodes.artifact, &modes.artifact, &Ok)?
+            };
+            audited.report_left_out(left_out(&episodes.artifact)?);
+            audited
+                .findings
+                .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
+            write(&audited, writer)?;
+            Ok(Facts {
+                summary: summary(&audited),
+                warnings: Vec::new(),
+            })
+        })
+    }
+
+    /// What the findings depend on beside the inputs. The goal of Push-T is built in.
+    pub(super) fn audit_config(&self) -> serde_json::Value {
+        serde_json::json!({ "audit": self.pipeline.audit, "segment": self.pipeline.segment })
+    }
+
+    /// The findings alone, over demonstrations as `look` leaves them.
+    pub(super) fn findings(
+        &self,
+        episodes: &Artifact,
+        modes: &Artifact,
+        look: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+    ) -> Result<Vec<Finding>> {
+        Ok(self.audit_spatial(episodes, modes, look)?.findings)
+    }
+
+    fn audit_spatial(
+        &self,
+        episodes: &Artifact,
+        modes: &Artifact,
+        look: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+    ) -> Result<Audited> {
+        let read = || -> Result<_> { Ok(SegmentedEpisodes::open(episodes, modes)?.map(|demo| look(demo?))) };
+        let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
+        let demos = SpatialEpisodes::open(episodes)?.demos();
+        let bar = self.notes.progress(2 * demos as u64, "audit");
+        let given = |code: &'static str| self.pipeline.audit.threshold(code).or_else(|| constant(code));
+        let limits = GraspLimits {
+            closed: given("missed_grasp").unwrap_or(gripper.closed),
+            lost: given("lost_grasp").unwrap_or_default(),
+            flicker: given("flicker").unwrap_or_default().ceil() as usize,
+        };
+        let mut observations = Vec::with_capacity(demos);
+        let mut listed = Vec::with_capacity(demos);
+        for portion in in_portions(read()?) {
+            self.interrupt.check("audit")?;
+            let demos = portion?;
+            observations.par_extend(demos.par_iter().map(|demo| observe_spatial(demo, &limits)));
+            listed.extend(demos.iter().map(list_spatial));
+            bar.inc(demos.len() as u64);
+        }
+        let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, false, gripper.closed);
+        let mut findings = audit_copies(&observations, &thresholds);
+        let mut grasps = Vec::new();
+        for portion in in_portions(read()?) {
+            self.interrupt.check("audit")?;
+            let demos = portion?;
+            let audits: Vec<_> = demos
+                .par_iter()
+                .map(|demo| audit_spatial(demo, &thresholds, &limits))
+                .collect();
+            for (demo, audit) in demos.iter().zip(audits) {
+                findings.extend(audit.findings);
+                grasps.extend(audit.grasps.into_iter().filter_map(|judged| list_grasp(demo, judged)));
+            }
+            bar.inc(demos.len() as u64);
+        }
+        bar.finish_and_clear();
+        Ok(Audited {
+            thresholds,
+            listed,
+            findings,
+            grasps,
+            contacts: None,
+        })
+    }
+
+    /// The evidence of planar demonstrations is a function of their frames: it is made again rather than read.
+    fn audit_planar(&self, episodes: &Artifact) -> Result<Audited> {
+        let demos = read_episodes(episodes)?
+            .into_par_iter()
+            .enumerate()
+            .map(|(number, episode)| {
+                let segmented = segment_planar(&episode, &self.pipeline.segment)?;
+                let coverage = episode
+                    .frames
+                    .iter()
+                    .map(|frame| coverage(frame.object, GOAL))
+                    .collect();
+                Ok(PlanarDemo {
+                    number: number as u32,
+                    episode,
+                    segmented,
+                    coverage,
+                })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        self.interrupt.check("audit")?;
+        let observations: Vec<_> = demos.par_iter().map(observe_planar).collect();
+        let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, true, 0.0);
+        let mut findings = audit_copies(&observations, &thresholds);
+        findings.extend(demos.iter().flat_map(|demo| audit_planar(demo, &thresholds)));
+        let contacts = demos
+            .iter()
+            .flat_map(|demo| contact_and_motion(&demo.segmented.evidence));
+        Ok(Audited {
+            thresholds,
+            contacts: Some(contacts.flatten().collect()),
+            listed: demos.iter().map(list_planar).collect(),
+            findings,
+            grasps: Vec::new(),
+        })
+    }
+}
+
+/// The built-in threshold of a check.
+fn constant(code: &str) -> Option<f64> {
+    let check = re4_audit::CHECKS.iter().find(|check| check.code == code)?;
+    match check.basis {
+        re4_audit::Basis::Constant { spatial, .. } => Some(spatial),
+        _ => None,
+    }
+}
+
+fn list_spatial(demo: &SpatialDemo) -> Listed {
+    let frames = &demo.episode.frames;
+    let at = |frame: Option<&re4_episode::SpatialFrame>| frame.map(|frame| frame.object.translation.vector);
+    Listed {
+        demo: demo.episode.name.clone(),
+        frames: frames.len(),
+        segments: demo.segmented.segments.iter().map(|s| s.segment.clone()).collect(),
+        displacement: match (at(frames.first()), at(frames.last())) {
+            (Some(first), Some(last)) => (last - first).norm(),
+            _ => 0.0,
+        },
+    }
+}
+
+fn list_planar(demo: &PlanarDemo) -> Listed {
+    let frames = &demo.episode.frames;
+    Listed {
+        demo: demo.episode.name(),
+        frames: frames.len(),
+        segments: demo.segmented.segments.iter().map(|s| s.segment.clone()).collect(),
+        displacement: match (frames.first(), frames.last()) {
+            (Some(first), Some(last)) => (last.object.translation() - first.object.translation()).norm(),
+            _ => 0.0,
+        },
+    }
+}
+
+fn list_grasp(demo: &SpatialDemo, judged: JudgedGrasp) -> Option<ListedGrasp> {
+    let grasp = demo.segmented.segments.get(judged.segment)?.grasp?;
+    Some(ListedGrasp {
+        episode: demo.number,
+        judged,
+        transform: grasp.transform,
+        separation: grasp.finger_separation,
+    })
+}
+
+fn write(audited: &Audited, writer: &Writer) -> Result<()> {
+    tables_of::findings(&audited.findings, writer)?;
+    tables_of::checks(audited, writer)?;
+    tables_of::episodes(audited, writer)?;
+    if audited.contacts.is_none() {
+        tables_of::grasps(&audited.grasps, writer)?;
+    }
+    Ok(())
+}
+
+/// How many findings there are of every code, and in how many demonstrations.
+fn by_code(findings: &[Finding]) -> BTreeMap<&'static str, (u32, u32)> {
+    let mut counts: BTreeMap<&'static str, (u32, Option<u32>, u32)> = BTreeMap::new();
+    // Findings are sorted by demonstration.
+    for finding in findings {
+        let (found, last, episodes) = counts.entry(finding.code).or_default();
+        *found += 1;
+        if *last != Some(finding.episode) {
+            *last = Some(finding.episode);
+            *episodes += 1;
+        }
+    }
+    counts
+        .into_iter()
+        .map(|(code, (found, _, episodes))| (code, (found, episodes)))
+        .collect()
+}

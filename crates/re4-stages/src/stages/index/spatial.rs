@@ -1,0 +1,153 @@
+//! The index of robosuite's tasks.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Result, bail};
+use nalgebra::{Isometry3, UnitQuaternion};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_text, col_u32, tables};
+use re4_audit::SpatialDemo;
+use serde_json::json;
+
+use super::estimated::EstimatedPoses;
+use crate::inputs::demos::SegmentedEpisodes;
+use crate::inputs::poses::pose_columns;
+use crate::inputs::spatial_index::orientation_to_site;
+use crate::pipeline::Estimates;
+use crate::runner::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 1;
+
+impl Runner {
+    /// The `index` artifact of a robosuite task, over the poses of the `poses` artifact where there is one, over the recorded
+    /// ones otherwise. With a `poses` artifact, the recorded object pose is read for nothing: what `index.leave_out` names is
+    /// then found by the fingers alone.
+    ///
+    /// # Errors
+    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    pub fn index_spatial(&self, episodes: &Built, modes: &Built, poses: Option<&Built>) -> Result<Built> {
+        let leave_out = &self.pipeline.index()?.leave_out;
+        let audit = if leave_out.is_empty() || poses.is_some() {
+            None
+        } else {
+            Some(self.audit(episodes, modes)?)
+        };
+        let mut config = json!({
+            "task": self.pipeline.task,
+            "leave_out": leave_out,
+            "pose": { "source": self.pipeline.pose()?.source },
+        });
+        if poses.is_some() && !leave_out.is_empty() {
+            config["by_fingers"] = self.audit_config();
+        }
+        let estimates = self.pipeline.index()?.estimates;
+        if poses.is_some() && estimates != Estimates::default() {
+            config["estimates"] = json!(estimates);
+        }
+        let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
+            .config(&config)?
+            .input("episodes", episodes.artifact.key())
+            .input("modes", modes.artifact.key());
+        if let Some(audit) = &audit {
+            recipe = recipe.input("audit", audit.artifact.key());
+        }
+        if let Some(poses) = poses {
+            recipe = recipe.input("poses", poses.artifact.key());
+        }
+        self.build(&recipe, |writer| {
+            let ends = match (&audit, poses) {
+                (Some(audit), _) => left_out(&audit.artifact, leave_out)?,
+                (None, Some(_)) if !leave_out.is_empty() => {
+                    self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)?
+                }
+                _ => BTreeMap::new(),
+            };
+            let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
+            let to_site = orientation_to_site(&episodes.artifact)?;
+            let (mut demos, mut frames, mut retrievable) = (0_u64, 0_u64, 0_u64);
+            let mut table = writer.table(&tables::SPATIAL_INDEX)?;
+            for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
+                self.interrupt.check("index")?;
+                let mut demo = demo?;
+                if let Some(estimated) = &estimated {
+                    estimated.put_into(&mut demo, estimates)?;
+                }
+                let end = ends.get(&demo.number).copied().unwrap_or(0) as usize;
+                let count = demo.episode.frames.len();
+                demos += 1;
+                frames += count as u64;
+                retrievable += count.saturating_sub(end) as u64;
+                table.write_columns(columns(&demo, &to_site, end))?;
+            }
+            table.finish()?;
+            if let Some(estimated) = &estimated {
+                estimated.check_count(demos)?;
+            }
+            if retrievable == 0 {
+                bail!(
+                    "cannot index {}: every frame is left out by index.leave_out; name fewer checks",
+                    episodes.artifact.path().display()
+                );
+            }
+            Ok(Facts {
+                summary: json!({ "episodes": demos, "frames": frames, "retrievable_frames": retrievable }),
+                warnings: Vec::new(),
+            })
+        })
+    }
+}
+
+/// The end of the last finding of one of these checks, by demonstration.
+fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
+    let known = audit.table(&tables::CHECKS)?.read_columns(&["code"])?;
+    check_names(checks, col_text(&known, "code")?.into_iter().flatten())?;
+    let findings = audit
+        .table(&tables::FINDINGS)?
+        .read_columns(&["episode", "code", "end_frame"])?;
+    let (episodes, ends) = (col_u32(&findings, "episode")?, col_u32(&findings, "end_frame")?);
+    let mut last = BTreeMap::new();
+    for ((episode, end), code) in episodes.iter().zip(ends).zip(col_text(&findings, "code")?) {
+        if checks.iter().any(|check| Some(check.as_str()) == code) {
+            let entry = last.entry(*episode).or_insert(0);
+            *entry = (*end).max(*entry);
+        }
+    }
+    Ok(last)
+}
+
+/// Refuses names that no check has.
+pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a str>) -> Result<()> {
+    let known: Vec<&str> = known.collect();
+    match checks.iter().find(|check| !known.contains(&check.as_str())) {
+        Some(check) => bail!(
+            "index.leave_out names the check {check:?}, which the audit does not have; its checks are {}",
+            known.join(", ")
+        ),
+        None => Ok(()),
+    }
+}
+
+fn columns(demo: &SpatialDemo, to_site: &UnitQuaternion<f64>, end: usize) -> Columns {
+    let frames = &demo.episode.frames;
+    let eef: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.eef * to_site).collect();
+    let object: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.object).collect();
+    let mut columns = Columns::new(&tables::SPATIAL_INDEX)
+        .u32("episode", vec![demo.number; frames.len()])
+        .u32("frame", (0..frames.len() as u32).collect())
+        .text("mode", demo.segmented.modes.iter().map(|mode| mode.as_str()));
+    columns = pose_columns(columns, "eef", &eef);
+    columns = pose_columns(columns, "object", &object);
+    for (part, name) in ["x", "y", "z", "rx", "ry", "rz"].into_iter().enumerate() {
+        columns = columns.f64(
+            &format!("goal_{name}"),
+            frames.iter().map(|frame| frame.goal[part]).collect(),
+        );
+    }
+    let commands = frames.iter().map(|frame| {
+        let size = frame.gripper.abs();
+        if frame.closes { size } else { -size }
+    });
+    columns
+        .f64("gripper", commands.collect())
+        .bool("retrievable", (0..frames.len()).map(|frame| frame >= end).collect())
+}

@@ -1,0 +1,14 @@
+//! The stages: which artifacts go in, which come out.
+
+mod audit;
+mod index;
+mod ingest;
+mod replay;
+mod rollout;
+mod scenes;
+mod segment;
+mod train_pose;
+
+pub use ingest::{INGEST_WORKER, serve_ingest};
+pub use rollout::{BUDGET_MEASURES, metrics, read_rollouts};
+pub(crate) use rollout::{Lens, Studio, put_renderer_away, unseen};

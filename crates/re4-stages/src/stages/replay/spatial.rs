@@ -1,0 +1,368 @@
+//! Open-loop replays of robosuite demonstrations.
+
+use anyhow::{Context as _, Result, ensure};
+use nalgebra::UnitQuaternion;
+use rayon::prelude::*;
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
+use re4_episode::SpatialEpisode;
+use re4_report::{quantile, wilson_interval};
+use re4_sim::Simulator as _;
+use re4_sim::robosuite::{
+    ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
+};
+use serde_json::{Value, json};
+
+use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
+use crate::inputs::simulators::{Scenes, profile};
+use crate::inputs::spatial_index::orientation_to_site;
+use crate::runner::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 2;
+
+/// Replays that are made before their rows are written.
+const AT_A_TIME: usize = 32;
+
+/// Which actions are played.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Delta,
+    Absolute,
+}
+
+impl Kind {
+    const ALL: [Self; 2] = [Self::Delta, Self::Absolute];
+
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Delta => "delta",
+            Self::Absolute => "absolute",
+        }
+    }
+}
+
+/// A demonstration that is to be replayed.
+struct Recording {
+    number: u32,
+    episode: SpatialEpisode,
+    states: Vec<Vec<f64>>,
+}
+
+/// How far a replay is from the recording, before an action.
+#[derive(Clone, Copy)]
+struct Distance {
+    object: f64,
+    turn: f64,
+    eef: f64,
+    arm: f64,
+}
+
+struct Replay {
+    number: u32,
+    name: String,
+    kind: Kind,
+    success: Vec<bool>,
+    distances: Vec<Distance>,
+}
+
+impl Runner {
+    /// The `replays` artifact of a robosuite task.
+    ///
+    /// # Errors
+    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    pub fn replay_spatial(&self, episodes: &Built) -> Result<Built> {
+        let task = self
+            .pipeline
+            .task
+            .simulated()
+            .context("cannot replay: of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\"")?;
+        ensure!(
+            episodes.artifact.manifest().tables.contains_key(tables::STATES.name),
+            "cannot replay {}: the demonstrations have no recorded states to start from; ingest a file that has /data/demo_*/states",
+            episodes.artifact.path().display()
+        );
+        let profile = profile(&episodes.artifact)?;
+        let recipe = Recipe::new(Stage::Replay, CODE_VERSION)
+            .config(&json!({ "task": self.pipeline.task, "robosuite": profile, "kinds": ["delta", "absolute"] }))?
+            .input("episodes", episodes.artifact.key());
+        self.build(&recipe, |writer| {
+            let recorded = recorded_kind(&episodes.artifact)?;
+            let listing = episodes
+                .artifact
+                .table(&tables::EPISODES)?
+                .read_columns(&["source_episode"])?;
+            let numbers = col_u32_or_null(&listing, "source_episode")?;
+            let to_site = orientation_to_site(&episodes.artifact)?;
+            let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
+            let mut recordings = Recordings::open(&episodes.artifact)?;
+            let bar = self.notes.progress(2 * recordings.demos as u64, "replays");
+            let mut replays = writer.table(&tables::SPATIAL_REPLAYS)?;
+            let mut divergence = writer.table(&tables::SPATIAL_DIVERGENCE)?;
+            let mut summaries = [Summary::default(), Summary::default()];
+            loop {
+                self.interrupt.check("replay")?;
+                let portion = recordings.by_ref().take(AT_A_TIME).collect::<Result<Vec<_>>>()?;
+                if portion.is_empty() {
+                    break;
+                }
+                let played: Vec<Replay> = portion
+                    .par_iter()
+                    .with_max_len(1)
+                    .flat_map_iter(|recording| Kind::ALL.map(|kind| (recording, kind)))
+                    .map(|(recording, kind)| {
+                        let replay = play(&scenes, recording, kind, &to_site).with_context(|| {
+                            format!(
+                                "cannot replay {}, which a filter key or ingest.select can leave out",
+                                recording.episode.name
+                            )
+                        });
+                        bar.inc(1);
+                        replay
+                    })
+                    .collect::<Vec<_>>()
+                    .into_iter()
+                    .collect::<Result<_>>()?;
+                for replay in &played {
+                    summaries[usize::from(replay.kind == Kind::Absolute)].add(replay);
+                }
+                replays.write_columns(replay_columns(&played, &recorded, &numbers))?;
+                divergence.write_columns(divergence_columns(&played))?;
+            }
+            bar.finish_and_clear();
+            replays.finish()?;
+            divergence.finish()?;
+            let [delta, absolute] = summaries;
+            Ok(Facts {
+                summary: json!({
+                    "replays": delta.replays + absolute.replays,
+                    "successes": delta.successes + absolute.successes,
+                    "recorded_actions": recorded,
+                    "delta": delta.to_json(),
+                    "absolute": absolute.to_json(),
+                    "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
+                    "robosuite": scenes.profile(),
+                }),
+                warnings: Vec::new(),
+            })
+        })
+    }
+}
+
+/// Which kind of actions the dataset holds, by table `conventions`.
+fn recorded_kind(episodes: &Artifact) -> Result<String> {
+    let rows = episodes
+        .table(&tables::CONVENTIONS)?
+        .read_columns(&["convention", "value"])?;
+    let (names, values) = (col_text(&rows, "convention")?, col_text(&rows, "value")?);
+    let row = names.iter().position(|name| *name == Some("action_kind"));
+    Ok(row.and_then(|row| values[row]).unwrap_or_default().to_owned())
+}
+
+/// Demonstrations with their recorded states, one after the other.
+struct Recordings {
+    episodes: SpatialEpisodes,
+    states: ByEpisode,
+    demos: usize,
+}
+
+impl Recordings {
+    fn open(artifact: &Artifact) -> Result<Self> {
+        let episodes = SpatialEpisodes::open(artifact)?;
+        Ok(Self {
+            demos: episodes.demos(),
+            episodes,
+            states: ByEpisode::open(artifact, &tables::STATES)?,
+        })
+    }
+}
+
+impl Iterator for Recordings {
+    type Item = Result<Recording>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let episode = self.episodes.next()?;
+        Some(episode.and_then(|(number, episode)| {
+            let name = episode.name.clone();
+            let missing = || format!("table states lacks {name}; ingest the dataset anew");
+            let (of, rows) = self.states.next().with_context(missing)??;
+            let states = col_f64_list(&rows, "state")?;
+            ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());
+            Ok(Recording {
+                number,
+                episode,
+                states,
+            })
+        }))
+    }
+}
+
+fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuaternion<f64>) -> Result<Replay> {
+    let model = scenes.of(recording.number)?;
+    let mut simulator = Robosuite::new(&model)?;
+    let mut success = Vec::with_capacity(recording.states.len());
+    let mut distances = Vec::with_capacity(recording.states.len());
+    let Some(first) = recording.states.first() else {
+        return Ok(Replay {
+            number: recording.number,
+            name: recording.episode.name.clone(),
+            kind,
+            success,
+            distances,
+        });
+    };
+    simulator.reset(&RobosuiteScene::Recorded(first.clone()), FirstTorques::AsRobosuite)?;
+    // Observations after a step are 2 ms old: recorded poses are compared with those of the simulator's state itself.
+    let mut mirror = Robosuite::new(&model)?;
+    for (frame, state) in recording.episode.frames.iter().zip(&recording.states) {
+        let now = simulator.state();
+        ensure!(
+            now.len() == state.len(),
+            "state {} has {} numbers, the model needs {}",
+            success.len(),
+            state.len(),
+            now.len()
+        );
+        let seen = mirror.reset(&RobosuiteScene::Recorded(now.clone()), FirstTorques::AsRobosuite)?;
+        distances.push(Distance {
+            object: (seen.object.translation.vector - frame.object.translation.vector).norm(),
+            turn: seen.object.rotation.angle_to(&frame.object.rotation),
+            eef: (seen.grip_site.translation.vector - (frame.eef * to_site).translation.vector).norm(),
+            arm: arm_distance(&now, state),
+        });
+        let arm = match kind {
+            Kind::Delta => ArmAction::Delta(frame.delta),
+            Kind::Absolute => ArmAction::Absolute(frame.goal),
+        };
+        let gripper = if frame.closes {
+            frame.gripper.abs()
+        } else {
+            -frame.gripper.abs()
+        };
+        let RobosuiteStep { success: done, .. } = simulator.step(&RobosuiteAction { arm, gripper })?;
+        success.push(done);
+    }
+    Ok(Replay {
+        number: recording.number,
+        name: recording.episode.name.clone(),
+        kind,
+        success,
+        distances,
+    })
+}
+
+/// The arm's joints are the first coordinates of robosuite's models.
+fn arm_distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter()
+        .zip(b)
+        .skip(1)
+        .take(7)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f64::max)
+}
+
+impl Replay {
+    fn succeeded(&self) -> bool {
+        self.success.iter().any(|done| *done)
+    }
+
+    fn largest(&self, value: fn(&Distance) -> f64) -> f64 {
+        self.distances.iter().map(value).fold(0.0, f64::max)
+    }
+}
+
+/// Figures over the replays of one kind.
+#[derive(Default)]
+struct Summary {
+    replays: u64,
+    successes: u64,
+    object: Vec<f64>,
+    failed: Vec<String>,
+}
+
+impl Summary {
+    fn add(&mut self, replay: &Replay) {
+        self.replays += 1;
+        self.successes += u64::from(replay.succeeded());
+        self.object.push(replay.largest(|d| d.object));
+        if !replay.succeeded() {
+            self.failed.push(replay.name.clone());
+        }
+    }
+
+    fn to_json(&self) -> Value {
+        let mut object = self.object.clone();
+        object.sort_by(f64::total_cmp);
+        let rate = wilson_interval(self.successes, self.replays);
+        json!({
+            "replays": self.replays,
+            "successes": self.successes,
+            "success_rate": { "value": rate.value, "low": rate.low, "high": rate.high },
+            "failed_demonstrations": self.failed,
+            "object_max_m": {
+                "p50": quantile(&object, 0.5),
+                "p90": quantile(&object, 0.9),
+                "p99": quantile(&object, 0.99),
+                "max": quantile(&object, 1.0),
+            },
+        })
+    }
+}
+
+fn replay_columns(replays: &[Replay], recorded: &str, numbers: &[Option<u32>]) -> Columns {
+    let of = |value: &dyn Fn(&Replay) -> f64| replays.iter().map(value).collect::<Vec<f64>>();
+    Columns::new(&tables::SPATIAL_REPLAYS)
+        .u32("episode", replays.iter().map(|r| r.number).collect())
+        .u32_or_null(
+            "source_episode",
+            replays
+                .iter()
+                .map(|r| numbers.get(r.number as usize).copied().flatten())
+                .collect(),
+        )
+        .text("actions", replays.iter().map(|r| r.kind.as_str()))
+        .text(
+            "origin",
+            replays.iter().map(|r| {
+                if r.kind.as_str() == recorded {
+                    "recorded"
+                } else {
+                    "converted"
+                }
+            }),
+        )
+        .u32("frames", replays.iter().map(|r| r.success.len() as u32).collect())
+        .bool("success", replays.iter().map(Replay::succeeded).collect())
+        .u32_or_null(
+            "first_success",
+            replays
+                .iter()
+                .map(|r| r.success.iter().position(|done| *done).map(|at| at as u32))
+                .collect(),
+        )
+        .bool(
+            "success_at_end",
+            replays.iter().map(|r| r.success.last() == Some(&true)).collect(),
+        )
+        .f64("object_max", of(&|r| r.largest(|d| d.object)))
+        .f64("object_final", of(&|r| r.distances.last().map_or(0.0, |d| d.object)))
+        .f64("object_turn_max", of(&|r| r.largest(|d| d.turn)))
+        .f64("eef_max", of(&|r| r.largest(|d| d.eef)))
+        .f64("arm_max", of(&|r| r.largest(|d| d.arm)))
+        .text("demo_name", replays.iter().map(|r| &r.name))
+}
+
+fn divergence_columns(replays: &[Replay]) -> Columns {
+    let rows = || {
+        replays
+            .iter()
+            .flat_map(|r| r.distances.iter().enumerate().map(move |(f, d)| (r, f as u32, d)))
+    };
+    let of = |value: fn(&Distance) -> f64| rows().map(|(_, _, d)| value(d)).collect::<Vec<f64>>();
+    Columns::new(&tables::SPATIAL_DIVERGENCE)
+        .u32("episode", rows().map(|(r, ..)| r.number).collect())
+        .text("actions", rows().map(|(r, ..)| r.kind.as_str()))
+        .u32("frame", rows().map(|(_, f, _)| f).collect())
+        .f64("object", of(|d| d.object))
+        .f64("object_turn", of(|d| d.turn))
+        .f64("eef", of(|d| d.eef))
+}

@@ -1,0 +1,87 @@
+//! Scenes: `episodes` to `scenes`, where rollouts start.
+
+use anyhow::Result;
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, tables};
+use re4_scenes::{ObjectFrame, ScenesConfig, SparseScene, sparse_scenes};
+use serde_json::json;
+
+use crate::inputs::episodes::read_episodes;
+use crate::runner::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 1;
+
+impl Runner {
+    /// The `scenes` artifact, where the pipeline has a table `[scenes]`.
+    ///
+    /// # Errors
+    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    pub fn scenes(&self, episodes: &Built) -> Result<Option<Built>> {
+        let config = self.pipeline.scenes.as_ref();
+        config.map(|config| self.choose_scenes(config, episodes)).transpose()
+    }
+
+    fn choose_scenes(&self, config: &ScenesConfig, episodes: &Built) -> Result<Built> {
+        let recipe = Recipe::new(Stage::Scenes, CODE_VERSION)
+            .config(config)?
+            .input("episodes", episodes.artifact.key());
+        self.build(&recipe, |writer| {
+            let frames = object_frames(&episodes.artifact)?;
+            let columns = u64::from(config.grid).pow(2);
+            let bar = self.notes.progress(columns, "columns of the grid");
+            let going = || {
+                bar.inc(1);
+                !self.interrupt.requested()
+            };
+            let scenes = sparse_scenes(&frames, config, &going)?;
+            bar.finish_and_clear();
+            write_scenes(&scenes, writer)?;
+            let rho = |scene: Option<&SparseScene>| scene.map(|s| s.rho);
+            Ok(Facts {
+                summary: json!({
+                    "scenes": scenes.len(),
+                    "poses": config.poses,
+                    "rho_greatest": rho(scenes.first()),
+                    "rho_least": rho(scenes.last()),
+                }),
+                warnings: Vec::new(),
+            })
+        })
+    }
+}
+
+/// Poses of the block in every frame, as they were recorded: they say where to evaluate, for every variant alike, and train
+/// nothing.
+fn object_frames(episodes: &Artifact) -> Result<Vec<ObjectFrame>> {
+    let episodes = read_episodes(episodes)?;
+    let frames = (0..).zip(&episodes).flat_map(|(episode, demonstration)| {
+        (0..).zip(&demonstration.frames).map(move |(frame, row)| ObjectFrame {
+            episode,
+            frame,
+            object: row.object,
+        })
+    });
+    Ok(frames.collect())
+}
+
+fn write_scenes(scenes: &[SparseScene], writer: &Writer) -> Result<()> {
+    let of = |value: fn(&SparseScene) -> f64| scenes.iter().map(value).collect::<Vec<f64>>();
+    let number = |value: fn(&SparseScene) -> u32| scenes.iter().map(value).collect::<Vec<u32>>();
+    let mut table = writer.table(&tables::SCENES)?;
+    table.write_columns(
+        Columns::new(&tables::SCENES)
+            .u32("scene", (0..scenes.len() as u32).collect())
+            .u32("pose", number(|s| s.pose))
+            .u32("pusher", number(|s| s.pusher))
+            .f64("agent_x", of(|s| s.agent.x))
+            .f64("agent_y", of(|s| s.agent.y))
+            .f64("block_x", of(|s| s.block.x))
+            .f64("block_y", of(|s| s.block.y))
+            .f64("block_theta", of(|s| s.block.theta))
+            .f64("rho", of(|s| s.rho))
+            .u32("nearest_demo", number(|s| s.nearest_demo))
+            .u32("nearest_frame", number(|s| s.nearest_frame)),
+    )?;
+    table.finish()?;
+    Ok(())
+}

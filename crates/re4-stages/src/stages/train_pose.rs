@@ -1,0 +1,321 @@
+//! Train-pose: `episodes` to `poses`. Push-T's log-polar estimator learns nothing; it is calibrated by the goal pose.
+
+mod card;
+mod encoder;
+mod evaluate;
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+use anyhow::{Context as _, Result};
+use arrow::record_batch::RecordBatch;
+use image::ImageFormat;
+use rayon::prelude::*;
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Table, Writer, col_binary, col_f64, col_u32, tables};
+use re4_geometry::{Pose2, periodic_distance};
+use re4_policy::DemoNames;
+use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Picture, PictureError, SIDE};
+use re4_report::quantile;
+use serde_json::{Value, json};
+
+use crate::inputs::demos::demo_names;
+use crate::inputs::estimators::outline;
+use crate::inputs::pictures::check_pictures;
+use crate::pipeline::PoseSource;
+use crate::runner::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 2;
+
+/// Every picture of a frame whose number this divides is looked at for the goal; the first of every demonstration is
+/// among them.
+const CALIBRATION_STRIDE: u32 = 16;
+
+/// An angle that is wrong by more than this is a flip: the estimator took one end of the block for another.
+const FLIP: f64 = 90.0;
+
+impl Runner {
+    /// The `poses` artifact, where poses come from pictures.
+    ///
+    /// # Errors
+    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    pub fn train_pose(&self, episodes: &Built) -> Result<Option<Built>> {
+        match self.pipeline.pose()?.source {
+            PoseSource::Recorded | PoseSource::Encoder => Ok(None),
+            PoseSource::LogPolar => self.estimate_poses(&episodes.artifact).map(Some),
+        }
+    }
+
+    /// The `poses` artifact of a robosuite task, where poses come from pictures.
+    ///
+    /// # Errors
+    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    pub fn train_spatial(&self, episodes: &Built, modes: &Built) -> Result<Option<Built>> {
+        let pose = self.pipeline.pose()?;
+        if pose.source != PoseSource::Encoder {
+            return Ok(None);
+        }
+        check_pictures(&episodes.artifact, &pose.encoder().camera)?;
+        self.train_encoder(episodes, modes).map(Some)
+    }
+
+    fn estimate_poses(&self, episodes: &Artifact) -> Result<Built> {
+        let recipe = Recipe::new(Stage::TrainPose, CODE_VERSION)
+            .config(&json!({ "pose": self.pipeline.pose()? }))?
+            .input("episodes", episodes.key());
+        self.build(&recipe, |writer| {
+            let pictures = Pictures::open(episodes)?;
+            let anchor = self.calibrate(&pictures)?;
+            write_anchor(&anchor, writer)?;
+            let estimator = LogPolarEstimator::new(&anchor, outline(), self.pipeline.pose()?.refine);
+            let estimates = self.estimate_all(&estimator, &pictures, writer)?;
+            // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
+            let evaluation = evaluate(&estimates, episodes)?;
+            let flags = count(&estimates);
+            let mut summary = json!({
+                "frames": estimates.len(),
+                "frames_not_clear": estimates.iter().filter(|row| row.estimate.flag != Flag::Clear).count(),
+                "flags": flags,
+                "confidence": spread(estimates.iter().map(|row| row.estimate.confidence).collect(), &[0.0, 0.01, 0.5]),
+            });
+            if let (Some(summary), Some(evaluation)) = (summary.as_object_mut(), evaluation) {
+                summary.insert("evaluation".to_owned(), evaluation);
+            }
+            Ok(Facts {
+                summary,
+                warnings: warnings(&estimates, &flags, &pictures.names),
+            })
+        })
+    }
+
+    fn calibrate(&self, pictures: &Pictures) -> Result<Anchor> {
+        let mut builder = AnchorBuilder::default();
+        for group in 0..pictures.table.row_groups() {
+            self.interrupt.check("train-pose")?;
+            let rows = pictures.table.read_row_group(group)?;
+            let frames = col_u32(&rows, "frame")?;
+            let chosen: Vec<usize> = (0..frames.len())
+                .filter(|&row| frames[row].is_multiple_of(CALIBRATION_STRIDE))
+                .collect();
+            let decoded = pictures.decode(&rows, &chosen)?;
+            for pixels in &decoded {
+                builder.add(&Picture::new(pixels, SIDE, SIDE)?);
+            }
+        }
+        let goal = self.pipeline.pose()?.goal();
+        builder
+            .finish(goal, &outline())
+            .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))
+    }
+
+    fn estimate_all(&self, estimator: &LogPolarEstimator, pictures: &Pictures, writer: &Writer) -> Result<Vec<Row>> {
+        let bar = self.notes.progress(pictures.table.rows(), "poses");
+        let mut table = writer.table(&tables::POSES)?;
+        let mut all = Vec::with_capacity(pictures.table.rows() as usize);
+        for group in 0..pictures.table.row_groups() {
+            self.interrupt.check("train-pose")?;
+            let rows = pictures.table.read_row_group(group)?;
+            let estimates = pictures.map(&rows, |picture| estimator.estimate(picture))?;
+            table.write_columns(pose_columns(&rows, &estimates)?)?;
+            bar.inc(estimates.len() as u64);
+            let ids = col_u32(&rows, "episode")?.iter().zip(col_u32(&rows, "frame")?);
+            all.extend(ids.zip(estimates).map(|((&episode, &frame), estimate)| Row {
+                episode,
+                frame,
+                estimate,
+            }));
+        }
+        table.finish()?;
+        bar.finish_and_clear();
+        Ok(all)
+    }
+}
+
+/// A row of table poses.
+struct Row {
+    episode: u32,
+    frame: u32,
+    estimate: Estimate,
+}
+
+/// The pictures of an `episodes` artifact.
+struct Pictures {
+    table: Table,
+    path: std::path::PathBuf,
+    names: DemoNames,
+}
+
+impl Pictures {
+    fn open(episodes: &Artifact) -> Result<Self> {
+        let path = episodes.path().to_owned();
+        anyhow::ensure!(
+            episodes.manifest().tables.contains_key(tables::IMAGES.name),
+            "cannot estimate poses: {} holds no pictures; set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]",
+            path.display()
+        );
+        Ok(Self {
+            table: episodes.table(&tables::IMAGES)?,
+            path,
+            names: demo_names(episodes)?,
+        })
+    }
+
+    /// What `look` sees in each picture of a batch, in the order of the batch.
+    fn map<T: Send>(&self, rows: &RecordBatch, look: impl Fn(&Picture<'_>) -> T + Sync) -> Result<Vec<T>> {
+        let all: Vec<usize> = (0..rows.num_rows()).collect();
+        self.each(rows, &all, |pixels| {
+            Ok(look(&Picture::new(
+                pixels.as_raw(),
+                pixels.width() as usize,
+                pixels.height() as usize,
+            )?))
+        })
+    }
+
+    /// The bytes of some pictures of a batch.
+    fn decode(&self, rows: &RecordBatch, chosen: &[usize]) -> Result<Vec<Vec<u8>>> {
+        self.each(rows, chosen, |pixels| {
+            Picture::new(pixels.as_raw(), pixels.width() as usize, pixels.height() as usize)?;
+            Ok(pixels.into_raw())
+        })
+    }
+
+    fn each<T: Send>(
+        &self,
+        rows: &RecordBatch,
+        chosen: &[usize],
+        look: impl Fn(image::RgbImage) -> Result<T, PictureError> + Sync,
+    ) -> Result<Vec<T>> {
+        let encoded = col_binary(rows, "image")?;
+        let (episodes, frames) = (col_u32(rows, "episode")?, col_u32(rows, "frame")?);
+        let place = |row: usize| {
+            format!(
+                "cannot estimate poses from {}: the picture of {}, frame {}",
+                self.path.display(),
+                self.names.of(episodes[row]),
+                frames[row]
+            )
+        };
+        chosen
+            .par_iter()
+            .map(|&row| {
+                let picture = image::load_from_memory_with_format(encoded.value(row), ImageFormat::Png)
+                    .with_context(|| format!("{} is not a PNG picture; ingest again", place(row)))?;
+                look(picture.into_rgb8()).with_context(|| place(row))
+            })
+            // In order, so that of several errors the first is told, whichever thread met one first.
+            .collect::<Vec<_>>()
+            .into_iter()
+            .collect()
+    }
+}
+
+fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
+    let pixels = anchor.share().len() as u32;
+    let side = SIDE as u32;
+    let mut table = writer.table(&tables::ANCHOR)?;
+    table.write_columns(
+        Columns::new(&tables::ANCHOR)
+            .u32("row", (0..pixels).map(|i| i / side).collect())
+            .u32("column", (0..pixels).map(|i| i % side).collect())
+            .f64(
+                "goal_share",
+                anchor.share().iter().map(|share| f64::from(*share)).collect(),
+            ),
+    )?;
+    table.finish()?;
+    Ok(())
+}
+
+fn pose_columns(rows: &RecordBatch, estimates: &[Estimate]) -> Result<Columns> {
+    let of = |value: fn(Pose2) -> f64| estimates.iter().map(|e| e.pose.map(value)).collect::<Vec<_>>();
+    Ok(Columns::new(&tables::POSES)
+        .u32("episode", col_u32(rows, "episode")?.to_vec())
+        .u32("frame", col_u32(rows, "frame")?.to_vec())
+        .f64_or_null("object_x", of(|p| p.x))
+        .f64_or_null("object_y", of(|p| p.y))
+        .f64_or_null("object_theta", of(|p| p.theta))
+        .f64("confidence", estimates.iter().map(|e| e.confidence).collect())
+        .text("flag", estimates.iter().map(|e| e.flag.as_str())))
+}
+
+fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
+    let mut flags: BTreeMap<_, _> = Flag::ALL.iter().map(|flag| (flag.as_str(), 0)).collect();
+    for row in rows {
+        *flags.entry(row.estimate.flag.as_str()).or_default() += 1;
+    }
+    flags
+}
+
+fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
+    let mut doubtful = rows.iter().filter(|row| row.estimate.flag != Flag::Clear);
+    let Some(first) = doubtful.next() else {
+        return Vec::new();
+    };
+    let counted: Vec<String> = flags
+        .iter()
+        .filter(|&(flag, &frames)| *flag != Flag::Clear.as_str() && frames > 0)
+        .map(|(flag, frames)| format!("{frames} {flag}"))
+        .collect();
+    vec![json!({
+        "code": "pose_not_clear",
+        "message": format!(
+            "the pose is not clear in {} of {} frames ({}), first in {}, frame {}; they are not retrieved",
+            1 + doubtful.count(),
+            rows.len(),
+            counted.join(", "),
+            names.of(first.episode),
+            first.frame,
+        ),
+    })]
+}
+
+/// How far the estimates are from the recorded poses: a report, which nothing reads.
+fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
+    let table = episodes
+        .table(&tables::FRAMES)?
+        .read_columns(&["object_x", "object_y", "object_theta"])?;
+    let (x, y, theta) = (
+        col_f64(&table, "object_x")?,
+        col_f64(&table, "object_y")?,
+        col_f64(&table, "object_theta")?,
+    );
+    let (mut position, mut angle) = (Vec::new(), Vec::new());
+    for (row, estimate) in rows.iter().map(|row| row.estimate).enumerate() {
+        if let Some(pose) = estimate.pose {
+            position.push((pose.x - x[row]).hypot(pose.y - y[row]));
+            angle.push(periodic_distance(pose.theta, theta[row], TAU).to_degrees());
+        }
+    }
+    if position.is_empty() {
+        return Ok(None);
+    }
+    let flips = angle.iter().filter(|error| **error > FLIP).count();
+    let mut evaluation = json!({
+        "against": "recorded poses, which no estimate was made with",
+        "flips": flips,
+    });
+    if let Some(evaluation) = evaluation.as_object_mut() {
+        evaluation.insert("position_px".to_owned(), spread(position, &[0.5, 0.9, 0.99, 1.0]));
+        evaluation.insert("angle_deg".to_owned(), spread(angle, &[0.5, 0.9, 0.99, 1.0]));
+    }
+    Ok(Some(evaluation))
+}
+
+/// Quantiles by name: `p50`, `p99`, `min`, `max`.
+fn spread(mut values: Vec<f64>, shares: &[f64]) -> Value {
+    values.sort_by(f64::total_cmp);
+    Value::Object(
+        shares
+            .iter()
+            .map(|&share| {
+                let name = match share {
+                    0.0 => "min".to_owned(),
+                    1.0 => "max".to_owned(),
+                    share => format!("p{:.0}", 100.0 * share),
+                };
+                (name, json!(quantile(&values, share)))
+            })
+            .collect(),
+    )
+}

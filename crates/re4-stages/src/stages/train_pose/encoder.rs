@@ -1,0 +1,454 @@
+//! Train-pose for robosuite's tasks: `episodes` and `modes` to `poses`, by an encoder that is trained on them.
+//!
+//! Until the poses are written, only the columns named in [`EEF_COLUMNS`], modes and pictures are read: no recorded object
+//! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
+
+use anyhow::{Context as _, Result, bail, ensure};
+use image::ImageFormat;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use rayon::prelude::*;
+use re4_artifact::{
+    Artifact, Columns, Facts, Key, Recipe, Stage, Writer, col_binary, col_f64, col_text, col_u32, tables,
+};
+use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
+use re4_encoder::checkpoint::Checkpoints;
+use re4_encoder::pictures::{MIDDLE, PictureFile};
+use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
+use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
+use re4_episode::Mode;
+use re4_ingest::SourceFile;
+use serde_json::{Value, json};
+
+use super::{card, evaluate};
+use crate::inputs::demos::demo_names;
+use crate::inputs::estimators::WEIGHTS;
+use crate::inputs::poses::pose_columns;
+use crate::inputs::sources::find_weights;
+use crate::inputs::spatial_index::orientation_to_site;
+use crate::runner::{Built, Runner};
+
+/// Raised whenever the same input gives other bytes.
+const CODE_VERSION: u32 = 2;
+
+/// What is read of table `spatial_frames` before the poses are written.
+const EEF_COLUMNS: [&str; 9] = [
+    "episode", "frame", "eef_x", "eef_y", "eef_z", "eef_qx", "eef_qy", "eef_qz", "eef_qw",
+];
+
+/// Folder of checkpoints, below that of the artifacts.
+const CHECKPOINTS: &str = "checkpoints";
+
+/// Pictures that are estimated at once.
+const AT_ONCE: usize = 64;
+
+/// One demonstration in so many is held out, counted so that the first one is.
+fn held_out_every(share: f64) -> Option<usize> {
+    (share > 0.0).then(|| (1.0 / share).round().max(2.0) as usize)
+}
+
+/// A demonstration as training knows it.
+struct Demo {
+    episode: u32,
+    first: u64,
+    eef: Vec<Isometry3<f64>>,
+    modes: Vec<Mode>,
+    trained_on: bool,
+}
+
+/// Frames that teach: before the grasp, and while the object is held.
+struct Phases {
+    before: std::ops::Range<usize>,
+    held: std::ops::Range<usize>,
+}
+
+impl Demo {
+    /// The longest run of transfer, and the run of transit that leads to it. In a demonstration that grasped once this is the
+    /// paper's g(d) and what is before it. A demonstration that missed and tried again has a first transfer frame without an
+    /// object in the gripper; its longest run is the one that carried the object.
+    fn phases(&self) -> Option<Phases> {
+        let mut best: Option<Phases> = None;
+        let (mut start, mut before) = (0, 0);
+        for run in self.modes.chunk_by(|a, b| a == b) {
+            let end = start + run.len();
+            if run[0] == Mode::Transfer {
+                if start > before && best.as_ref().is_none_or(|best| run.len() > best.held.len()) {
+                    best = Some(Phases {
+                        before: before..start,
+                        held: start..end,
+                    });
+                }
+                before = end;
+            }
+            start = end;
+        }
+        best
+    }
+
+    fn training(&self) -> Option<TrainingDemo> {
+        let phases = self.phases()?;
+        Some(TrainingDemo {
+            first: self.first,
+            before: phases.before.map(|frame| frame as u32).collect(),
+            anchor: self.eef[phases.held.start],
+            held: phases.held.map(|frame| frame as u32).collect(),
+            eef: self.eef.clone(),
+        })
+    }
+}
+
+impl Runner {
+    /// The `poses` artifact of a robosuite task.
+    pub(crate) fn train_encoder(&self, episodes: &Built, modes: &Built) -> Result<Built> {
+        let config = self.pipeline.pose()?.encoder.clone().unwrap_or_default();
+        let (episodes, modes) = (&episodes.artifact, &modes.artifact);
+        let weights = config.weights.as_deref().map(find_weights).transpose()?;
+        let mut recipe = Recipe::new(Stage::TrainPose, CODE_VERSION)
+            .config(&json!({ "pose": { "source": "encoder", "encoder": config } }))?
+            .input("episodes", episodes.key())
+            .input("modes", modes.key());
+        let mut weights_file = None;
+        if let Some(path) = &weights {
+            let cannot_read = || format!("cannot read the weights {}", path.display());
+            let opened = SourceFile::open(path)
+                .map_err(|error| error.fault)
+                .with_context(cannot_read)?;
+            let file = weights_file.insert(opened);
+            let hash = self
+                .hash(|stop| file.hash(stop), "train-pose")
+                .with_context(cannot_read)?;
+            recipe = recipe.source(hash.as_bytes(), json!({ "weights": config.weights }));
+        }
+        let key = recipe.key();
+        let folder = self.store.root().join(CHECKPOINTS).join(key.short());
+        let mut checkpoints = None;
+        let mut rate = None;
+        let built = self.build(&recipe, |writer| {
+            let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
+            let (facts, measured) =
+                self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
+            rate = measured;
+            Ok(facts)
+        })?;
+        // A run that only finds the artifact has no checkpoints of its own; one that was killed between publishing and here
+        // left some.
+        if checkpoints.is_none() && folder.is_dir() {
+            checkpoints = Some(Checkpoints::open(&folder, *key.as_bytes())?);
+        }
+        if let Some(checkpoints) = checkpoints {
+            checkpoints.remove()?;
+        }
+        if let Some(rate) = rate {
+            // Beside the artifact, as it differs from run to run.
+            self.store.record_run(
+                Stage::TrainPose,
+                &key,
+                &json!({
+                    "wall_s": built.wall.as_secs_f64(),
+                    "threads": rayon::current_num_threads(),
+                    "training_pictures_per_s": rate,
+                }),
+            )?;
+        }
+        Ok(built)
+    }
+
+    fn fit_encoder(
+        &self,
+        config: &EncoderConfig,
+        weights: Option<&SourceFile>,
+        (episodes, modes): (&Artifact, &Artifact),
+        key: &Key,
+        checkpoints: &Checkpoints,
+        writer: &Writer,
+    ) -> Result<(Facts, Option<f64>)> {
+        let demos = read_demos(config, episodes, modes)?;
+        let names = demo_names(episodes)?;
+        let mut warnings = Vec::new();
+        let (mut taught, mut held_out) = (Vec::new(), Vec::new());
+        for demo in &demos {
+            let Some(training) = demo.training() else {
+                warnings.push(json!({
+                    "code": "no_grasp",
+                    "demo_name": names.of(demo.episode),
+                    "message": format!("{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on", names.of(demo.episode)),
+                }));
+                continue;
+            };
+            if demo.trained_on {
+                taught.push(training);
+            } else {
+                held_out.extend(training.before.iter().map(|&frame| Sample {
+                    picture: training.first + u64::from(frame),
+                    crop: MIDDLE,
+                    target: training.anchor,
+                }));
+            }
+        }
+        ensure!(
+            !taught.is_empty(),
+            "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame; look at its modes with re4-pipe audit",
+            episodes.path().display()
+        );
+        // A backend that is not there is told before pictures are unpacked. The one in pure Rust computes in the program's threads.
+        config.backend.device()?;
+        if config.backend != Backend::Flex {
+            config.backend.set_threads(rayon::current_num_threads())?;
+        }
+        let pictures = self.unpack(config, episodes, &demos, writer)?;
+        let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
+        let task = Task {
+            config,
+            sampler: &sampler,
+            pictures: &pictures,
+            held_out: &held_out,
+            weights: weights.map(SourceFile::path),
+        };
+        let steps = u64::from(steps_of(config, &sampler));
+        let bar = self.notes.progress(u64::from(config.epochs) * steps, "train-pose");
+        let mut begun = false;
+        let trained = train(&task, checkpoints, |progress: &Progress| -> Result<()> {
+            // The weights have been read by now, and are not read again.
+            if let Some(file) = weights.filter(|_| !std::mem::replace(&mut begun, true)) {
+                file.unchanged().map_err(|error| error.fault).context("cannot train")?;
+            }
+            bar.set_position(progress.steps);
+            let [sum, absolute, relative, cross] = progress.losses;
+            bar.set_message(format!(
+                "train-pose, epoch {} of {}: {:.0} pictures/s, loss {sum:.4} (absolute {absolute:.4}, relative {relative:.4}, cross {cross:.4})",
+                progress.epoch, config.epochs, progress.rate
+            ));
+            self.interrupt.check("train-pose")
+        })?;
+        bar.finish_and_clear();
+        writer.file(WEIGHTS, &re4_encoder::to_bytes(&trained.encoder)?)?;
+        write_course(&trained.epochs, writer)?;
+        card::write_plot(&trained.epochs, writer)?;
+        let predictor = Predictor::new(trained.encoder.clone());
+        let poses = self.estimate(&predictor, &demos, &pictures, writer)?;
+        // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
+        let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
+        let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
+        let summary = summary(config, &trained, &demos, &sampler, weights.is_some(), &evaluation);
+        card::write(
+            config,
+            &summary,
+            &trained.epochs,
+            (episodes.key(), modes.key(), key),
+            writer,
+        )?;
+        Ok((Facts { summary, warnings }, trained.rate))
+    }
+
+    /// The pictures of the encoder's camera, in the order of the frames, in a scratch file.
+    fn unpack(
+        &self,
+        config: &EncoderConfig,
+        episodes: &Artifact,
+        demos: &[Demo],
+        writer: &Writer,
+    ) -> Result<PictureFile> {
+        let path = episodes.path();
+        let names = demo_names(episodes)?;
+        let table = episodes.table(&tables::CAMERA_IMAGES)?;
+        let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
+        let bar = self.notes.progress(frames as u64, "pictures");
+        let mut cameras = std::collections::BTreeSet::new();
+        let decoded = table.batches()?.flat_map(|batch| {
+            let decode = || -> Result<Vec<Result<Vec<u8>>>> {
+                self.interrupt.check("train-pose")?;
+                let rows = batch?;
+                let (camera, images) = (col_text(&rows, "camera")?, col_binary(&rows, "image")?);
+                let (episode, frame) = (col_u32(&rows, "episode")?, col_u32(&rows, "frame")?);
+                cameras.extend(camera.iter().flatten().map(|&name| name.to_owned()));
+                let own: Vec<usize> = (0..camera.len())
+                    .filter(|&row| camera[row] == Some(config.camera.as_str()))
+                    .collect();
+                bar.inc(own.len() as u64);
+                Ok(own
+                    .par_iter()
+                    .map(|&row| {
+                        let place = || {
+                            format!(
+                                "cannot train on {}: the picture of {}, frame {}",
+                                path.display(),
+                                names.of(episode[row]),
+                                frame[row]
+                            )
+                        };
+                        let picture = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
+                            .with_context(|| format!("{} is not a PNG picture; ingest again", place()))?
+                            .into_rgb8();
+                        let (width, height) = picture.dimensions();
+                        ensure!(
+                            picture.as_raw().len() == PICTURE_BYTES && width == height,
+                            "{} is {width} x {height} pixels where the encoder reads 84 x 84; render them with ingest.render",
+                            place()
+                        );
+                        Ok(picture.into_raw())
+                    })
+                    .collect())
+            };
+            match decode() {
+                Ok(pictures) => pictures,
+                Err(error) => vec![Err(error)],
+            }
+        });
+        let pictures = PictureFile::write(writer.scratch(), decoded)?;
+        bar.finish_and_clear();
+        if pictures.count() == 0 {
+            let names: Vec<String> = cameras.into_iter().collect();
+            bail!(
+                "cannot train on {}: it has no pictures of camera {:?}; it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
+                path.display(),
+                config.camera,
+                names.join(", ")
+            );
+        }
+        ensure!(
+            pictures.count() == frames as u64,
+            "cannot train on {}: it has {} pictures of camera {:?} for {frames} frames; ingest again",
+            path.display(),
+            pictures.count(),
+            config.camera
+        );
+        Ok(pictures)
+    }
+
+    /// Estimates of all frames, written as they come.
+    fn estimate(
+        &self,
+        predictor: &Predictor,
+        demos: &[Demo],
+        pictures: &PictureFile,
+        writer: &Writer,
+    ) -> Result<Vec<Vec<Isometry3<f64>>>> {
+        let bar = self.notes.progress(pictures.count(), "poses");
+        let mut table = writer.table(&tables::SPATIAL_POSES)?;
+        let mut all = Vec::with_capacity(demos.len());
+        for demo in demos {
+            self.interrupt.check("train-pose")?;
+            let frames = demo.eef.len();
+            let (mut poses, mut embeddings) = (Vec::with_capacity(frames), Vec::new());
+            let mut width = 0;
+            for start in (0..frames).step_by(AT_ONCE) {
+                let chunk = (start..frames.min(start + AT_ONCE))
+                    .map(|frame| {
+                        let mut picture = vec![0; PICTURE_BYTES];
+                        pictures.read(demo.first + frame as u64, &mut picture)?;
+                        Ok(picture)
+                    })
+                    .collect::<Result<Vec<_>, EncoderError>>()?;
+                let chunk: Vec<&[u8]> = chunk.iter().map(Vec::as_slice).collect();
+                for prediction in predictor.predict(&chunk)? {
+                    poses.push(prediction.pose);
+                    width = prediction.embedding.len();
+                    embeddings.extend(prediction.embedding);
+                }
+            }
+            let columns = Columns::new(&tables::SPATIAL_POSES)
+                .u32("episode", vec![demo.episode; frames])
+                .u32("frame", (0..frames as u32).collect())
+                .bool("trained_on", vec![demo.trained_on; frames]);
+            table.write_columns(pose_columns(columns, "object", &poses).f32_rows("embedding", embeddings, width))?;
+            bar.inc(frames as u64);
+            all.push(poses);
+        }
+        table.finish()?;
+        bar.finish_and_clear();
+        Ok(all)
+    }
+}
+
+/// End-effector poses and modes, and nothing else.
+fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
+    let to_site = orientation_to_site(episodes)?;
+    let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
+    let modes_of = modes
+        .table(&tables::SPATIAL_MODES)?
+        .read_columns(&["episode", "frame", "mode"])?;
+    let (episode, frame) = (col_u32(&frames, "episode")?, col_u32(&frames, "frame")?);
+    ensure!(
+        episode == col_u32(&modes_of, "episode")? && frame == col_u32(&modes_of, "frame")?,
+        "cannot train: {} and {} are not of the same frames; segment again",
+        episodes.path().display(),
+        modes.path().display()
+    );
+    let parts = EEF_COLUMNS[2..]
+        .iter()
+        .map(|name| col_f64(&frames, name))
+        .collect::<Result<Vec<_>, _>>()?;
+    let names = col_text(&modes_of, "mode")?;
+    let every = held_out_every(config.held_out);
+    let mut demos: Vec<Demo> = Vec::new();
+    for row in 0..episode.len() {
+        let part = |k: usize| parts[k][row];
+        let hand = Isometry3::from_parts(
+            Translation3::new(part(0), part(1), part(2)),
+            UnitQuaternion::new_normalize(Quaternion::new(part(6), part(3), part(4), part(5))),
+        );
+        let mode = names[row].and_then(Mode::from_name).with_context(|| {
+            format!(
+                "cannot read {}: table spatial_modes has an unknown mode in row {row}; segment again",
+                modes.path().display()
+            )
+        })?;
+        if demos.last().is_none_or(|demo| demo.episode != episode[row]) {
+            let number = demos.len();
+            demos.push(Demo {
+                episode: episode[row],
+                first: row as u64,
+                eef: Vec::new(),
+                modes: Vec::new(),
+                trained_on: every.is_none_or(|every| !number.is_multiple_of(every)),
+            });
+        }
+        if let Some(demo) = demos.last_mut() {
+            demo.eef.push(hand * to_site);
+            demo.modes.push(mode);
+        }
+    }
+    Ok(demos)
+}
+
+fn write_course(epochs: &[Epoch], writer: &Writer) -> Result<()> {
+    let of = |value: fn(&Epoch) -> f64| epochs.iter().map(value).collect::<Vec<_>>();
+    let mut table = writer.table(&tables::TRAINING)?;
+    table.write_columns(
+        Columns::new(&tables::TRAINING)
+            .u32("epoch", epochs.iter().map(|epoch| epoch.epoch).collect())
+            .u32("steps", epochs.iter().map(|epoch| epoch.steps).collect())
+            .f64("learning_rate", of(|epoch| epoch.learning_rate))
+            .f64("loss", of(|epoch| epoch.losses[0]))
+            .f64("absolute", of(|epoch| epoch.losses[1]))
+            .f64("relative", of(|epoch| epoch.losses[2]))
+            .f64("cross", of(|epoch| epoch.losses[3]))
+            .f64_or_null("held_out_absolute", epochs.iter().map(|epoch| epoch.held_out).collect()),
+    )?;
+    table.finish()?;
+    Ok(())
+}
+
+fn summary(
+    config: &EncoderConfig,
+    trained: &Trained,
+    demos: &[Demo],
+    sampler: &Sampler,
+    pretrained: bool,
+    evaluation: &Value,
+) -> Value {
+    let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
+    let last = trained.epochs.last();
+    json!({
+        "episodes": demos.len(),
+        "frames": frames,
+        "trained_on": demos.iter().filter(|demo| demo.trained_on).count(),
+        "started_from": if pretrained { "weights of pose.encoder.weights" } else { "random weights" },
+        "backend": config.backend,
+        "epochs": trained.epochs.len(),
+        "steps": last.map(|epoch| epoch.steps),
+        "pictures_to_draw_from": sampler.pictures(),
+        "demonstrations_with_a_near_anchor": sampler.with_neighbours(),
+        "loss": last.map(|epoch| epoch.losses[0]),
+        "evaluation": evaluation,
+    })
+}

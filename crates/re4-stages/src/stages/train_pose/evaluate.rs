@@ -1,0 +1,265 @@
+//! How good an encoder's poses are: table `pose_errors`, and a summary. After training, and the one place of it that reads
+//! recorded object poses.
+
+use anyhow::{Context as _, Result, ensure};
+use nalgebra::Isometry3;
+use re4_artifact::{Artifact, Columns, Writer, tables};
+use re4_episode::Mode;
+use re4_geometry::spatial::rotation_vector;
+use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
+use re4_report::quantile;
+use serde_json::{Map, Value, json};
+
+use crate::inputs::demos::SegmentedEpisodes;
+use crate::inputs::spatial_index::orientation_to_site;
+use crate::pipeline::TaskName;
+
+/// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
+const TURNED: f64 = std::f64::consts::FRAC_PI_2;
+
+/// Measures the estimates of all demonstrations against the recorded poses: writes table `pose_errors`, and returns what the
+/// summary says. `poses` are those of every demonstration's frames, world frame, in the order of the artifacts, and
+/// `trained_on` says of which demonstrations pictures were trained on.
+///
+/// Demonstrations are read one after the other; what stays in memory is poses, some 200 bytes a frame.
+///
+/// # Errors
+/// When the artifacts cannot be read, or the estimates are not of their demonstrations.
+pub(super) fn evaluate(
+    writer: &Writer,
+    episodes: &Artifact,
+    modes: &Artifact,
+    poses: &[Vec<Isometry3<f64>>],
+    trained_on: &[bool],
+    task: TaskName,
+) -> Result<Value> {
+    let symmetry = task.symmetry();
+    let demonstrations = read(episodes, modes, poses, trained_on)?;
+    let evaluation = measure(&demonstrations, symmetry)?;
+    write(writer, &demonstrations, evaluation.estimates.as_ref())?;
+    let mut summary = summary(&demonstrations, &evaluation);
+    if let Some(summary) = summary.as_object_mut() {
+        summary.insert("symmetry".to_owned(), serde_json::to_value(symmetry)?);
+    }
+    Ok(summary)
+}
+
+fn read(
+    episodes: &Artifact,
+    modes: &Artifact,
+    poses: &[Vec<Isometry3<f64>>],
+    trained_on: &[bool],
+) -> Result<Vec<Demonstration>> {
+    let to_site = orientation_to_site(episodes)?;
+    let mut estimates = poses.iter().zip(trained_on);
+    let mut demonstrations = Vec::with_capacity(poses.len());
+    for demo in SegmentedEpisodes::open(episodes, modes)? {
+        let demo = demo?;
+        let frames = &demo.episode.frames;
+        let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
+        let (poses, &trained_on) = own.with_context(|| {
+            format!(
+                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}; train again",
+                frames.len(),
+                demo.episode.name,
+                episodes.path().display()
+            )
+        })?;
+        let held: Vec<bool> = demo
+            .segmented
+            .modes
+            .iter()
+            .map(|mode| *mode == Mode::Transfer)
+            .collect();
+        demonstrations.push(Demonstration {
+            trained_on,
+            phases: GraspPhase::of(&held),
+            estimated: poses.clone(),
+            recorded: frames.iter().map(|frame| frame.object).collect(),
+            eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
+        });
+    }
+    ensure!(
+        estimates.next().is_none(),
+        "cannot evaluate the estimated poses: they are of more demonstrations than {} holds; train again",
+        episodes.path().display()
+    );
+    Ok(demonstrations)
+}
+
+fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Measured>) -> Result<()> {
+    let mut table = writer.table(&tables::POSE_ERRORS)?;
+    let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
+    for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
+        // Every frame has an estimate.
+        let errors: Vec<FrameError> = errors.iter().flatten().copied().collect();
+        let column = |value: fn(&FrameError) -> f64| errors.iter().map(value).collect::<Vec<_>>();
+        table.write_columns(
+            Columns::new(&tables::POSE_ERRORS)
+                .u32("episode", vec![episode; errors.len()])
+                .u32("frame", (0..errors.len() as u32).collect())
+                .bool("trained_on", vec![demo.trained_on; errors.len()])
+                .text("phase", demo.phases.iter().map(|phase| phase.as_str()))
+                .f64("translation", column(|e| e.translation))
+                .f64("translation_at_grasp", column(|e| e.translation_at_grasp))
+                .f64("rotation", column(|e| e.rotation))
+                .bool("half_turn", errors.iter().map(|e| e.half_turn).collect()),
+        )?;
+    }
+    table.finish()?;
+    Ok(())
+}
+
+/// Everything in words and figures; null is what could not be measured.
+fn summary(demonstrations: &[Demonstration], evaluation: &Evaluation) -> Value {
+    let of = |measured: Option<&Measured>| measured.map(|measured| scores(demonstrations, measured));
+    let offset = evaluation.estimates.as_ref().map(|measured| {
+        let pose = measured.offset.pose();
+        json!({
+            "translation_mm": pose.translation.vector.iter().map(|part| 1e3 * part).collect::<Vec<_>>(),
+            "rotation_vector_rad": rotation_vector(&pose.rotation).iter().copied().collect::<Vec<_>>(),
+            "up_to_half_a_turn_of_the_gripper": measured.offset.half_turns(),
+        })
+    });
+    json!({
+        "against": "recorded poses, which nothing before has read, one constant rigid offset taken away",
+        "offset": offset,
+        "estimates": of(evaluation.estimates.as_ref()),
+        "labels": of(evaluation.labels.as_ref()),
+        "mean_pose": of(evaluation.mean.as_ref()),
+        "carried_grasps": carried(&evaluation.arrivals),
+    })
+}
+
+/// Errors of demonstrations trained on and of those held out, by phase.
+fn scores(demonstrations: &[Demonstration], measured: &Measured) -> Value {
+    let of = |trained_on: bool| {
+        let chosen = || {
+            let all = demonstrations.iter().zip(&measured.errors);
+            all.filter(move |(own, _)| own.trained_on == trained_on)
+        };
+        let errors = |phase: Option<GraspPhase>| -> Vec<FrameError> {
+            let frames = chosen().flat_map(|(own, errors)| own.phases.iter().zip(errors));
+            let wanted = frames.filter(|(own, _)| phase.is_none_or(|phase| phase == **own));
+            wanted.filter_map(|(_, error)| *error).collect()
+        };
+        let mut scores = Map::new();
+        scores.insert("demonstrations".to_owned(), json!(chosen().count()));
+        scores.insert("overall".to_owned(), score(&errors(None)));
+        for phase in GraspPhase::ALL {
+            scores.insert(phase.as_str().to_owned(), score(&errors(Some(phase))));
+        }
+        Value::Object(scores)
+    };
+    json!({ "held_out": of(false), "trained_on": of(true) })
+}
+
+fn score(errors: &[FrameError]) -> Value {
+    let spread =
+        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))).collect());
+    json!({
+        "frames": errors.len(),
+        "translation_mm": spread(|e| e.translation, millimetres),
+        "translation_at_grasp_mm": spread(|e| e.translation_at_grasp, millimetres),
+        "rotation_deg": spread(|e| e.rotation, f64::to_degrees),
+    })
+}
+
+fn carried(arrivals: &[Arrival]) -> Value {
+    if arrivals.is_empty() {
+        return Value::Null;
+    }
+    let turned = arrivals.iter().filter(|arrival| arrival.angle > TURNED).count();
+    json!({
+        "queries": arrivals.len(),
+        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)).collect()),
+        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()).collect()),
+        "share_of_the_other_side": turned as f64 / arrivals.len() as f64,
+    })
+}
+
+fn millimetres(metres: f64) -> f64 {
+    1e3 * metres
+}
+
+/// Median and 90th percentile; null of nothing.
+fn spread(mut values: Vec<f64>) -> Value {
+    if values.is_empty() {
+        return Value::Null;
+    }
+    values.sort_by(f64::total_cmp);
+    json!({ "p50": quantile(&values, 0.5), "p90": quantile(&values, 0.9) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use re4_geometry::spatial::Symmetry;
+
+    fn at(x: f64, y: f64, z: f64) -> Isometry3<f64> {
+        Isometry3::translation(x, y, z)
+    }
+
+    /// Four frames, the last two of them held; the estimate is off by some metres along x.
+    fn demonstration(number: f64, trained_on: bool, off: f64) -> Demonstration {
+        let recorded = [at(number, 0.0, 0.8); 4];
+        Demonstration {
+            trained_on,
+            phases: GraspPhase::of(&[false, false, true, true]),
+            estimated: recorded.map(|pose| at(off, 0.0, 0.02) * pose).to_vec(),
+            recorded: recorded.to_vec(),
+            eef: recorded.to_vec(),
+        }
+    }
+
+    #[test]
+    fn what_no_frame_tells_is_null() {
+        let trained = [
+            demonstration(0.0, true, 0.0),
+            demonstration(0.1, true, 0.0),
+            demonstration(0.2, true, 0.0),
+        ];
+        let alone = summary(&trained, &measure(&trained, Symmetry::None).unwrap());
+        let scores = &alone["estimates"];
+        assert_eq!(scores["trained_on"]["overall"]["frames"], 12);
+        assert_eq!(
+            scores["trained_on"]["after_release"],
+            json!({ "frames": 0, "translation_mm": null, "translation_at_grasp_mm": null, "rotation_deg": null })
+        );
+        assert_eq!(scores["held_out"]["overall"]["translation_mm"], Value::Null);
+        assert_eq!(alone["carried_grasps"], Value::Null);
+        let nothing = summary(&[], &measure(&[], Symmetry::None).unwrap());
+        assert_eq!(nothing["estimates"], Value::Null);
+        assert_eq!(nothing["offset"], Value::Null);
+    }
+
+    #[test]
+    fn demonstrations_that_were_held_out_are_told_apart() {
+        let mut all: Vec<_> = (0..5).map(|i| demonstration(0.01 * f64::from(i), true, 0.0)).collect();
+        all.push(demonstration(0.02, false, 0.004));
+        let told = summary(&all, &measure(&all, Symmetry::None).unwrap());
+        let close = |value: &Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1e-9;
+        let estimates = &told["estimates"];
+        for (part, off) in [("trained_on", 0.0), ("held_out", 4.0)] {
+            for phase in ["overall", "before_grasp", "held"] {
+                assert!(
+                    close(&estimates[part][phase]["translation_mm"]["p50"], off),
+                    "{part} {phase}"
+                );
+                assert!(close(&estimates[part][phase]["rotation_deg"]["p90"], 0.0));
+            }
+        }
+        assert!(close(&told["offset"]["translation_mm"][2], -20.0));
+        // The mean of the labels is the third of the five; the outer ones are 1 or 2 cm away.
+        assert!(close(
+            &told["mean_pose"]["trained_on"]["before_grasp"]["translation_mm"]["p50"],
+            10.0
+        ));
+        assert!(close(
+            &told["labels"]["trained_on"]["held"]["translation_mm"]["p90"],
+            0.0
+        ));
+        assert_eq!(told["carried_grasps"]["queries"], 2);
+        assert!(close(&told["carried_grasps"]["distance_mm"]["p50"], 4.0));
+    }
+}
