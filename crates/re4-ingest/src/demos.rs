@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::error::IngestError;
-use crate::left_out::LeftOut;
+use crate::left_out::{LeftOut, refusal};
 use crate::warning::{Warning, WarningCode};
 
 /// A dataset of one format, opened: which of its demonstrations are asked for is known, and that they can be read.
@@ -243,6 +243,13 @@ impl Tally {
     /// Frames of all demonstrations.
     pub fn frames(&self) -> usize {
         self.demos.iter().map(|(_, frames)| frames).sum()
+    }
+
+    /// That demonstrations were left out, where any were, `of` so many.
+    pub(crate) fn left_out_warning(&self, of: usize) -> Option<Warning> {
+        let left = &self.left_out;
+        let message = || format!("left out: {}", refusal(left, of));
+        (!left.is_empty()).then(|| Warning::new(WarningCode::LeftOut, message(), left.len()))
     }
 
     /// What single demonstrations had that is odd.

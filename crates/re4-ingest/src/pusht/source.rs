@@ -158,8 +158,9 @@ impl DemoSource for PushtSource {
         Ok(())
     }
 
-    fn warnings(&self, _tally: &Tally) -> Result<Vec<Warning>, IngestError> {
-        Ok(self.reading.warnings.clone())
+    fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
+        let left_out = tally.left_out_warning(self.demos.len());
+        Ok(self.reading.warnings.iter().cloned().chain(left_out).collect())
     }
 
     fn unchanged(&self) -> Result<(), IngestError> {

@@ -63,7 +63,7 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// What is wrong with them, as of a demonstration that cannot be used; a file that cannot be read without the library.
-    pub fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
+    pub(super) fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
         let mut faults = Vec::new();
         for camera in cameras {
             let path = format!("data/{}/obs/{camera}{ENDING}", demo.name);

@@ -308,7 +308,7 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// A file that cannot be read without the HDF5 library.
-    pub fn total_warning(&self, frames: u64) -> Result<Option<Warning>, IngestError> {
+    pub(super) fn total_warning(&self, frames: u64) -> Result<Option<Warning>, IngestError> {
         if self.demos.len() < self.found {
             return Ok(None);
         }

@@ -5,6 +5,7 @@ use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 
 use re4_robosuite::conventions::ActionKind;
+use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Map, Value, json};
 
 use super::demo::Demo;
@@ -72,14 +73,14 @@ impl RobomimicSource {
         self.interpreter.conventions()
     }
 
+    /// What the file says of how it was recorded.
+    pub fn env(&self) -> &EnvArgs {
+        self.interpreter.env()
+    }
+
     /// The file.
     pub fn reader(&self) -> &RobomimicReader {
         &self.reader
-    }
-
-    /// Leaves out more demonstrations.
-    pub fn exclude(&mut self, more: impl IntoIterator<Item = LeftOut>) {
-        self.excluded.extend(more);
     }
 
     /// A demonstration, or why it cannot be used.
@@ -157,8 +158,9 @@ impl DemoSource for RobomimicSource {
 
     fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
         let mut warnings = self.reader.warnings().to_vec();
-        if tally.left_out.is_empty() {
-            warnings.extend(self.reader.total_warning(tally.frames() as u64)?);
+        match tally.left_out_warning(self.demos().len()) {
+            Some(left_out) => warnings.push(left_out),
+            None => warnings.extend(self.reader.total_warning(tally.frames() as u64)?),
         }
         warnings.extend(tally.warnings());
         let conventions = self.interpreter.warnings().iter();

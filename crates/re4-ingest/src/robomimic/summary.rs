@@ -98,7 +98,7 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// Groups that cannot be read.
-    pub fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
+    pub(super) fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
         let taken = |name: &str| {
             let camera = name.strip_prefix("obs/").and_then(|name| name.strip_suffix("_image"));
             TAKEN.contains(&name) || camera.is_some_and(|camera| cameras.iter().any(|taken| taken == camera))

@@ -11,7 +11,6 @@ use re4_report::quantile;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::pipeline::TaskName;
 
 /// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
@@ -50,7 +49,6 @@ fn read(
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
 ) -> Result<Vec<Demonstration>> {
-    let to_site = orientation_to_site(episodes)?;
     let mut estimates = poses.iter().zip(trained_on);
     let mut demonstrations = Vec::with_capacity(poses.len());
     for demo in SegmentedEpisodes::open(episodes, modes)? {
@@ -76,7 +74,7 @@ fn read(
             phases: GraspPhase::of(&held),
             estimated: poses.clone(),
             recorded: frames.iter().map(|frame| frame.object).collect(),
-            eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
+            eef: frames.iter().map(|frame| frame.eef).collect(),
         });
     }
     ensure!(
