@@ -26,6 +26,8 @@ const ROWS_OF_A_GROUP: usize = 3;
 const EVERY_KIND: TableSpec = TableSpec {
     name: "every_kind",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row an example.",
     columns: &[
         ColumnSpec::new("u32", ColumnKind::U32, "An id."),

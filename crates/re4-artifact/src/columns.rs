@@ -227,7 +227,7 @@ pub(crate) fn first_null(array: &dyn Array) -> Option<usize> {
     (0..nulls.len()).find(|&i| nulls.is_null(i))
 }
 
-fn table_name(batch: &RecordBatch) -> String {
+pub(crate) fn table_name(batch: &RecordBatch) -> String {
     batch
         .schema_ref()
         .metadata
@@ -237,7 +237,7 @@ fn table_name(batch: &RecordBatch) -> String {
 }
 
 /// The column of this name, of whatever kind.
-fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, ArtifactError> {
+pub(crate) fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, ArtifactError> {
     batch.column_by_name(name).ok_or_else(|| {
         let known: Vec<&str> = batch.schema_ref().fields().iter().map(|f| f.name().as_str()).collect();
         ArtifactError::NoColumn {
@@ -248,7 +248,7 @@ fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, Artifa
     })
 }
 
-fn wrong_kind(batch: &RecordBatch, name: &str, array: &ArrayRef, expected: ColumnKind) -> ArtifactError {
+pub(crate) fn wrong_kind(batch: &RecordBatch, name: &str, array: &ArrayRef, expected: ColumnKind) -> ArtifactError {
     ArtifactError::ColumnKind {
         table: table_name(batch),
         column: name.to_owned(),
@@ -257,7 +257,7 @@ fn wrong_kind(batch: &RecordBatch, name: &str, array: &ArrayRef, expected: Colum
     }
 }
 
-fn complete(batch: &RecordBatch, name: &str, array: &dyn Array) -> Result<(), ArtifactError> {
+pub(crate) fn complete(batch: &RecordBatch, name: &str, array: &dyn Array) -> Result<(), ArtifactError> {
     first_null(array).map_or(Ok(()), |row| {
         Err(ArtifactError::Null {
             table: table_name(batch),

@@ -184,6 +184,35 @@ pub enum ArtifactError {
         /// First row, of the rows at hand, that is null.
         row: usize,
     },
+    /// A word of a column is none of those that it may have.
+    #[error(
+        "column {column} of table {table} has the word {word:?}, which is none of {known}; build the artifact again"
+    )]
+    UnknownWord {
+        /// Name of the table, `?` when the rows do not say.
+        table: String,
+        /// Name of the column.
+        column: String,
+        /// The word.
+        word: String,
+        /// Words that it may have, comma-separated.
+        known: String,
+    },
+    /// A table holds the columns of another domain.
+    #[error(
+        "cannot read table {table} of {folder} as one of the domain {expected}: it is of the domain {found}; name an artifact of a task in that domain",
+        folder = .folder.display()
+    )]
+    OtherDomain {
+        /// Folder of the artifact.
+        folder: PathBuf,
+        /// Name of the table.
+        table: String,
+        /// Domain asked for.
+        expected: &'static str,
+        /// Domain of the file.
+        found: String,
+    },
 }
 
 impl ArtifactError {

@@ -41,12 +41,15 @@ mod error;
 mod key;
 mod manifest;
 mod reader;
+mod rows;
 mod spec;
 mod store;
 pub mod tables;
 mod verify;
 mod writer;
 
+#[doc(hidden)]
+pub use arrow;
 pub use canonical::{canonical_json, canonical_text};
 pub use columns::{
     Columns, col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null,
@@ -56,6 +59,7 @@ pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileFacts, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
 pub use reader::{Artifact, Batches, Table};
+pub use rows::{Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, trimmed};
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
 pub use verify::{VerifiedFile, VerifyReport, verify};

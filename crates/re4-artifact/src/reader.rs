@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use arrow::array::{ArrayRef, RecordBatch, new_null_array};
 use arrow::compute::concat_batches;
-use arrow::datatypes::{Schema, SchemaRef};
+use arrow::datatypes::{FieldRef, Schema, SchemaRef};
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder,
@@ -21,7 +21,7 @@ use crate::disk::hash_file;
 use crate::error::{ArtifactError, Damage};
 use crate::key::Key;
 use crate::manifest::{MANIFEST_NAME, Manifest, TableFacts};
-use crate::spec::TableSpec;
+use crate::spec::{DOMAIN_KEY, TableSpec};
 use crate::tables;
 
 const ROWS_PER_BATCH: usize = 65_536;
@@ -72,11 +72,25 @@ impl Artifact {
     /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::Damaged`] when the file is missing or
     /// does not have the columns that its version has, [`ArtifactError::Parquet`] when it cannot be decoded.
     pub fn table(&self, spec: &'static TableSpec) -> Result<Table, ArtifactError> {
-        let facts = self.facts(spec.name)?;
+        let facts = match self.formerly(spec) {
+            Some(facts) => facts,
+            None => self.facts(spec.name)?,
+        };
         if facts.schema_version > spec.version {
             return Err(self.newer(spec.name, facts, spec.version));
         }
         Table::open(self, facts, Some(spec))
+    }
+
+    /// Whether it has a table, by today's name or by that of older versions.
+    pub fn has_table(&self, spec: &'static TableSpec) -> bool {
+        self.manifest.tables.contains_key(spec.name) || self.formerly(spec).is_some()
+    }
+
+    /// The table by the name that older versions had.
+    fn formerly(&self, spec: &'static TableSpec) -> Option<&TableFacts> {
+        let facts = self.manifest.tables.get(spec.formerly)?;
+        (facts.schema_version < spec.version).then_some(facts)
     }
 
     /// A table by its name, as it is in the file; for programs that show any artifact.
@@ -149,8 +163,8 @@ impl Artifact {
     }
 
     fn refuse_newer(&self, table: &str, facts: &TableFacts) -> Result<(), ArtifactError> {
-        match tables::find(table) {
-            Some(spec) if facts.schema_version > spec.version => Err(self.newer(table, facts, spec.version)),
+        match tables::newest(table) {
+            Some(version) if facts.schema_version > version => Err(self.newer(table, facts, version)),
             _ => Ok(()),
         }
     }
@@ -193,11 +207,27 @@ impl Table {
             spec,
             metadata,
         };
+        table.refuse_other_domain(artifact)?;
         if let Some(reason) = table.disagreement() {
             let file = facts.file.clone();
             return Err(ArtifactError::damaged(&artifact.path, Damage::Table { file, reason }));
         }
         Ok(table)
+    }
+
+    /// Refuses a table that has the columns of another domain.
+    fn refuse_other_domain(&self, artifact: &Artifact) -> Result<(), ArtifactError> {
+        let Some(spec) = self.spec else { return Ok(()) };
+        let found = self.metadata.schema().metadata.get(DOMAIN_KEY);
+        match found.filter(|found| *found != spec.domain) {
+            Some(found) => Err(ArtifactError::OtherDomain {
+                folder: artifact.path.clone(),
+                table: spec.name.to_owned(),
+                expected: spec.domain,
+                found: found.clone(),
+            }),
+            None => Ok(()),
+        }
     }
 
     /// How the file disagrees with the manifest and the table's description, if it does.
@@ -213,7 +243,8 @@ impl Table {
         let version = self.facts.schema_version;
         let fields = self.metadata.schema().fields();
         let described: Vec<_> = spec.columns_at(version).collect();
-        if fields.len() != described.len() {
+        // An older version may have had columns that are gone.
+        if fields.len() != described.len() && version == spec.version {
             return Some(format!(
                 "has {} columns where version {version} of the {} table has {}",
                 fields.len(),
@@ -221,18 +252,28 @@ impl Table {
                 described.len()
             ));
         }
-        fields.iter().zip(described).find_map(|(field, column)| {
-            let same = field.name() == column.name && field.data_type() == &column.kind.data_type();
-            (!same).then(|| {
-                format!(
-                    "has a column {} of type {} where version {version} of the {} table has {} of kind {}",
+        described.into_iter().enumerate().find_map(|(place, column)| {
+            let name = spec.name_at(column, version);
+            let field = if version == spec.version {
+                fields.get(place)
+            } else {
+                fields.iter().find(|field| field.name() == name)
+            };
+            let same = |field: &FieldRef| field.name() == name && field.data_type() == &column.kind.data_type();
+            match field {
+                Some(field) if same(field) => None,
+                Some(field) => Some(format!(
+                    "has a column {} of type {} where version {version} of the {} table has {name} of kind {}",
                     field.name(),
                     field.data_type(),
                     spec.name,
-                    column.name,
                     column.kind
-                )
-            })
+                )),
+                None => Some(format!(
+                    "lacks the column {name} of version {version} of the {} table",
+                    spec.name
+                )),
+            }
         })
     }
 
@@ -307,7 +348,10 @@ impl Table {
         }
         let schema = Arc::new(Schema::new_with_metadata(fields, full.metadata.clone()));
         let file_columns = self.metadata.schema().fields();
-        let chosen = (0..file_columns.len()).filter(|&i| columns.contains(&file_columns[i].name().as_str()));
+        let chosen = (0..file_columns.len()).filter(|&i| {
+            let name = file_columns[i].name().as_str();
+            columns.iter().any(|column| self.name_in_file(column) == name)
+        });
         let mask = ProjectionMask::roots(self.metadata.parquet_schema(), chosen);
         self.collect(self.reader(None)?.with_projection(mask), &schema, None)
     }
@@ -400,6 +444,12 @@ impl Table {
         concat_batches(schema, &batches).map_err(|e| refuse(e.into()))
     }
 
+    /// The name of a column in the file, which may be of an older version.
+    fn name_in_file<'a>(&self, column: &'a str) -> &'a str {
+        let known = self.spec.and_then(|spec| Some((spec, spec.column(column)?)));
+        known.map_or(column, |(spec, known)| spec.name_at(known, self.facts.schema_version))
+    }
+
     /// The batch with the columns of `schema`; those that its version of the table lacks are null.
     fn upgrade(&self, batch: &RecordBatch, schema: &SchemaRef) -> Result<RecordBatch, ArtifactError> {
         let columns: Vec<ArrayRef> = schema
@@ -407,7 +457,7 @@ impl Table {
             .iter()
             .map(|field| {
                 batch
-                    .column_by_name(field.name())
+                    .column_by_name(self.name_in_file(field.name()))
                     .map_or_else(|| new_null_array(field.data_type(), batch.num_rows()), Arc::clone)
             })
             .collect();

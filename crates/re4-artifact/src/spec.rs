@@ -14,6 +14,10 @@ pub struct TableSpec {
     pub name: &'static str,
     /// Version of the schema. It grows when a column is added, and then the new column says so by [`ColumnSpec::since`].
     pub version: u32,
+    /// Domain whose columns it has beside those that all domains share: `plane`, `space`; "" for a table of all domains.
+    pub domain: &'static str,
+    /// Name of the table before this version; "" where it always had its own.
+    pub formerly: &'static str,
     /// What one row is, and what the table is for.
     pub description: &'static str,
     /// The columns, in their order in the file.
@@ -38,6 +42,8 @@ pub struct ColumnSpec {
     /// Schema version of the table that first had this column. Tables of older versions are read with nulls in its
     /// place, so a column added later has to be nullable.
     pub since: u32,
+    /// Its name in versions before; "" where it is the same.
+    pub formerly: &'static str,
 }
 
 /// What the values of a column are.
@@ -116,6 +122,7 @@ impl ColumnSpec {
             frame: "",
             description,
             since: 1,
+            formerly: "",
         }
     }
 
@@ -165,6 +172,7 @@ impl ColumnSpec {
 /// Name of the table in the metadata of a Parquet file and of the batches read from it.
 pub(crate) const TABLE_KEY: &str = "re4.table";
 const VERSION_KEY: &str = "re4.version";
+pub(crate) const DOMAIN_KEY: &str = "re4.domain";
 const DESCRIPTION_KEY: &str = "re4.description";
 const COLUMNS_KEY: &str = "re4.columns";
 
@@ -184,6 +192,15 @@ impl TableSpec {
         self.columns.iter().filter(move |column| column.since <= version)
     }
 
+    /// The name of a column in the files of a schema version.
+    pub fn name_at(&self, column: &ColumnSpec, version: u32) -> &'static str {
+        if version < self.version && !column.formerly.is_empty() {
+            column.formerly
+        } else {
+            column.name
+        }
+    }
+
     /// The Arrow schema: fields with unit, frame of reference and description in their metadata.
     pub fn schema(&self) -> SchemaRef {
         let fields: Vec<Field> = self.columns.iter().map(ColumnSpec::field).collect();
@@ -198,12 +215,15 @@ impl TableSpec {
             .iter()
             .map(|c| json!({"description": c.description, "frame": c.frame, "name": c.name, "unit": c.unit}))
             .collect();
-        vec![
+        let domain = (!self.domain.is_empty()).then(|| (DOMAIN_KEY.to_owned(), self.domain.to_owned()));
+        let mut entries = vec![
             (COLUMNS_KEY.to_owned(), Value::Array(columns).to_string()),
             (DESCRIPTION_KEY.to_owned(), self.description.to_owned()),
             (TABLE_KEY.to_owned(), self.name.to_owned()),
             (VERSION_KEY.to_owned(), self.version.to_string()),
-        ]
+        ];
+        entries.extend(domain);
+        entries
     }
 }
 
@@ -222,12 +242,15 @@ pub fn json_description(spec: &TableSpec) -> Value {
                 "frame": c.frame,
                 "description": c.description,
                 "since": c.since,
+                "formerly": c.formerly,
             })
         })
         .collect();
     json!({
         "name": spec.name,
         "version": spec.version,
+        "domain": spec.domain,
+        "formerly": spec.formerly,
         "file": spec.file(),
         "description": spec.description,
         "columns": columns,

@@ -353,6 +353,11 @@ impl TableWriter {
         self.write(columns.finish()?)
     }
 
+    /// Schema of the table.
+    pub(crate) fn schema(&self) -> SchemaRef {
+        Arc::clone(&self.schema)
+    }
+
     /// Rows so far.
     pub fn rows(&self) -> u64 {
         self.rows + self.pending_rows as u64

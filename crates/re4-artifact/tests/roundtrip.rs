@@ -247,6 +247,8 @@ fn descriptions_name_everything() {
 const FIRST: TableSpec = TableSpec {
     name: "grown",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row an example.",
     columns: &[ColumnSpec::new("frame", ColumnKind::U32, "A frame.")],
 };

@@ -8,6 +8,8 @@ use crate::spec::{ColumnSpec, TableSpec};
 pub const FINDINGS: TableSpec = TableSpec {
     name: "findings",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a finding: what looks wrong, where, by which measure against which threshold. Sorted by episode, first frame and code.",
     columns: &[
         id("finding", "Number of the finding in this artifact, from 0."),
@@ -36,6 +38,8 @@ pub const FINDINGS: TableSpec = TableSpec {
 pub const CHECKS: TableSpec = TableSpec {
     name: "checks",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a check that was made, whether or not it found something, with its threshold and where that comes from. Sorted by code.",
     columns: &[
         category("code", "Kind of finding that it makes."),
@@ -58,6 +62,8 @@ pub const CHECKS: TableSpec = TableSpec {
 pub const AUDITED_EPISODES: TableSpec = TableSpec {
     name: "audited_episodes",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a demonstration: its length, its modes and how much was found in it. Sorted by episode.",
     columns: &[
         EPISODE,
@@ -82,6 +88,8 @@ pub const AUDITED_EPISODES: TableSpec = TableSpec {
 pub const GRASPS: TableSpec = TableSpec {
     name: "grasps",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a transfer segment of a demonstration with a gripper: where the object was grasped and how it went. Sorted by episode and segment.",
     columns: &[
         EPISODE,

@@ -7,6 +7,8 @@ use crate::spec::{ColumnSpec, TableSpec};
 pub const LEFT_OUT: TableSpec = TableSpec {
     name: "left_out",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a demonstration of the source that was asked for and cannot be used, and so is not in this artifact. There is no such table where all can. In the order of the source.",
     columns: &[
         ColumnSpec::new(

@@ -95,6 +95,8 @@ const MODE: ColumnSpec = category("mode", "Manipulation mode: transit or transfe
 pub const FRAMES: TableSpec = TableSpec {
     name: "frames",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every demonstration: the object-augmented state, the action and what was recorded beside it. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -132,6 +134,8 @@ pub const FRAMES: TableSpec = TableSpec {
 pub const EPISODES: TableSpec = TableSpec {
     name: "episodes",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a demonstration, in the order of the artifact.",
     columns: &[
         EPISODE,
@@ -148,6 +152,8 @@ pub const EPISODES: TableSpec = TableSpec {
 pub const IMAGES: TableSpec = TableSpec {
     name: "images",
     version: 2,
+    domain: "",
+    formerly: "camera_images",
     description: "One row a picture, sorted by camera, episode and frame: the recorded picture, or the one rendered from the recorded state where the summary of the artifact says so, lossless. Row groups are small, so that a picture can be read alone.",
     columns: &[
         EPISODE,
@@ -167,6 +173,8 @@ pub const IMAGES: TableSpec = TableSpec {
 pub const MODES: TableSpec = TableSpec {
     name: "modes",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame: its manipulation mode and the evidence for it. Steps and turns lead from the frame to the next one of its episode and are null at the last.",
     columns: &[
         EPISODE,
@@ -211,6 +219,8 @@ pub const MODES: TableSpec = TableSpec {
 pub const SEGMENTS: TableSpec = TableSpec {
     name: "segments",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
     columns: &[
         EPISODE,
@@ -242,6 +252,8 @@ pub const SEGMENTS: TableSpec = TableSpec {
 pub const POSES: TableSpec = TableSpec {
     name: "poses",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every demonstration: the object's pose as estimated from the frame's picture, and what to think of it. No recorded pose enters. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -276,6 +288,8 @@ pub const POSES: TableSpec = TableSpec {
 pub const ANCHOR: TableSpec = TableSpec {
     name: "anchor",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a pixel of the 96 x 96 pictures: how much of it the goal covers, as seen over the pictures. The goal pose is the pose of this mask; angles are measured from it. Sorted by row and column.",
     columns: &[
         id("row", "Row of the picture, from 0 at the top."),
@@ -288,6 +302,8 @@ pub const ANCHOR: TableSpec = TableSpec {
 pub const INDEX: TableSpec = TableSpec {
     name: "index",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a retrievable frame: its object-augmented state, its action and its normalised coordinates. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -318,6 +334,8 @@ pub const INDEX: TableSpec = TableSpec {
 pub const SCALES: TableSpec = TableSpec {
     name: "scales",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a dimension of the object-augmented state: the range that it is normalised by.",
     columns: &[
         ColumnSpec::new("dimension", Text, "Name of the dimension, a column of the index table."),
@@ -330,6 +348,8 @@ pub const SCALES: TableSpec = TableSpec {
 pub const CHUNKS: TableSpec = TableSpec {
     name: "chunks",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a chunk: a part of a demonstration that starts with the pusher clear of the block and ends anywhere after the block began to move. The motion is o_j^-1 o_e, the pose of the block at the last frame in its own frame at the first. Sorted by episode, first and last frame.",
     columns: &[
         EPISODE,
@@ -350,6 +370,8 @@ pub const CHUNKS: TableSpec = TableSpec {
 pub const REPLAYS: TableSpec = TableSpec {
     name: "replays",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a demonstration whose actions were replayed open-loop from its own first state: how far the simulator strays from the recording. The distance between two poses of the block is the root mean square displacement of its points.",
     columns: &[
         EPISODE,
@@ -390,6 +412,8 @@ pub const REPLAYS: TableSpec = TableSpec {
 pub const DIVERGENCE: TableSpec = TableSpec {
     name: "divergence",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every replayed demonstration: the distance between the replay and the recording. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -413,6 +437,8 @@ const SEED: ColumnSpec = id(
 pub const RESULTS: TableSpec = TableSpec {
     name: "results",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a rollout: its scene and its outcome. Coverage is the part of the goal area that the block covers, IoU is intersection over union of the two, the score is coverage over 0.95, at most 1.",
     columns: &[
         id("episode", "Number of the rollout in this artifact, from 0."),
@@ -440,6 +466,8 @@ pub const RESULTS: TableSpec = TableSpec {
 pub const STEPS: TableSpec = TableSpec {
     name: "steps",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a control step of a rollout: the action executed and the state that it led to. Sorted by seed and step.",
     columns: &[
         SEED,
@@ -489,6 +517,8 @@ pub const STEPS: TableSpec = TableSpec {
 pub const DECISIONS: TableSpec = TableSpec {
     name: "decisions",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a decision of the policy: what it saw, what it retrieved, how it moved it, what it planned and what it executed. Sorted by seed and decision.",
     columns: &[
         SEED,
@@ -575,6 +605,8 @@ pub const DECISIONS: TableSpec = TableSpec {
 pub const BUDGETS: TableSpec = TableSpec {
     name: "budgets",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a budget of control steps, every 50 up to the greatest and the greatest itself: what the rollouts of this artifact had reached by then. A rollout that ended by success keeps its maxima. Intervals are those of 95 %: percentile bootstrap of the mean, Wilson for the success rate. Sorted by budget.",
     columns: &[
         id("budget", "Control steps that count."),
@@ -610,6 +642,8 @@ pub const BUDGETS: TableSpec = TableSpec {
 pub const SCENES: TableSpec = TableSpec {
     name: "scenes",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a scene that rollouts start from: a pose of the block far from those of all demonstrations, and a place for the pusher. Sorted by pose and pusher; poses come in falling order of rho.",
     columns: &[
         id("scene", "Number of the scene in this artifact, from 0."),
@@ -673,6 +707,14 @@ pub fn all() -> impl Iterator<Item = (Stage, &'static TableSpec)> {
     Stage::ALL
         .into_iter()
         .flat_map(|stage| of(stage).iter().map(move |&spec| (stage, spec)))
+}
+
+/// The newest version of the table of this name that this build knows.
+pub(crate) fn newest(name: &str) -> Option<u32> {
+    all()
+        .filter(|(_, spec)| spec.name == name)
+        .map(|(_, spec)| spec.version)
+        .max()
 }
 
 /// The table of this name.

@@ -42,6 +42,8 @@ const FRAME: ColumnSpec = id(
 pub const SPATIAL_FRAMES: TableSpec = TableSpec {
     name: "spatial_frames",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every demonstration of a robosuite task: the object-augmented state, the action in both conventions, and what was recorded beside it. Values that the dataset holds are copied bit for bit; which of the two action conventions it holds says row action_kind of table conventions, the other one is converted. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -114,6 +116,8 @@ pub const SPATIAL_FRAMES: TableSpec = TableSpec {
 pub const DEMOS: TableSpec = TableSpec {
     name: "demos",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a demonstration of a robosuite task: its group in the HDF5 file and what was measured on it. Sorted by episode.",
     columns: &[
         EPISODE,
@@ -129,6 +133,8 @@ pub const DEMOS: TableSpec = TableSpec {
 pub const CONVENTIONS: TableSpec = TableSpec {
     name: "conventions",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a convention of the dataset that its values depend on, with the evidence that it holds.",
     columns: &[
         category(
@@ -168,6 +174,8 @@ pub const CONVENTIONS: TableSpec = TableSpec {
 pub const STATES: TableSpec = TableSpec {
     name: "states",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame, in the order of table spatial_frames: the recorded state of the simulator before the action.",
     columns: &[
         EPISODE,
@@ -180,6 +188,8 @@ pub const STATES: TableSpec = TableSpec {
 pub const MODELS: TableSpec = TableSpec {
     name: "models",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a distinct MuJoCo model of the dataset, in the order of first use. Asset paths are those of the machine that recorded.",
     columns: &[
         id("model", "Number of the model, from 0."),
@@ -191,6 +201,8 @@ pub const MODELS: TableSpec = TableSpec {
 pub const CAMERA_IMAGES: TableSpec = TableSpec {
     name: "camera_images",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a picture, sorted by camera, episode and frame: the recorded picture, or the one drawn from the recorded state where the summary of the artifact says so, lossless. The pictures of one camera are in the order of table spatial_frames. Row groups are small, so that a picture can be read alone.",
     columns: &[
         category("camera", "Name of the camera: agentview, robot0_eye_in_hand, ..."),
@@ -208,6 +220,8 @@ pub const CAMERA_IMAGES: TableSpec = TableSpec {
 pub const SPATIAL_POSES: TableSpec = TableSpec {
     name: "spatial_poses",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every demonstration: the object's pose as the encoder estimates it from the frame's picture alone, and the embedding behind it. No recorded object pose enters. The estimated frame is that of the gripper as it holds the object, a constant rigid offset away from the recorded frame at best. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -235,6 +249,8 @@ pub const SPATIAL_POSES: TableSpec = TableSpec {
 pub const TRAINING: TableSpec = TableSpec {
     name: "training",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row an epoch of the encoder's training: the losses as trained (means over the epoch's steps), and the same on demonstrations that were held out, which nothing is chosen by.",
     columns: &[
         id("epoch", "Number of the epoch, from 1."),
@@ -259,6 +275,8 @@ pub const TRAINING: TableSpec = TableSpec {
 pub const POSE_ERRORS: TableSpec = TableSpec {
     name: "pose_errors",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every demonstration, made after training from the recorded object poses, which nothing before it has read: error of the estimated pose after one constant rigid offset is removed, which is fitted on frames before the grasp of the demonstrations trained on. Turns of the object that do not show are no error; of an object without such turns neither is half a turn of the two-finger gripper about its axis of approach. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -291,6 +309,8 @@ pub const POSE_ERRORS: TableSpec = TableSpec {
 pub const SPATIAL_MODES: TableSpec = TableSpec {
     name: "spatial_modes",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame: its manipulation mode and the evidence for it. Steps, turns and speeds lead from the frame to the next one of its episode and are null at the last.",
     columns: &[
         EPISODE,
@@ -345,6 +365,8 @@ pub const SPATIAL_MODES: TableSpec = TableSpec {
 pub const SPATIAL_SEGMENTS: TableSpec = TableSpec {
     name: "spatial_segments",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
     columns: &[
         EPISODE,

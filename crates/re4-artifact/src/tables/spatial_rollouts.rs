@@ -14,6 +14,8 @@ const FRAME: ColumnSpec = id("frame", "Number of the frame in its episode, from 
 pub const SPATIAL_INDEX: TableSpec = TableSpec {
     name: "spatial_index",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every indexed demonstration: its object-augmented state and the absolute action taken there. Scales and weights of the distances, and the object's symmetry, are settings of the policy. Sorted by episode and frame.",
     columns: &[
         EPISODE,
@@ -55,6 +57,8 @@ pub const SPATIAL_INDEX: TableSpec = TableSpec {
 pub const SPATIAL_RESULTS: TableSpec = TableSpec {
     name: "spatial_results",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a rollout of a robosuite task. Sorted by episode.",
     columns: &[
         id("episode", "Number of the rollout, from 0."),
@@ -106,6 +110,8 @@ pub const SPATIAL_RESULTS: TableSpec = TableSpec {
 pub const SPATIAL_STEPS: TableSpec = TableSpec {
     name: "spatial_steps",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a control step of every rollout: the absolute action, what it led to, and the decision that it follows from. As in robosuite, poses after a step are those of 2 ms before its end. Sorted by seed, as in table spatial_results, and step.",
     columns: &[
         SEED,
@@ -187,6 +193,8 @@ pub const SPATIAL_STEPS: TableSpec = TableSpec {
 pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
     name: "spatial_decisions",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a decision of the policy: what it saw, what it retrieved, how it moved it, where it goes first and what it replays. Columns from demo to replay_steps, and demo_name, are null on the way home. Sorted by seed and decision.",
     columns: &[
         SEED,
@@ -278,6 +286,8 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
 pub const SPATIAL_REPLAYS: TableSpec = TableSpec {
     name: "spatial_replays",
     version: 2,
+    domain: "",
+    formerly: "",
     description: "One row a replay: a demonstration's actions, played open-loop in the simulator from its first recorded state. Distances are between the simulator's state and the recorded one before the same action. Sorted by episode and actions.",
     columns: &[
         EPISODE,
@@ -319,6 +329,8 @@ pub const SPATIAL_REPLAYS: TableSpec = TableSpec {
 pub const SPATIAL_DIVERGENCE: TableSpec = TableSpec {
     name: "spatial_divergence",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row a frame of every replay: how far the simulator is from the recording. Sorted by episode, actions and frame.",
     columns: &[
         EPISODE,

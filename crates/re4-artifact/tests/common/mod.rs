@@ -17,6 +17,8 @@ use serde_json::json;
 pub const EVERY_KIND: TableSpec = TableSpec {
     name: "every_kind",
     version: 1,
+    domain: "",
+    formerly: "",
     description: "One row an example.",
     columns: &[
         ColumnSpec::new("episode", ColumnKind::U32, "An id."),

@@ -1,0 +1,421 @@
+//! Values of one column each, those that may be null, and numbered ones.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::ops::Deref;
+use std::sync::Arc;
+
+use arrow::array::{
+    Array as _, ArrayRef, BinaryArray, BinaryBuilder, BooleanArray, BooleanBuilder, DictionaryArray, Float32Builder,
+    Float64Builder, ListArray, ListBuilder, PrimitiveArray, PrimitiveBuilder, StringArray, StringBuilder,
+    StringDictionaryBuilder,
+};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
+use re4_episode::Mode;
+
+use super::{Cell, ColumnSource, Place};
+use crate::columns::{first_null, table_name};
+use crate::error::ArtifactError;
+use crate::spec::{ColumnKind, ColumnSpec};
+
+macro_rules! numbers {
+    ($($type:ty: $arrow:ty, $kind:ident;)*) => {$(
+        impl Cell for $type {
+            type Buffers = PrimitiveBuilder<$arrow>;
+            type View = PrimitiveArray<$arrow>;
+
+            fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+                columns.push(at.column(ColumnKind::$kind));
+            }
+
+            fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+                buffers.append_option(value.copied());
+            }
+
+            fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+                arrays.push(Arc::new(buffers.finish()));
+            }
+
+            fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+                Ok(source.next(required)?.0)
+            }
+
+            fn get(view: &Self::View, row: usize) -> Option<Self> {
+                view.is_valid(row).then(|| view.value(row))
+            }
+        }
+    )*};
+}
+
+numbers! {
+    u32: UInt32Type, U32;
+    u64: UInt64Type, U64;
+    i64: Int64Type, I64;
+    f64: Float64Type, F64;
+}
+
+impl Cell for bool {
+    type Buffers = BooleanBuilder;
+    type View = BooleanArray;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        columns.push(at.column(ColumnKind::Bool));
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        buffers.append_option(value.copied());
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        arrays.push(Arc::new(buffers.finish()));
+    }
+
+    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+        Ok(source.next(required)?.0)
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        view.is_valid(row).then(|| view.value(row))
+    }
+}
+
+/// Text of many distinct values.
+impl Cell for String {
+    type Buffers = StringBuilder;
+    type View = StringArray;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        columns.push(at.column(ColumnKind::Text));
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        buffers.append_option(value);
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        arrays.push(Arc::new(buffers.finish()));
+    }
+
+    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+        Ok(source.next(required)?.0)
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        view.is_valid(row).then(|| view.value(row).to_owned())
+    }
+}
+
+/// Bytes, such as those of an image file.
+impl Cell for Vec<u8> {
+    type Buffers = BinaryBuilder;
+    type View = BinaryArray;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        columns.push(at.column(ColumnKind::Binary));
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        buffers.append_option(value);
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        arrays.push(Arc::new(buffers.finish()));
+    }
+
+    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+        Ok(source.next(required)?.0)
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        view.is_valid(row).then(|| view.value(row).to_owned())
+    }
+}
+
+macro_rules! lists {
+    ($($type:ty: $builder:ident, $buffers:ident, $arrow:ty, $data:ident, $kind:ident;)*) => {$(
+        /// The values of lists, whose elements are never null.
+        pub struct $buffers(ListBuilder<$builder>);
+
+        impl Default for $buffers {
+            fn default() -> Self {
+                let field = Field::new("element", DataType::$data, false);
+                Self(ListBuilder::new($builder::new()).with_field(field))
+            }
+        }
+
+        impl Cell for Vec<$type> {
+            type Buffers = $buffers;
+            type View = ListArray;
+
+            fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+                columns.push(at.column(ColumnKind::$kind));
+            }
+
+            fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+                if let Some(value) = value {
+                    buffers.0.values().append_slice(value);
+                }
+                buffers.0.append(value.is_some());
+            }
+
+            fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+                arrays.push(Arc::new(buffers.0.finish()));
+            }
+
+            fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+                let (list, spec) = source.next::<ListArray>(required)?;
+                if list.value_type() == DataType::$data {
+                    Ok(list)
+                } else {
+                    let list: ArrayRef = Arc::new(list);
+                    Err(crate::columns::wrong_kind(source.batch, spec.name, &list, spec.kind))
+                }
+            }
+
+            fn get(view: &Self::View, row: usize) -> Option<Self> {
+                let list = view.is_valid(row).then(|| view.value(row))?;
+                let numbers = list.as_any().downcast_ref::<PrimitiveArray<$arrow>>()?;
+                Some(numbers.values().to_vec())
+            }
+        }
+    )*};
+}
+
+lists! {
+    f64: Float64Builder, F64Lists, Float64Type, Float64, F64List;
+    f32: Float32Builder, F32Lists, Float32Type, Float32, F32List;
+}
+
+/// A value of a fixed set, stored as a word.
+pub trait Word: Copy + PartialEq + 'static {
+    /// Every value.
+    const ALL: &'static [Self];
+
+    /// The word used in tables.
+    fn word(self) -> &'static str;
+}
+
+impl Word for Mode {
+    const ALL: &'static [Self] = &Mode::ALL;
+
+    fn word(self) -> &'static str {
+        self.as_str()
+    }
+}
+
+/// A column of words: each row's place in a list of few.
+pub struct Words<W> {
+    keys: PrimitiveArray<Int32Type>,
+    words: Vec<W>,
+}
+
+/// Rows and words of a column of categories. Files of old versions, or of foreign writers, may have plain text.
+fn categories(source: &mut ColumnSource<'_>, required: bool) -> Result<(Words<String>, ColumnSpec), ArtifactError> {
+    let (array, spec) = source.any(required)?;
+    let wrong = || crate::columns::wrong_kind(source.batch, spec.name, array, ColumnKind::Category);
+    let texts = |array: &dyn std::any::Any| -> Option<Vec<String>> {
+        let array = array.downcast_ref::<StringArray>()?;
+        Some(array.iter().map(|text| text.unwrap_or_default().to_owned()).collect())
+    };
+    if let Some(dictionary) = array.as_any().downcast_ref::<DictionaryArray<Int32Type>>() {
+        let words = texts(dictionary.values().as_any()).ok_or_else(wrong)?;
+        let keys = dictionary.keys().clone();
+        return Ok((Words { keys, words }, spec));
+    }
+    let words = texts(array.as_any()).ok_or_else(wrong)?;
+    let keys = (0..words.len())
+        .map(|row| array.is_valid(row).then_some(row as i32))
+        .collect();
+    Ok((Words { keys, words }, spec))
+}
+
+impl<W> Words<W> {
+    fn get(&self, row: usize) -> Option<&W> {
+        let key = self.keys.is_valid(row).then(|| self.keys.value(row))?;
+        self.words.get(usize::try_from(key).ok()?)
+    }
+}
+
+impl<W: Word> Cell for W {
+    type Buffers = StringDictionaryBuilder<Int32Type>;
+    type View = Words<Option<W>>;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        columns.push(at.column(ColumnKind::Category));
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        buffers.append_option(value.map(|value| value.word()));
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        arrays.push(Arc::new(buffers.finish()));
+    }
+
+    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+        let (Words { keys, words }, spec) = categories(source, required)?;
+        let of = |text: &String| W::ALL.iter().copied().find(|word| word.word() == text);
+        let known: Vec<Option<W>> = words.iter().map(of).collect();
+        // A dictionary may hold words that no row uses.
+        let unknown = |key: &i32| matches!(known.get(*key as usize), Some(None));
+        if let Some(key) = keys.iter().flatten().find(unknown) {
+            return Err(ArtifactError::UnknownWord {
+                table: table_name(source.batch),
+                column: spec.name.to_owned(),
+                word: words.get(key as usize).cloned().unwrap_or_default(),
+                known: W::ALL.iter().map(|word| word.word()).collect::<Vec<_>>().join(", "),
+            });
+        }
+        let words = known;
+        Ok(Words { keys, words })
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        view.get(row).copied().flatten()
+    }
+}
+
+/// A word of few, stored as a dictionary, where the set is not fixed.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Label(pub Cow<'static, str>);
+
+impl Deref for Label {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for Label {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl From<&'static str> for Label {
+    fn from(word: &'static str) -> Self {
+        Self(Cow::Borrowed(word))
+    }
+}
+
+impl From<String> for Label {
+    fn from(word: String) -> Self {
+        Self(Cow::Owned(word))
+    }
+}
+
+impl PartialEq<str> for Label {
+    fn eq(&self, other: &str) -> bool {
+        self.0 == other
+    }
+}
+
+impl PartialEq<&str> for Label {
+    fn eq(&self, other: &&str) -> bool {
+        self.0 == *other
+    }
+}
+
+impl Cell for Label {
+    type Buffers = StringDictionaryBuilder<Int32Type>;
+    type View = Words<String>;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        columns.push(at.column(ColumnKind::Category));
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        buffers.append_option(value.map(|value| &*value.0));
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        arrays.push(Arc::new(buffers.finish()));
+    }
+
+    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+        Ok(categories(source, required)?.0)
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        view.get(row).map(|word| Self(Cow::Owned(word.clone())))
+    }
+}
+
+impl<T: Cell> Cell for Option<T> {
+    type Buffers = T::Buffers;
+    type View = T::View;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        let nullable = true;
+        T::describe(&Place { nullable, ..at.clone() }, columns);
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        T::push(value.and_then(Option::as_ref), buffers);
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        T::finish(buffers, arrays);
+    }
+
+    fn view(source: &mut ColumnSource<'_>, _required: bool) -> Result<Self::View, ArtifactError> {
+        T::view(source, false)
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        Some(T::get(view, row))
+    }
+}
+
+/// The values of numbered columns.
+pub struct Numbered<B, const N: usize>([B; N]);
+
+impl<B: Default, const N: usize> Default for Numbered<B, N> {
+    fn default() -> Self {
+        Self(std::array::from_fn(|_| B::default()))
+    }
+}
+
+impl<T: Cell, const N: usize> Cell for [T; N] {
+    type Buffers = Numbered<T::Buffers, N>;
+    type View = Vec<T::View>;
+
+    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+        for i in 0..N {
+            T::describe(&at.part(&i.to_string(), &format!("number {i}")), columns);
+        }
+    }
+
+    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+        for (i, buffers) in buffers.0.iter_mut().enumerate() {
+            T::push(value.map(|value| &value[i]), buffers);
+        }
+    }
+
+    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+        for buffers in &mut buffers.0 {
+            T::finish(buffers, arrays);
+        }
+    }
+
+    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+        (0..N).map(|_| T::view(source, required)).collect()
+    }
+
+    fn get(view: &Self::View, row: usize) -> Option<Self> {
+        let values: Vec<T> = view.iter().map(|view| T::get(view, row)).collect::<Option<_>>()?;
+        values.try_into().ok()
+    }
+}
+
+/// Where a value is null that has to be there; the row as counted from the first of the batch.
+pub(super) fn missing(batch: &arrow::array::RecordBatch) -> (String, usize) {
+    let found = batch
+        .schema_ref()
+        .fields()
+        .iter()
+        .zip(batch.columns())
+        .find_map(|(field, array)| Some((field.name().clone(), first_null(array.as_ref())?)));
+    found.unwrap_or_default()
+}
