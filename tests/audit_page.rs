@@ -1,22 +1,14 @@
 //! The page of an audit: its figures are the artifact's, it needs nothing but itself, and it works in a browser.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Place, invented, repository};
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
 use re4_report::html::audit::{Audit, Severity, page};
 use serde_json::{Map, Value, json};
-use support::{Place, invented, repository};
 
 /// The largest page for 600 demonstrations of a hundred and some frames.
 const LARGEST: usize = 8_000_000;

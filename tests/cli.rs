@@ -1,15 +1,7 @@
 //! The command line and the pipeline file: help, versions, and every refusal.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
 
-mod support;
-
+use crate::support::Place;
 use insta::assert_snapshot;
-use support::Place;
 
 const COMMANDS: [&str; 15] = [
     "ingest",

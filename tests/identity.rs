@@ -1,12 +1,4 @@
 //! A demonstration is called what its source calls it, from the selection to the rollout, whatever its place in a file or an artifact.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,11 +6,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
 use serde_json::Value;
-use support::{Answer, Place, filters, repository, scripted_and_simulators};
 
 fn pipeline(task: &str, source: &Path) -> String {
     format!(

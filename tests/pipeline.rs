@@ -1,20 +1,12 @@
 //! The stages from end to end: what is built, what is skipped, what comes out.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 
+use crate::support::dataset::{LENGTH, SIDE, picture};
+use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::Value;
-use support::dataset::{LENGTH, SIDE, picture};
-use support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 
 /// Stages in the order in which the program reported on them, and whether each was skipped.
 fn stages(answer: &Answer) -> Vec<(&str, bool)> {

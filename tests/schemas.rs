@@ -1,18 +1,10 @@
 //! The descriptions in `schemas/`: up to date, and true of the files that stages write.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeSet;
 use std::fs;
 
+use crate::support::{Answer, Place, compare_with_schemas, repository};
 use re4_artifact::tables;
-use support::{Answer, Place, compare_with_schemas, repository};
 
 #[test]
 fn the_committed_schemas_are_up_to_date() {

@@ -16,7 +16,7 @@ use re4_artifact::{
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
 
-use crate::edits::{Input, edit};
+use super::edits::{Input, edit};
 
 const MOST_EDITS: usize = 6;
 const ROWS: u32 = 5;

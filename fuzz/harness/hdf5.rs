@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 
 use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources};
 use re4_ingest::{DemoSource as _, Frames, IngestError, Tally};
-use re4_robosuite::conventions::{Settings, Task};
+use re4_robosuite::conventions::{RobosuiteTask, Settings};
 use tempfile::TempDir;
 
-use crate::edits::{Input, edit};
-use crate::zarr::selection;
+use super::edits::{Input, edit};
+use super::zarr::selection;
 
 const MOST_EDITS: usize = 8;
 
@@ -64,7 +64,7 @@ fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
     let reader = RobomimicReader::open(&Sources::open(path)?, &choice, Access::Direct)?;
     reader.sources().hash(&|| false)?;
     let reading = Reading {
-        task: Task::Can,
+        task: RobosuiteTask::named("can"),
         object: None,
         env_args: None,
         conventions: Settings::default(),

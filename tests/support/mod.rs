@@ -1,5 +1,4 @@
 //! Shared by the end-to-end tests: the program in a folder of its own, with a small dataset and a pipeline file.
-#![allow(dead_code)]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -59,7 +59,9 @@ pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileFacts, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
 pub use reader::{Artifact, Batches, Table};
-pub use rows::{Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, trimmed};
+pub use rows::{
+    Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either, trimmed,
+};
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
 pub use verify::{VerifiedFile, VerifyReport, verify};

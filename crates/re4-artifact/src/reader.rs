@@ -89,7 +89,12 @@ impl Artifact {
 
     /// The table by the name that older versions had.
     fn formerly(&self, spec: &'static TableSpec) -> Option<&TableFacts> {
-        let facts = self.manifest.tables.get(spec.formerly)?;
+        // Tables in space had names of their own; those in the plane have kept theirs.
+        let facts = self
+            .manifest
+            .tables
+            .get(spec.formerly)
+            .filter(|_| spec.domain != "plane")?;
         (facts.schema_version < spec.version).then_some(facts)
     }
 

@@ -238,7 +238,7 @@ fn descriptions_name_everything() {
         description["columns"][3],
         json!({
             "name": "eef_x", "kind": "f64", "arrow_type": "Float64", "nullable": false, "unit": "px", "frame": "world",
-            "description": "A coordinate.", "since": 1
+            "description": "A coordinate.", "since": 1, "formerly": ""
         })
     );
 }

@@ -22,7 +22,7 @@ pub use interrupt::{Interrupt, answer};
 pub use notes::{Notes, print_error, sentence};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
-    Seeds, SpatialRolloutSection, TaskName, Variant, schema,
+    Seeds, SpatialRolloutSection, Task, Variant, schema,
 };
 pub use runner::{Built, Runner, Settings};
 pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};

@@ -105,17 +105,17 @@ impl Invented<'_> {
 pub fn pictures(
     pipeline: &Path,
     artifacts: &Path,
-    cube: Option<[f64; 3]>,
+    boxes: &[(String, [f64; 3])],
     states: &[Vec<f64>],
 ) -> Result<Vec<Vec<u8>>, String> {
     let drawn = || -> Result<Vec<Vec<u8>>> {
         let runner = runner(pipeline, &[], artifacts)?;
-        let task = runner.pipeline.task.simulated().context("no simulator for this task")?;
+        let task = runner.pipeline.task.robosuite().context("no simulator for this task")?;
         let fidelity = runner.pipeline.spatial_rollout()?.fidelity;
         let episodes = runner.ingest()?.artifact;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
         let studio = Studio::open(&scenes, &episodes, task, &runner.pipeline.pose()?.encoder().camera)?;
-        let mut lens = studio.lens_of(cube)?;
+        let mut lens = studio.lens_of(boxes)?;
         states.iter().map(|state| Ok(lens.draw(state)?.to_vec())).collect()
     };
     let pictures = drawn().map_err(told);

@@ -346,6 +346,8 @@ impl<T: Cell> Cell for Option<T> {
     type Buffers = T::Buffers;
     type View = T::View;
 
+    const DOMAIN: &'static str = T::DOMAIN;
+
     fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
         let nullable = true;
         T::describe(&Place { nullable, ..at.clone() }, columns);
@@ -380,6 +382,8 @@ impl<B: Default, const N: usize> Default for Numbered<B, N> {
 impl<T: Cell, const N: usize> Cell for [T; N] {
     type Buffers = Numbered<T::Buffers, N>;
     type View = Vec<T::View>;
+
+    const DOMAIN: &'static str = T::DOMAIN;
 
     fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
         for i in 0..N {

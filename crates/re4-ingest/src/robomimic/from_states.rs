@@ -1,6 +1,6 @@
 //! What is computed from states and model by forward kinematics, instead of read.
 
-use re4_robosuite::conventions::{Contradiction, Task, zero_rows};
+use re4_robosuite::conventions::{Contradiction, zero_rows};
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::{Model, Observed};
 
@@ -41,7 +41,7 @@ impl FromStates {
         model: Option<&Model>,
     ) -> Result<Self, Hdf5Fault> {
         let layout = reader.layout();
-        if layout == Layout::Observed && reading.task != Task::Other && !reader.object_from_states {
+        if layout == Layout::Observed && reading.task.is_some() && !reader.object_from_states {
             return Ok(Self::Nothing);
         }
         let environment = &env.env_name;
@@ -61,7 +61,7 @@ impl FromStates {
         let named = reading
             .object
             .clone()
-            .or_else(|| reading.task.object().map(str::to_owned));
+            .or_else(|| reading.task.map(|task| task.object.to_owned()));
         let candidates: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
         let object = named.ok_or_else(|| {
         Hdf5Fault::Other(if candidates.is_empty() {

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use re4_robosuite::actions::{Action, ActionError, Osc, distance};
 use re4_robosuite::conventions::{
     ActionKind, Basis, Conventions, DemoArrays, EefOrientation, GripperRange, GripperSign, InitialGoal, Learned, Proof,
-    QuaternionOrder, Rows, Settings, Task, Unproven,
+    QuaternionOrder, RobosuiteTask, Rows, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::{Model, PANDA_RESET};
@@ -28,8 +28,8 @@ const PROVEN_ON: usize = 10;
 /// What the user says of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// The task; [`Task::Other`] for any environment of one arm.
-    pub task: Task,
+    /// The task; none for any environment of one arm.
+    pub task: Option<RobosuiteTask>,
     /// The manipulated object's body, where the task does not say it.
     pub object: Option<String>,
     /// Text that stands for the attribute `env_args`.
@@ -130,9 +130,8 @@ impl Interpreter {
         let mut rows: Vec<Convention> = proofs.iter().map(convention).collect();
         rows.extend(stated(reader.layout(), reading, &env, &from_states));
         let mut warnings: Vec<String> = proofs.into_iter().filter_map(|proof| proof.warning).collect();
-        if let (Some(distribution @ 1..), Some(own)) =
-            (Task::distribution(&env.env_name), conventions.task.environment())
-        {
+        if let (Some(distribution @ 1..), Some(own)) = (RobosuiteTask::distribution(&env.env_name), conventions.task) {
+            let own = own.environment;
             warnings.push(format!(
                 "environment {} is {own} with initial distribution {distribution} of MimicGen; rollouts start from the placement of {own} itself",
                 env.env_name
@@ -445,7 +444,7 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
 }
 
 /// The file has to be of the task that the pipeline names.
-fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
+fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Fault> {
     if env.is_foreign() {
         let by = if env.env_name.starts_with("Isaac") {
             "Isaac Lab's"
@@ -465,9 +464,8 @@ fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
             env.robots.len()
         )));
     }
-    let own = Task::of(&env.env_name);
-    if task != Task::Other && own != task {
-        let wanted = task.environment().unwrap_or_default();
+    if let Some(task) = task.filter(|task| RobosuiteTask::of_environment(&env.env_name) != Some(*task)) {
+        let wanted = task.environment;
         return Err(Hdf5Fault::Other(format!(
             "it is of environment {}, and the pipeline's task needs {wanted}; give the task of the file, or task = \"robosuite\" and ingest.object",
             env.env_name
@@ -483,8 +481,8 @@ fn no_object(demo: &Demo) -> Hdf5Fault {
     }
 }
 
-fn check_object_columns(demo: &Demo, task: Task) -> Result<(), Hdf5Fault> {
-    match (&demo.object, task.object_columns()) {
+fn check_object_columns(demo: &Demo, task: Option<RobosuiteTask>) -> Result<(), Hdf5Fault> {
+    match (&demo.object, task.map(|task| task.object_columns())) {
         (Some(object), Some(columns)) if object.columns != columns => Err(Hdf5Fault::Shape {
             object: format!("data/{}/obs/object", demo.name),
             found: vec![object.rows(), object.columns],

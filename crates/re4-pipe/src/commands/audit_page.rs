@@ -13,7 +13,7 @@ use re4_report::html::audit::{
 use crate::arguments::StageArguments;
 use crate::console::Console;
 use crate::output::Output;
-use re4_stages::TaskName;
+use re4_stages::Task;
 use re4_stages::{Built, Runner};
 
 /// A page beyond this many bytes takes a while to open, which is said.
@@ -22,7 +22,7 @@ const LARGE_PAGE: usize = 12_000_000;
 /// The artifacts that a page is made of.
 pub(crate) struct Sources<'a> {
     /// Task of the pipeline.
-    pub(crate) task: TaskName,
+    pub(crate) task: Task,
     /// The dataset as the pipeline names it.
     pub(crate) dataset: String,
     /// The command that makes the page, without the page's own place.
@@ -100,12 +100,12 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
     Ok(Audit {
         tool_version: env!("CARGO_PKG_VERSION").to_owned(),
         dataset: sources.dataset.clone(),
-        task: task_words(sources.task).to_owned(),
+        task: sources.task.environment().to_owned(),
         command: sources.command.clone(),
         artifacts: [sources.audit, sources.modes, sources.episodes]
             .map(|artifact| (artifact.manifest().artifact.clone(), artifact.key().to_string()))
             .to_vec(),
-        frame_seconds: if planar { 0.1 } else { 0.05 },
+        frame_seconds: 1.0 / sources.task.control_rate() as f64,
         length: if planar {
             measure("px", 1.0)
         } else {
@@ -130,16 +130,6 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
         flags,
         panels,
     })
-}
-
-fn task_words(task: TaskName) -> &'static str {
-    match task {
-        TaskName::PushT => "Push-T",
-        TaskName::Lift => "Lift",
-        TaskName::Can => "PickPlaceCan",
-        TaskName::Square => "NutAssemblySquare",
-        TaskName::Robosuite => "robosuite",
-    }
 }
 
 fn measure(unit: &str, factor: f64) -> Measure {

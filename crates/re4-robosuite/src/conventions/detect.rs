@@ -11,8 +11,8 @@ use super::opening::initial_goal;
 use super::reading::{ActionReading, InitialGoal};
 use super::residuals::{self, Kinds};
 use super::{
-    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof,
-    QuaternionOrder, RelativeLag, Settings, Task, Unproven,
+    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, Proof, QuaternionOrder,
+    RelativeLag, RobosuiteTask, Settings, Unproven,
 };
 use crate::env_args::EnvArgs;
 
@@ -127,7 +127,7 @@ impl Odd {
 
 /// What is known of a file beside its demos.
 struct File<'a> {
-    task: Task,
+    task: Option<RobosuiteTask>,
     env: &'a EnvArgs,
     settings: &'a Settings,
     controls: Option<Controls>,
@@ -142,7 +142,7 @@ impl<'a> File<'a> {
         let controls = Controls::of(env);
         let base = demos.iter().find_map(|demo| demo.model?.base());
         Ok(Self {
-            task: Task::of(&env.env_name),
+            task: RobosuiteTask::of_environment(&env.env_name),
             env,
             settings,
             reading: ActionReading::of(settings, controls.as_ref(), base.as_ref())?,
@@ -227,8 +227,9 @@ impl<'a> File<'a> {
         )?;
         proofs.push(proof);
 
-        let has_object = task != Task::Other && demos.iter().any(|demo| demo.arrays.object.is_some());
-        let eef = eef(demos, task, has_object, kind, env);
+        let has_object = |demo: &Sound<'_>| demo.arrays.object.is_some();
+        let object_task = task.filter(|_| demos.iter().any(has_object));
+        let eef = eef(demos, object_task, kind, env);
         let (eef_quaternion, proof) = eef.order.settle(
             "eef_quaternion",
             settings.eef_quaternion,
@@ -260,18 +261,20 @@ impl<'a> File<'a> {
             initial_goal: InitialGoal::FirstPose,
             controls: self.controls,
         };
-        if has_object {
+        if let Some(task) = object_task {
             let related = relations(demos, task, &[eef_quaternion], &[eef_orientation], true);
             let (layout, proof) = Verdict::new(OBJECT, related.iter().map(|(relation, fit)| (relation.layout, *fit)))
                 .settle(
                 "object_layout",
                 settings.object_layout,
-                declared_layout(env, task).as_ref(),
+                env.version()
+                    .map(|version| robosuite(env, task.layout(version)))
+                    .as_ref(),
             )?;
             proofs.push(proof);
             let of_layout = || related.iter().filter(|(relation, _)| relation.layout == layout);
             let mut order = Verdict::new(OBJECT, of_layout().map(|(relation, fit)| (relation.object, *fit)));
-            if task == Task::Lift && order.proven().is_none() {
+            if !layout.relates_rotations() && order.proven().is_none() {
                 order = at_rest(demos);
             }
             let (object_quaternion, proof) = order.settle(
@@ -413,18 +416,6 @@ fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
         by: "env_args declares the controller's input (control_delta or input_type)".to_owned(),
         strict: false,
     })
-}
-
-fn declared_layout(env: &EnvArgs, task: Task) -> Option<Declared<ObjectLayout>> {
-    let relative_first = env.version()? >= (1, 5);
-    let value = match (task, relative_first) {
-        (Task::Lift, false) => ObjectLayout::LiftEefMinusCube,
-        (Task::Lift, true) => ObjectLayout::LiftCubeMinusEef,
-        (Task::Can | Task::Square, false) => ObjectLayout::PoseFirst,
-        (Task::Can | Task::Square, true) => ObjectLayout::RelativeFirst,
-        (Task::Other, _) => return None,
-    };
-    Some(robosuite(env, value))
 }
 
 fn kinds(demos: &[Sound<'_>]) -> Kinds {

@@ -3,7 +3,7 @@
 use super::demo::Sound;
 use super::evidence::{Fit, MARGIN, Test, Verdict};
 use super::residuals::{self, Relation, Share};
-use super::{ActionKind, EefOrientation, ObjectLayout, QuaternionOrder, RelativeLag, Task};
+use super::{ActionKind, EefOrientation, QuaternionOrder, RelativeLag, RobosuiteTask};
 use crate::env_args::EnvArgs;
 
 const ORDERS: [QuaternionOrder; 2] = [QuaternionOrder::Xyzw, QuaternionOrder::Wxyz];
@@ -57,14 +57,6 @@ const REST: Test = Test {
 /// A hypothesis about the object vector and the end effector with its fit.
 pub(super) type Related = (Relation, Fit);
 
-fn layouts(task: Task) -> &'static [ObjectLayout] {
-    match task {
-        Task::Lift => &[ObjectLayout::LiftEefMinusCube, ObjectLayout::LiftCubeMinusEef],
-        Task::Can | Task::Square => &[ObjectLayout::PoseFirst, ObjectLayout::RelativeFirst],
-        Task::Other => &[],
-    }
-}
-
 /// Order and frame of the end effector's quaternion.
 pub(super) struct Eef {
     pub(super) order: Verdict<QuaternionOrder>,
@@ -97,7 +89,8 @@ fn eef_hypotheses() -> impl Iterator<Item = (QuaternionOrder, EefOrientation)> {
         .flat_map(|order| FRAMES.into_iter().map(move |frame| (order, frame)))
 }
 
-pub(super) fn eef(demos: &[Sound<'_>], task: Task, has_object: bool, kind: ActionKind, env: &EnvArgs) -> Eef {
+/// From the object vector, too, where `task` is given.
+pub(super) fn eef(demos: &[Sound<'_>], task: Option<RobosuiteTask>, kind: ActionKind, env: &EnvArgs) -> Eef {
     if demos.iter().any(|demo| !demo.observed.is_empty()) {
         let fits = eef_hypotheses().map(|(order, frame)| {
             let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
@@ -105,7 +98,7 @@ pub(super) fn eef(demos: &[Sound<'_>], task: Task, has_object: bool, kind: Actio
         });
         return Eef::joint(EEF_KINEMATICS, fits);
     }
-    if has_object && task != Task::Lift {
+    if let Some(task) = task.filter(|task| task.layouts[0].relates_rotations()) {
         let related = relations(demos, task, &ORDERS, &FRAMES, false);
         let fits = related
             .iter()
@@ -150,13 +143,13 @@ fn every(demos: &[Sound<'_>], residual: impl Fn(&Sound<'_>, usize) -> Option<f64
 /// All hypotheses about the object vector under the given ones about the end effector.
 pub(super) fn relations(
     demos: &[Sound<'_>],
-    task: Task,
+    task: RobosuiteTask,
     eefs: &[QuaternionOrder],
     frames: &[EefOrientation],
     with_states: bool,
 ) -> Vec<Related> {
     let mut related = Vec::new();
-    for &layout in layouts(task) {
+    for &layout in &task.layouts {
         for object in ORDERS {
             for &eef in eefs {
                 for &frame in frames {

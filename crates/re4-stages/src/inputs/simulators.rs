@@ -115,7 +115,7 @@ impl Scenes {
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
-                text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
+                text = without_contacts(&text, &task.put_away()).map_err(anyhow::Error::msg)?;
             }
             let text = with_assets(&text, &folder).with_context(place)?;
             mjcf.push(text);

@@ -21,7 +21,7 @@ use crate::interrupt::Interrupt;
 use crate::pipeline::Camera;
 
 /// Side of a picture, in pixels: what robomimic's datasets hold.
-const SIDE: usize = 84;
+const SIDE: usize = Camera::Agentview.side();
 
 /// Most memory that a process that draws is meant to take, in bytes: 512 MiB and a margin. One thread draws whatever that
 /// takes.

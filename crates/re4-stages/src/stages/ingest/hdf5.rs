@@ -12,7 +12,6 @@ use re4_ingest::robomimic::{
     Access, Comparison, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources,
 };
 use re4_ingest::{DemoSource as _, IngestError, LeftOut};
-use re4_robosuite::conventions::Task;
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
 
@@ -24,7 +23,7 @@ use super::{STAGE, recipe};
 use crate::inputs::sources::find_source;
 use crate::interrupt::Interrupt;
 use crate::notes::sentence;
-use crate::pipeline::{Pipeline, TaskName};
+use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
 /// How long a worker that lost its parent may take to stop by itself.
@@ -324,12 +323,7 @@ fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
 fn reading(pipeline: &Pipeline) -> Reading {
     let section = &pipeline.ingest;
     Reading {
-        task: match pipeline.task {
-            TaskName::Lift => Task::Lift,
-            TaskName::Can => Task::Can,
-            TaskName::Square => Task::Square,
-            TaskName::PushT | TaskName::Robosuite => Task::Other,
-        },
+        task: pipeline.task.robosuite(),
         object: section.object.clone(),
         env_args: section.env_args.clone(),
         conventions: section.conventions,

@@ -9,6 +9,7 @@ use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
+use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
 use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
@@ -72,8 +73,8 @@ impl Runner {
         let task = self
             .pipeline
             .task
-            .simulated()
-            .context("cannot replay: of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\"")?;
+            .robosuite()
+            .with_context(|| format!("cannot replay: {}", RobosuiteTask::known()))?;
         ensure!(
             episodes.artifact.manifest().tables.contains_key(tables::STATES.name),
             "cannot replay {}: the demonstrations have no recorded states to start from; ingest a file that has /data/demo_*/states",

@@ -10,7 +10,7 @@ use re4_mujoco::{Data, Gl, Kind, Model, Renderer};
 use re4_policy::PolicyError;
 use re4_policy::spatial::Observer;
 use re4_robosuite::models::looks;
-use re4_sim::robosuite::{Placement, Robosuite, RobosuiteTask, with_cube_size};
+use re4_sim::robosuite::{Placement, Robosuite, RobosuiteTask};
 use serde_json::{Value, json};
 
 use crate::inputs::simulators::{Scenes, set_state};
@@ -62,20 +62,22 @@ impl Studio {
         })
     }
 
-    /// The camera in the scene of a seed, where Lift's cube has a size of its own.
+    /// The camera in the scene of a seed, where boxes may have sizes of their own.
     pub(crate) fn lens(&self, seed: u32) -> Result<Lens> {
-        self.lens_of(Placement::draw(self.task, seed).cube)
+        if !self.task.draws_models() {
+            return self.lens_of(&[]);
+        }
+        let mjcf = Placement::draw(self.task, seed).in_model(&self.mjcf)?.into_owned();
+        self.lens_of(&looks(&mjcf)?.boxes)
     }
 
-    /// The camera in a scene whose cube has these half sizes; none for tasks without one.
-    pub(crate) fn lens_of(&self, cube: Option<[f64; 3]>) -> Result<Lens> {
-        let model = match cube {
-            Some(size) => {
-                let boxes = looks(&with_cube_size(&self.mjcf, size)?)?.boxes;
-                self.model
-                    .with_boxes(boxes.iter().map(|(name, size)| (name.as_str(), *size)))?
-            }
-            None => self.model.clone(),
+    /// The camera in a scene with boxes of these half sizes.
+    pub(crate) fn lens_of(&self, boxes: &[(String, [f64; 3])]) -> Result<Lens> {
+        let model = if boxes.is_empty() {
+            self.model.clone()
+        } else {
+            let boxes = boxes.iter().map(|(name, size)| (name.as_str(), *size));
+            self.model.with_boxes(boxes)?
         };
         Ok(Lens {
             data: Data::new(&model)?,

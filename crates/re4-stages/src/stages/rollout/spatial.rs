@@ -14,7 +14,7 @@ use re4_policy::spatial::{
 };
 use re4_report::{median, wilson_interval};
 use re4_sim::SimError;
-use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, SIMULATION_STEPS, with_cube_size};
+use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, simulation_steps};
 use serde_json::{Value, json};
 
 use super::eye::{self, Eye, Studio, unseen};
@@ -68,7 +68,7 @@ impl Runner {
         index: &Built,
     ) -> Result<Built> {
         let section = self.pipeline.spatial_rollout()?;
-        let task = self.pipeline.task.simulated().context("no simulator for this task")?;
+        let task = self.pipeline.task.robosuite().context("no simulator for this task")?;
         let policy = section.policy_config();
         let symmetry = section.symmetry(task, self.pipeline.variant);
         let noise = section.noise.map_or_else(NoiseLevel::default, |noise| NoiseLevel {
@@ -108,16 +108,13 @@ impl Runner {
             )?);
             let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
-            // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
-            let shared = (task != RobosuiteTask::Lift)
-                .then(|| scenes.compile(mjcf))
-                .transpose()?;
+            // Where the size of a box is drawn, every seed has a model of its own.
+            let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
             let start = |seed: u32| -> Result<SpatialStart, SimError> {
                 let placement = Placement::draw(task, seed);
-                let model: RobosuiteModel = match (&shared, placement.cube) {
-                    (Some(model), _) => model.clone(),
-                    (None, Some(size)) => scenes.compile(&with_cube_size(mjcf, size)?)?,
-                    (None, None) => scenes.compile(mjcf)?,
+                let model: RobosuiteModel = match &shared {
+                    Some(model) => model.clone(),
+                    None => scenes.compile(&placement.in_model(mjcf)?)?,
                 };
                 Ok(SpatialStart {
                     seed,
@@ -148,7 +145,7 @@ impl Runner {
             }
             bar.finish_and_clear();
             tables.finish()?;
-            let summary = outcomes.summary(section, &scenes, &episodes.artifact, watching.is_some());
+            let summary = outcomes.summary(section, task, &scenes, &episodes.artifact, watching.is_some());
             Ok(Facts {
                 summary,
                 warnings: Vec::new(),
@@ -167,7 +164,14 @@ struct Outcomes {
 }
 
 impl Outcomes {
-    fn summary(&self, section: &SpatialRolloutSection, scenes: &Scenes, episodes: &Artifact, watched: bool) -> Value {
+    fn summary(
+        &self,
+        section: &SpatialRolloutSection,
+        task: RobosuiteTask,
+        scenes: &Scenes,
+        episodes: &Artifact,
+        watched: bool,
+    ) -> Value {
         let success = wilson_interval(self.successes, self.steps.len() as u64);
         let mut summary = json!({
             "rollouts": self.steps.len(),
@@ -188,8 +192,8 @@ impl Outcomes {
                 "robosuite": scenes.profile(),
                 "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
                 "fidelity": section.fidelity,
-                "simulation_steps_per_control_step": SIMULATION_STEPS,
-                "control_frequency_hz": 20,
+                "simulation_steps_per_control_step": simulation_steps(task),
+                "control_frequency_hz": task.control_rate,
                 "controller": "OSC_POSE, absolute goals of the grip site",
             },
         });

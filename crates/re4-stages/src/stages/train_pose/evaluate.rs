@@ -11,7 +11,7 @@ use re4_report::quantile;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::pipeline::TaskName;
+use crate::pipeline::Task;
 
 /// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
 const TURNED: f64 = std::f64::consts::FRAC_PI_2;
@@ -30,7 +30,7 @@ pub(super) fn evaluate(
     modes: &Artifact,
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
-    task: TaskName,
+    task: Task,
 ) -> Result<Value> {
     let symmetry = task.symmetry();
     let demonstrations = read(episodes, modes, poses, trained_on)?;
