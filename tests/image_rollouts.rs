@@ -205,7 +205,7 @@ fn pictures_are_those_of_the_demonstrations() {
         place.write("task.toml", text);
         run(&place, &simulators, "segment task.toml").done();
         let episodes = only(&place, "artifacts", Stage::Ingest);
-        let images = episodes.table(&tables::CAMERA_IMAGES).unwrap().read_all().unwrap();
+        let images = episodes.table(&tables::IMAGES).unwrap().read_all().unwrap();
         let (cameras, of_episode) = (
             col_text(&images, "camera").unwrap(),
             col_u32(&images, "episode").unwrap(),

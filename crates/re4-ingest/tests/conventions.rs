@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use re4_ingest::robomimic::{Access, DemoChoice, Interpreted, Interpreter, Layout, Reading, RobomimicReader, Sources};
-use re4_ingest::{IngestError, LeftOut, refusal};
+use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Layout, Reading, RobomimicReader, Sources};
+use re4_ingest::{IngestError, LeftOut, SpatialFrames, refusal};
 use re4_robosuite::conventions::{ActionFrame, ActionScale, GripperRange, InitialGoal, RobosuiteTask, Settings};
 
 /// A file below the folder of the datasets, if it is at hand.
@@ -39,7 +39,7 @@ fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
     RobomimicReader::open(&Sources::open(path)?, &DemoChoice::default(), Access::Library)
 }
 
-type Columns = Vec<(String, Interpreted)>;
+type Columns = Vec<(String, SpatialFrames)>;
 
 /// The interpreter's rows of conventions and the columns of all demonstrations, or the sentence of the refusal.
 fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), String> {
@@ -52,9 +52,9 @@ fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), Stri
     reader
         .for_each(
             |_, demo: Result<_, LeftOut>| {
-                let demo = demo.unwrap();
-                let columns = interpreter.interpret(&reader, &demo, None)?;
-                Ok::<_, IngestError>((demo.name, columns))
+                let mut demo = demo.unwrap();
+                let columns = interpreter.interpret(&reader, &mut demo, None)?;
+                Ok::<_, IngestError>((demo.name, columns.frames))
             },
             |_, row| {
                 all.push(row);
@@ -77,8 +77,7 @@ fn differences(a: &Columns, b: &Columns) -> [f64; 3] {
                 most[0] = most[0].max((a.delta[t][axis] - b.delta[t][axis]).abs());
                 most[1] = most[1].max((a.goal[t][axis] - b.goal[t][axis]).abs());
             }
-            most[2] = most[2].max((a.goal[t][6] - b.goal[t][6]).abs());
-            most[2] = most[2].max((a.delta[t][6] - b.delta[t][6]).abs());
+            most[2] = most[2].max((a.gripper[t] - b.gripper[t]).abs());
         }
     }
     most

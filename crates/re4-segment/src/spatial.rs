@@ -163,7 +163,7 @@ fn pair(frame: &SpatialFrame) -> SpatialPair {
 }
 
 fn command_modes(frames: &[SpatialFrame], command: Command) -> Vec<Mode> {
-    let closes = frames.iter().map(|frame| frame.closes);
+    let closes = frames.iter().map(SpatialFrame::closes);
     let commands: Vec<bool> = match command {
         Command::Current => closes.collect(),
         Command::Last => std::iter::once(false).chain(closes).take(frames.len()).collect(),
@@ -224,7 +224,7 @@ fn evidence(
                         .is_none_or(|angle| angle < config.rotation_epsilon)
             });
             SpatialEvidence {
-                command_closes: frame.closes,
+                command_closes: frame.closes(),
                 finger_separation: separations[i],
                 finger_speed: speeds.get(i).copied(),
                 eef_step: steps.get(i).map(|step| step.eef_translation),

@@ -146,21 +146,24 @@ pub const EPISODES: TableSpec = TableSpec {
     ],
 };
 
-/// The recorded pictures.
+/// The pictures.
 pub const IMAGES: TableSpec = TableSpec {
     name: "images",
-    version: 1,
+    version: 2,
     domain: "",
-    formerly: "",
-    description: "One row a frame, in the order of the frames table: the recorded picture, lossless. Row groups are small, so that a picture can be read alone.",
+    formerly: "camera_images",
+    description: "One row a picture, sorted by camera, episode and frame: the recorded picture, or the one rendered from the recorded state where the summary of the artifact says so, lossless. Row groups are small, so that a picture can be read alone.",
     columns: &[
         EPISODE,
         FRAME,
         ColumnSpec::new(
             "image",
             Binary,
-            "The picture as the bytes of a PNG file, 8 bits a channel, RGB.",
+            "The picture as the bytes of a PNG file, 8 bits a channel, RGB, first row at the top.",
         ),
+        category("camera", "Name of the camera: agentview, robot0_eye_in_hand, ..., or img, the one of Push-T. Null in older artifacts of Push-T.")
+            .nullable()
+            .since(2),
     ],
 };
 

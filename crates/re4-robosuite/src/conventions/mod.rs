@@ -12,7 +12,10 @@
 mod commands;
 mod demo;
 mod detect;
+mod eef;
 mod evidence;
+mod goals;
+mod gripper;
 mod monitor;
 mod opening;
 mod reading;

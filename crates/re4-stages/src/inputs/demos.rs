@@ -1,6 +1,6 @@
 //! Spatial demonstrations out of artifacts, one after the other, so that a dataset need not fit in memory.
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 use arrow::array::RecordBatch;
 use arrow::compute::concat_batches;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
@@ -94,21 +94,6 @@ fn group_names(episodes: &Artifact) -> Result<Vec<String>> {
         .collect())
 }
 
-/// Whether a command above 0 closes the gripper, by table `conventions`.
-fn positive_closes(artifact: &Artifact) -> Result<bool> {
-    let conventions = artifact.table(&tables::CONVENTIONS)?.read_all()?;
-    let (names, values) = (col_text(&conventions, "convention")?, col_text(&conventions, "value")?);
-    let row = names.iter().position(|name| *name == Some("gripper_sign"));
-    match row.and_then(|row| values.get(row).copied().flatten()) {
-        Some("positive_closes") => Ok(true),
-        Some("positive_opens") => Ok(false),
-        _ => bail!(
-            "cannot tell what a gripper command means: table conventions of {} does not say it; ingest the dataset anew",
-            artifact.path().display()
-        ),
-    }
-}
-
 fn pose(batch: &RecordBatch, prefix: &str) -> Result<Vec<Isometry3<f64>>> {
     let part = |name: &str| col_f64(batch, &format!("{prefix}_{name}"));
     let (x, y, z) = (part("x")?, part("y")?, part("z")?);
@@ -127,7 +112,7 @@ fn isometry([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Isometry3<f64> {
 }
 
 /// A demonstration from its rows of table `spatial_frames`.
-fn spatial_episode(name: String, rows: &RecordBatch, positive_closes: bool) -> Result<SpatialEpisode> {
+fn spatial_episode(name: String, rows: &RecordBatch) -> Result<SpatialEpisode> {
     let column = |name: &str| col_f64(rows, name);
     let six = |prefix: &str| -> Result<Vec<[f64; 6]>> {
         let parts = ["x", "y", "z", "rx", "ry", "rz"]
@@ -151,11 +136,6 @@ fn spatial_episode(name: String, rows: &RecordBatch, positive_closes: bool) -> R
             delta: delta[i],
             goal: goal[i],
             gripper: gripper[i],
-            closes: if positive_closes {
-                gripper[i] > 0.0
-            } else {
-                gripper[i] < 0.0
-            },
             reward: reward[i],
         })
         .collect();
@@ -166,7 +146,6 @@ fn spatial_episode(name: String, rows: &RecordBatch, positive_closes: bool) -> R
 pub(crate) struct SpatialEpisodes {
     rows: BatchesByEpisode,
     names: Vec<String>,
-    positive_closes: bool,
 }
 
 impl SpatialEpisodes {
@@ -175,7 +154,6 @@ impl SpatialEpisodes {
         Ok(Self {
             rows: BatchesByEpisode::open(artifact, &tables::SPATIAL_FRAMES)?,
             names: group_names(artifact)?,
-            positive_closes: positive_closes(artifact)?,
         })
     }
 
@@ -190,7 +168,7 @@ impl SpatialEpisodes {
                 "table spatial_frames names demonstration {number} of the artifact, which table demos lacks; ingest the dataset anew"
             )
         })?;
-        Ok((number, spatial_episode(name, rows, self.positive_closes)?))
+        Ok((number, spatial_episode(name, rows)?))
     }
 }
 

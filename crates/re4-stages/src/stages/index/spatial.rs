@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Result, bail};
-use nalgebra::{Isometry3, UnitQuaternion};
+use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_text, col_u32, tables};
 use re4_audit::SpatialDemo;
 use serde_json::json;
@@ -11,7 +11,6 @@ use serde_json::json;
 use super::estimated::EstimatedPoses;
 use crate::inputs::demos::SegmentedEpisodes;
 use crate::inputs::poses::pose_columns;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
@@ -63,7 +62,6 @@ impl Runner {
                 _ => BTreeMap::new(),
             };
             let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
-            let to_site = orientation_to_site(&episodes.artifact)?;
             let (mut demos, mut frames, mut retrievable) = (0_u64, 0_u64, 0_u64);
             let mut table = writer.table(&tables::SPATIAL_INDEX)?;
             for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
@@ -77,7 +75,7 @@ impl Runner {
                 demos += 1;
                 frames += count as u64;
                 retrievable += count.saturating_sub(end) as u64;
-                table.write_columns(columns(&demo, &to_site, end))?;
+                table.write_columns(columns(&demo, end))?;
             }
             table.finish()?;
             if let Some(estimated) = &estimated {
@@ -127,9 +125,9 @@ pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a
     }
 }
 
-fn columns(demo: &SpatialDemo, to_site: &UnitQuaternion<f64>, end: usize) -> Columns {
+fn columns(demo: &SpatialDemo, end: usize) -> Columns {
     let frames = &demo.episode.frames;
-    let eef: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.eef * to_site).collect();
+    let eef: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.eef).collect();
     let object: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.object).collect();
     let mut columns = Columns::new(&tables::SPATIAL_INDEX)
         .u32("episode", vec![demo.number; frames.len()])
@@ -143,11 +141,7 @@ fn columns(demo: &SpatialDemo, to_site: &UnitQuaternion<f64>, end: usize) -> Col
             frames.iter().map(|frame| frame.goal[part]).collect(),
         );
     }
-    let commands = frames.iter().map(|frame| {
-        let size = frame.gripper.abs();
-        if frame.closes { size } else { -size }
-    });
     columns
-        .f64("gripper", commands.collect())
+        .f64("gripper", frames.iter().map(|frame| frame.gripper).collect())
         .bool("retrievable", (0..frames.len()).map(|frame| frame >= end).collect())
 }

@@ -1,7 +1,6 @@
 //! Open-loop replays of robosuite demonstrations.
 
 use anyhow::{Context as _, Result, ensure};
-use nalgebra::UnitQuaternion;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
 use re4_episode::SpatialEpisode;
@@ -15,7 +14,6 @@ use serde_json::{Value, json};
 
 use crate::inputs::demos::{BatchesByEpisode, SpatialEpisodes};
 use crate::inputs::simulators::{Scenes, profile};
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
@@ -93,7 +91,6 @@ impl Runner {
                 .table(&tables::EPISODES)?
                 .read_columns(&["source_episode"])?;
             let numbers = col_u32_or_null(&listing, "source_episode")?;
-            let to_site = orientation_to_site(&episodes.artifact)?;
             let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.notes.progress(2 * recordings.demos as u64, "replays");
@@ -111,7 +108,7 @@ impl Runner {
                     .with_max_len(1)
                     .flat_map_iter(|recording| Kind::ALL.map(|kind| (recording, kind)))
                     .map(|(recording, kind)| {
-                        let replay = play(&scenes, recording, kind, &to_site).with_context(|| {
+                        let replay = play(&scenes, recording, kind).with_context(|| {
                             format!(
                                 "cannot replay {}, which a filter key or ingest.select can leave out",
                                 recording.episode.name
@@ -197,7 +194,7 @@ impl Iterator for Recordings {
     }
 }
 
-fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuaternion<f64>) -> Result<Replay> {
+fn play(scenes: &Scenes, recording: &Recording, kind: Kind) -> Result<Replay> {
     let model = scenes.of(recording.number)?;
     let mut simulator = Robosuite::new(&model)?;
     let mut success = Vec::with_capacity(recording.states.len());
@@ -227,19 +224,18 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuater
         distances.push(Distance {
             object: (seen.object.translation.vector - frame.object.translation.vector).norm(),
             turn: seen.object.rotation.angle_to(&frame.object.rotation),
-            eef: (seen.grip_site.translation.vector - (frame.eef * to_site).translation.vector).norm(),
+            eef: (seen.grip_site.translation.vector - frame.eef.translation.vector).norm(),
             arm: arm_distance(&now, state),
         });
         let arm = match kind {
             Kind::Delta => ArmAction::Delta(frame.delta),
             Kind::Absolute => ArmAction::Absolute(frame.goal),
         };
-        let gripper = if frame.closes {
-            frame.gripper.abs()
-        } else {
-            -frame.gripper.abs()
+        let action = RobosuiteAction {
+            arm,
+            gripper: frame.gripper,
         };
-        let RobosuiteStep { success: done, .. } = simulator.step(&RobosuiteAction { arm, gripper })?;
+        let RobosuiteStep { success: done, .. } = simulator.step(&action)?;
         success.push(done);
     }
     Ok(Replay {

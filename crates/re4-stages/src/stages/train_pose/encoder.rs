@@ -27,7 +27,6 @@ use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::poses::pose_columns;
 use crate::inputs::sources::find_weights;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
@@ -253,7 +252,7 @@ impl Runner {
     ) -> Result<PictureFile> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
-        let table = episodes.table(&tables::CAMERA_IMAGES)?;
+        let table = episodes.table(&tables::IMAGES)?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "pictures");
         let mut cameras = std::collections::BTreeSet::new();
@@ -365,7 +364,6 @@ impl Runner {
 
 /// End-effector poses and modes, and nothing else.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let to_site = orientation_to_site(episodes)?;
     let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
     let modes_of = modes
         .table(ModeRow::<SpatialEvidence>::table())?
@@ -386,7 +384,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     let mut demos: Vec<Demo> = Vec::new();
     for row in 0..episode.len() {
         let part = |k: usize| parts[k][row];
-        let hand = Isometry3::from_parts(
+        let eef = Isometry3::from_parts(
             Translation3::new(part(0), part(1), part(2)),
             UnitQuaternion::new_normalize(Quaternion::new(part(6), part(3), part(4), part(5))),
         );
@@ -407,7 +405,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
             });
         }
         if let Some(demo) = demos.last_mut() {
-            demo.eef.push(hand * to_site);
+            demo.eef.push(eef);
             demo.modes.push(mode);
         }
     }

@@ -11,7 +11,6 @@ use re4_stats::spread;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::pipeline::Task;
 
 /// Quantiles that are stated of errors.
@@ -53,7 +52,6 @@ fn read(
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
 ) -> Result<Vec<Demonstration>> {
-    let to_site = orientation_to_site(episodes)?;
     let mut estimates = poses.iter().zip(trained_on);
     let mut demonstrations = Vec::with_capacity(poses.len());
     for demo in SegmentedEpisodes::open(episodes, modes)? {
@@ -79,7 +77,7 @@ fn read(
             phases: GraspPhase::of(&held),
             estimated: poses.clone(),
             recorded: frames.iter().map(|frame| frame.object).collect(),
-            eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
+            eef: frames.iter().map(|frame| frame.eef).collect(),
         });
     }
     ensure!(
