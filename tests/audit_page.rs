@@ -8,6 +8,7 @@ use std::process::Command;
 use crate::support::{Place, invented, repository};
 use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
+use re4_audit::AuditedEpisodeRow;
 use re4_report::html::audit::{Audit, Severity, page};
 use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use serde_json::{Map, Value, json};
@@ -150,7 +151,7 @@ fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static T
     }
     let rows = place
         .artifact(Stage::Audit)
-        .table(&tables::AUDITED_EPISODES)
+        .table(AuditedEpisodeRow::table())
         .unwrap()
         .read_all()
         .unwrap();

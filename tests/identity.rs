@@ -11,6 +11,7 @@ use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_audit::{AuditedEpisodeRow, FindingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::Value;
 
@@ -170,8 +171,8 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
         }),
     );
     let audit = gaps.artifact(Stage::Audit);
-    assert_eq!(texts(&rows(&audit, &tables::AUDITED_EPISODES), "demo"), known);
-    let findings = rows(&audit, &tables::FINDINGS);
+    assert_eq!(texts(&rows(&audit, AuditedEpisodeRow::table()), "demo"), known);
+    let findings = rows(&audit, FindingRow::table());
     let places = col_u32(&findings, "episode").unwrap();
     let called = texts(&findings, "demo_name");
     assert!(

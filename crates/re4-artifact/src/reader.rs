@@ -236,19 +236,19 @@ impl Table {
         let spec = self.spec?;
         let version = self.facts.schema_version;
         let fields = self.metadata.schema().fields();
-        let described: Vec<_> = spec.columns_at(version).collect();
+        let current = version == spec.version;
         // An older version may have had columns that are gone.
-        if fields.len() != described.len() && version == spec.version {
+        if current && fields.len() != spec.columns.len() {
             return Some(format!(
                 "has {} columns where version {version} of the {} table has {}",
                 fields.len(),
                 spec.name,
-                described.len()
+                spec.columns.len()
             ));
         }
-        described.into_iter().enumerate().find_map(|(place, column)| {
+        spec.columns.iter().enumerate().find_map(|(place, column)| {
             let name = spec.name_at(column, version);
-            let field = if version == spec.version {
+            let field = if current {
                 fields.get(place)
             } else {
                 fields.iter().find(|field| field.name() == name)
@@ -263,6 +263,7 @@ impl Table {
                     spec.name,
                     column.kind
                 )),
+                None if column.since > version => None,
                 None => Some(format!(
                     "lacks the column {name} of version {version} of the {} table",
                     spec.name

@@ -1,12 +1,13 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, AUDITED_EPISODES, BUDGETS, CAMERA_IMAGES, CHECKS, CHUNKS, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE,
-    EPISODES, FINDINGS, FRAMES, GRASPS, IMAGES, INDEX, LEFT_OUT, MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES,
-    SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS,
-    SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS, TRAINING,
+    ANCHOR, BUDGETS, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX,
+    LEFT_OUT, MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE,
+    SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
+    TRAINING,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
@@ -30,7 +31,12 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             SegmentRow::<SegmentFacts>::table(),
             SegmentRow::<SpatialSegment>::table(),
         ],
-        Stage::Audit => vec![&FINDINGS, &CHECKS, &AUDITED_EPISODES, &GRASPS],
+        Stage::Audit => vec![
+            FindingRow::table(),
+            CheckRow::table(),
+            AuditedEpisodeRow::table(),
+            GraspRow::table(),
+        ],
         Stage::Index => vec![&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
         Stage::Scenes => vec![&SCENES],
         Stage::Rollout => vec![

@@ -3,7 +3,6 @@
 //! Push-T: the world frame is the simulator's 512 x 512 plane, x to the right and y downwards in pictures, in pixels; a
 //! growing angle turns clockwise on the screen. Angles are radians. Frames are control steps of 0.1 s.
 
-mod audit;
 mod left_out;
 mod spatial;
 mod spatial_rollouts;
@@ -11,7 +10,6 @@ mod spatial_rollouts;
 use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
-pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
 pub use left_out::LEFT_OUT;
 pub use spatial::{
     CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_POSES, STATES, TRAINING,

@@ -6,6 +6,7 @@ use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
 };
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_geometry::{Point2, Pose2};
 use re4_report::html::audit::{
     Audit, Check, Contacts, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
@@ -157,7 +158,7 @@ impl Places {
                 "cannot make a page of {}: table {} names episode {episode}, which table {} lacks; run the audit again",
                 artifact.path().display(),
                 table.name,
-                tables::AUDITED_EPISODES.name
+                AuditedEpisodeRow::table().name
             )
         })
     }
@@ -181,7 +182,7 @@ fn severity(word: &str, artifact: &Artifact) -> Result<Severity> {
 }
 
 fn demos(audit: &Artifact) -> Result<Vec<Demo>> {
-    let rows = audit.table(&tables::AUDITED_EPISODES)?.read_all()?;
+    let rows = audit.table(AuditedEpisodeRow::table())?.read_all()?;
     let names = texts(&rows, "demo")?;
     let count = |name| col_u32(&rows, name);
     let (number, frames) = (count("episode")?, count("frames")?);
@@ -211,7 +212,7 @@ fn demos(audit: &Artifact) -> Result<Vec<Demo>> {
 }
 
 fn checks(audit: &Artifact) -> Result<Vec<Check>> {
-    let rows = audit.table(&tables::CHECKS)?.read_all()?;
+    let rows = audit.table(CheckRow::table())?.read_all()?;
     let (code, word) = (texts(&rows, "code")?, texts(&rows, "severity")?);
     let (meaning, measure) = (texts(&rows, "meaning")?, texts(&rows, "measure")?);
     let (unit, origin, derivation) = (
@@ -240,7 +241,7 @@ fn checks(audit: &Artifact) -> Result<Vec<Check>> {
 }
 
 fn findings(audit: &Artifact, places: &Places) -> Result<Vec<Finding>> {
-    let rows = audit.table(&tables::FINDINGS)?.read_all()?;
+    let rows = audit.table(FindingRow::table())?.read_all()?;
     let (word, code) = (texts(&rows, "severity")?, texts(&rows, "code")?);
     let (unit, message) = (texts(&rows, "unit")?, texts(&rows, "message")?);
     let (value, threshold) = (col_f64_or_null(&rows, "value")?, col_f64_or_null(&rows, "threshold")?);
@@ -252,7 +253,7 @@ fn findings(audit: &Artifact, places: &Places) -> Result<Vec<Finding>> {
             Ok(Finding {
                 severity: severity(&word[i], audit)?,
                 code: code[i].clone(),
-                demo: places.of(audit, &tables::FINDINGS, episode)?,
+                demo: places.of(audit, FindingRow::table(), episode)?,
                 first_frame: first[i],
                 end_frame: end[i],
                 value: value[i],
@@ -315,7 +316,7 @@ fn segments(modes: &Artifact, planar: bool, places: &Places) -> Result<Vec<Segme
 }
 
 fn grasps(audit: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
-    let rows = audit.table(&tables::GRASPS)?.read_all()?;
+    let rows = audit.table(GraspRow::table())?.read_all()?;
     let outcome = texts(&rows, "outcome")?;
     let (segment, first, end) = (
         col_u32(&rows, "segment")?,
@@ -332,7 +333,7 @@ fn grasps(audit: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
         .enumerate()
         .map(|(i, &episode)| {
             Ok(Grasp {
-                demo: places.of(audit, &tables::GRASPS, episode)?,
+                demo: places.of(audit, GraspRow::table(), episode)?,
                 segment: segment[i],
                 first_frame: first[i],
                 end_frame: end[i],

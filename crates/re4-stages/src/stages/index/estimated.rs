@@ -10,7 +10,7 @@ use re4_episode::Mode;
 use re4_segment::{SegmentConfig, segment_spatial};
 use re4_stats::upper_median;
 
-use super::spatial::check_names;
+use super::spatial::{check_names, last_ends};
 use crate::inputs::poses::{PARTS, read_poses};
 use crate::pipeline::Estimates;
 use crate::runner::Runner;
@@ -150,15 +150,10 @@ impl Runner {
         let known = CHECKS.iter().filter(|check| check.applies_to(false));
         check_names(checks, known.map(|check| check.code))?;
         let findings = self.findings(episodes, modes, &|demo| without_object(demo, &self.pipeline.segment))?;
-        let mut last: BTreeMap<u32, u32> = BTreeMap::new();
-        for finding in findings
+        let ends = findings
             .iter()
-            .filter(|finding| checks.iter().any(|check| check == finding.code))
-        {
-            let entry = last.entry(finding.episode).or_default();
-            *entry = (*entry).max(finding.frames.end);
-        }
-        Ok(last)
+            .map(|finding| (finding.code, finding.episode, finding.frames.end));
+        Ok(last_ends(checks, ends))
     }
 }
 
