@@ -1,21 +1,13 @@
 //! Films of rollouts: what they show is what the artifact holds, drawn by the simulator's renderer.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 
+use crate::support::{Place, filters};
 use gif::{ColorOutput, DecodeOptions};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, render_state};
-use support::{Place, filters};
 
 /// Colours of plans and of replayed chunks in pictures.
 const LINES: [[u8; 3]; 2] = [[214, 126, 20], [40, 80, 200]];

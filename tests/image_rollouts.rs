@@ -1,14 +1,6 @@
 //! Rollouts of robosuite's tasks from pictures, with an invented encoder in the place of a trained one. They run where `RE4_DATA`
 //! names the folder of the datasets (or it lies in ../shared/data) and `RE4_SIMULATORS` that of the simulators (or
 //! scripts/setup-simulators.sh has put them into data/simulators).
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
+use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{
@@ -29,13 +22,10 @@ use re4_policy::spatial::{
 };
 use re4_robosuite::models::{looks, with_assets};
 use re4_robosuite::physics::without_pictures;
-use re4_rollout::{
-    Estimator, Image, PlacedScene, PolicyError, RobosuiteEnv, Rollout, Source, Space, Start, Studio, Told, rollout,
-};
-use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask, with_cube_size};
+use re4_rollout::{Estimator, Image, PolicyError, RobosuiteEnv, Rollout, Source, Space, Start, Studio, Told, rollout};
+use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask};
 use re4_stages::testing::{Estimate, Invented, pictures};
 use serde_json::json;
-use support::{Answer, Place, filters, repository, scripted_and_simulators};
 
 fn pipeline(task: &str, source: &Path, variant: &str, policy: &str) -> String {
     let pose = if variant == "image" { "encoder" } else { "recorded" };
@@ -75,7 +65,7 @@ fn data_and_simulators() -> Option<(PathBuf, PathBuf)> {
 }
 
 fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
-    let mut folders = support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
+    let mut folders = crate::support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
     assert_eq!(folders.len(), 1, "{stage:?}");
     Artifact::open(&folders.remove(0)).unwrap()
 }
@@ -214,7 +204,7 @@ fn pictures_are_those_of_the_demonstrations() {
         place.write("task.toml", text);
         run(&place, &simulators, "segment task.toml").done();
         let episodes = only(&place, "artifacts", Stage::Ingest);
-        let images = episodes.table(&tables::CAMERA_IMAGES).unwrap().read_all().unwrap();
+        let images = episodes.table(&tables::IMAGES).unwrap().read_all().unwrap();
         let (cameras, of_episode) = (
             col_text(&images, "camera").unwrap(),
             col_u32(&images, "episode").unwrap(),
@@ -231,14 +221,11 @@ fn pictures_are_those_of_the_demonstrations() {
         let front = cameras.iter().position(|camera| *camera == Some("agentview")).unwrap();
         for demo in 0..3_u32 {
             let mjcf = models[model_of[demo as usize].unwrap() as usize].unwrap();
-            let cube = (task == "lift").then(|| {
-                let boxes = looks(mjcf).unwrap().boxes;
-                boxes.iter().find(|(name, _)| name == "cube_g0").unwrap().1
-            });
+            let boxes = looks(mjcf).unwrap().boxes;
             let rows: Vec<usize> = (0..demos.len()).filter(|row| demos[*row] == demo).step_by(9).collect();
             let of_rows: Vec<Vec<f64>> = rows.iter().map(|row| states[*row].clone()).collect();
             let start = Instant::now();
-            let drawn = pictures(&place.path().join("task.toml"), &place.artifacts(), cube, &of_rows).unwrap();
+            let drawn = pictures(&place.path().join("task.toml"), &place.artifacts(), &boxes, &of_rows).unwrap();
             println!(
                 "{task}: {} pictures in {:.2} s",
                 drawn.len(),
@@ -286,18 +273,18 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     let models = episodes.table(&tables::MODELS).unwrap().read_all().unwrap();
     let mjcf = without_pictures(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
     let mjcf = with_assets(&mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
-    let placement = Placement::draw(RobosuiteTask::Lift, 200_000);
-    let mjcf = with_cube_size(&mjcf, placement.cube.unwrap()).unwrap();
+    let lift = RobosuiteTask::named("lift").unwrap();
+    let placement = Placement::draw(lift, 200_000);
+    let mjcf = placement.in_model(&mjcf).unwrap();
     let library = Library::open(&simulators.join("mujoco-2.3.7"), Version::V2_3_7).unwrap();
-    let model = RobosuiteModel::compile(&library, RobosuiteTask::Lift, Profile::V1_4, &mjcf).unwrap();
+    let model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &mjcf).unwrap();
     let index = only(&place, "artifacts", Stage::Index);
     let config = SpatialPolicyConfig::re4();
     let knowledge = Arc::new(knowledge(&index, &config));
-    let here = placement.coordinates();
+    let here = placement.clone();
     let mut elsewhere = here.clone();
     let cube = placement.objects[0].position;
-    let at = here.windows(3).position(|part| part == cube).unwrap();
-    elsewhere[at] += 0.1;
+    elsewhere.objects[0].position[0] += 0.1;
     let said = Isometry3::from_parts(
         Translation3::from(Vector3::new(cube[0], cube[1] - 0.02, cube[2])),
         UnitQuaternion::identity(),
@@ -307,16 +294,13 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
         &simulators.join("robosuite-1.4.1"),
     )
     .unwrap();
-    let drawn_model = RobosuiteModel::compile(&library, RobosuiteTask::Lift, Profile::V1_4, &drawn).unwrap();
+    let drawn_model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &drawn).unwrap();
     let studio = Studio::new(drawn, drawn_model.mujoco().clone(), 84);
     let factory = SpatialRe4Factory { config, knowledge };
-    let roll_out = |coordinates: &[f64], truthful: bool| -> Rollout<Space, SpatialDecision> {
+    let roll_out = |scene: &Placement, truthful: bool| -> Rollout<Space, SpatialDecision> {
         let start = Start {
             seed: 200_000,
-            scene: PlacedScene {
-                coordinates: coordinates.to_vec(),
-                cube: placement.cube,
-            },
+            scene: scene.clone(),
         };
         let mut env = RobosuiteEnv::new(&model, Some(&studio)).unwrap();
         let source = if truthful {

@@ -1,25 +1,17 @@
 //! The image variant from end to end: poses estimated from pictures, indexed and seen by the policy; and pictures that no
 //! pose can be estimated from.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::f64::consts::TAU;
 use std::fs;
 
+use crate::support::dataset::{self, LENGTH, replace};
+use crate::support::{Place, assert_same_bytes, filters};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use re4_geometry::{Point2, Pose2, periodic_distance};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
 use re4_sim::{Canvas, OBSERVATION_SIDE};
-use support::dataset::{self, LENGTH, replace};
-use support::{Place, assert_same_bytes, filters};
 
 const EPISODES: u32 = 6;
 const FRAMES: usize = EPISODES as usize * LENGTH;
@@ -185,7 +177,7 @@ fn the_policy_is_told_what_the_picture_shows() {
     }
     // Of true states there is nothing to tell.
     place.run("run small.toml --artifacts states").done();
-    let folder = &support::folders_in(&place.path().join("states/rollouts"))[0];
+    let folder = &crate::support::folders_in(&place.path().join("states/rollouts"))[0];
     let steps = Artifact::open(folder)
         .unwrap()
         .table(&tables::STEPS)
@@ -227,7 +219,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let mut pictures: Vec<Vec<u8>> = all.iter().map(drawn).collect();
     // One push leads the block out of the picture; those frames are not clear as it is.
     place.run("train-pose image.toml --artifacts before").done();
-    let folder = &support::folders_in(&place.path().join("before/poses"))[0];
+    let folder = &crate::support::folders_in(&place.path().join("before/poses"))[0];
     let poses = Artifact::open(folder)
         .unwrap()
         .table(&tables::POSES)
@@ -312,7 +304,7 @@ fn pictures_that_give_no_poses() {
             .run(&format!("train-pose image.toml --quiet {arguments}"))
             .refused();
         assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
-        assert!(support::folders_in(&place.artifacts().join("poses")).is_empty());
+        assert!(crate::support::folders_in(&place.artifacts().join("poses")).is_empty());
         refusals.extend([name, "\n  ", &refusal, "\n"]);
     };
     refuse("no pictures", &states_only(), "");

@@ -1,20 +1,12 @@
 //! The stages from end to end: what is built, what is skipped, what comes out.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 
+use crate::support::dataset::{LENGTH, SIDE, picture};
+use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::Value;
-use support::dataset::{LENGTH, SIDE, picture};
-use support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 
 /// Stages in the order in which the program reported on them, and whether each was skipped.
 fn stages(answer: &Answer) -> Vec<(&str, bool)> {
@@ -469,7 +461,7 @@ fn inspect_shows_every_artifact() {
             let heading = format!("table {name} (version {}): {} rows", facts.schema_version, facts.rows);
             assert!(text.stdout.contains(&heading), "{heading}\n{}", text.stdout);
             let columns = object["tables"][name]["columns"].as_array().unwrap();
-            let spec = tables::find(name).unwrap();
+            let spec = re4_stages::tables::described(&artifact, name).unwrap();
             assert_eq!(columns.len(), spec.columns.len());
             for column in spec.columns {
                 assert!(text.stdout.contains(&format!("  {} ", column.name)), "{}", column.name);
@@ -495,7 +487,7 @@ fn inspect_shows_every_artifact() {
         "states",
         "training",
     ];
-    let mut known: Vec<&str> = tables::all()
+    let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)
         .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
         .collect();

@@ -1,18 +1,11 @@
 //! The human Push-T demonstrations from end to end, where they are at hand (`RE4_DATA`); skipped where they are not.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use crate::support::{PROGRAM, folders_in, real_data, repository};
 use arrow::array::Array as _;
 use re4_artifact::{Artifact, Batches, Table, col_binary, col_f64, col_f64_or_null, col_u32, tables};
 use re4_ingest::Selection;
@@ -20,7 +13,6 @@ use re4_ingest::pusht::PushtReader;
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
-use support::{PROGRAM, folders_in, real_data, repository};
 use tempfile::TempDir;
 
 const DATASET: &str = "pusht/pusht_cchi_v7_replay.zarr";

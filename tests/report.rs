@@ -1,23 +1,15 @@
 //! The page of rollouts: its figures are the artifacts', it needs nothing but itself, and it works in a browser.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Place, filters, folders_in, repository};
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
 use serde_json::Value;
-use support::{Place, filters, folders_in, repository};
 
 /// Rollouts of two policies on the small dataset: their folders relative to the place, `re4` first.
 fn two_policies() -> (Place, [String; 2]) {

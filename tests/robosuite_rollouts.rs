@@ -1,25 +1,17 @@
 //! Rollouts and replays of robosuite's tasks, from demonstrations to tables, in MuJoCo. They run where `RE4_DATA` names the folder
 //! of the datasets (or it lies in ../shared/data) and `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh
 //! has put them into data/simulators).
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 
-use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
-use support::{
+use crate::support::{
     Answer, Place, artifact_bytes, assert_same_bytes, compare_with_schemas, filters, scripted_and_simulators,
 };
+use insta::{assert_snapshot, with_settings};
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
 
 fn pipeline(task: &str, source: &Path) -> String {
     format!(
@@ -50,7 +42,7 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
 }
 
 fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
-    let mut folders = support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
+    let mut folders = crate::support::folders_in(&place.path().join(artifacts).join(stage.artifact()));
     assert_eq!(folders.len(), 1);
     Artifact::open(&folders.remove(0)).unwrap()
 }

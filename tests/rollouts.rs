@@ -1,19 +1,11 @@
 //! The rollouts artifact: steps, decisions and results tell one story, and the simulator tells it again.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::ops::Range;
 
+use crate::support::{Place, folders_in};
 use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, coverage, scene_from_seed};
-use support::{Place, folders_in};
 
 /// The tables of a `rollouts` artifact, column by column.
 struct Rollouts {

@@ -1,20 +1,12 @@
 //! Rollouts from scenes far from the demonstrations, on the sample in `data/`: what is chosen, what the rollouts start from,
 //! what they had reached under smaller budgets of steps, and every refusal.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 
+use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
-use re4_report::{mean_interval, wilson_interval};
-use support::{Place, assert_same_bytes, filters, folders_in, repository};
+use re4_stats::{mean_interval, wilson_interval};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
 fn place() -> Place {

@@ -1,18 +1,15 @@
 //! The page and the film of rollouts of robosuite's tasks: their figures are the artifact's, the page works in a browser, and
 //! the film is the rollout. They run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data) and
 //! `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh has put them into data/simulators).
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
-
-mod support;
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crate::support::{Answer, Place, filters, folders_in, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::Value;
-use support::{Answer, Place, filters, folders_in, repository, scripted_and_simulators};
 
 fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
     let mut command: Command = place.command();

@@ -1,5 +1,4 @@
 //! Shared by the end-to-end tests: the program in a folder of its own, with a small dataset and a pipeline file.
-#![allow(dead_code)]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -94,6 +93,7 @@ impl Place {
             .current_dir(self.path())
             .env("RE4_DATA", self.path().join("data"))
             .env_remove("NO_COLOR")
+            .env_remove("RUST_LOG")
             .env_remove("CLICOLOR_FORCE")
             .env("COLUMNS", "100");
         command

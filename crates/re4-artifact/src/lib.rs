@@ -59,8 +59,10 @@ pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileFacts, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
 pub use reader::{Artifact, Batches, Table};
-pub use rows::{Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, trimmed};
+pub use rows::{
+    Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either, trimmed,
+};
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
-pub use verify::{VerifiedFile, VerifyReport, verify};
+pub use verify::{Described, VerifiedFile, VerifyReport, verify};
 pub use writer::{DEFAULT_ROW_GROUP_ROWS, Facts, TableWriter, Writer};

@@ -102,24 +102,6 @@ pub fn robosuite_action(action: &ArmAction) -> RobosuiteAction {
     }
 }
 
-/// Coordinates at rest to start from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PlacedScene {
-    /// MuJoCo's coordinates.
-    pub coordinates: Vec<f64>,
-    /// Half sizes of Lift's cube, in metres: part of the model.
-    pub cube: Option<[f64; 3]>,
-}
-
-impl From<&Placement> for PlacedScene {
-    fn from(placement: &Placement) -> Self {
-        Self {
-            coordinates: placement.coordinates(),
-            cube: placement.cube,
-        }
-    }
-}
-
 /// A robosuite task after the reset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpaceFirst {
@@ -134,7 +116,7 @@ impl Domain for Space {
     type Pose = Isometry3<f64>;
     type Action = ArmAction;
     type Outcome = RobosuiteStep;
-    type Scene = PlacedScene;
+    type Scene = Placement;
     type First = SpaceFirst;
 
     fn success(outcome: &Self::Outcome) -> bool {

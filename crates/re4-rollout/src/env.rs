@@ -2,13 +2,11 @@
 
 use nalgebra::Isometry3;
 use re4_geometry::{Point2, Pose2};
-use re4_sim::robosuite::{FirstTorques, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteStep};
+use re4_sim::robosuite::{FirstTorques, Placement, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteStep};
 use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, SimError, Simulator as _, Step};
 
 use crate::studio::{Lens, Studio};
-use crate::{
-    ArmAction, ArmState, Domain, PlacedScene, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action,
-};
+use crate::{ArmAction, ArmState, Domain, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action};
 
 /// An image: RGB, 8 bits a channel, row by row from the top.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -103,7 +101,7 @@ pub struct RobosuiteEnv<'a> {
     simulation: Robosuite,
     now: RobosuiteStep,
     studio: Option<&'a Studio>,
-    cube: Option<[f64; 3]>,
+    scene: Option<Placement>,
     lens: Option<Lens>,
 }
 
@@ -122,21 +120,21 @@ impl<'a> RobosuiteEnv<'a> {
             simulation,
             now,
             studio,
-            cube: None,
+            scene: None,
             lens: None,
         })
     }
 }
 
 impl Env<Space> for RobosuiteEnv<'_> {
-    fn reset(&mut self, scene: &PlacedScene) -> Result<SpaceFirst, SimError> {
-        let placed = RobosuiteScene::Placed(scene.coordinates.clone());
+    fn reset(&mut self, scene: &Placement) -> Result<SpaceFirst, SimError> {
+        let placed = RobosuiteScene::Placed(scene.coordinates());
         let observation = self.simulation.reset(&placed, FirstTorques::AsRobosuite)?;
         self.now = RobosuiteStep {
             observation,
             success: false,
         };
-        (self.cube, self.lens) = (scene.cube, None);
+        (self.scene, self.lens) = (Some(scene.clone()), None);
         Ok(SpaceFirst {
             observation,
             state: self.simulation.state(),
@@ -160,7 +158,7 @@ impl Env<Space> for RobosuiteEnv<'_> {
         let studio = self.studio.ok_or_else(|| PolicyError::no_camera(camera))?;
         let lens = match &mut self.lens {
             Some(lens) => lens,
-            none => none.insert(studio.lens(self.cube)?),
+            none => none.insert(studio.lens(self.scene.as_ref())?),
         };
         lens.draw(camera, &self.simulation.state(), into)
     }

@@ -12,7 +12,7 @@ mod rollout;
 mod senses;
 mod studio;
 
-pub use domain::{ArmAction, ArmState, Domain, PlacedScene, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
+pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
 pub use env::{Env, Image, PushTEnv, RobosuiteEnv};
 pub use noise::PoseNoise;
 pub use policy::{Act, Phase, Policy, PolicyError, PolicyFactory};

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use re4_mujoco::{Data, Kind, Model, MujocoError, Renderer};
 use re4_robosuite::models::looks;
-use re4_sim::robosuite::with_cube_size;
+use re4_sim::robosuite::Placement;
 
 use crate::{Image, PolicyError};
 
@@ -54,20 +54,30 @@ impl Studio {
         self.model.id(Kind::Camera, name).map(drop)
     }
 
-    /// What renders the scene with a cube of these half sizes, where the task is Lift.
+    /// What renders the scene as it was drawn for a seed, with boxes that may have sizes of their own.
     ///
     /// # Errors
     /// When there is no memory, or the MJCF cannot be read.
-    pub fn lens(&self, cube: Option<[f64; 3]>) -> Result<Lens, PolicyError> {
-        let model = match cube {
-            Some(size) => {
-                let mjcf = with_cube_size(&self.mjcf, size).map_err(PolicyError::look)?;
-                let boxes = looks(&mjcf).map_err(PolicyError::look)?.boxes;
-                self.model
-                    .with_boxes(boxes.iter().map(|(name, size)| (name.as_str(), *size)))
-                    .map_err(PolicyError::look)?
+    pub fn lens(&self, scene: Option<&Placement>) -> Result<Lens, PolicyError> {
+        match scene {
+            Some(scene) if scene.task.draws_models() => {
+                let mjcf = scene.in_model(&self.mjcf).map_err(PolicyError::look)?;
+                self.lens_of(&looks(&mjcf).map_err(PolicyError::look)?.boxes)
             }
-            None => self.model.clone(),
+            _ => self.lens_of(&[]),
+        }
+    }
+
+    /// What renders the scene with boxes of these half sizes.
+    ///
+    /// # Errors
+    /// When there is no memory.
+    pub fn lens_of(&self, boxes: &[(String, [f64; 3])]) -> Result<Lens, PolicyError> {
+        let model = if boxes.is_empty() {
+            self.model.clone()
+        } else {
+            let boxes = boxes.iter().map(|(name, size)| (name.as_str(), *size));
+            self.model.with_boxes(boxes).map_err(PolicyError::look)?
         };
         Ok(Lens {
             data: Data::new(&model).map_err(PolicyError::look)?,

@@ -12,7 +12,7 @@ mod reference;
 mod simulators;
 
 use re4_sim::Simulator as _;
-use re4_sim::robosuite::{Fidelity, INITIAL_JOINTS, Profile, RobosuiteObservation, RobosuiteTask, SIMULATION_STEPS};
+use re4_sim::robosuite::{Fidelity, INITIAL_JOINTS, Profile, RobosuiteObservation, simulation_steps};
 use simulators::{Form, Trace, apart, apart_as_rotations, apart_without, simulators};
 
 const CONTROLS: usize = 9;
@@ -23,7 +23,7 @@ fn traces_are_as_the_simulation_assumes() {
         let file = &trace.file;
         assert_eq!(
             file.f64s("ctrl").shape,
-            [60, SIMULATION_STEPS, CONTROLS],
+            [60, simulation_steps(trace.task), CONTROLS],
             "{}",
             trace.name
         );
@@ -206,7 +206,7 @@ fn compare(trace: &Trace, rows: &[Seen]) {
         assert_eq!(ours.len(), theirs.len());
         // robosuite 1.5 relates the hand to the object's pose of the sample before; before row 0 that is one of the reset, which
         // no trace holds.
-        let is_late = trace.profile == Profile::V1_5 && trace.task != RobosuiteTask::Lift;
+        let is_late = trace.profile == Profile::V1_5 && trace.task.layouts[1].relates_rotations();
         let late = RobosuiteObservation {
             object: rows[row.saturating_sub(1)].poses.object,
             ..observed
@@ -229,7 +229,7 @@ fn compare(trace: &Trace, rows: &[Seen]) {
                 &ours[relative_from..relative_from + 3],
                 &theirs[relative_from..relative_from + 3],
             ));
-            if trace.task != RobosuiteTask::Lift {
+            if trace.task.layouts[0].relates_rotations() {
                 let rotation = relative_from + 3..relative_from + 7;
                 turn = turn.max(apart_as_rotations(&ours[rotation.clone()], &theirs[rotation]));
             }

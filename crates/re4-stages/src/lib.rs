@@ -11,6 +11,7 @@ mod notes;
 mod pipeline;
 mod runner;
 mod stages;
+pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
@@ -22,7 +23,7 @@ pub use interrupt::{Interrupt, answer};
 pub use notes::{Notes, print_error, sentence};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
-    Seeds, SpatialRolloutSection, TaskName, Variant, schema,
+    Seeds, SpatialRolloutSection, Task, Variant, schema,
 };
 pub use runner::{Built, Runner, Settings};
 pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};

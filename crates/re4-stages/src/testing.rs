@@ -9,10 +9,10 @@ use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
 use re4_rollout::{
-    ArmAction, ArmState, Env, Estimator, Image, PlacedScene, PolicyError, Space, SpaceFirst, Told, put_renderer_away,
+    ArmAction, ArmState, Env, Estimator, Image, PolicyError, Space, SpaceFirst, Told, put_renderer_away,
 };
 use re4_sim::SimError;
-use re4_sim::robosuite::RobosuiteStep;
+use re4_sim::robosuite::{Placement, RobosuiteStep};
 
 use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
@@ -43,7 +43,7 @@ pub struct Invented<'a> {
 struct Betraying<'a>(Box<dyn Env<Space> + 'a>);
 
 impl Env<Space> for Betraying<'_> {
-    fn reset(&mut self, scene: &PlacedScene) -> Result<SpaceFirst, SimError> {
+    fn reset(&mut self, scene: &Placement) -> Result<SpaceFirst, SimError> {
         self.0.reset(scene)
     }
 
@@ -139,17 +139,17 @@ impl Invented<'_> {
 pub fn pictures(
     pipeline: &Path,
     artifacts: &Path,
-    cube: Option<[f64; 3]>,
+    boxes: &[(String, [f64; 3])],
     states: &[Vec<f64>],
 ) -> Result<Vec<Vec<u8>>, String> {
     let drawn = || -> Result<Vec<Vec<u8>>> {
         let runner = runner(pipeline, &[], artifacts)?;
-        let task = runner.pipeline.task.simulated().context("no simulator for this task")?;
+        let task = runner.pipeline.task.robosuite().context("no simulator for this task")?;
         let fidelity = runner.pipeline.spatial_rollout()?.fidelity;
         let episodes = runner.ingest()?.artifact;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
         let camera = runner.pipeline.pose()?.encoder().camera.clone();
-        let mut lens = studio(&scenes, &episodes, &camera)?.lens(cube)?;
+        let mut lens = studio(&scenes, &episodes, &camera)?.lens_of(boxes)?;
         let mut image = Image::default();
         let mut draw = |state: &Vec<f64>| {
             lens.draw(&camera, state, &mut image)?;

@@ -178,7 +178,6 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
                     v.z,
                 ],
                 gripper,
-                closes: gripper > 0.0,
                 reward: None,
             };
             let mode = if closed { Mode::Transfer } else { Mode::Transit };

@@ -2,14 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
 use re4_episode::Mode;
 use re4_geometry::spatial::Symmetry;
 use re4_policy::DemoNames;
 use re4_policy::spatial::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialRetrieveConfig};
-use re4_robosuite::hand_to_site;
 
 use super::poses::read_poses;
 
@@ -64,21 +63,4 @@ pub(crate) fn open_spatial_index(
         symmetry,
         |demo, frame| excluded.contains(&(demo, frame)),
     )?)
-}
-
-/// The rotation from the end effector's recorded frame to that of the grip site.
-pub(crate) fn orientation_to_site(episodes: &Artifact) -> Result<UnitQuaternion<f64>> {
-    let rows = episodes
-        .table(&tables::CONVENTIONS)?
-        .read_columns(&["convention", "value"])?;
-    let (names, values) = (col_text(&rows, "convention")?, col_text(&rows, "value")?);
-    let row = names.iter().position(|name| *name == Some("eef_orientation"));
-    match row.and_then(|row| values[row]) {
-        Some("hand_body") => Ok(hand_to_site()),
-        Some("grip_site") => Ok(UnitQuaternion::identity()),
-        _ => bail!(
-            "cannot tell whose orientation the end effector's is: table conventions of {} does not say it; ingest the dataset anew",
-            episodes.path().display()
-        ),
-    }
 }

@@ -7,8 +7,9 @@ use re4_policy::spatial::WhileHeld;
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
+use re4_task::RobosuiteTask;
 
-use super::{Camera, IngestSection, Pipeline, PoseSection, PoseSource, TaskName, Variant};
+use super::{IngestSection, Pipeline, PoseSection, PoseSource, Task, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
@@ -80,7 +81,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "ingest.pusht belongs to Push-T; leave it out"
     );
     ensure!(
-        ingest.object.is_none() || pipeline.task == TaskName::Robosuite,
+        ingest.object.is_none() || pipeline.task == Task::Robosuite,
         "ingest.object is given and the task says which object it is; leave it out, or set task = \"robosuite\""
     );
     ensure!(
@@ -88,7 +89,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "ingest.images is false and ingest.cameras names cameras; leave one of the two out"
     );
     ensure!(
-        !ingest.render.contains(&Camera::Image),
+        renders_own(pipeline),
         "ingest.render names the camera \"image\", which is Push-T's; robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
     );
     ensure!(
@@ -105,8 +106,9 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         return Ok(());
     };
     ensure!(
-        pipeline.task != TaskName::Robosuite,
-        "of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\", or leave the table [rollout] out"
+        pipeline.task != Task::Robosuite,
+        "{}, or leave the table [rollout] out",
+        RobosuiteTask::known()
     );
     pipeline.index()?;
     pipeline.pose()?;
@@ -251,6 +253,12 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
     }
 }
 
+/// Whether the cameras to be rendered are the task's.
+fn renders_own(pipeline: &Pipeline) -> bool {
+    let own = pipeline.task.cameras();
+    pipeline.ingest.render.iter().all(|camera| own.contains(camera))
+}
+
 fn check_render(ingest: &IngestSection) -> Result<()> {
     let repeated = (1..ingest.render.len()).any(|i| ingest.render[..i].contains(&ingest.render[i]));
     ensure!(!repeated, "ingest.render names a camera twice; name each once");
@@ -283,7 +291,7 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
         bail!("ingest.pusht.{why}");
     }
     ensure!(
-        ingest.render.iter().all(|&camera| camera == Camera::Image),
+        renders_own(pipeline),
         "ingest.render names a camera of robosuite's tasks; Push-T's only one is \"image\""
     );
     check_render(ingest)?;

@@ -16,18 +16,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use load::{load, parse};
+pub use re4_task::{Camera, Task};
 pub use rollout::{NoiseSection, RolloutSection, SpatialRolloutSection};
 pub use schema::schema;
-pub use sections::{Camera, Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
+pub use sections::{Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
 pub use seeds::Seeds;
-pub use task::{TaskName, Variant};
+pub use task::Variant;
 
 /// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pipeline {
     /// Task of the experiment.
-    pub task: TaskName,
+    pub task: Task,
     /// What the policy observes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variant: Option<Variant>,

@@ -1,20 +1,19 @@
 //! Open-loop replays of robosuite demonstrations.
 
 use anyhow::{Context as _, Result, ensure};
-use nalgebra::UnitQuaternion;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
 use re4_episode::SpatialEpisode;
-use re4_report::{quantile, wilson_interval};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
+use re4_stats::{spread, wilson_interval};
+use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
-use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
+use crate::inputs::demos::{BatchesByEpisode, SpatialEpisodes};
 use crate::inputs::simulators::{Scenes, profile};
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
@@ -74,8 +73,8 @@ impl Runner {
         let task = self
             .pipeline
             .task
-            .simulated()
-            .context("cannot replay: of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\"")?;
+            .robosuite()
+            .with_context(|| format!("cannot replay: {}", RobosuiteTask::known()))?;
         ensure!(
             episodes.artifact.manifest().tables.contains_key(tables::STATES.name),
             "cannot replay {}: the demonstrations have no recorded states to start from; ingest a file that has /data/demo_*/states",
@@ -92,7 +91,6 @@ impl Runner {
                 .table(&tables::EPISODES)?
                 .read_columns(&["source_episode"])?;
             let numbers = col_u32_or_null(&listing, "source_episode")?;
-            let to_site = orientation_to_site(&episodes.artifact)?;
             let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.notes.progress(2 * recordings.demos as u64, "replays");
@@ -110,7 +108,7 @@ impl Runner {
                     .with_max_len(1)
                     .flat_map_iter(|recording| Kind::ALL.map(|kind| (recording, kind)))
                     .map(|(recording, kind)| {
-                        let replay = play(&scenes, recording, kind, &to_site).with_context(|| {
+                        let replay = play(&scenes, recording, kind).with_context(|| {
                             format!(
                                 "cannot replay {}, which a filter key or ingest.select can leave out",
                                 recording.episode.name
@@ -161,7 +159,7 @@ fn recorded_kind(episodes: &Artifact) -> Result<String> {
 /// Demonstrations with their recorded states, one after the other.
 struct Recordings {
     episodes: SpatialEpisodes,
-    states: ByEpisode,
+    states: BatchesByEpisode,
     demos: usize,
 }
 
@@ -171,7 +169,7 @@ impl Recordings {
         Ok(Self {
             demos: episodes.demos(),
             episodes,
-            states: ByEpisode::open(artifact, &tables::STATES)?,
+            states: BatchesByEpisode::open(artifact, &tables::STATES)?,
         })
     }
 }
@@ -196,7 +194,7 @@ impl Iterator for Recordings {
     }
 }
 
-fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuaternion<f64>) -> Result<Replay> {
+fn play(scenes: &Scenes, recording: &Recording, kind: Kind) -> Result<Replay> {
     let model = scenes.of(recording.number)?;
     let mut simulator = Robosuite::new(&model)?;
     let mut success = Vec::with_capacity(recording.states.len());
@@ -226,19 +224,18 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuater
         distances.push(Distance {
             object: (seen.object.translation.vector - frame.object.translation.vector).norm(),
             turn: seen.object.rotation.angle_to(&frame.object.rotation),
-            eef: (seen.grip_site.translation.vector - (frame.eef * to_site).translation.vector).norm(),
+            eef: (seen.grip_site.translation.vector - frame.eef.translation.vector).norm(),
             arm: arm_distance(&now, state),
         });
         let arm = match kind {
             Kind::Delta => ArmAction::Delta(frame.delta),
             Kind::Absolute => ArmAction::Absolute(frame.goal),
         };
-        let gripper = if frame.closes {
-            frame.gripper.abs()
-        } else {
-            -frame.gripper.abs()
+        let action = RobosuiteAction {
+            arm,
+            gripper: frame.gripper,
         };
-        let RobosuiteStep { success: done, .. } = simulator.step(&RobosuiteAction { arm, gripper })?;
+        let RobosuiteStep { success: done, .. } = simulator.step(&action)?;
         success.push(done);
     }
     Ok(Replay {
@@ -290,20 +287,12 @@ impl Summary {
     }
 
     fn to_json(&self) -> Value {
-        let mut object = self.object.clone();
-        object.sort_by(f64::total_cmp);
-        let rate = wilson_interval(self.successes, self.replays);
         json!({
             "replays": self.replays,
             "successes": self.successes,
-            "success_rate": { "value": rate.value, "low": rate.low, "high": rate.high },
+            "success_rate": wilson_interval(self.successes, self.replays),
             "failed_demonstrations": self.failed,
-            "object_max_m": {
-                "p50": quantile(&object, 0.5),
-                "p90": quantile(&object, 0.9),
-                "p99": quantile(&object, 0.99),
-                "max": quantile(&object, 1.0),
-            },
+            "object_max_m": spread(self.object.iter().copied(), &[0.5, 0.9, 0.99, 1.0]),
         })
     }
 }

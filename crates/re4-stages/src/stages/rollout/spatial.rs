@@ -10,16 +10,14 @@ use re4_encoder::{Predictor, SIDE};
 use re4_mujoco::Gl;
 use re4_policy::DemoNames;
 use re4_policy::spatial::{SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRe4Factory};
-use re4_report::{median, wilson_interval};
 use re4_rollout::{
-    Env, Estimator, Harness, PlacedScene, PoseNoise, RobosuiteEnv, Rollout, Source, Space, Start, StepRecord, Studio,
-    rollouts,
+    Env, Estimator, Harness, PoseNoise, RobosuiteEnv, Rollout, Source, Space, Start, StepRecord, Studio, rollouts,
 };
-use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteTask, SIMULATION_STEPS, with_cube_size};
+use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteTask, simulation_steps};
+use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
 use super::estimators::Encoder;
-use super::interval;
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::poses::pose_columns;
@@ -107,7 +105,7 @@ impl Runner {
         index: &Built,
     ) -> Result<Built> {
         let section = self.pipeline.spatial_rollout()?;
-        let task = self.pipeline.task.simulated().context("no simulator for this task")?;
+        let task = self.pipeline.task.robosuite().context("no simulator for this task")?;
         let policy = section.policy_config();
         let symmetry = section.symmetry(task, self.pipeline.variant);
         let profile = profile(&episodes.artifact)?;
@@ -143,10 +141,8 @@ impl Runner {
             )?);
             let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
-            // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
-            let shared = (task != RobosuiteTask::Lift)
-                .then(|| scenes.compile(mjcf))
-                .transpose()?;
+            // Where the size of a box is drawn, every seed has a model of its own.
+            let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
             let seen = watching
                 .map(|watching| {
                     let studio = studio(&scenes, &episodes.artifact, &camera)?;
@@ -154,10 +150,9 @@ impl Runner {
                 })
                 .transpose()?;
             let env = |start: &Start<Space>| {
-                let model: RobosuiteModel = match (&shared, start.scene.cube) {
-                    (Some(model), _) => model.clone(),
-                    (None, Some(size)) => scenes.compile(&with_cube_size(mjcf, size)?)?,
-                    (None, None) => scenes.compile(mjcf)?,
+                let model: RobosuiteModel = match &shared {
+                    Some(model) => model.clone(),
+                    None => scenes.compile(&start.scene.in_model(mjcf)?)?,
                 };
                 let studio = seen.as_ref().map(|(studio, ..)| studio);
                 let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, studio)?);
@@ -200,7 +195,7 @@ impl Runner {
                     .iter()
                     .map(|&seed| Start {
                         seed,
-                        scene: PlacedScene::from(&Placement::draw(task, seed)),
+                        scene: Placement::draw(task, seed),
                     })
                     .collect();
                 let rollouts = rollouts(&factory, &harness, &starts)?;
@@ -209,7 +204,7 @@ impl Runner {
             }
             bar.finish_and_clear();
             tables.finish()?;
-            let summary = outcomes.summary(section, &scenes, &episodes.artifact, watching.is_some());
+            let summary = outcomes.summary(section, task, &scenes, &episodes.artifact, watching.is_some());
             Ok(Facts {
                 summary,
                 warnings: Vec::new(),
@@ -228,12 +223,19 @@ struct Outcomes {
 }
 
 impl Outcomes {
-    fn summary(&self, section: &SpatialRolloutSection, scenes: &Scenes, episodes: &Artifact, watched: bool) -> Value {
+    fn summary(
+        &self,
+        section: &SpatialRolloutSection,
+        task: RobosuiteTask,
+        scenes: &Scenes,
+        episodes: &Artifact,
+        watched: bool,
+    ) -> Value {
         let success = wilson_interval(self.successes, self.steps.len() as u64);
         let mut summary = json!({
             "rollouts": self.steps.len(),
             "successes": self.successes,
-            "metrics": { "success_rate": interval(success) },
+            "metrics": { "success_rate": success },
             "medians": { "steps_of_successes": median(&self.success_steps) },
             "longest_success": self.success_steps.iter().copied().fold(0.0, f64::max),
             "losses": self.losses,
@@ -249,8 +251,8 @@ impl Outcomes {
                 "robosuite": scenes.profile(),
                 "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
                 "fidelity": section.fidelity,
-                "simulation_steps_per_control_step": SIMULATION_STEPS,
-                "control_frequency_hz": 20,
+                "simulation_steps_per_control_step": simulation_steps(task),
+                "control_frequency_hz": task.control_rate,
                 "controller": "OSC_POSE, absolute goals of the grip site",
             },
         });

@@ -7,6 +7,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use image::ImageFormat;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rayon::prelude::*;
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, Columns, Facts, Key, Recipe, Stage, Writer, col_binary, col_f64, col_text, col_u32, tables,
 };
@@ -17,14 +18,15 @@ use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_ingest::SourceFile;
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
+use tracing::info;
 
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::poses::pose_columns;
 use crate::inputs::sources::find_weights;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
@@ -123,6 +125,7 @@ impl Runner {
         let mut checkpoints = None;
         let mut rate = None;
         let built = self.build(&recipe, |writer| {
+            info!(checkpoints = %folder.display(), going_on = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (facts, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
@@ -249,7 +252,7 @@ impl Runner {
     ) -> Result<PictureFile> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
-        let table = episodes.table(&tables::CAMERA_IMAGES)?;
+        let table = episodes.table(&tables::IMAGES)?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "pictures");
         let mut cameras = std::collections::BTreeSet::new();
@@ -361,10 +364,9 @@ impl Runner {
 
 /// End-effector poses and modes, and nothing else.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let to_site = orientation_to_site(episodes)?;
     let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
     let modes_of = modes
-        .table(&tables::SPATIAL_MODES)?
+        .table(ModeRow::<SpatialEvidence>::table())?
         .read_columns(&["episode", "frame", "mode"])?;
     let (episode, frame) = (col_u32(&frames, "episode")?, col_u32(&frames, "frame")?);
     ensure!(
@@ -382,7 +384,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     let mut demos: Vec<Demo> = Vec::new();
     for row in 0..episode.len() {
         let part = |k: usize| parts[k][row];
-        let hand = Isometry3::from_parts(
+        let eef = Isometry3::from_parts(
             Translation3::new(part(0), part(1), part(2)),
             UnitQuaternion::new_normalize(Quaternion::new(part(6), part(3), part(4), part(5))),
         );
@@ -403,7 +405,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
             });
         }
         if let Some(demo) = demos.last_mut() {
-            demo.eef.push(hand * to_site);
+            demo.eef.push(eef);
             demo.modes.push(mode);
         }
     }

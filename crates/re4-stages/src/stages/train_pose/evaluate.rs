@@ -7,12 +7,14 @@ use re4_artifact::{Artifact, Columns, Writer, tables};
 use re4_episode::Mode;
 use re4_geometry::spatial::rotation_vector;
 use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
-use re4_report::quantile;
+use re4_stats::spread;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::spatial_index::orientation_to_site;
-use crate::pipeline::TaskName;
+use crate::pipeline::Task;
+
+/// Quantiles that are stated of errors.
+const SHARES: [f64; 2] = [0.5, 0.9];
 
 /// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
 const TURNED: f64 = std::f64::consts::FRAC_PI_2;
@@ -31,7 +33,7 @@ pub(super) fn evaluate(
     modes: &Artifact,
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
-    task: TaskName,
+    task: Task,
 ) -> Result<Value> {
     let symmetry = task.symmetry();
     let demonstrations = read(episodes, modes, poses, trained_on)?;
@@ -50,7 +52,6 @@ fn read(
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
 ) -> Result<Vec<Demonstration>> {
-    let to_site = orientation_to_site(episodes)?;
     let mut estimates = poses.iter().zip(trained_on);
     let mut demonstrations = Vec::with_capacity(poses.len());
     for demo in SegmentedEpisodes::open(episodes, modes)? {
@@ -76,7 +77,7 @@ fn read(
             phases: GraspPhase::of(&held),
             estimated: poses.clone(),
             recorded: frames.iter().map(|frame| frame.object).collect(),
-            eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
+            eef: frames.iter().map(|frame| frame.eef).collect(),
         });
     }
     ensure!(
@@ -156,7 +157,7 @@ fn scores(demonstrations: &[Demonstration], measured: &Measured) -> Value {
 
 fn score(errors: &[FrameError]) -> Value {
     let spread =
-        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))).collect());
+        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))), &SHARES);
     json!({
         "frames": errors.len(),
         "translation_mm": spread(|e| e.translation, millimetres),
@@ -172,23 +173,14 @@ fn carried(arrivals: &[Arrival]) -> Value {
     let turned = arrivals.iter().filter(|arrival| arrival.angle > TURNED).count();
     json!({
         "queries": arrivals.len(),
-        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)).collect()),
-        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()).collect()),
+        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)), &SHARES),
+        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()), &SHARES),
         "share_of_the_other_side": turned as f64 / arrivals.len() as f64,
     })
 }
 
 fn millimetres(metres: f64) -> f64 {
     1e3 * metres
-}
-
-/// Median and 90th percentile; null of nothing.
-fn spread(mut values: Vec<f64>) -> Value {
-    if values.is_empty() {
-        return Value::Null;
-    }
-    values.sort_by(f64::total_cmp);
-    json!({ "p50": quantile(&values, 0.5), "p90": quantile(&values, 0.9) })
 }
 
 #[cfg(test)]
