@@ -1,14 +1,16 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, BUDGETS, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX,
-    LEFT_OUT, MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE,
-    SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
-    TRAINING,
+    ANCHOR, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX, LEFT_OUT, MODELS,
+    POSE_ERRORS, POSES, REPLAYS, SCALES, SCENES, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES,
+    SPATIAL_REPLAYS, STATES, TRAINING,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_policy::kinds;
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+
+use crate::stages::BudgetRow;
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
@@ -39,15 +41,12 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
         ],
         Stage::Index => vec![&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
         Stage::Scenes => vec![&SCENES],
-        Stage::Rollout => vec![
-            &RESULTS,
-            &STEPS,
-            &DECISIONS,
-            &BUDGETS,
-            &SPATIAL_RESULTS,
-            &SPATIAL_STEPS,
-            &SPATIAL_DECISIONS,
-        ],
+        Stage::Rollout => [
+            re4_rollout::tables().to_vec(),
+            kinds::tables(),
+            vec![BudgetRow::table()],
+        ]
+        .concat(),
         Stage::Replay => vec![&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
         Stage::TrainPose => vec![&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
     }
