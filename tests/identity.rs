@@ -166,7 +166,10 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "the index",
         [&whole, &gaps].map(|place| {
-            let index = rows(&place.artifact(Stage::Index), &tables::SPATIAL_INDEX);
+            let index = rows(
+                &place.artifact(Stage::Index),
+                re4_index::IndexRow::<re4_index::SpatialState>::table(),
+            );
             numbers(&index, &names(&of(place)), "eef_x")
         }),
     );

@@ -12,6 +12,7 @@ use std::time::Instant;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, Columns, Facts, Recipe, Stage, Store, col_binary, col_bool, col_f64, col_f64_list, col_text, col_u32,
     tables,
@@ -332,7 +333,11 @@ fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
 }
 
 fn knowledge(index: &Artifact, config: &SpatialPolicyConfig) -> SpatialKnowledge {
-    let table = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let table = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let column = |name: &str| col_f64(&table, name).unwrap();
     let pose = |prefix: &str, row: usize| {
         let [x, y, z, qx, qy, qz, qw] = POSE.map(|part| column(&format!("{prefix}_{part}"))[row]);
@@ -405,7 +410,11 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     };
     let index = index_over(&write_poses(&artifacts, &episodes, "nowhere", &rows)).unwrap();
     let index = Artifact::open(&index).unwrap();
-    let table = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let table = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     for (k, part) in POSE.into_iter().enumerate() {
         let column = col_f64(&table, &format!("object_{part}")).unwrap();
         assert!(
@@ -416,7 +425,11 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     assert!(index.manifest().inputs.contains_key("poses") && !index.manifest().inputs.contains_key("audit"));
     // Failed grasps show in the fingers, too.
     let state = only(&place, "state", Stage::Index);
-    let of_state = state.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let of_state = state
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let retrievable = |table| {
         col_bool(table, "retrievable")
             .unwrap()

@@ -11,6 +11,7 @@ use crate::support::{
     Answer, Place, artifact_bytes, assert_same_bytes, compare_with_schemas, filters, scripted_and_simulators,
 };
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
 use re4_sim::robosuite::RobosuiteTask;
 
@@ -83,7 +84,11 @@ fn lift_succeeds_and_its_tables_hold_together() {
     }
     // A frame that is followed is one that may be retrieved, in the mode of the query.
     let index = only(&place, "one", Stage::Index);
-    let indexed = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let indexed = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let (episodes, frames) = (
         col_u32(&indexed, "episode").unwrap(),
         col_u32(&indexed, "frame").unwrap(),

@@ -1,13 +1,14 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, BUDGETS, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX,
-    LEFT_OUT, MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE,
-    SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
-    TRAINING,
+    ANCHOR, BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, LEFT_OUT,
+    MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_FRAMES,
+    SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS, TRAINING,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
+use re4_policy::Chunk;
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
@@ -37,7 +38,12 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             AuditedEpisodeRow::table(),
             GraspRow::table(),
         ],
-        Stage::Index => vec![&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
+        Stage::Index => vec![
+            IndexRow::<PlanarState>::table(),
+            IndexRow::<SpatialState>::table(),
+            ScaleRow::table(),
+            Chunk::table(),
+        ],
         Stage::Scenes => vec![&SCENES],
         Stage::Rollout => vec![
             &RESULTS,

@@ -14,9 +14,7 @@ pub use left_out::LEFT_OUT;
 pub use spatial::{
     CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_POSES, STATES, TRAINING,
 };
-pub use spatial_rollouts::{
-    SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS,
-};
+pub use spatial_rollouts::{SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS};
 
 const fn id(name: &'static str, description: &'static str) -> ColumnSpec {
     ColumnSpec::new(name, U32, description)
@@ -30,11 +28,6 @@ const fn number(name: &'static str, description: &'static str) -> ColumnSpec {
 /// A coordinate in the world frame.
 const fn world(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).unit("px").frame("world")
-}
-
-/// A coordinate in the frame of the manipulated object.
-const fn in_object(name: &'static str, description: &'static str) -> ColumnSpec {
-    number(name, description).unit("px").frame("object")
 }
 
 /// A length, the same in every frame of reference.
@@ -212,74 +205,6 @@ pub const ANCHOR: TableSpec = TableSpec {
         id("row", "Row of the picture, from 0 at the top."),
         id("column", "Column of the picture, from 0 at the left."),
         number("goal_share", "Share of the pixel that has the goal's colour, 0 to 1."),
-    ],
-};
-
-/// States that Retrieve searches.
-pub const INDEX: TableSpec = TableSpec {
-    name: "index",
-    version: 2,
-    domain: "",
-    formerly: "",
-    description: "One row a retrievable frame: its object-augmented state, its action and its normalised coordinates. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        EEF_X,
-        EEF_Y,
-        OBJECT_X,
-        OBJECT_Y,
-        OBJECT_THETA,
-        ACTION_X,
-        ACTION_Y,
-        number("q_0", "Normalised eef_x."),
-        number("q_1", "Normalised eef_y."),
-        number("q_2", "Normalised object_x."),
-        number("q_3", "Normalised object_y."),
-        number("q_4", "Normalised object_theta."),
-        flag(
-            "retrievable",
-            "Whether the frame may be retrieved. Where its pose was not clear it may not, and has a pose between those of the clear frames round it. Null in older artifacts, whose frames all may.",
-        )
-        .nullable()
-        .since(2),
-    ],
-};
-
-/// Ranges that the index is normalised by.
-pub const SCALES: TableSpec = TableSpec {
-    name: "scales",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a dimension of the object-augmented state: the range that it is normalised by.",
-    columns: &[
-        ColumnSpec::new("dimension", Text, "Name of the dimension, a column of the index table."),
-        number("minimum", "Least value, in the dimension's own unit."),
-        number("maximum", "Greatest value, in the dimension's own unit."),
-    ],
-};
-
-/// Parts of demonstrations that can be retrieved by what they do to the object.
-pub const CHUNKS: TableSpec = TableSpec {
-    name: "chunks",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a chunk: a part of a demonstration that starts with the pusher clear of the block and ends anywhere after the block began to move. The motion is o_j^-1 o_e, the pose of the block at the last frame in its own frame at the first. Sorted by episode, first and last frame.",
-    columns: &[
-        EPISODE,
-        id("first_frame", "First frame of the chunk."),
-        id("last_frame", "Last frame of the chunk, included."),
-        in_object("motion_x", "Translation of the block's motion, x."),
-        in_object("motion_y", "Translation of the block's motion, y."),
-        turn("motion_theta", "Rotation of the block's motion.").frame("object"),
-        length("travel", "Length of the pusher's path."),
-        length(
-            "pushed",
-            "Length of the block's path: root mean square displacement of its points, summed over the frames.",
-        ),
     ],
 };
 

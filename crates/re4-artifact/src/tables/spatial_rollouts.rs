@@ -10,49 +10,6 @@ use crate::spec::{ColumnSpec, TableSpec};
 
 const FRAME: ColumnSpec = id("frame", "Number of the frame in its episode, from 0.");
 
-/// Object-augmented states that Retrieve searches, and what is replayed from them.
-pub const SPATIAL_INDEX: TableSpec = TableSpec {
-    name: "spatial_index",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every indexed demonstration: its object-augmented state and the absolute action taken there. Scales and weights of the distances, and the object's symmetry, are settings of the policy. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        world("eef_x", "Position of the grip site, x."),
-        world("eef_y", "Position of the grip site, y."),
-        world("eef_z", "Position of the grip site, z."),
-        attitude("eef_qx", "Orientation of the grip site, quaternion part x."),
-        attitude("eef_qy", "Orientation of the grip site, quaternion part y."),
-        attitude("eef_qz", "Orientation of the grip site, quaternion part z."),
-        attitude("eef_qw", "Orientation of the grip site, quaternion part w."),
-        world("object_x", "Position of the manipulated object, x."),
-        world("object_y", "Position of the manipulated object, y."),
-        world("object_z", "Position of the manipulated object, z."),
-        attitude("object_qx", "Orientation of the manipulated object, quaternion part x."),
-        attitude("object_qy", "Orientation of the manipulated object, quaternion part y."),
-        attitude("object_qz", "Orientation of the manipulated object, quaternion part z."),
-        attitude("object_qw", "Orientation of the manipulated object, quaternion part w."),
-        world("goal_x", "Goal position of the grip site commanded here, x."),
-        world("goal_y", "Goal position, y."),
-        world("goal_z", "Goal position, z."),
-        turn("goal_rx", "Goal orientation as a rotation vector, x.").frame("world"),
-        turn("goal_ry", "Goal orientation as a rotation vector, y.").frame("world"),
-        turn("goal_rz", "Goal orientation as a rotation vector, z.").frame("world"),
-        number(
-            "gripper",
-            "Gripper command: below 0 opens, above 0 closes, whatever sign the dataset uses.",
-        ),
-        ColumnSpec::new(
-            "retrievable",
-            Bool,
-            "Whether Retrieve may choose the frame; frames that the pipeline leaves out for what the audit found may still be replayed.",
-        ),
-    ],
-};
-
 /// Outcomes of rollouts.
 pub const SPATIAL_RESULTS: TableSpec = TableSpec {
     name: "spatial_results",

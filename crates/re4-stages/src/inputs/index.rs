@@ -2,7 +2,8 @@
 
 use anyhow::{Context as _, Result};
 use arrow::array::Array as _;
-use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32};
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{IndexedFrame, Normalization, Range, RetrievalIndex};
@@ -29,19 +30,21 @@ pub(crate) fn open_index(artifact: &Artifact, policy: &PolicyConfig, names: Demo
 
 fn open_states(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> Result<(DemoSet, RetrievalIndex)> {
     // The normalised coordinates are in the table for other readers; they follow from the states and the scales.
-    let table = artifact.table(&tables::INDEX)?.read_columns(&[
-        "episode",
-        "frame",
-        "mode",
-        "eef_x",
-        "eef_y",
-        "object_x",
-        "object_y",
-        "object_theta",
-        "action_x",
-        "action_y",
-        "retrievable",
-    ])?;
+    let table = artifact
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())?
+        .read_columns(&[
+            "episode",
+            "frame",
+            "mode",
+            "eef_x",
+            "eef_y",
+            "object_x",
+            "object_y",
+            "object_theta",
+            "action_x",
+            "action_y",
+            "retrievable",
+        ])?;
     let retrievable = col_bool(&table, "retrievable")?;
     let column = |name| col_f64(&table, name);
     let (eef_x, eef_y) = (column("eef_x")?, column("eef_y")?);
@@ -90,7 +93,7 @@ fn open_states(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> 
 }
 
 fn read_scales(artifact: &Artifact) -> Result<[Range; 5]> {
-    let table = artifact.table(&tables::SCALES)?.read_all()?;
+    let table = artifact.table(re4_index::ScaleRow::table())?.read_all()?;
     let names = col_text(&table, "dimension")?;
     if !names.iter().copied().eq(Normalization::DIMENSIONS.map(Some)) {
         anyhow::bail!(
@@ -107,7 +110,7 @@ fn read_scales(artifact: &Artifact) -> Result<[Range; 5]> {
 }
 
 fn read_chunks(artifact: &Artifact) -> Result<Vec<Chunk>> {
-    let table = artifact.table(&tables::CHUNKS)?.read_all()?;
+    let table = artifact.table(re4_policy::Chunk::table())?.read_all()?;
     let column = |name| col_f64(&table, name);
     let (x, y, theta) = (column("motion_x")?, column("motion_y")?, column("motion_theta")?);
     let (travel, pushed) = (column("travel")?, column("pushed")?);

@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use anyhow::{Context as _, Result};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32};
 use re4_episode::Mode;
 use re4_geometry::spatial::Symmetry;
 use re4_policy::DemoNames;
@@ -19,7 +20,9 @@ pub(crate) fn open_spatial_index(
     symmetry: Symmetry,
     names: DemoNames,
 ) -> Result<SpatialKnowledge> {
-    let table = artifact.table(&tables::SPATIAL_INDEX)?.read_all()?;
+    let table = artifact
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())?
+        .read_all()?;
     let column = |name: &str| col_f64(&table, name);
     let (eef, object) = (read_poses(&table, "eef")?, read_poses(&table, "object")?);
     let goals = ["x", "y", "z", "rx", "ry", "rz"]

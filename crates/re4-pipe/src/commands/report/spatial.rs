@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use anyhow::{Context as _, Result, ensure};
 use arrow::array::RecordBatch;
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
 use re4_policy::spatial::SpatialPolicyConfig;
 use re4_report::html::spatial::{
@@ -249,7 +250,9 @@ pub(super) fn read_demonstrations(
         .into_iter()
         .chain(eef_names.iter().chain(&object_names).map(String::as_str))
         .collect();
-    let rows = index.table(&tables::SPATIAL_INDEX)?.read_columns(&names)?;
+    let rows = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())?
+        .read_columns(&names)?;
     let (eef, object) = (columns(&rows, "eef", AXES)?, columns(&rows, "object", POSE)?);
     let mut demonstrations: BTreeMap<u32, SpatialDemonstration> = BTreeMap::new();
     for (row, episode) in col_u32(&rows, "episode")?.iter().enumerate() {
