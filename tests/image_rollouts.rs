@@ -18,14 +18,13 @@ use re4_artifact::{
     tables,
 };
 use re4_mujoco::{Library, Version};
-use re4_policy::PolicyError;
 use re4_policy::spatial::{
-    ObjectSight, Observer, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4,
-    SpatialRollout, SpatialStart, spatial_rollout,
+    SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4Factory,
 };
 use re4_robosuite::models::{looks, with_assets};
 use re4_robosuite::physics::without_pictures;
-use re4_sim::robosuite::{Placement, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask};
+use re4_rollout::{Estimator, Image, PolicyError, RobosuiteEnv, Rollout, Source, Space, Start, Studio, Told, rollout};
+use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask};
 use re4_stages::testing::{Estimate, Invented, pictures};
 use serde_json::json;
 
@@ -156,10 +155,10 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         let state = only(&place, &folder, Stage::Rollout);
         let asked = Arc::new(AtomicU64::new(0));
         let count = Arc::clone(&asked);
-        let truth: Estimate = Arc::new(move |picture, simulation| {
+        let truth: Estimate = Arc::new(move |picture, object| {
             assert_eq!(picture.len(), 84 * 84 * 3);
             count.fetch_add(1, Ordering::Relaxed);
-            simulation.observation().object
+            *object
         });
         let start = Instant::now();
         let invented = Invented {
@@ -244,27 +243,24 @@ fn pictures_are_those_of_the_demonstrations() {
     }
 }
 
-/// Where an observer that has seen enough says the object is.
+/// An estimator that has seen enough: it always says the same.
 struct Always(Isometry3<f64>);
 
-impl Observer for Always {
-    fn object(&mut self, _: &Robosuite) -> Result<Isometry3<f64>, PolicyError> {
-        Ok(self.0)
+impl Estimator<Space> for Always {
+    fn estimate(&mut self, image: &Image) -> Result<Told<Space>, PolicyError> {
+        assert_eq!(image.pixels.len(), 84 * 84 * 3);
+        Ok(Told {
+            pose: self.0,
+            confidence: None,
+            flag: None,
+        })
     }
 }
 
-struct Truthful;
-
-impl Observer for Truthful {
-    fn object(&mut self, simulation: &Robosuite) -> Result<Isometry3<f64>, PolicyError> {
-        Ok(simulation.observation().object)
-    }
-}
-
-/// The policy knows of the object what the observer says, wherever the object is: with an observer that always says the same,
+/// The policy knows of the object what the estimator says, wherever the object is: with one that always says the same,
 /// the whole way to the grasp is the same for a cube that lies elsewhere, to the bit.
 #[test]
-fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
+fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -286,36 +282,41 @@ fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
     let index = only(&place, "artifacts", Stage::Index);
     let config = SpatialPolicyConfig::re4();
     let knowledge = Arc::new(knowledge(&index, &config));
-    let here = placement.coordinates();
+    let here = placement.clone();
     let mut elsewhere = here.clone();
     let cube = placement.objects[0].position;
-    let at = here.windows(3).position(|part| part == cube).unwrap();
-    elsewhere[at] += 0.1;
+    elsewhere.objects[0].position[0] += 0.1;
     let said = Isometry3::from_parts(
         Translation3::from(Vector3::new(cube[0], cube[1] - 0.02, cube[2])),
         UnitQuaternion::identity(),
     );
-    let roll_out = |coordinates: &[f64], truthful: bool| -> SpatialRollout {
-        let start = SpatialStart {
+    let drawn = with_assets(
+        col_text(&models, "mjcf").unwrap()[0].unwrap(),
+        &simulators.join("robosuite-1.4.1"),
+    )
+    .unwrap();
+    let drawn_model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &drawn).unwrap();
+    let studio = Studio::new(drawn, drawn_model.mujoco().clone(), 84);
+    let factory = SpatialRe4Factory { config, knowledge };
+    let roll_out = |scene: &Placement, truthful: bool| -> Rollout<Space, SpatialDecision> {
+        let start = Start {
             seed: 200_000,
-            model: model.clone(),
-            scene: RobosuiteScene::Placed(coordinates.to_vec()),
+            scene: scene.clone(),
         };
-        let make = |_: &SpatialStart| -> Result<Box<dyn Observer>, PolicyError> {
-            Ok(if truthful {
-                Box::new(Truthful)
-            } else {
-                Box::new(Always(said))
-            })
+        let mut env = RobosuiteEnv::new(&model, Some(&studio)).unwrap();
+        let source = if truthful {
+            Source::Recorded
+        } else {
+            Source::Image {
+                camera: "agentview".to_owned(),
+                estimator: Box::new(Always(said)),
+            }
         };
-        spatial_rollout(&start, ObjectSight::Observed(&make), 30, |home| {
-            SpatialRe4::new(config.clone(), Arc::clone(&knowledge), *home)
-        })
-        .unwrap()
+        rollout(&factory, &mut env, source, start, 30).unwrap()
     };
     let (one, other) = (roll_out(&here, false), roll_out(&elsewhere, false));
-    assert_ne!(one.first.object, other.first.object);
-    assert_eq!(one.first.grip_site, other.first.grip_site);
+    assert_ne!(one.first.observation.object, other.first.observation.object);
+    assert_eq!(one.first.observation.grip_site, other.first.observation.grip_site);
     assert_eq!(one.decisions[0], other.decisions[0]);
     // Until something is touched, every action is the same.
     let same = one
@@ -325,11 +326,18 @@ fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
         .take_while(|(a, b)| a.action == b.action)
         .count();
     assert!(same >= 15, "{same} steps");
-    assert!(one.steps.iter().take(same).all(|step| step.seen.object == said));
-    // And with one that sees the cubes, they are not.
+    assert!(one.steps.iter().take(same).all(|step| step.seen == Some(said)));
+    // An image is rendered where the pose is asked for, and nowhere else.
+    assert!(one.images() >= 1 && one.images() as usize <= one.decisions.len());
+    assert!(
+        one.steps
+            .iter()
+            .all(|step| step.asked.object.is_some() == (step.asked.images == 1))
+    );
+    // And with the recorded pose, they are not.
     let (one, other) = (roll_out(&here, true), roll_out(&elsewhere, true));
     assert_ne!(one.decisions[0].set_point, other.decisions[0].set_point);
-    assert!(one.looks >= 1 && one.looks as usize <= one.decisions.len());
+    assert!(one.steps.iter().all(|step| step.asked.object.is_some()) && one.images() == 0);
 }
 
 fn knowledge(index: &Artifact, config: &SpatialPolicyConfig) -> SpatialKnowledge {

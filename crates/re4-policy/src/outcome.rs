@@ -16,7 +16,7 @@ use re4_artifact::table;
 use re4_geometry::{Point2, Pose2, polygon_area};
 use re4_sim::tee_rectangles;
 
-use crate::PolicyError;
+use crate::LookupError;
 use crate::demos::DemoSet;
 use crate::replan::Obstacle;
 
@@ -154,13 +154,13 @@ impl ChunkLibrary {
     ///
     /// # Errors
     /// When there are none, or the tree cannot be built.
-    pub fn build(chunks: Vec<Chunk>) -> Result<Self, PolicyError> {
+    pub fn build(chunks: Vec<Chunk>) -> Result<Self, LookupError> {
         if chunks.is_empty() {
-            return Err(PolicyError::NoChunks);
+            return Err(LookupError::NoChunks);
         }
         let body = Body::tee();
         let points: Vec<[f64; 4]> = chunks.iter().map(|c| body.embed(c.motion)).collect();
-        let tree = ImmutableKdTree::new_from_slice(&points).map_err(|error| PolicyError::Chunks {
+        let tree = ImmutableKdTree::new_from_slice(&points).map_err(|error| LookupError::Chunks {
             reason: error.to_string(),
         })?;
         Ok(Self { body, chunks, tree })

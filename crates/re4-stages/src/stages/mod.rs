@@ -11,4 +11,4 @@ mod train_pose;
 
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use rollout::{BUDGET_MEASURES, metrics, read_rollouts};
-pub(crate) use rollout::{Lens, Studio, put_renderer_away, unseen};
+pub(crate) use rollout::{Watching, studio};
