@@ -57,7 +57,7 @@ fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
         &artifact_bytes(&place.path().join("two")),
     );
     let poses = only(&place, "one", Stage::TrainPose);
-    re4_artifact::verify(poses.path()).unwrap();
+    re4_artifact::verify(poses.path(), &re4_stages::tables::described).unwrap();
     let files: Vec<&str> = poses.manifest().files.keys().map(String::as_str).collect();
     assert_eq!(files, ["encoder.safetensors", "model_card.md", "training.svg"]);
     let frames = only(&place, "one", Stage::Ingest)
@@ -108,7 +108,7 @@ fn forge(original: &Artifact, store: &Path) {
     assert_eq!(recipe.key(), manifest.key);
     let writer = Store::open(store).unwrap().begin(&recipe).unwrap();
     for (name, facts) in &manifest.tables {
-        let spec = tables::find(name).unwrap();
+        let spec = re4_stages::tables::described(original, name).unwrap();
         let mut out = writer.table_in_groups(spec, facts.row_group_rows as usize).unwrap();
         for batch in original.table(spec).unwrap().batches().unwrap() {
             let batch = batch.unwrap();

@@ -9,7 +9,10 @@ use std::process::Command;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_audit::{AuditedEpisodeRow, FindingRow};
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::Value;
 
 fn pipeline(task: &str, source: &Path) -> String {
@@ -156,7 +159,7 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "modes",
         [&whole, &gaps].map(|place| {
-            let modes = rows(&place.artifact(Stage::Segment), &tables::SPATIAL_MODES);
+            let modes = rows(&place.artifact(Stage::Segment), ModeRow::<SpatialEvidence>::table());
             numbers(&modes, &names(&of(place)), "finger_separation")
         }),
     );
@@ -168,8 +171,8 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
         }),
     );
     let audit = gaps.artifact(Stage::Audit);
-    assert_eq!(texts(&rows(&audit, &tables::AUDITED_EPISODES), "demo"), known);
-    let findings = rows(&audit, &tables::FINDINGS);
+    assert_eq!(texts(&rows(&audit, AuditedEpisodeRow::table()), "demo"), known);
+    let findings = rows(&audit, FindingRow::table());
     let places = col_u32(&findings, "episode").unwrap();
     let called = texts(&findings, "demo_name");
     assert!(

@@ -12,6 +12,7 @@ use crate::support::{
 };
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
+use re4_sim::robosuite::RobosuiteTask;
 
 fn pipeline(task: &str, source: &Path) -> String {
     format!(
@@ -225,6 +226,8 @@ fn what_cannot_be_simulated_is_told_in_one_sentence() {
     filters.push((simulators.to_str().unwrap(), "[simulators]"));
     let folder = place.path().canonicalize().unwrap();
     filters.push((folder.to_str().unwrap(), "[folder]"));
+    // Tasks come and go without this snapshot.
+    let told = told.replace(&RobosuiteTask::known(), "[tasks]");
     with_settings!({ filters => filters }, { assert_snapshot!(told) });
 }
 

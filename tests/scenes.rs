@@ -6,7 +6,7 @@ use std::fs;
 use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
-use re4_report::{mean_interval, wilson_interval};
+use re4_stats::{mean_interval, wilson_interval};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
 fn place() -> Place {

@@ -172,12 +172,12 @@ fn key(manifest: &Map<String, Value>) -> Option<String> {
 
 /// Reads all that there is of an artifact, in every way that there is.
 fn read(path: &Path) -> Result<(), String> {
-    let verified = verify(path).map_err(|error| error.to_string());
+    let verified = verify(path, &re4_stages::tables::described).map_err(|error| error.to_string());
     let artifact = Artifact::open(path).map_err(|error| error.to_string())?;
     // As every command does before it reads tables.
     artifact.verify_bytes().map_err(|error| error.to_string())?;
     for name in artifact.manifest().tables.keys() {
-        let table = match tables::find(name) {
+        let table = match re4_stages::tables::described(&artifact, name) {
             Some(spec) => artifact.table(spec),
             None => artifact.table_named(name),
         };

@@ -93,6 +93,7 @@ impl Place {
             .current_dir(self.path())
             .env("RE4_DATA", self.path().join("data"))
             .env_remove("NO_COLOR")
+            .env_remove("RUST_LOG")
             .env_remove("CLICOLOR_FORCE")
             .env("COLUMNS", "100");
         command

@@ -64,5 +64,5 @@ pub use rows::{
 };
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
-pub use verify::{VerifiedFile, VerifyReport, verify};
+pub use verify::{Described, VerifiedFile, VerifyReport, verify};
 pub use writer::{DEFAULT_ROW_GROUP_ROWS, Facts, TableWriter, Writer};

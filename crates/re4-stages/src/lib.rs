@@ -11,6 +11,7 @@ mod notes;
 mod pipeline;
 mod runner;
 mod stages;
+pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 

@@ -3,20 +3,16 @@
 //! Push-T: the world frame is the simulator's 512 x 512 plane, x to the right and y downwards in pictures, in pixels; a
 //! growing angle turns clockwise on the screen. Angles are radians. Frames are control steps of 0.1 s.
 
-mod audit;
 mod left_out;
 mod spatial;
 mod spatial_rollouts;
 
-use crate::key::Stage;
 use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
-pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
 pub use left_out::LEFT_OUT;
 pub use spatial::{
-    CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_POSES,
-    SPATIAL_SEGMENTS, STATES, TRAINING,
+    CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_POSES, STATES, TRAINING,
 };
 pub use spatial_rollouts::{
     SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS,
@@ -166,85 +162,6 @@ pub const IMAGES: TableSpec = TableSpec {
         category("camera", "Name of the camera: agentview, robot0_eye_in_hand, ..., or img, the one of Push-T. Null in older artifacts of Push-T.")
             .nullable()
             .since(2),
-    ],
-};
-
-/// Modes and the evidence for them.
-pub const MODES: TableSpec = TableSpec {
-    name: "modes",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame: its manipulation mode and the evidence for it. Steps and turns lead from the frame to the next one of its episode and are null at the last.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        CONTACTS,
-        flag(
-            "contact",
-            "Whether any contact was counted; null where contacts were not recorded.",
-        )
-        .nullable(),
-        length("eef_step", "Distance that the pusher moves.").nullable(),
-        length("object_step", "Distance that the origin of the block's frame moves.").nullable(),
-        turn(
-            "object_turn",
-            "Angle that the block turns, the short way round, in [-pi, pi).",
-        )
-        .nullable(),
-        length(
-            "relative_translation",
-            "Distance that the pusher moves as seen from the block: |o'^-1 x' - o^-1 x|.",
-        )
-        .nullable(),
-        turn(
-            "relative_rotation",
-            "Angle that the end effector turns as seen from the object; null where it is a point, as the pusher is.",
-        )
-        .nullable(),
-        length(
-            "eef_object_distance",
-            "Distance from the pusher's centre to the origin of the block's frame.",
-        ),
-        flag(
-            "object_moving",
-            "Whether the object moves further, or turns further, than the configured motion thresholds.",
-        )
-        .nullable(),
-    ],
-};
-
-/// Maximal runs of one mode.
-pub const SEGMENTS: TableSpec = TableSpec {
-    name: "segments",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
-    columns: &[
-        EPISODE,
-        id("segment", "Number of the segment in its episode, from 0."),
-        MODE,
-        id("first_frame", "First frame of the segment."),
-        id("end_frame", "Frame after the last one of the segment."),
-        world(
-            "anchor_x",
-            "Anchor of the demonstration, x: the end effector's position at g(d). Null in segments after the first transfer segment and in demonstrations without one.",
-        )
-        .nullable(),
-        world("anchor_y", "Anchor of the demonstration, y; null as anchor_x is.").nullable(),
-        in_object("grasp_x", "End effector in the object's frame at the first frame of a transfer segment, x; null in transit.")
-            .nullable(),
-        in_object("grasp_y", "End effector in the object's frame at the first frame of a transfer segment, y; null in transit.")
-            .nullable(),
-        length(
-            "rigidity_residual",
-            "Largest distance, over a transfer segment, of the end effector in the object's frame from where it was at the segment's first frame; null in transit.",
-        )
-        .nullable(),
-        length("object_displacement", "Distance of the object's frame at the end of the segment from where it was at its start."),
-        turn("object_rotation", "Sum of the object's turns over the segment."),
     ],
 };
 
@@ -668,89 +585,3 @@ pub const SCENES: TableSpec = TableSpec {
         id("nearest_frame", "That frame, in its demonstration."),
     ],
 };
-
-/// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
-pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
-    match stage {
-        Stage::Ingest => &[
-            &EPISODES,
-            &FRAMES,
-            &IMAGES,
-            &SPATIAL_FRAMES,
-            &DEMOS,
-            &CONVENTIONS,
-            &LEFT_OUT,
-            &STATES,
-            &MODELS,
-            &CAMERA_IMAGES,
-        ],
-        Stage::Segment => &[&MODES, &SEGMENTS, &SPATIAL_MODES, &SPATIAL_SEGMENTS],
-        Stage::Audit => &[&FINDINGS, &CHECKS, &AUDITED_EPISODES, &GRASPS],
-        Stage::Index => &[&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
-        Stage::Scenes => &[&SCENES],
-        Stage::Rollout => &[
-            &RESULTS,
-            &STEPS,
-            &DECISIONS,
-            &BUDGETS,
-            &SPATIAL_RESULTS,
-            &SPATIAL_STEPS,
-            &SPATIAL_DECISIONS,
-        ],
-        Stage::Replay => &[&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
-        Stage::TrainPose => &[&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
-    }
-}
-
-/// Every table there is, with the stage that makes it.
-pub fn all() -> impl Iterator<Item = (Stage, &'static TableSpec)> {
-    Stage::ALL
-        .into_iter()
-        .flat_map(|stage| of(stage).iter().map(move |&spec| (stage, spec)))
-}
-
-/// The newest version of the table of this name that this build knows.
-pub(crate) fn newest(name: &str) -> Option<u32> {
-    all()
-        .filter(|(_, spec)| spec.name == name)
-        .map(|(_, spec)| spec.version)
-        .max()
-}
-
-/// The table of this name.
-pub fn find(name: &str) -> Option<&'static TableSpec> {
-    all().map(|(_, spec)| spec).find(|spec| spec.name == name)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::collections::BTreeSet;
-
-    #[test]
-    fn declarations_hold_together() {
-        let mut names = BTreeSet::new();
-        for (_, table) in all() {
-            assert!(names.insert(table.name), "{} twice", table.name);
-            let columns: BTreeSet<_> = table.columns.iter().map(|c| c.name).collect();
-            assert_eq!(columns.len(), table.columns.len(), "{} repeats a column", table.name);
-            assert!(table.description.ends_with('.'), "{}", table.name);
-            for column in table.columns {
-                assert!(column.description.ends_with('.'), "{}.{}", table.name, column.name);
-                assert!(
-                    (1..=table.version).contains(&column.since),
-                    "{}.{}",
-                    table.name,
-                    column.name
-                );
-                assert!(
-                    column.since == 1 || column.nullable,
-                    "{}.{} was added later, and has to be nullable to be read from older tables",
-                    table.name,
-                    column.name
-                );
-            }
-        }
-        assert_eq!(names.len(), 39);
-    }
-}

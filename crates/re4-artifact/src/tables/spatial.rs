@@ -4,8 +4,8 @@
 //! the order x, y, z, w. The end effector's position is that of the grip site; what its orientation is that of (the hand
 //! body, as robosuite's `robot0_eef_quat`, or the grip site) says row `eef_orientation` of table `conventions`.
 
-use super::{EPISODE, MODE, category, flag, id, number};
-use crate::spec::ColumnKind::{Binary, Bool, F32List, F64, F64List, Text, U32};
+use super::{EPISODE, category, flag, id, number};
+use crate::spec::ColumnKind::{Binary, F32List, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 /// A coordinate in the world frame, in metres.
@@ -16,11 +16,6 @@ pub(super) const fn world(name: &'static str, description: &'static str) -> Colu
 /// A part of a quaternion that leads to the world frame.
 pub(super) const fn attitude(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).frame("world")
-}
-
-/// A coordinate in the frame of the manipulated object.
-const fn in_object(name: &'static str, description: &'static str) -> ColumnSpec {
-    number(name, description).unit("m").frame("object")
 }
 
 /// A length, the same in every frame of reference.
@@ -302,99 +297,5 @@ pub const POSE_ERRORS: TableSpec = TableSpec {
             "half_turn",
             "Whether the estimated frame was taken to be turned by half a turn about the axis of approach.",
         ),
-    ],
-};
-
-/// Modes of robosuite demonstrations and the evidence for them.
-pub const SPATIAL_MODES: TableSpec = TableSpec {
-    name: "spatial_modes",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame: its manipulation mode and the evidence for it. Steps, turns and speeds lead from the frame to the next one of its episode and are null at the last.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        ColumnSpec::new(
-            "command_closes",
-            Bool,
-            "Whether the gripper command of the action at this frame closes.",
-        ),
-        length(
-            "finger_separation",
-            "Distance between the fingers, |finger_0 - finger_1|.",
-        ),
-        number(
-            "finger_speed",
-            "Change of the finger separation to the next frame; below 0 while closing.",
-        )
-        .unit("m/frame")
-        .nullable(),
-        length("eef_step", "Distance that the end effector moves.").nullable(),
-        turn("eef_turn", "Angle that the end effector turns, geodesic.").nullable(),
-        length("object_step", "Distance that the object's origin moves.").nullable(),
-        turn("object_turn", "Angle that the object turns, geodesic.").nullable(),
-        length(
-            "relative_translation",
-            "Distance that the end effector moves as seen from the object: |o'^-1 x' - o^-1 x|.",
-        )
-        .nullable(),
-        turn(
-            "relative_rotation",
-            "Angle that the end effector turns as seen from the object.",
-        )
-        .nullable(),
-        length(
-            "eef_object_distance",
-            "Distance from the grip site to the object's origin.",
-        ),
-        flag(
-            "object_moving",
-            "Whether the object moves further, or turns further, than the configured motion thresholds.",
-        )
-        .nullable(),
-        flag(
-            "holds",
-            "Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is fixed to the end effector.",
-        ),
-    ],
-};
-
-/// Maximal runs of one mode of robosuite demonstrations.
-pub const SPATIAL_SEGMENTS: TableSpec = TableSpec {
-    name: "spatial_segments",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
-    columns: &[
-        EPISODE,
-        id("segment", "Number of the segment in its episode, from 0."),
-        MODE,
-        id("first_frame", "First frame of the segment."),
-        id("end_frame", "Frame after the last one of the segment."),
-        world("anchor_x", "Anchor of the demonstration, x: the end effector's pose at g(d). Null in segments after the first transfer segment and in demonstrations without one; so are the other parts.").nullable(),
-        world("anchor_y", "Anchor, y.").nullable(),
-        world("anchor_z", "Anchor, z.").nullable(),
-        attitude("anchor_qx", "Anchor, quaternion part x.").nullable(),
-        attitude("anchor_qy", "Anchor, quaternion part y.").nullable(),
-        attitude("anchor_qz", "Anchor, quaternion part z.").nullable(),
-        attitude("anchor_qw", "Anchor, quaternion part w.").nullable(),
-        id("settled_frame", "First frame of a transfer segment at which the fingers have stopped closing; null in transit and where they never stop.").nullable(),
-        in_object("grasp_x", "Grasp transform: the end effector in the object's frame at the settled frame (at the first frame, where there is none), x; null in transit, as the other parts.").nullable(),
-        in_object("grasp_y", "Grasp transform, y.").nullable(),
-        in_object("grasp_z", "Grasp transform, z.").nullable(),
-        number("grasp_qx", "Grasp transform, quaternion part x.").frame("object").nullable(),
-        number("grasp_qy", "Grasp transform, quaternion part y.").frame("object").nullable(),
-        number("grasp_qz", "Grasp transform, quaternion part z.").frame("object").nullable(),
-        number("grasp_qw", "Grasp transform, quaternion part w.").frame("object").nullable(),
-        length("finger_separation", "Distance between the fingers at the settled frame; null as grasp_x is.").nullable(),
-        length("rigidity_residual", "Largest distance, from the settled frame to the end of a transfer segment, of the end effector in the object's frame from the grasp transform; null in transit.").nullable(),
-        turn("rigidity_residual_rotation", "Largest angle, likewise.").nullable(),
-        length("object_displacement", "Distance of the object's origin at the end of the segment from where it was at its start."),
-        length("object_rise", "Height of the object's origin at the end of the segment over that at its start."),
-        turn("object_rotation", "Angle between the object's orientations at the end and at the start of the segment."),
-        length("object_path", "Sum of the object's steps over the segment."),
     ],
 };

@@ -1,5 +1,6 @@
 //! What is said of a file as a whole: warnings, errors of converted actions.
 
+use re4_stats::{nearest_rank, sorted};
 use serde::Serialize;
 
 use super::fault::Hdf5Fault;
@@ -80,10 +81,8 @@ impl GoalErrors {
     /// The distribution; none of no steps.
     pub fn of(errors: &[(f64, f64)]) -> Option<Self> {
         let quantiles = |value: fn(&(f64, f64)) -> f64| {
-            let mut values: Vec<f64> = errors.iter().map(value).collect();
-            values.sort_unstable_by(f64::total_cmp);
-            let rank = |share: f64| ((share * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1;
-            [0.5, 0.9, 0.99, 1.0].map(|share| values[rank(share)])
+            let values = sorted(errors.iter().map(value));
+            [0.5, 0.9, 0.99, 1.0].map(|share| nearest_rank(&values, share).unwrap_or(f64::NAN))
         };
         (!errors.is_empty()).then(|| Self {
             steps: errors.len() as u64,

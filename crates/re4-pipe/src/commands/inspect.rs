@@ -39,7 +39,9 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
             "\ntable {name} (version {}): {} rows, {} bytes",
             facts.schema_version, facts.rows, facts.bytes
         )?;
-        let Some(spec) = tables::find(name) else { continue };
+        let Some(spec) = re4_stages::tables::described(&artifact, name) else {
+            continue;
+        };
         writeln!(text, "  {}", spec.description)?;
         for column in spec.columns_at(facts.schema_version) {
             let unit = match (column.unit, column.frame) {

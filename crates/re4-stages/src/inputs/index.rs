@@ -7,6 +7,7 @@ use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{IndexedFrame, Normalization, Range, RetrievalIndex};
 use re4_policy::{Chunk, ChunkLibrary, DemoNames, DemoSet, Knowledge, PolicyConfig, Selector};
+use tracing::debug;
 
 /// What a policy needs of an `index` artifact, whose demonstrations have these names.
 pub(crate) fn open_index(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> Result<Knowledge> {
@@ -18,6 +19,7 @@ pub(crate) fn open_index(artifact: &Artifact, policy: &PolicyConfig, names: Demo
     };
     let (states, chunks) = rayon::join(|| open_states(artifact, policy, names), open_chunks);
     let (demos, index) = states?;
+    debug!(frames = demos.len(), "index opened");
     Ok(Knowledge {
         demos,
         index,

@@ -10,6 +10,7 @@ use re4_mujoco::{Data, Library};
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_pictures};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
+use tracing::{debug, info};
 
 /// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
 pub(crate) fn simulators_folder() -> PathBuf {
@@ -28,10 +29,10 @@ pub(crate) fn assets_folder() -> PathBuf {
 /// The MuJoCo that goes with a version of robosuite.
 pub(crate) fn library(profile: Profile) -> Result<Library> {
     let version = profile.mujoco();
-    Ok(Library::open(
-        &simulators_folder().join(format!("mujoco-{version}")),
-        version,
-    )?)
+    let folder = simulators_folder().join(format!("mujoco-{version}"));
+    let library = Library::open(&folder, version)?;
+    info!(%version, folder = %folder.display(), "MuJoCo loaded");
+    Ok(library)
 }
 
 /// Puts a flattened state (time, coordinates, velocities) into a simulation and computes what a picture of it depends on.
@@ -132,11 +133,14 @@ impl Scenes {
     }
 
     /// The version of robosuite whose behaviour is reproduced.
-    pub fn profile(&self) -> Profile {
+    pub(crate) fn profile(&self) -> Profile {
         self.profile
     }
 
     /// MJCF of the first demonstration that has a model.
+    ///
+    /// # Errors
+    /// When none has one.
     pub fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
@@ -144,6 +148,9 @@ impl Scenes {
     }
 
     /// The same MJCF with what is only drawn, and everything touching.
+    ///
+    /// # Errors
+    /// When no demonstration has a model, or an asset is missing.
     pub fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
@@ -155,12 +162,18 @@ impl Scenes {
     }
 
     /// A scene from MJCF that is not a demonstration's own.
+    ///
+    /// # Errors
+    /// When MuJoCo cannot compile it.
     pub fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
         Ok(model.with_fidelity(self.fidelity))
     }
 
     /// The scene of a demonstration, by its number in the artifact.
+    ///
+    /// # Errors
+    /// When it has no model, or MuJoCo cannot compile it.
     pub fn of(&self, demo: u32) -> Result<RobosuiteModel> {
         let number = self
             .of_demo
@@ -182,6 +195,7 @@ impl Scenes {
         }
         let mjcf = self.mjcf.get(number as usize).context("table models ends too early")?;
         let model = self.compile(mjcf)?;
+        debug!(number, demo, "model compiled");
         *place = Some(model.clone());
         Ok(model)
     }

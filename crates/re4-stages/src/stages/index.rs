@@ -6,12 +6,14 @@ mod spatial;
 use std::collections::BTreeSet;
 
 use anyhow::Result;
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64_or_null, col_text, tables};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2, wrap_to_pi};
 use re4_index::{AngleMetric, IndexedFrame, Normalization};
 use re4_policy::{Chunk, DemoSet, collect_chunks};
 use re4_pose::Flag;
+use re4_segment::{Evidence, ModeRow};
 use serde_json::json;
 
 use crate::inputs::episodes::read_episodes;
@@ -111,7 +113,7 @@ fn read_demos(
     modes: &Artifact,
     estimated: Option<Vec<Option<Pose2>>>,
 ) -> Result<(DemoSet, Blanks)> {
-    let table = modes.table(&tables::MODES)?.read_columns(&["mode"])?;
+    let table = modes.table(ModeRow::<Evidence>::table())?.read_columns(&["mode"])?;
     let mut labels = col_text(&table, "mode")?.into_iter();
     let mut poses = estimated.map(Vec::into_iter);
     let mut blanks = Blanks::new();

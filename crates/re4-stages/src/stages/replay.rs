@@ -6,8 +6,8 @@ use anyhow::{Context as _, Result};
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, tables};
 use re4_policy::{Divergence, OpenLoop, replay_open_loop};
-use re4_report::{median, quantile};
 use re4_sim::PushT;
+use re4_stats::{median, spread};
 use serde_json::json;
 
 use crate::inputs::episodes::read_episodes;
@@ -34,19 +34,16 @@ impl Runner {
             let mut table = writer.table(&tables::DIVERGENCE)?;
             table.write_columns(divergence_columns(&replays))?;
             table.finish()?;
-            let mut block: Vec<f64> = replays.iter().flat_map(|(_, r)| &r.divergence).map(|d| d.block).collect();
-            let mut pusher: Vec<f64> = replays.iter().flat_map(|(_, r)| &r.divergence).map(|d| d.pusher).collect();
-            block.sort_by(f64::total_cmp);
-            pusher.sort_by(f64::total_cmp);
-            let distribution = |values: &[f64]| json!({ "p50": quantile(values, 0.5), "p90": quantile(values, 0.9), "p99": quantile(values, 0.99), "max": quantile(values, 1.0) });
+            let frames = || replays.iter().flat_map(|(_, replay)| &replay.divergence);
+            let distribution = |value: fn(&Divergence) -> f64| spread(frames().map(value), &[0.5, 0.9, 0.99, 1.0]);
             let count = replays.len().max(1) as f64;
             let mean = |value: fn(&OpenLoop) -> f64| replays.iter().map(|(_, r)| value(r)).sum::<f64>() / count;
             Ok(Facts {
                 summary: json!({
                     "episodes": replays.len(),
-                    "frames": block.len(),
-                    "block_px": distribution(&block),
-                    "pusher_px": distribution(&pusher),
+                    "frames": frames().count(),
+                    "block_px": distribution(|d| d.block),
+                    "pusher_px": distribution(|d| d.pusher),
                     "episodes_within_1_px": replays.iter().filter(|(_, r)| r.divergence.iter().all(|d| d.block <= 1.0)).count(),
                     "coverage_recorded_mean": mean(|r| r.coverage_recorded),
                     "coverage_replayed_mean": mean(|r| r.coverage_replayed),
@@ -89,7 +86,7 @@ fn replay_columns(replays: &[Replay]) -> Columns {
         )
         .f64(
             "block_median",
-            of(|r| median(&r.divergence.iter().map(|d| d.block).collect::<Vec<_>>())),
+            of(|r| median(&r.divergence.iter().map(|d| d.block).collect::<Vec<_>>()).unwrap_or(f64::NAN)),
         )
         .f64(
             "block_max",

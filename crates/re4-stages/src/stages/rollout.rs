@@ -12,11 +12,11 @@ use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col
 use re4_episode::PlanarFrame;
 use re4_geometry::{Point2, Pose2};
 use re4_policy::{Decision, DemoNames, EpisodeRollout, Perception, Start, StepRecord, rollouts};
-use re4_report::{Interval, mean_interval, median, wilson_interval};
 use re4_sim::{
     AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
     chipmunk_version,
 };
+use re4_stats::{mean_interval, median, wilson_interval};
 use serde_json::{Value, json};
 
 pub use budgets::BUDGET_MEASURES;
@@ -189,18 +189,14 @@ impl Outcomes {
     }
 
     fn metrics(&self) -> Value {
-        let mean = |values: &[f64]| interval(mean_interval(values, BOOTSTRAP_SEED));
+        let mean = |values: &[f64]| mean_interval(values, BOOTSTRAP_SEED);
         json!({
             "score_scaled_mean": mean(&self.score),
             "coverage_raw_mean": mean(&self.coverage),
             "iou_mean": mean(&self.iou),
-            "success_rate": interval(wilson_interval(self.successes, self.score.len() as u64)),
+            "success_rate": wilson_interval(self.successes, self.score.len() as u64),
         })
     }
-}
-
-fn interval(interval: Interval) -> Value {
-    json!({ "value": interval.value, "low": interval.low, "high": interval.high })
 }
 
 /// Metrics that a `rollouts` artifact states.
@@ -366,6 +362,9 @@ fn decision_columns(episodes: &[EpisodeRollout], names: &DemoNames) -> Columns {
 
 /// Reads the rollouts of an artifact back: the state before each action, the action, and the contact points counted in
 /// the step that led to the state. Rollouts without steps are left out.
+///
+/// # Errors
+/// When the tables cannot be read, or the steps end too early.
 pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
     let results = artifact.table(&tables::RESULTS)?.read_all()?;
     let steps = artifact.table(&tables::STEPS)?.read_all()?;

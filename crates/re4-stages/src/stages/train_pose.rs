@@ -15,7 +15,7 @@ use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Table, Writer, col_b
 use re4_geometry::{Pose2, periodic_distance};
 use re4_policy::DemoNames;
 use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Picture, PictureError, SIDE};
-use re4_report::quantile;
+use re4_stats::spread;
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
@@ -76,7 +76,7 @@ impl Runner {
                 "frames": estimates.len(),
                 "frames_not_clear": estimates.iter().filter(|row| row.estimate.flag != Flag::Clear).count(),
                 "flags": flags,
-                "confidence": spread(estimates.iter().map(|row| row.estimate.confidence).collect(), &[0.0, 0.01, 0.5]),
+                "confidence": spread(estimates.iter().map(|row| row.estimate.confidence), &[0.0, 0.01, 0.5]),
             });
             if let (Some(summary), Some(evaluation)) = (summary.as_object_mut(), evaluation) {
                 summary.insert("evaluation".to_owned(), evaluation);
@@ -300,22 +300,4 @@ fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
         evaluation.insert("angle_deg".to_owned(), spread(angle, &[0.5, 0.9, 0.99, 1.0]));
     }
     Ok(Some(evaluation))
-}
-
-/// Quantiles by name: `p50`, `p99`, `min`, `max`.
-fn spread(mut values: Vec<f64>, shares: &[f64]) -> Value {
-    values.sort_by(f64::total_cmp);
-    Value::Object(
-        shares
-            .iter()
-            .map(|&share| {
-                let name = match share {
-                    0.0 => "min".to_owned(),
-                    1.0 => "max".to_owned(),
-                    share => format!("p{:.0}", 100.0 * share),
-                };
-                (name, json!(quantile(&values, share)))
-            })
-            .collect(),
-    )
 }

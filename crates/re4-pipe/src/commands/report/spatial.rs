@@ -7,12 +7,12 @@ use anyhow::{Context as _, Result, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::{Artifact, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
 use re4_policy::spatial::SpatialPolicyConfig;
-use re4_report::Interval;
 use re4_report::html::spatial::{
     Pose, SpatialChosen, SpatialDecision, SpatialDemonstration, SpatialPhase, SpatialRollouts, SpatialStep,
     SpatialTrace, SpatialWorld,
 };
 use re4_sim::robosuite::RobosuiteTask;
+use re4_stats::Interval;
 
 use super::super::names_of_decisions;
 use super::rollouts::{inclusive, rows, stated};

@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use super::common::Document;
 use super::facts::{Row, flatten, rows, told_apart};
-use crate::Interval;
+use re4_stats::Interval;
 
 /// Position and orientation: x, y, z, then the quaternion x, y, z, w.
 pub type Pose = [f64; 7];

@@ -8,8 +8,9 @@ use re4_artifact::{Artifact, col_u32, tables};
 use re4_audit::{CHECKS, SpatialDemo};
 use re4_episode::Mode;
 use re4_segment::{SegmentConfig, segment_spatial};
+use re4_stats::upper_median;
 
-use super::spatial::check_names;
+use super::spatial::{check_names, last_ends};
 use crate::inputs::poses::{PARTS, read_poses};
 use crate::pipeline::Estimates;
 use crate::runner::Runner;
@@ -116,11 +117,7 @@ fn by_mode(own: &[Isometry3<f64>], eef: &[Isometry3<f64>], modes: &[Mode]) -> Ve
 
 /// The median of each coordinate, and of the orientations the one that the others are nearest to.
 fn median(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
-    let coordinate = |k: usize| {
-        let mut values: Vec<f64> = poses.iter().map(|pose| pose.translation.vector[k]).collect();
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
+    let coordinate = |k: usize| upper_median(poses.iter().map(|pose| pose.translation.vector[k])).unwrap_or_default();
     let step = poses.len().div_ceil(SAMPLE);
     let sample: Vec<_> = poses.iter().step_by(step).map(|pose| pose.rotation).collect();
     let away = |one: &UnitQuaternion<f64>| sample.iter().map(|other| one.angle_to(other)).sum::<f64>();
@@ -153,15 +150,10 @@ impl Runner {
         let known = CHECKS.iter().filter(|check| check.applies_to(false));
         check_names(checks, known.map(|check| check.code))?;
         let findings = self.findings(episodes, modes, &|demo| without_object(demo, &self.pipeline.segment))?;
-        let mut last: BTreeMap<u32, u32> = BTreeMap::new();
-        for finding in findings
+        let ends = findings
             .iter()
-            .filter(|finding| checks.iter().any(|check| check == finding.code))
-        {
-            let entry = last.entry(finding.episode).or_default();
-            *entry = (*entry).max(finding.frames.end);
-        }
-        Ok(last)
+            .map(|finding| (finding.code, finding.episode, finding.frames.end));
+        Ok(last_ends(checks, ends))
     }
 }
 

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use anyhow::{Result, bail};
 use nalgebra::Isometry3;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_text, col_u32, tables};
-use re4_audit::SpatialDemo;
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, tables};
+use re4_audit::{CheckRow, FindingRow, SpatialDemo};
 use serde_json::json;
 
 use super::estimated::EstimatedPoses;
@@ -97,20 +97,28 @@ impl Runner {
 
 /// The end of the last finding of one of these checks, by demonstration.
 fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
-    let known = audit.table(&tables::CHECKS)?.read_columns(&["code"])?;
-    check_names(checks, col_text(&known, "code")?.into_iter().flatten())?;
-    let findings = audit
-        .table(&tables::FINDINGS)?
-        .read_columns(&["episode", "code", "end_frame"])?;
-    let (episodes, ends) = (col_u32(&findings, "episode")?, col_u32(&findings, "end_frame")?);
+    let known: Vec<CheckRow> = audit.read()?;
+    check_names(checks, known.iter().map(|check| &*check.code))?;
+    let findings: Vec<FindingRow> = audit.read()?;
+    Ok(last_ends(
+        checks,
+        findings
+            .iter()
+            .map(|finding| (&*finding.code, finding.episode, finding.frames.end)),
+    ))
+}
+
+/// The end of the last finding of one of these checks, by demonstration, of findings given by code, demonstration and end.
+pub(super) fn last_ends<'a>(
+    checks: &[String],
+    findings: impl Iterator<Item = (&'a str, u32, u32)>,
+) -> BTreeMap<u32, u32> {
     let mut last = BTreeMap::new();
-    for ((episode, end), code) in episodes.iter().zip(ends).zip(col_text(&findings, "code")?) {
-        if checks.iter().any(|check| Some(check.as_str()) == code) {
-            let entry = last.entry(*episode).or_insert(0);
-            *entry = (*end).max(*entry);
-        }
+    for (_, episode, end) in findings.filter(|(code, ..)| checks.iter().any(|check| check == code)) {
+        let entry = last.entry(episode).or_insert(0);
+        *entry = end.max(*entry);
     }
-    Ok(last)
+    last
 }
 
 /// Refuses names that no check has.

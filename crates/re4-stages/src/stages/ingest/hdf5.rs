@@ -37,6 +37,7 @@ impl Runner {
     /// plainest files itself, and leaves all others to a worker.
     pub(super) fn ingest_hdf5(&self, source: PathBuf) -> Result<Built> {
         let start = Instant::now();
+        let _span = tracing::info_span!("stage", name = "ingest").entered();
         let section = &self.pipeline.ingest;
         let gl = (!section.render.is_empty())
             .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
@@ -70,6 +71,7 @@ impl Runner {
             (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
         });
         let direct = direct?;
+        tracing::info!(source = %order.source.display(), library = direct.is_none(), "HDF5 file opened");
         match &direct {
             Some(reader) => sources = reader.sources().clone(),
             // Which models there are is known to the library alone.
@@ -105,7 +107,7 @@ impl Runner {
             let made = make(&order, inputs, &self.interrupt, &tell);
             bar.finish_and_clear();
             match made {
-                Err(error) if needs_library(&error) => {}
+                Err(error) if needs_library(&error) => tracing::info!("the HDF5 library is needed after all"),
                 made => return self.made(made?, &recipe, start),
             }
         }

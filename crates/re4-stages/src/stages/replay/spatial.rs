@@ -4,15 +4,15 @@ use anyhow::{Context as _, Result, ensure};
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
 use re4_episode::SpatialEpisode;
-use re4_report::{quantile, wilson_interval};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
+use re4_stats::{spread, wilson_interval};
 use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
-use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
+use crate::inputs::demos::{BatchesByEpisode, SpatialEpisodes};
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
@@ -159,7 +159,7 @@ fn recorded_kind(episodes: &Artifact) -> Result<String> {
 /// Demonstrations with their recorded states, one after the other.
 struct Recordings {
     episodes: SpatialEpisodes,
-    states: ByEpisode,
+    states: BatchesByEpisode,
     demos: usize,
 }
 
@@ -169,7 +169,7 @@ impl Recordings {
         Ok(Self {
             demos: episodes.demos(),
             episodes,
-            states: ByEpisode::open(artifact, &tables::STATES)?,
+            states: BatchesByEpisode::open(artifact, &tables::STATES)?,
         })
     }
 }
@@ -287,20 +287,12 @@ impl Summary {
     }
 
     fn to_json(&self) -> Value {
-        let mut object = self.object.clone();
-        object.sort_by(f64::total_cmp);
-        let rate = wilson_interval(self.successes, self.replays);
         json!({
             "replays": self.replays,
             "successes": self.successes,
-            "success_rate": { "value": rate.value, "low": rate.low, "high": rate.high },
+            "success_rate": wilson_interval(self.successes, self.replays),
             "failed_demonstrations": self.failed,
-            "object_max_m": {
-                "p50": quantile(&object, 0.5),
-                "p90": quantile(&object, 0.9),
-                "p99": quantile(&object, 0.99),
-                "max": quantile(&object, 1.0),
-            },
+            "object_max_m": spread(self.object.iter().copied(), &[0.5, 0.9, 0.99, 1.0]),
         })
     }
 }

@@ -12,13 +12,12 @@ use re4_policy::spatial::{
     MakeObserver, NoiseLevel, ObjectSight, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout,
     SpatialStart, SpatialStepRecord, spatial_rollouts,
 };
-use re4_report::{median, wilson_interval};
 use re4_sim::SimError;
 use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, simulation_steps};
+use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
 use super::eye::{self, Eye, Studio, unseen};
-use super::interval;
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::poses::pose_columns;
@@ -176,7 +175,7 @@ impl Outcomes {
         let mut summary = json!({
             "rollouts": self.steps.len(),
             "successes": self.successes,
-            "metrics": { "success_rate": interval(success) },
+            "metrics": { "success_rate": success },
             "medians": { "steps_of_successes": median(&self.success_steps) },
             "longest_success": self.success_steps.iter().copied().fold(0.0, f64::max),
             "losses": self.losses,

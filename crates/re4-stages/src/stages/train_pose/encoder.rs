@@ -7,6 +7,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use image::ImageFormat;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rayon::prelude::*;
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, Columns, Facts, Key, Recipe, Stage, Writer, col_binary, col_f64, col_text, col_u32, tables,
 };
@@ -17,7 +18,9 @@ use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_ingest::SourceFile;
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
+use tracing::info;
 
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
@@ -122,6 +125,7 @@ impl Runner {
         let mut checkpoints = None;
         let mut rate = None;
         let built = self.build(&recipe, |writer| {
+            info!(checkpoints = %folder.display(), going_on = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (facts, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
@@ -362,7 +366,7 @@ impl Runner {
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
     let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
     let modes_of = modes
-        .table(&tables::SPATIAL_MODES)?
+        .table(ModeRow::<SpatialEvidence>::table())?
         .read_columns(&["episode", "frame", "mode"])?;
     let (episode, frame) = (col_u32(&frames, "episode")?, col_u32(&frames, "frame")?);
     ensure!(

@@ -7,11 +7,14 @@ use re4_artifact::{Artifact, Columns, Writer, tables};
 use re4_episode::Mode;
 use re4_geometry::spatial::rotation_vector;
 use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
-use re4_report::quantile;
+use re4_stats::spread;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
 use crate::pipeline::Task;
+
+/// Quantiles that are stated of errors.
+const SHARES: [f64; 2] = [0.5, 0.9];
 
 /// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
 const TURNED: f64 = std::f64::consts::FRAC_PI_2;
@@ -154,7 +157,7 @@ fn scores(demonstrations: &[Demonstration], measured: &Measured) -> Value {
 
 fn score(errors: &[FrameError]) -> Value {
     let spread =
-        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))).collect());
+        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))), &SHARES);
     json!({
         "frames": errors.len(),
         "translation_mm": spread(|e| e.translation, millimetres),
@@ -170,23 +173,14 @@ fn carried(arrivals: &[Arrival]) -> Value {
     let turned = arrivals.iter().filter(|arrival| arrival.angle > TURNED).count();
     json!({
         "queries": arrivals.len(),
-        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)).collect()),
-        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()).collect()),
+        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)), &SHARES),
+        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()), &SHARES),
         "share_of_the_other_side": turned as f64 / arrivals.len() as f64,
     })
 }
 
 fn millimetres(metres: f64) -> f64 {
     1e3 * metres
-}
-
-/// Median and 90th percentile; null of nothing.
-fn spread(mut values: Vec<f64>) -> Value {
-    if values.is_empty() {
-        return Value::Null;
-    }
-    values.sort_by(f64::total_cmp);
-    json!({ "p50": quantile(&values, 0.5), "p90": quantile(&values, 0.9) })
 }
 
 #[cfg(test)]

@@ -1,0 +1,107 @@
+//! The tables of every artifact.
+
+use re4_artifact::tables::{
+    ANCHOR, BUDGETS, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX,
+    LEFT_OUT, MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE,
+    SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
+    TRAINING,
+};
+use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+
+/// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
+pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
+    match stage {
+        Stage::Ingest => vec![
+            &EPISODES,
+            &FRAMES,
+            &IMAGES,
+            &SPATIAL_FRAMES,
+            &DEMOS,
+            &CONVENTIONS,
+            &LEFT_OUT,
+            &STATES,
+            &MODELS,
+            &CAMERA_IMAGES,
+        ],
+        Stage::Segment => vec![
+            ModeRow::<Evidence>::table(),
+            ModeRow::<SpatialEvidence>::table(),
+            SegmentRow::<SegmentFacts>::table(),
+            SegmentRow::<SpatialSegment>::table(),
+        ],
+        Stage::Audit => vec![
+            FindingRow::table(),
+            CheckRow::table(),
+            AuditedEpisodeRow::table(),
+            GraspRow::table(),
+        ],
+        Stage::Index => vec![&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
+        Stage::Scenes => vec![&SCENES],
+        Stage::Rollout => vec![
+            &RESULTS,
+            &STEPS,
+            &DECISIONS,
+            &BUDGETS,
+            &SPATIAL_RESULTS,
+            &SPATIAL_STEPS,
+            &SPATIAL_DECISIONS,
+        ],
+        Stage::Replay => vec![&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
+        Stage::TrainPose => vec![&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
+    }
+}
+
+/// Every table there is, with the stage that makes it.
+pub fn all() -> impl Iterator<Item = (Stage, &'static TableSpec)> {
+    Stage::ALL
+        .into_iter()
+        .flat_map(|stage| of(stage).into_iter().map(move |spec| (stage, spec)))
+}
+
+/// The description of a table of an artifact, by the name that it has there. Where domains share the name, the file says which.
+pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> {
+    let (named, former): (Vec<_>, Vec<_>) = all()
+        .map(|(_, spec)| spec)
+        .filter(|spec| spec.name == name || spec.formerly == name)
+        .partition(|spec| spec.name == name);
+    let domain = artifact.table_named(name).ok()?.domain();
+    let of_domain = |spec: &&&TableSpec| domain.as_deref().is_none_or(|domain| spec.domain == domain);
+    // Tables in space had names of their own before files told the domain, and so the plane comes first.
+    let first = named.iter().filter(of_domain).min_by_key(|spec| spec.domain);
+    first.or(former.first()).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn declarations_hold_together() {
+        let mut names = BTreeSet::new();
+        for (_, table) in all() {
+            assert!(names.insert((table.name, table.domain)), "{} twice", table.name);
+            let columns: BTreeSet<_> = table.columns.iter().map(|c| c.name).collect();
+            assert_eq!(columns.len(), table.columns.len(), "{} repeats a column", table.name);
+            assert!(table.description.ends_with('.'), "{}", table.name);
+            for column in table.columns {
+                assert!(column.description.ends_with('.'), "{}.{}", table.name, column.name);
+                assert!(
+                    (1..=table.version).contains(&column.since),
+                    "{}.{}",
+                    table.name,
+                    column.name
+                );
+                assert!(
+                    column.since == 1 || column.nullable,
+                    "{}.{} was added later, and has to be nullable to be read from older tables",
+                    table.name,
+                    column.name
+                );
+            }
+        }
+        assert_eq!(names.len(), 39);
+    }
+}
