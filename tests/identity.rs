@@ -166,7 +166,10 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "the index",
         [&whole, &gaps].map(|place| {
-            let index = rows(&place.artifact(Stage::Index), &tables::SPATIAL_INDEX);
+            let index = rows(
+                &place.artifact(Stage::Index),
+                re4_index::IndexRow::<re4_index::SpatialState>::table(),
+            );
             numbers(&index, &names(&of(place)), "eef_x")
         }),
     );
@@ -342,7 +345,7 @@ fn replays_and_rollouts_name_what_they_follow() {
         .unwrap();
     assert!(failed.iter().all(Value::is_string), "{failed:?}");
 
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let (demos, frames) = (
         col_u32_or_null(&decisions, "demo").unwrap(),
         col_u32_or_null(&decisions, "demo_frame").unwrap(),
@@ -361,7 +364,7 @@ fn replays_and_rollouts_name_what_they_follow() {
     // One alone, which is number 3 among those that are there.
     fs::remove_dir_all(place.artifacts()).unwrap();
     run("rollout p.toml --set ingest.select={episodes=[4]}").done();
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let mut called = texts(&decisions, "demo_name");
     called.retain(|name| !name.is_empty());
     called.dedup();

@@ -12,6 +12,7 @@ use std::time::Instant;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, Columns, Facts, Recipe, Stage, Store, col_binary, col_bool, col_f64, col_f64_list, col_text, col_u32,
     tables,
@@ -110,12 +111,12 @@ fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
 
 /// What rollouts did: actions step by step, and who succeeded.
 fn actions(rollouts: &Artifact) -> (Vec<Vec<u64>>, Vec<bool>) {
-    let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(rollouts);
     let bits = ["x", "y", "z", "rx", "ry", "rz"].map(|part| {
         let column = col_f64(&steps, &format!("action_{part}")).unwrap();
         column.iter().map(|number| number.to_bits()).collect()
     });
-    let results = rollouts.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(rollouts);
     let success = col_bool(&results, "success").unwrap();
     (
         bits.to_vec(),
@@ -176,9 +177,9 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         }
         // One picture a decision that depends on the object, and none in between.
         let summary = &image.manifest().summary;
-        let steps = image.table(&tables::SPATIAL_STEPS).unwrap().rows();
+        let steps = crate::support::steps(&image).num_rows() as u64;
         assert_eq!(summary["pictures"], asked.load(Ordering::Relaxed));
-        let decisions = image.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+        let decisions = crate::support::decisions(&image);
         let kinds = col_text(&decisions, "kind").unwrap();
         let looked = kinds
             .iter()
@@ -340,7 +341,11 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
 }
 
 fn knowledge(index: &Artifact, config: &SpatialPolicyConfig) -> SpatialKnowledge {
-    let table = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let table = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let column = |name: &str| col_f64(&table, name).unwrap();
     let pose = |prefix: &str, row: usize| {
         let [x, y, z, qx, qy, qz, qw] = POSE.map(|part| column(&format!("{prefix}_{part}"))[row]);
@@ -413,7 +418,11 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     };
     let index = index_over(&write_poses(&artifacts, &episodes, "nowhere", &rows)).unwrap();
     let index = Artifact::open(&index).unwrap();
-    let table = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let table = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     for (k, part) in POSE.into_iter().enumerate() {
         let column = col_f64(&table, &format!("object_{part}")).unwrap();
         assert!(
@@ -424,7 +433,11 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     assert!(index.manifest().inputs.contains_key("poses") && !index.manifest().inputs.contains_key("audit"));
     // Failed grasps show in the fingers, too.
     let state = only(&place, "state", Stage::Index);
-    let of_state = state.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let of_state = state
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let retrievable = |table| {
         col_bool(table, "retrievable")
             .unwrap()

@@ -8,7 +8,7 @@
 
 mod common;
 
-use common::{EVERY_KIND, Row, columns, files, publish_sample, recipe, sample_rows};
+use common::{EVERY_KIND, Row, SCALES, columns, files, publish_sample, recipe, sample_rows};
 use proptest::prelude::*;
 use re4_artifact::{
     Artifact, ArtifactError, ColumnKind, ColumnSpec, Columns, Facts, Recipe, Stage, Store, TableSpec, col_binary,
@@ -313,7 +313,7 @@ fn rows_that_do_not_fit_are_refused_by_name() {
         other => panic!("{other}"),
     };
     let scales = || {
-        Columns::new(&tables::SCALES)
+        Columns::new(&SCALES)
             .text("dimension", ["eef_x"])
             .f64("minimum", vec![0.0])
     };

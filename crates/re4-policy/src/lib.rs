@@ -14,7 +14,7 @@ mod replan;
 pub mod spatial;
 mod visibility;
 
-pub use artifact::{PlaneFrame, SpaceFrame, plane_frames, read_scales, space_frames};
+pub use artifact::read_scales;
 pub use config::{
     Planner, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig, Selector, Tracking,
 };

@@ -12,7 +12,9 @@ mod reference;
 mod simulators;
 
 use re4_sim::Simulator as _;
-use re4_sim::robosuite::{Fidelity, INITIAL_JOINTS, Profile, RobosuiteObservation, simulation_steps};
+use re4_sim::robosuite::{
+    Fidelity, FirstTorques, INITIAL_JOINTS, Profile, RobosuiteObservation, RobosuiteScene, simulation_steps,
+};
 use simulators::{Form, Trace, apart, apart_as_rotations, apart_without, simulators};
 
 const CONTROLS: usize = 9;
@@ -124,6 +126,36 @@ fn closed_loop_stays_with_robosuite_until_contact() {
             until(free)
         );
         assert!(until(free) <= 1e-9, "{}: {:e}", trace.name, until(free));
+    }
+}
+
+/// Newer traces hold the environment's verdicts about every edge of its rule.
+#[test]
+fn verdicts_at_every_edge_are_equal() {
+    let Some(folder) = simulators() else { return };
+    for trace in Trace::all().filter(|trace| trace.file.has("hands")) {
+        let (hands, places) = (trace.file.f64s("hands"), trace.file.f64s("moved_to"));
+        let (of_hand, theirs) = (
+            trace.file.u32s("moved_hand").numbers,
+            trace.file.u8s("moved_success").numbers,
+        );
+        let mut simulation = trace.start(&folder, Form::Physics, Fidelity::Robosuite);
+        let joint = simulation.model().mujoco().joint(&trace.task.joint()).unwrap();
+        for (row, (&hand, &verdict)) in of_hand.iter().zip(&theirs).enumerate() {
+            let mut state = hands.row(hand as usize).to_vec();
+            state[1 + joint.0..][..3].copy_from_slice(places.row(row));
+            simulation
+                .reset(&RobosuiteScene::Recorded(state), FirstTorques::Fresh)
+                .unwrap();
+            assert_eq!(u8::from(simulation.success()), verdict, "{} row {row}", trace.name);
+        }
+        let successes = theirs.iter().filter(|&&verdict| verdict == 1).count();
+        println!(
+            "{:22} {successes} successes among {} equal verdicts",
+            trace.name,
+            theirs.len()
+        );
+        assert!(successes > 0 && successes < theirs.len(), "{}", trace.name);
     }
 }
 

@@ -1,13 +1,13 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX, LEFT_OUT, MODELS,
-    POSE_ERRORS, POSES, REPLAYS, SCALES, SCENES, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES,
-    SPATIAL_REPLAYS, STATES, TRAINING,
+    ANCHOR, CAMERA_IMAGES, CONVENTIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, POSE_ERRORS,
+    POSES, REPLAYS, SCENES, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_POSES, SPATIAL_REPLAYS, STATES, TRAINING,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
-use re4_policy::kinds;
+use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
+use re4_policy::{Chunk, kinds};
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 use crate::stages::BudgetRow;
@@ -39,7 +39,12 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             AuditedEpisodeRow::table(),
             GraspRow::table(),
         ],
-        Stage::Index => vec![&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
+        Stage::Index => vec![
+            IndexRow::<PlanarState>::table(),
+            IndexRow::<SpatialState>::table(),
+            ScaleRow::table(),
+            Chunk::table(),
+        ],
         Stage::Scenes => vec![&SCENES],
         Stage::Rollout => [
             re4_rollout::tables().to_vec(),

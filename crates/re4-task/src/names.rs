@@ -128,7 +128,7 @@ pub enum Task {
 
 impl Task {
     /// All of them, in the order in which they are listed.
-    fn all() -> impl Iterator<Item = Self> {
+    pub fn all() -> impl Iterator<Item = Self> {
         let known = RobosuiteTask::all().map(Self::Known);
         std::iter::once(Self::PushT).chain(known).chain([Self::Robosuite])
     }
