@@ -223,7 +223,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let folder = &crate::support::folders_in(&place.path().join("before/poses"))[0];
     let poses = Artifact::open(folder)
         .unwrap()
-        .table(&tables::POSES)
+        .table(re4_pose::PoseRow::<re4_pose::Estimate>::table())
         .unwrap()
         .read_all()
         .unwrap();

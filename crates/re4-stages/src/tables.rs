@@ -1,14 +1,15 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, LEFT_OUT,
-    MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_FRAMES,
-    SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS, TRAINING,
+    BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS,
+    REPLAYS, RESULTS, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_REPLAYS, SPATIAL_RESULTS,
+    SPATIAL_STEPS, STATES, STEPS,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_policy::Chunk;
+use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
@@ -55,7 +56,13 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             &SPATIAL_DECISIONS,
         ],
         Stage::Replay => vec![&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
-        Stage::TrainPose => vec![&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
+        Stage::TrainPose => vec![
+            PoseRow::<Estimate>::table(),
+            PoseRow::<SpatialEstimate>::table(),
+            AnchorRow::table(),
+            TrainingRow::table(),
+            PoseErrorRow::table(),
+        ],
     }
 }
 

@@ -11,9 +11,7 @@ use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 pub use left_out::LEFT_OUT;
-pub use spatial::{
-    CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_POSES, STATES, TRAINING,
-};
+pub use spatial::{CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, SPATIAL_FRAMES, STATES};
 pub use spatial_rollouts::{SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS};
 
 const fn id(name: &'static str, description: &'static str) -> ColumnSpec {
@@ -155,56 +153,6 @@ pub const IMAGES: TableSpec = TableSpec {
         category("camera", "Name of the camera: agentview, robot0_eye_in_hand, ..., or img, the one of Push-T. Null in older artifacts of Push-T.")
             .nullable()
             .since(2),
-    ],
-};
-
-/// Poses estimated from pictures.
-pub const POSES: TableSpec = TableSpec {
-    name: "poses",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every demonstration: the object's pose as estimated from the frame's picture, and what to think of it. No recorded pose enters. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        world(
-            "object_x",
-            "Estimated origin of the block's frame, x; null where no block is seen.",
-        )
-        .nullable(),
-        world(
-            "object_y",
-            "Estimated origin of the block's frame, y; null where no block is seen.",
-        )
-        .nullable(),
-        heading(
-            "object_theta",
-            "Estimated angle of the block; null where no block is seen.",
-        )
-        .nullable(),
-        number(
-            "confidence",
-            "Intersection over union of the block's outline at the pose with the block-coloured pixels that neither pusher nor contact marks hide, times the share of the outline in sight: 0 to 1.",
-        ),
-        category(
-            "flag",
-            "What to think of the pose: clear; or occluded, poor_fit or second_block, when it is a guess; or no_block, when there is none.",
-        ),
-    ],
-};
-
-/// The anchor of the log-polar pose estimator.
-pub const ANCHOR: TableSpec = TableSpec {
-    name: "anchor",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a pixel of the 96 x 96 pictures: how much of it the goal covers, as seen over the pictures. The goal pose is the pose of this mask; angles are measured from it. Sorted by row and column.",
-    columns: &[
-        id("row", "Row of the picture, from 0 at the top."),
-        id("column", "Column of the picture, from 0 at the left."),
-        number("goal_share", "Share of the pixel that has the goal's colour, 0 to 1."),
     ],
 };
 
