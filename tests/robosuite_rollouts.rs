@@ -126,7 +126,11 @@ fn replays_follow_the_recording_and_gate() {
     place.write("lift.toml", text);
     run(&place, &simulators, "replay lift.toml --fail-under 1").done();
     let replays = only(&place, "artifacts", Stage::Replay);
-    let table = replays.table(&tables::SPATIAL_REPLAYS).unwrap().read_all().unwrap();
+    let table = replays
+        .table(re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     assert_eq!(
         col_text(&table, "actions").unwrap()[..2],
         [Some("delta"), Some("absolute")]

@@ -26,4 +26,7 @@ pub use pipeline::{
     Seeds, SpatialRolloutSection, Task, Variant, schema,
 };
 pub use runner::{Built, Runner, Settings};
-pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};
+pub use stages::{
+    BUDGET_MEASURES, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
+    SpatialReplay, metrics, read_rollouts, serve_ingest,
+};

@@ -1,16 +1,18 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS,
-    REPLAYS, RESULTS, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_REPLAYS, SPATIAL_RESULTS,
-    SPATIAL_STEPS, STATES, STEPS,
+    BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, RESULTS,
+    SPATIAL_DECISIONS, SPATIAL_FRAMES, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_policy::Chunk;
 use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
+use re4_scenes::SceneRow;
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+
+use crate::stages::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
@@ -45,7 +47,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             ScaleRow::table(),
             Chunk::table(),
         ],
-        Stage::Scenes => vec![&SCENES],
+        Stage::Scenes => vec![SceneRow::table()],
         Stage::Rollout => vec![
             &RESULTS,
             &STEPS,
@@ -55,7 +57,12 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             &SPATIAL_STEPS,
             &SPATIAL_DECISIONS,
         ],
-        Stage::Replay => vec![&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
+        Stage::Replay => vec![
+            ReplayRow::<PlanarReplay>::table(),
+            ReplayRow::<SpatialReplay>::table(),
+            PlanarDivergenceRow::table(),
+            DivergenceRow::<SpatialDivergence>::table(),
+        ],
         Stage::TrainPose => vec![
             PoseRow::<Estimate>::table(),
             PoseRow::<SpatialEstimate>::table(),

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
+use re4_artifact::Row as _;
 use re4_artifact::{col_f64, col_f64_or_null, col_text, col_u32, tables};
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::divergence_plot;
@@ -253,7 +254,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     if let Some(path) = &arguments.plot {
         let table = built
             .artifact
-            .table(&tables::DIVERGENCE)?
+            .table(re4_stages::PlanarDivergenceRow::table())?
             .read_columns(&["frame", "block"])?;
         let frames = col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
