@@ -325,7 +325,10 @@ fn replays_and_rollouts_name_what_they_follow() {
     let episodes = place.artifact(Stage::Ingest);
     let known = names(&episodes);
     assert_eq!(known, ["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
-    let replays = rows(&place.artifact(Stage::Replay), &tables::SPATIAL_REPLAYS);
+    let replays = rows(
+        &place.artifact(Stage::Replay),
+        re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table(),
+    );
     let places = col_u32(&replays, "episode").unwrap();
     let called = texts(&replays, "demo_name");
     assert_eq!(called.len(), 10);

@@ -80,8 +80,10 @@ fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, 
         .unwrap()
         .input("episodes", episodes.key());
     let writer = Store::open(artifacts).unwrap().begin(&recipe).unwrap();
-    let mut table = writer.table(&tables::SPATIAL_POSES).unwrap();
-    let mut columns = Columns::new(&tables::SPATIAL_POSES)
+    let mut table = writer
+        .table(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
+        .unwrap();
+    let mut columns = Columns::new(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
         .u32("episode", rows.iter().map(|row| row.0).collect())
         .u32("frame", rows.iter().map(|row| row.1).collect())
         .bool("trained_on", vec![true; rows.len()])

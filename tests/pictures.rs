@@ -8,7 +8,7 @@ use crate::support::dataset::{self, LENGTH, replace};
 use crate::support::{Place, assert_same_bytes, filters};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32};
 use re4_geometry::{Point2, Pose2, periodic_distance};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
@@ -218,7 +218,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let folder = &crate::support::folders_in(&place.path().join("before/poses"))[0];
     let poses = Artifact::open(folder)
         .unwrap()
-        .table(&tables::POSES)
+        .table(re4_pose::PoseRow::<re4_pose::Estimate>::table())
         .unwrap()
         .read_all()
         .unwrap();

@@ -12,7 +12,7 @@ use crate::support::{
 };
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32};
 use re4_sim::robosuite::RobosuiteTask;
 
 fn pipeline(task: &str, source: &Path) -> String {
@@ -126,7 +126,11 @@ fn replays_follow_the_recording_and_gate() {
     place.write("lift.toml", text);
     run(&place, &simulators, "replay lift.toml --fail-under 1").done();
     let replays = only(&place, "artifacts", Stage::Replay);
-    let table = replays.table(&tables::SPATIAL_REPLAYS).unwrap().read_all().unwrap();
+    let table = replays
+        .table(re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     assert_eq!(
         col_text(&table, "actions").unwrap()[..2],
         [Some("delta"), Some("absolute")]

@@ -26,4 +26,7 @@ pub use pipeline::{
     RolloutSection, Seeds, Task, Variant, schema,
 };
 pub use runner::{Built, Runner, Settings};
-pub use stages::{BudgetRow, INGEST_WORKER, metrics, read_rollouts, serve_ingest};
+pub use stages::{
+    BudgetRow, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
+    SpatialReplay, metrics, read_rollouts, serve_ingest,
+};

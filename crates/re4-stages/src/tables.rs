@@ -1,16 +1,19 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, CAMERA_IMAGES, CONVENTIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, POSE_ERRORS,
-    POSES, REPLAYS, SCENES, SPATIAL_DIVERGENCE, SPATIAL_FRAMES, SPATIAL_POSES, SPATIAL_REPLAYS, STATES, TRAINING,
+    CAMERA_IMAGES, CONVENTIONS, DEMOS, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, SPATIAL_FRAMES, STATES,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_policy::{Chunk, kinds};
+use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
+use re4_scenes::SceneRow;
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
-use crate::stages::BudgetRow;
+use crate::stages::{
+    BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay,
+};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
@@ -45,15 +48,26 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             ScaleRow::table(),
             Chunk::table(),
         ],
-        Stage::Scenes => vec![&SCENES],
+        Stage::Scenes => vec![SceneRow::table()],
         Stage::Rollout => [
             re4_rollout::tables().to_vec(),
             kinds::tables(),
             vec![BudgetRow::table()],
         ]
         .concat(),
-        Stage::Replay => vec![&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
-        Stage::TrainPose => vec![&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
+        Stage::Replay => vec![
+            ReplayRow::<PlanarReplay>::table(),
+            ReplayRow::<SpatialReplay>::table(),
+            PlanarDivergenceRow::table(),
+            DivergenceRow::<SpatialDivergence>::table(),
+        ],
+        Stage::TrainPose => vec![
+            PoseRow::<Estimate>::table(),
+            PoseRow::<SpatialEstimate>::table(),
+            AnchorRow::table(),
+            TrainingRow::table(),
+            PoseErrorRow::table(),
+        ],
     }
 }
 

@@ -6,12 +6,12 @@ mod spatial;
 use std::collections::BTreeSet;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Writer, col_f64_or_null, col_text, columns, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Writer, columns};
 use re4_episode::Mode;
-use re4_geometry::{Pose2, wrap_to_pi};
+use re4_geometry::Pose2;
 use re4_index::{AngleMetric, IndexRow, IndexedFrame, Normalization, PlanarState, ScaleRow};
 use re4_policy::{DemoSet, collect_chunks};
-use re4_pose::Flag;
+use re4_pose::{Estimate, Flag, PoseRow, between_clear};
 use re4_segment::{Evidence, ModeRow};
 use serde_json::json;
 
@@ -39,7 +39,9 @@ impl Runner {
             recipe = recipe.input("poses", poses.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let estimated = poses.map(|poses| read_poses(&poses.artifact)).transpose()?;
+            let estimated = poses
+                .map(|poses| poses.artifact.read::<PoseRow<Estimate>>())
+                .transpose()?;
             let (demos, blanks) = read_demos(&episodes.artifact, &modes.artifact, estimated)?;
             let mut frames = indexed_frames(&demos);
             // The ranges do not depend on how angles are compared; the policy chooses that when it opens the index.
@@ -87,24 +89,6 @@ fn indexed_frames(demos: &DemoSet) -> Vec<IndexedFrame> {
 /// Frames, as (episode, frame), whose pose is not clear.
 type Blanks = BTreeSet<(u32, u32)>;
 
-/// The estimated pose of every frame in the order of the episodes; none where it is not clear.
-fn read_poses(artifact: &Artifact) -> Result<Vec<Option<Pose2>>> {
-    let table = artifact
-        .table(&tables::POSES)?
-        .read_columns(&["object_x", "object_y", "object_theta", "flag"])?;
-    let column = |name| col_f64_or_null(&table, name);
-    let (x, y, theta) = (column("object_x")?, column("object_y")?, column("object_theta")?);
-    let clear = Flag::Clear.as_str();
-    Ok(col_text(&table, "flag")?
-        .iter()
-        .enumerate()
-        .map(|(i, flag)| {
-            let pose = Pose2::new(x[i]?, y[i]?, theta[i]?);
-            (*flag == Some(clear)).then_some(pose)
-        })
-        .collect())
-}
-
 columns! {
     /// The mode of a frame.
     pub struct ModeOf {
@@ -118,7 +102,7 @@ columns! {
 fn read_demos(
     episodes: &Artifact,
     modes: &Artifact,
-    estimated: Option<Vec<Option<Pose2>>>,
+    estimated: Option<Vec<PoseRow<Estimate>>>,
 ) -> Result<(DemoSet, Blanks)> {
     let mut labels = modes.table(ModeRow::<Evidence>::table())?.stream::<ModeOf>()?;
     let mut poses = estimated.map(Vec::into_iter);
@@ -137,7 +121,8 @@ fn read_demos(
             modes.path().display()
         );
         if let Some(poses) = &mut poses {
-            let known: Vec<Option<Pose2>> = poses.by_ref().take(count).collect();
+            let clear = |row: PoseRow<Estimate>| row.estimate.pose.filter(|_| row.estimate.flag == Flag::Clear);
+            let known: Vec<Option<Pose2>> = poses.by_ref().take(count).map(clear).collect();
             anyhow::ensure!(
                 known.len() == count,
                 "cannot index {}: it has more frames than there are poses; build the poses again",
@@ -149,7 +134,9 @@ fn read_demos(
                     .filter(|(_, pose)| pose.is_none())
                     .map(|(frame, _)| (number, frame)),
             );
-            let Some(filled) = fill(&known) else { continue };
+            let Some(filled) = between_clear(&known) else {
+                continue;
+            };
             for (frame, pose) in episode.frames.iter_mut().zip(filled) {
                 frame.object = pose;
             }
@@ -162,35 +149,6 @@ fn read_demos(
         episodes.path().display()
     );
     Ok((DemoSet::new(demos), blanks))
-}
-
-/// Poses with the gaps filled: between two clear ones by equal shares of the motion, the short way round; before the first
-/// and after the last by that one. None when none is clear.
-fn fill(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
-    let clear: Vec<(usize, Pose2)> = known
-        .iter()
-        .enumerate()
-        .filter_map(|(i, pose)| Some((i, (*pose)?)))
-        .collect();
-    let (first, last) = (clear.first()?, clear.last()?);
-    let at = |i: usize| {
-        let after = clear.partition_point(|(frame, _)| *frame < i);
-        match (
-            after.checked_sub(1).and_then(|before| clear.get(before)),
-            clear.get(after),
-        ) {
-            (_, Some((frame, pose))) if *frame == i => *pose,
-            (Some((from, a)), Some((to, b))) => {
-                let share = (i - from) as f64 / (to - from) as f64;
-                let turn = wrap_to_pi(b.theta - a.theta);
-                let between = |a: f64, b: f64| a + share * (b - a);
-                Pose2::new(between(a.x, b.x), between(a.y, b.y), a.theta + share * turn).normalized()
-            }
-            (None, _) => first.1,
-            (_, None) => last.1,
-        }
-    };
-    Some((0..known.len()).map(at).collect())
 }
 
 fn write_index(
