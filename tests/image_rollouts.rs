@@ -74,7 +74,7 @@ fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
 const POSE: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 
 /// Writes a `poses` artifact with these rows of episode, frame and pose.
-fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, u32, [f64; 7])]) -> PathBuf {
+pub(crate) fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, u32, [f64; 7])]) -> PathBuf {
     let recipe = Recipe::new(Stage::TrainPose, 1)
         .config(&json!({ "invented": name }))
         .unwrap()
@@ -101,7 +101,7 @@ fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, 
 }
 
 /// The recorded poses of the object.
-fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
+pub(crate) fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
     let table = episodes.table(&tables::SPATIAL_FRAMES).unwrap().read_all().unwrap();
     let parts = POSE.map(|part| col_f64(&table, &format!("object_{part}")).unwrap());
     let numbers = col_u32(&table, "episode").unwrap();

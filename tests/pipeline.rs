@@ -489,6 +489,8 @@ fn inspect_shows_every_artifact() {
     ];
     let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)
+        // Tables of other policies than RE4 are tested with them.
+        .filter(|name| *name == "decisions_re4" || !name.starts_with("decisions_"))
         .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
         .collect();
     known.sort_unstable();

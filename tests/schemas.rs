@@ -74,8 +74,9 @@ fn the_schemas_describe_the_columns_that_are_written() {
     let missing: Vec<String> = re4_stages::tables::all()
         .map(|(_, table)| table.title())
         .filter(|title| !compared.contains(title))
+        .filter(|title| title.starts_with("decisions_re4") || !title.starts_with("decisions_"))
         .collect();
-    // The invented demonstrations have neither simulator states nor pictures; encoders and rollouts in robosuite's simulator
+    // Tables of other policies than RE4 are tested with them. The invented demonstrations have neither simulator states nor pictures; encoders and rollouts in robosuite's simulator
     // are tested elsewhere.
     assert_eq!(
         missing,
@@ -84,15 +85,15 @@ fn the_schemas_describe_the_columns_that_are_written() {
             "states",
             "models",
             "camera_images",
+            "poses-space",
+            "training",
+            "pose_errors",
             "results-space",
             "steps-space",
             "decisions-space",
             "decisions_re4-space",
             "replays-space",
             "divergence-space",
-            "poses-space",
-            "training",
-            "pose_errors",
         ],
         "every other table is written by some stage"
     );

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::{Answer, Place, filters, folders_in, repository, scripted_and_simulators};
+use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_text, col_u32};
 use serde_json::Value;
@@ -254,10 +254,7 @@ fn the_page_works_in_a_browser() {
         return;
     };
     let place = Place::empty();
-    for policy in ["re4", "re2"] {
-        lift(&place, &data, &simulators, policy);
-    }
-    let folders = folders_in(&place.artifacts().join("rollouts"));
+    let folders = ["re4", "re2"].map(|policy| place.path().join(lift(&place, &data, &simulators, policy)));
     let paths: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
     run(
         &place,

@@ -88,12 +88,9 @@ impl Artifact {
 
     /// The table by the name that older versions had.
     fn formerly(&self, spec: &'static TableSpec) -> Option<&TableFacts> {
-        // Tables in space had names of their own; those in the plane have kept theirs.
-        let facts = self
-            .manifest
-            .tables
-            .get(spec.formerly)
-            .filter(|_| spec.domain != "plane")?;
+        // A row of both domains states the name that its table had in space; in the plane it has kept its own.
+        let kept = spec.domain == "plane" && spec.formerly.starts_with("spatial_");
+        let facts = self.manifest.tables.get(spec.formerly).filter(|_| !kept)?;
         (facts.schema_version < spec.version).then_some(facts)
     }
 
