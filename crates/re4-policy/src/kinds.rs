@@ -3,6 +3,7 @@
 //! A new one is a module beside `re4`, with settings, factories, a decision record and its table, and a line in each domain
 //! below that it runs in. Everything else, from the pipeline file to its schema, its tables and the driver, follows from that.
 
+mod nearest;
 mod re4;
 
 use std::collections::BTreeSet;
@@ -22,6 +23,7 @@ use crate::LookupError;
 use crate::config::PolicyConfig;
 use crate::spatial::SpatialPolicyConfig;
 
+pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
 
 /// Declares an enum of kinds: of each the settings, its name in pipeline files, its defaults, and the row of its own table.
@@ -93,6 +95,8 @@ kinds! {
         Paper(PolicyConfig) = "paper", PolicyConfig::paper(), re4::PlaneRe4Row;
         /// The paper's without Reframe and Replan.
         Re2(PolicyConfig) = "re2", PolicyConfig::re2(), re4::PlaneRe4Row;
+        /// The actions of the nearest frame.
+        Nearest(PlaneNearest) = "nearest", PlaneNearest::default(), NearestRow;
     }
 }
 
@@ -105,6 +109,8 @@ kinds! {
         Paper(SpatialPolicyConfig) = "paper", SpatialPolicyConfig::paper(), re4::SpaceRe4Row;
         /// The paper's without Reframe and Replan.
         Re2(SpatialPolicyConfig) = "re2", SpatialPolicyConfig::re2(), re4::SpaceRe4Row;
+        /// The actions of the nearest frame.
+        Nearest(SpaceNearest) = "nearest", SpaceNearest::default(), NearestRow;
     }
 }
 
