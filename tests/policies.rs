@@ -1,13 +1,17 @@
 //! Policies by their kinds: what a table `[policy]` says, and how the older form of it is read.
 
-use re4_artifact::{Facts, Label, Recipe, Stage, Store, table};
+use std::sync::Arc;
+
+use re4_artifact::{Artifact, Facts, Label, Recipe, Stage, Store, col_f64, col_u32, col_u32_or_null, table};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::kinds::PlaneRe4Row;
-use re4_rollout::PlaneDecisionRow;
+use re4_policy::kinds::{NearestRow, PlaneRe4Row};
+use re4_rollout::{PlaneDecisionRow, PlaneStepRow, SpaceStepRow};
+use re4_stages::testing::{Estimate, Invented};
 use serde_json::Value;
 
-use crate::support::Place;
+use crate::image_rollouts::{recorded, write_poses};
+use crate::support::{Answer, Place, folders_in, repository, scripted_and_simulators};
 
 /// The program's answer to a rollout with these settings.
 fn rolled(place: &Place, arguments: &str) -> Value {
@@ -73,6 +77,118 @@ fn settings_of_another_kind_are_refused_by_name() {
         let sentence = say(arguments);
         assert!(sentence.contains(told), "{arguments}: {sentence}");
     }
+}
+
+/// What the nearest neighbour decides and does: at every step the recorded action of the frame that it names.
+fn replays_the_nearest(rollouts: &Artifact, actions: &[(&str, &str)], index: &Artifact) {
+    let (steps, decisions) = (crate::support::steps(rollouts), crate::support::decisions_of(rollouts));
+    let details = rollouts.read::<NearestRow>().unwrap();
+    assert_eq!(steps.num_rows(), decisions.num_rows(), "one look-up a step");
+    assert_eq!(details.len(), decisions.num_rows());
+    let frames = index.table_named("index").unwrap().read_all().unwrap();
+    let place: std::collections::BTreeMap<_, _> = col_u32(&frames, "episode")
+        .unwrap()
+        .iter()
+        .zip(col_u32(&frames, "frame").unwrap())
+        .enumerate()
+        .map(|(row, (episode, frame))| ((*episode, *frame), row))
+        .collect();
+    let demos = col_u32_or_null(&decisions, "demo").unwrap();
+    let numbers = col_u32_or_null(&decisions, "demo_frame").unwrap();
+    for (sent, recorded) in actions {
+        let (sent, recorded) = (col_f64(&steps, sent).unwrap(), col_f64(&frames, recorded).unwrap());
+        for row in 0..steps.num_rows() {
+            let at = place[&(demos[row].unwrap(), numbers[row].unwrap())];
+            assert!((sent[row] - recorded[at]).abs() < 1e-9, "{row}");
+        }
+    }
+    assert!(details.iter().all(|row| row.distance.is_finite() && row.compared > 0));
+}
+
+#[test]
+fn the_nearest_neighbour_runs_on_push_t_from_state_and_image() {
+    let place = Place::new();
+    place.write_image();
+    for file in ["small.toml", "image.toml"] {
+        let _ = std::fs::remove_dir_all(place.artifacts());
+        place.run(&format!("rollout {file} --policy nearest")).done();
+        let (rollouts, index) = (place.artifact(Stage::Rollout), place.artifact(Stage::Index));
+        replays_the_nearest(&rollouts, &[("action_x", "action_x"), ("action_y", "action_y")], &index);
+        let asked = rollouts.read::<PlaneStepRow>().unwrap();
+        let images = u32::from(file == "image.toml");
+        assert!(asked.iter().all(|row| row.core.asked_object == Some(true)));
+        assert!(asked.iter().all(|row| row.core.asked_images == Some(images)), "{file}");
+    }
+    // With a longer horizon it looks up, and asks, less often.
+    place
+        .run("rollout image.toml --policy nearest --set policy.horizon=5 --artifacts longer")
+        .done();
+    let folder = folders_in(&place.path().join("longer/rollouts")).remove(0);
+    let rows = Artifact::open(&folder).unwrap().read::<PlaneStepRow>().unwrap();
+    let asked = rows.iter().filter(|row| row.core.asked_object == Some(true)).count();
+    assert!(5 * asked < rows.len() + 60, "{asked} of {}", rows.len());
+    let refused = place
+        .run("rollout small.toml --policy nearest --set policy.horizn=2")
+        .refused_at_once();
+    assert!(
+        refused.contains("unknown key policy.horizn (did you mean horizon?)"),
+        "{refused}"
+    );
+    let refused = place
+        .run("rollout small.toml --policy nearest --set policy.horizon=0")
+        .refused_at_once();
+    assert!(refused.contains("policy.horizon is 0; give 1 or more"), "{refused}");
+}
+
+#[test]
+fn the_nearest_neighbour_runs_on_lift_from_state_and_image() {
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
+    std::env::set_current_dir(repository()).unwrap();
+    let place = Place::empty();
+    let write = |variant: &str, pose: &str| {
+        let text = format!(
+            "task = \"lift\"\nvariant = \"{variant}\"\n[ingest]\nsource = \"{}\"\nselect = {{ first = 20 }}\n[segment]\n[pose]\nsource = \"{pose}\"\n[index]\n[policy]\nkind = \"nearest\"\n[rollout]\nseeds = \"200000..200002\"\nmax_steps = 60\n",
+            data.join("lift/low_dim.hdf5").display()
+        );
+        place.write(&format!("{variant}.toml"), text);
+    };
+    write("state", "recorded");
+    write("image", "encoder");
+    let mut command = place.command();
+    let answer = command
+        .env("RE4_SIMULATORS", &simulators)
+        .args(["rollout", "state.toml"])
+        .output();
+    Answer::new(&answer.unwrap(), place.path()).done();
+    let goal = [
+        ("action_x", "goal_x"),
+        ("action_y", "goal_y"),
+        ("action_z", "goal_z"),
+        ("gripper", "gripper"),
+    ];
+    let index = place.artifact(Stage::Index);
+    let state = place.artifact(Stage::Rollout);
+    replays_the_nearest(&state, &goal, &index);
+    // From images, with an encoder that makes no errors: the same actions.
+    let episodes = place.artifact(Stage::Ingest);
+    let poses = write_poses(&place.artifacts(), &episodes, "recorded", &recorded(&episodes));
+    let invented = Invented {
+        pipeline: &place.path().join("image.toml"),
+        overrides: &[],
+        artifacts: &place.artifacts(),
+        poses: &poses,
+    };
+    let truth: Estimate = Arc::new(|_, object| *object);
+    let image = Artifact::open(&invented.roll_out(&truth).unwrap()).unwrap();
+    let (of_state, of_image) = (
+        state.read::<SpaceStepRow>().unwrap(),
+        image.read::<SpaceStepRow>().unwrap(),
+    );
+    let actions = |rows: &[SpaceStepRow]| rows.iter().map(|row| (row.action, row.gripper)).collect::<Vec<_>>();
+    assert_eq!(actions(&of_state), actions(&of_image));
+    assert!(of_image.iter().all(|row| row.core.asked_images == Some(1)));
 }
 
 table! {
