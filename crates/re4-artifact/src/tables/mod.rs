@@ -6,7 +6,7 @@
 mod left_out;
 mod spatial;
 
-use crate::spec::ColumnKind::{Binary, Bool, Category, F64, Text, U32};
+use crate::spec::ColumnKind::{Binary, Bool, Category, F64, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 pub use left_out::LEFT_OUT;
