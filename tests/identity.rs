@@ -348,7 +348,7 @@ fn replays_and_rollouts_name_what_they_follow() {
         .unwrap();
     assert!(failed.iter().all(Value::is_string), "{failed:?}");
 
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let (demos, frames) = (
         col_u32_or_null(&decisions, "demo").unwrap(),
         col_u32_or_null(&decisions, "demo_frame").unwrap(),
@@ -367,7 +367,7 @@ fn replays_and_rollouts_name_what_they_follow() {
     // One alone, which is number 3 among those that are there.
     fs::remove_dir_all(place.artifacts()).unwrap();
     run("rollout p.toml --set ingest.select={episodes=[4]}").done();
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let mut called = texts(&decisions, "demo_name");
     called.retain(|name| !name.is_empty());
     called.dedup();

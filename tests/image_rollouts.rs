@@ -113,12 +113,12 @@ fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
 
 /// What rollouts did: actions step by step, and who succeeded.
 fn actions(rollouts: &Artifact) -> (Vec<Vec<u64>>, Vec<bool>) {
-    let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(rollouts);
     let bits = ["x", "y", "z", "rx", "ry", "rz"].map(|part| {
         let column = col_f64(&steps, &format!("action_{part}")).unwrap();
         column.iter().map(|number| number.to_bits()).collect()
     });
-    let results = rollouts.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(rollouts);
     let success = col_bool(&results, "success").unwrap();
     (
         bits.to_vec(),
@@ -179,9 +179,9 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         }
         // One picture a decision that depends on the object, and none in between.
         let summary = &image.manifest().summary;
-        let steps = image.table(&tables::SPATIAL_STEPS).unwrap().rows();
+        let steps = crate::support::steps(&image).num_rows() as u64;
         assert_eq!(summary["pictures"], asked.load(Ordering::Relaxed));
-        let decisions = image.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+        let decisions = crate::support::decisions(&image);
         let kinds = col_text(&decisions, "kind").unwrap();
         let looked = kinds
             .iter()
