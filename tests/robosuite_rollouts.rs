@@ -151,8 +151,16 @@ fn replays_follow_the_recording_and_gate() {
     }
     run(&place, &simulators, "rollout lift.toml --seeds 200000..200001").done();
     let compared = compare_with_schemas(&place);
-    for name in ["results", "steps", "decisions", "replays", "divergence", "index"] {
-        assert!(compared.contains(&format!("spatial_{name}")), "{name}");
+    for name in [
+        "results",
+        "steps",
+        "decisions",
+        "decisions_re4",
+        "replays",
+        "divergence",
+        "index",
+    ] {
+        assert!(compared.contains(&format!("{name}-space")), "{name}");
     }
     // The beginning of a demonstration, without the lift: the gate says that it fails.
     let Some(python) = std::env::var_os("RE4_PYTHON") else {

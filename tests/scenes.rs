@@ -55,12 +55,18 @@ fn scenes_are_chosen_rolled_out_and_kept() {
     let rollouts = place.artifact(Stage::Rollout);
     assert_eq!(
         rollouts.manifest().inputs.keys().collect::<Vec<_>>(),
-        ["index", "scenes"]
+        ["episodes", "index", "scenes"]
     );
     let results = crate::support::results(&rollouts);
     assert_eq!(col_u32(&results, "seed").unwrap(), number("scene"));
-    for name in ["eef_x", "eef_y", "object_x", "object_y", "object_theta"] {
-        let (asked, found) = (col_f64(&scenes, name).unwrap(), col_f64(&results, name).unwrap());
+    for (in_scenes, name) in [
+        ("agent_x", "eef_x"),
+        ("agent_y", "eef_y"),
+        ("block_x", "object_x"),
+        ("block_y", "object_y"),
+        ("block_theta", "object_theta"),
+    ] {
+        let (asked, found) = (col_f64(&scenes, in_scenes).unwrap(), col_f64(&results, name).unwrap());
         for (asked, found) in asked.iter().zip(found) {
             assert!((asked - found).abs() < 1e-6, "{name}: {found} in place of {asked}");
         }
@@ -82,7 +88,7 @@ fn the_nearest_frame_is_the_nearest() {
     let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let turn = std::f64::consts::TAU;
     let demonstrated = ["object_x", "object_y", "object_theta"].map(|name| col_f64(&frames, name).unwrap());
-    let chosen = ["object_x", "object_y", "object_theta"].map(|name| col_f64(&scenes, name).unwrap());
+    let chosen = ["block_x", "block_y", "block_theta"].map(|name| col_f64(&scenes, name).unwrap());
     let spans = demonstrated.map(|values| {
         let wrapped = values.iter().map(|v| if *v < 0.0 { v + turn } else { *v });
         let (low, high) = wrapped.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));

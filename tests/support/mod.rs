@@ -446,10 +446,13 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
                     continue;
                 }
                 let name = file.file_stem().unwrap().to_str().unwrap();
-                let path = repository().join(format!("schemas/{name}.json"));
+                let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
+                // Where domains share the name of a table, the file says which it is of.
+                let domain = reader.schema().metadata().get("re4.domain").cloned();
+                let title = domain.map_or(name.to_owned(), |domain| format!("{name}-{domain}"));
+                let path = repository().join(format!("schemas/{title}.json"));
                 let described: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
                 assert_eq!(described["file"], format!("{name}.parquet"));
-                let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
                 let found: Vec<[String; 5]> = reader
                     .schema()
                     .fields()
@@ -476,8 +479,8 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
                         [text("name"), text("arrow_type"), nullable, text("unit"), text("frame")]
                     })
                     .collect();
-                assert_eq!(found, columns, "{name}");
-                compared.insert(name.to_owned());
+                assert_eq!(found, columns, "{title}");
+                compared.insert(title);
             }
         }
     }
@@ -544,6 +547,17 @@ pub(crate) fn steps(rollouts: &Artifact) -> RecordBatch {
         SpaceStepRow::table()
     } else {
         PlaneStepRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
+/// Their decisions, with what every policy tells of them.
+pub(crate) fn decisions_of(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceDecisionRow::table()
+    } else {
+        PlaneDecisionRow::table()
     };
     rollouts.table(spec).unwrap().read_all().unwrap()
 }

@@ -5,6 +5,7 @@
 
 mod re4;
 
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::path::PathBuf;
 
@@ -109,8 +110,9 @@ kinds! {
 
 /// The tables of all policies, each once.
 pub fn tables() -> Vec<&'static TableSpec> {
+    let mut seen = BTreeSet::new();
     let mut tables: Vec<_> = PlanePolicy::tables().into_iter().chain(SpacePolicy::tables()).collect();
-    tables.dedup_by_key(|table| (table.name, table.domain));
+    tables.retain(|table| seen.insert((table.name, table.domain)));
     tables
 }
 

@@ -103,11 +103,7 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let runner = runner(arguments)?;
     runner.pipeline.rollout()?;
-    if runner.pipeline.task.is_planar() {
-        roll_out(&runner, arguments)
-    } else {
-        spatial::roll_out(&runner, arguments)
-    }
+    roll_out(&runner, arguments)
 }
 
 /// `re4-pipe run`: up to the last stage that the pipeline has a table for.
@@ -115,7 +111,7 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let runner = runner(arguments)?;
     if runner.pipeline.rollout.is_some() {
-        return rollout(arguments);
+        return roll_out(&runner, arguments);
     }
     anyhow::ensure!(
         arguments.report.is_none() && arguments.record.is_none(),
@@ -181,6 +177,9 @@ impl<'a> Page<'a> {
 }
 
 fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
+    if !runner.pipeline.task.is_planar() {
+        return spatial::roll_out(runner, arguments);
+    }
     let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
     if let Some(path) = &arguments.record {

@@ -49,8 +49,7 @@ pub struct Pipeline {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenes: Option<ScenesConfig>,
     /// The policy that is rolled out.
-    #[serde(skip_deserializing, skip_serializing_if = "Option::is_none")]
-    #[schemars(skip)]
+    #[serde(skip)]
     pub policy: Option<Policy>,
     /// `index` to `rollouts`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
