@@ -1,29 +1,30 @@
 //! The tables of every artifact.
 
 use re4_artifact::tables::{
-    ANCHOR, BUDGETS, CAMERA_IMAGES, CHUNKS, CONVENTIONS, DECISIONS, DEMOS, DIVERGENCE, EPISODES, FRAMES, IMAGES, INDEX,
-    LEFT_OUT, MODELS, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES, SPATIAL_DECISIONS, SPATIAL_DIVERGENCE,
-    SPATIAL_FRAMES, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
-    TRAINING,
+    ANCHOR, BUDGETS, CHUNKS, DECISIONS, DIVERGENCE, INDEX, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES,
+    SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS,
+    SPATIAL_STEPS, STEPS, TRAINING,
 };
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_ingest::{
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
+};
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
     match stage {
         Stage::Ingest => vec![
-            &EPISODES,
-            &FRAMES,
-            &IMAGES,
-            &SPATIAL_FRAMES,
-            &DEMOS,
-            &CONVENTIONS,
-            &LEFT_OUT,
-            &STATES,
-            &MODELS,
-            &CAMERA_IMAGES,
+            EpisodeRow::table(),
+            FrameRow::<PlanarColumns>::table(),
+            FrameRow::<SpatialColumns>::table(),
+            ImageRow::table(),
+            DemoRow::table(),
+            Convention::table(),
+            LeftOut::table(),
+            StateRow::table(),
+            ModelRow::table(),
         ],
         Stage::Segment => vec![
             ModeRow::<Evidence>::table(),
@@ -102,6 +103,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 39);
+        assert_eq!(names.len(), 38);
     }
 }

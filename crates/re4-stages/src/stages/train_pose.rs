@@ -11,8 +11,11 @@ use anyhow::{Context as _, Result};
 use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Table, Writer, col_binary, col_f64, col_u32, tables};
+use re4_artifact::{
+    Artifact, Columns, Facts, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns, tables,
+};
 use re4_geometry::{Pose2, periodic_distance};
+use re4_ingest::{FrameRow, ImageRow, PlanarColumns};
 use re4_policy::DemoNames;
 use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Picture, PictureError, SIDE};
 use re4_stats::spread;
@@ -149,12 +152,12 @@ impl Pictures {
     fn open(episodes: &Artifact) -> Result<Self> {
         let path = episodes.path().to_owned();
         anyhow::ensure!(
-            episodes.manifest().tables.contains_key(tables::IMAGES.name),
+            episodes.has::<ImageRow>(),
             "cannot estimate poses: {} holds no pictures; set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]",
             path.display()
         );
         Ok(Self {
-            table: episodes.table(&tables::IMAGES)?,
+            table: episodes.table(ImageRow::table())?,
             path,
             names: demo_names(episodes)?,
         })
@@ -270,21 +273,23 @@ fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNam
     })]
 }
 
-/// How far the estimates are from the recorded poses: a report, which nothing reads.
+columns! {
+    /// The recorded pose of the block.
+    pub struct RecordedObject {
+        /// The pose; null where the dataset has none.
+        pub object: Option<Pose2>,
+    }
+}
+
+/// How far the estimates are from the recorded poses: a report, which nothing reads; none where none are recorded.
 fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
-    let table = episodes
-        .table(&tables::FRAMES)?
-        .read_columns(&["object_x", "object_y", "object_theta"])?;
-    let (x, y, theta) = (
-        col_f64(&table, "object_x")?,
-        col_f64(&table, "object_y")?,
-        col_f64(&table, "object_theta")?,
-    );
+    let recorded = episodes.table(FrameRow::<PlanarColumns>::table())?;
+    let recorded = recorded.read::<RecordedObject>()?;
     let (mut position, mut angle) = (Vec::new(), Vec::new());
-    for (row, estimate) in rows.iter().map(|row| row.estimate).enumerate() {
-        if let Some(pose) = estimate.pose {
-            position.push((pose.x - x[row]).hypot(pose.y - y[row]));
-            angle.push(periodic_distance(pose.theta, theta[row], TAU).to_degrees());
+    for (row, recorded) in rows.iter().zip(recorded) {
+        if let (Some(pose), Some(object)) = (row.estimate.pose, recorded.object) {
+            position.push((pose.x - object.x).hypot(pose.y - object.y));
+            angle.push(periodic_distance(pose.theta, object.theta, TAU).to_degrees());
         }
     }
     if position.is_empty() {

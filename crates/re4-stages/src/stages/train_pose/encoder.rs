@@ -1,15 +1,14 @@
 //! Train-pose for robosuite's tasks: `episodes` and `modes` to `poses`, by an encoder that is trained on them.
 //!
-//! Until the poses are written, only the columns named in [`EEF_COLUMNS`], modes and pictures are read: no recorded object
+//! Until the poses are written, only [`EefColumns`], modes and pictures are read: no recorded object
 //! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use image::ImageFormat;
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, UnitQuaternion};
 use rayon::prelude::*;
-use re4_artifact::Row as _;
 use re4_artifact::{
-    Artifact, Columns, Facts, Key, Recipe, Stage, Writer, col_binary, col_f64, col_text, col_u32, tables,
+    Artifact, Columns, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns, tables,
 };
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
@@ -17,7 +16,7 @@ use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
-use re4_ingest::SourceFile;
+use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
 use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
 use tracing::info;
@@ -32,10 +31,29 @@ use crate::runner::{Built, Runner};
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 2;
 
-/// What is read of table `spatial_frames` before the poses are written.
-const EEF_COLUMNS: [&str; 9] = [
-    "episode", "frame", "eef_x", "eef_y", "eef_z", "eef_qx", "eef_qy", "eef_qz", "eef_qw",
-];
+columns! {
+    /// What is read of table frames before the poses are written.
+    pub struct EefColumns {
+        /// Number of the demonstration.
+        pub episode: u32,
+        /// Number of the frame.
+        pub frame: u32,
+        /// Pose of the grip site.
+        pub eef: Isometry3<f64>,
+    }
+}
+
+columns! {
+    /// What is read of table modes.
+    pub struct ModeColumns {
+        /// Number of the demonstration.
+        pub episode: u32,
+        /// Number of the frame.
+        pub frame: u32,
+        /// Its mode.
+        pub mode: Mode,
+    }
+}
 
 /// Folder of checkpoints, below that of the artifacts.
 const CHECKPOINTS: &str = "checkpoints";
@@ -252,7 +270,7 @@ impl Runner {
     ) -> Result<PictureFile> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
-        let table = episodes.table(&tables::IMAGES)?;
+        let table = episodes.table(ImageRow::table())?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "pictures");
         let mut cameras = std::collections::BTreeSet::new();
@@ -364,40 +382,28 @@ impl Runner {
 
 /// End-effector poses and modes, and nothing else.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
+    let frames = episodes
+        .table(FrameRow::<SpatialColumns>::table())?
+        .read::<EefColumns>()?;
     let modes_of = modes
         .table(ModeRow::<SpatialEvidence>::table())?
-        .read_columns(&["episode", "frame", "mode"])?;
-    let (episode, frame) = (col_u32(&frames, "episode")?, col_u32(&frames, "frame")?);
+        .read::<ModeColumns>()?;
+    let same = |(frame, mode): (&EefColumns, &ModeColumns)| (frame.episode, frame.frame) == (mode.episode, mode.frame);
     ensure!(
-        episode == col_u32(&modes_of, "episode")? && frame == col_u32(&modes_of, "frame")?,
+        frames.len() == modes_of.len() && frames.iter().zip(&modes_of).all(same),
         "cannot train: {} and {} are not of the same frames; segment again",
         episodes.path().display(),
         modes.path().display()
     );
-    let parts = EEF_COLUMNS[2..]
-        .iter()
-        .map(|name| col_f64(&frames, name))
-        .collect::<Result<Vec<_>, _>>()?;
-    let names = col_text(&modes_of, "mode")?;
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
-    for row in 0..episode.len() {
-        let part = |k: usize| parts[k][row];
-        let eef = Isometry3::from_parts(
-            Translation3::new(part(0), part(1), part(2)),
-            UnitQuaternion::new_normalize(Quaternion::new(part(6), part(3), part(4), part(5))),
-        );
-        let mode = names[row].and_then(Mode::from_name).with_context(|| {
-            format!(
-                "cannot read {}: table spatial_modes has an unknown mode in row {row}; segment again",
-                modes.path().display()
-            )
-        })?;
-        if demos.last().is_none_or(|demo| demo.episode != episode[row]) {
+    for (row, (EefColumns { episode, eef, .. }, ModeColumns { mode, .. })) in
+        frames.into_iter().zip(modes_of).enumerate()
+    {
+        if demos.last().is_none_or(|demo| demo.episode != episode) {
             let number = demos.len();
             demos.push(Demo {
-                episode: episode[row],
+                episode,
                 first: row as u64,
                 eef: Vec::new(),
                 modes: Vec::new(),
@@ -405,7 +411,9 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
             });
         }
         if let Some(demo) = demos.last_mut() {
-            demo.eef.push(eef);
+            // Of unit length to the last bit: what training computes with it takes that for granted.
+            let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
+            demo.eef.push(Isometry3::from_parts(eef.translation, rotation));
             demo.modes.push(mode);
         }
     }
