@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Row as _, Stage, Store, col_f64, col_u32, tables};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Row as _, Stage, Store, col_f64, col_u32};
 use re4_ingest::{FrameRow, SpatialColumns};
 
 const SETTINGS: &str = r#"
@@ -65,9 +65,11 @@ fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
         .table(FrameRow::<SpatialColumns>::table())
         .unwrap()
         .rows();
-    let table = poses.table(&tables::SPATIAL_POSES).unwrap();
+    let table = poses
+        .table(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
+        .unwrap();
     assert_eq!(table.rows(), frames);
-    let course = poses.table(&tables::TRAINING).unwrap().read_all().unwrap();
+    let course = poses.table(re4_pose::TrainingRow::table()).unwrap().read_all().unwrap();
     let losses = col_f64(&course, "loss").unwrap();
     assert_eq!(col_u32(&course, "steps").unwrap(), [12, 24, 36]);
     assert!(losses[2] < 0.7 * losses[0], "{losses:?}");

@@ -10,7 +10,7 @@ use crate::support::{Answer, Place, filters, repository, scripted_and_simulators
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null};
 use re4_audit::{AuditedEpisodeRow, FindingRow};
 use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
 use re4_segment::{ModeRow, SpatialEvidence};
@@ -171,7 +171,10 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "the index",
         [&whole, &gaps].map(|place| {
-            let index = rows(&place.artifact(Stage::Index), &tables::SPATIAL_INDEX);
+            let index = rows(
+                &place.artifact(Stage::Index),
+                re4_index::IndexRow::<re4_index::SpatialState>::table(),
+            );
             numbers(&index, &names(&of(place)), "eef_x")
         }),
     );
@@ -327,7 +330,10 @@ fn replays_and_rollouts_name_what_they_follow() {
     let episodes = place.artifact(Stage::Ingest);
     let known = names(&episodes);
     assert_eq!(known, ["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
-    let replays = rows(&place.artifact(Stage::Replay), &tables::SPATIAL_REPLAYS);
+    let replays = rows(
+        &place.artifact(Stage::Replay),
+        re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table(),
+    );
     let places = col_u32(&replays, "episode").unwrap();
     let called = texts(&replays, "demo_name");
     assert_eq!(called.len(), 10);
@@ -347,7 +353,7 @@ fn replays_and_rollouts_name_what_they_follow() {
         .unwrap();
     assert!(failed.iter().all(Value::is_string), "{failed:?}");
 
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let (demos, frames) = (
         col_u32_or_null(&decisions, "demo").unwrap(),
         col_u32_or_null(&decisions, "demo_frame").unwrap(),
@@ -366,7 +372,7 @@ fn replays_and_rollouts_name_what_they_follow() {
     // One alone, which is number 3 among those that are there.
     fs::remove_dir_all(place.artifacts()).unwrap();
     run("rollout p.toml --set ingest.select={episodes=[4]}").done();
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let mut called = texts(&decisions, "demo_name");
     called.retain(|name| !name.is_empty());
     called.dedup();

@@ -5,7 +5,7 @@ use std::fs;
 use crate::support::dataset::{LENGTH, SIDE, picture};
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Row as _, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Row as _, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32};
 use re4_ingest::{EpisodeRow, FrameRow, ImageRow, PlanarColumns};
 use serde_json::Value;
 
@@ -81,7 +81,7 @@ fn json_answers_with_one_object_of_the_agreed_keys() {
         object["artifact"].as_str().unwrap(),
         format!("artifacts/rollouts/{}", rollouts.key().short())
     );
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
     for (name, column) in [
         ("score_scaled_mean", "score_max"),
         ("coverage_raw_mean", "coverage_max"),
@@ -355,8 +355,8 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     let place = Place::new();
     place.run("run small.toml --record out.zarr").done();
     let rollouts = place.artifact(Stage::Rollout);
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
-    let steps = rollouts.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
+    let steps = crate::support::steps(&rollouts);
 
     let source = place.path().join("out.zarr");
     let again = format!(
@@ -389,11 +389,11 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
             _ => col_f64(&steps, in_steps).unwrap()[row - 1],
         };
         for (column, in_results, in_steps) in [
-            ("eef_x", "agent_x", "eef_x"),
-            ("eef_y", "agent_y", "eef_y"),
-            ("object_x", "block_x", "object_x"),
-            ("object_y", "block_y", "object_y"),
-            ("object_theta", "block_theta", "object_theta"),
+            ("eef_x", "eef_x", "eef_x"),
+            ("eef_y", "eef_y", "eef_y"),
+            ("object_x", "object_x", "object_x"),
+            ("object_y", "object_y", "object_y"),
+            ("object_theta", "object_theta", "object_theta"),
         ] {
             let found = col_f64(&frames, column).unwrap()[row];
             assert_eq!(found, single(before(in_results, in_steps)), "{column} of row {row}");
@@ -572,7 +572,7 @@ fn all_presets_leave_traces_of_the_loop() {
             .done();
         let folder = folders_in(&place.path().join(preset).join("rollouts")).remove(0);
         let artifact = Artifact::open(&folder).unwrap();
-        let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+        let decisions = crate::support::decisions(&artifact);
         let kinds = col_text(&decisions, "plan").unwrap();
         assert_eq!(kinds.iter().any(|kind| *kind != Some("off")), plans, "{preset}");
         let deltas = ["delta_x", "delta_y", "delta_theta"].map(|name| col_f64(&decisions, name).unwrap());

@@ -11,7 +11,8 @@ use crate::support::{
     Answer, Place, artifact_bytes, assert_same_bytes, compare_with_schemas, filters, scripted_and_simulators,
 };
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32};
 use re4_sim::robosuite::RobosuiteTask;
 
 fn pipeline(task: &str, source: &Path) -> String {
@@ -63,9 +64,9 @@ fn lift_succeeds_and_its_tables_hold_together() {
     );
 
     let rollouts = only(&place, "one", Stage::Rollout);
-    let results = rollouts.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
-    let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
-    let decisions = rollouts.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
+    let steps = crate::support::steps(&rollouts);
+    let decisions = crate::support::decisions(&rollouts);
     let seeds = col_u32(&results, "seed").unwrap();
     assert_eq!(seeds, [200_000, 200_001, 200_002, 200_003]);
     assert!((0..4).all(|row| col_bool(&results, "success").unwrap().value(row)));
@@ -83,7 +84,11 @@ fn lift_succeeds_and_its_tables_hold_together() {
     }
     // A frame that is followed is one that may be retrieved, in the mode of the query.
     let index = only(&place, "one", Stage::Index);
-    let indexed = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let indexed = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let (episodes, frames) = (
         col_u32(&indexed, "episode").unwrap(),
         col_u32(&indexed, "frame").unwrap(),
@@ -121,7 +126,11 @@ fn replays_follow_the_recording_and_gate() {
     place.write("lift.toml", text);
     run(&place, &simulators, "replay lift.toml --fail-under 1").done();
     let replays = only(&place, "artifacts", Stage::Replay);
-    let table = replays.table(&tables::SPATIAL_REPLAYS).unwrap().read_all().unwrap();
+    let table = replays
+        .table(re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     assert_eq!(
         col_text(&table, "actions").unwrap()[..2],
         [Some("delta"), Some("absolute")]
@@ -247,8 +256,8 @@ fn steps_of_the_policy_can_be_switched_off() {
         )
         .done();
         let rollouts = only(&place, artifacts, Stage::Rollout);
-        let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
-        let decisions = rollouts.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+        let steps = crate::support::steps(&rollouts);
+        let decisions = crate::support::decisions(&rollouts);
         let bridged = col_text(&steps, "phase").unwrap().contains(&Some("bridge"));
         let moved = re4_artifact::col_f64_or_null(&decisions, "delta_x").unwrap();
         (bridged, moved.iter().flatten().any(|x| *x != 0.0))

@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, ColumnKind, ColumnSpec, Columns, Facts, MANIFEST_NAME, Recipe, Stage, Store, TableSpec, canonical_json,
-    canonical_text, col_binary, col_f64_list, col_text, tables, verify,
+    canonical_text, col_binary, col_f64_list, col_text, verify,
 };
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
@@ -63,7 +64,7 @@ impl Sample {
             .input("raw", &re4_artifact::Key::from_bytes([7; 32]))
             .source(&[8; 32], json!({"format": "zarr"}));
         let writer = store.begin(&recipe).unwrap();
-        for spec in [&tables::SCALES, &EVERY_KIND] {
+        for spec in [re4_index::ScaleRow::table(), &EVERY_KIND] {
             let mut table = writer.table_in_groups(spec, ROWS_OF_A_GROUP).unwrap();
             table.write_columns(rows(spec)).unwrap();
             table.finish().unwrap();

@@ -11,8 +11,8 @@ mod common;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{EVERY_KIND, files, publish_sample, recipe};
-use re4_artifact::{Artifact, ArtifactError, Facts, Stage, Store, canonical_json, canonical_text, tables, verify};
+use common::{EVERY_KIND, SCALES, files, publish_sample, recipe};
+use re4_artifact::{Artifact, ArtifactError, Facts, Stage, Store, canonical_json, canonical_text, verify};
 use serde_json::{Value, json};
 
 struct Published {
@@ -23,9 +23,7 @@ struct Published {
 
 /// The descriptions of the tables here.
 fn known(_: &Artifact, name: &str) -> Option<&'static re4_artifact::TableSpec> {
-    [&tables::INDEX, &tables::SCALES, &EVERY_KIND]
-        .into_iter()
-        .find(|spec| spec.name == name)
+    [&SCALES, &EVERY_KIND].into_iter().find(|spec| spec.name == name)
 }
 
 fn published() -> Published {
@@ -216,7 +214,7 @@ fn a_newer_table_is_refused_by_name() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = store.begin(&recipe(1)).unwrap();
-    let table = writer.table(&tables::SCALES).unwrap();
+    let table = writer.table(&SCALES).unwrap();
     table.finish().unwrap();
     let folder = writer.publish(Facts::default()).unwrap().path().to_path_buf();
     let artifact = Published {
@@ -233,10 +231,7 @@ fn a_newer_table_is_refused_by_name() {
         )
     );
     let open = Artifact::open(&artifact.folder).unwrap();
-    assert!(matches!(
-        open.table(&tables::SCALES),
-        Err(ArtifactError::NewerTable { .. })
-    ));
+    assert!(matches!(open.table(&SCALES), Err(ArtifactError::NewerTable { .. })));
 }
 
 #[test]

@@ -8,12 +8,12 @@
 
 mod common;
 
-use common::{EVERY_KIND, Row, columns, files, publish_sample, recipe, sample_rows};
+use common::{EVERY_KIND, Row, SCALES, columns, files, publish_sample, recipe, sample_rows};
 use proptest::prelude::*;
 use re4_artifact::{
     Artifact, ArtifactError, ColumnKind, ColumnSpec, Columns, Facts, Recipe, Row as _, Stage, Store, TableSpec,
     col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null, col_u64,
-    json_description, table, tables, verify,
+    json_description, table, verify,
 };
 use serde_json::json;
 
@@ -323,7 +323,7 @@ fn rows_that_do_not_fit_are_refused_by_name() {
         other => panic!("{other}"),
     };
     let scales = || {
-        Columns::new(&tables::SCALES)
+        Columns::new(&SCALES)
             .text("dimension", ["eef_x"])
             .f64("minimum", vec![0.0])
     };

@@ -1,16 +1,19 @@
 //! The tables of every artifact.
 
-use re4_artifact::tables::{
-    ANCHOR, BUDGETS, CHUNKS, DECISIONS, DIVERGENCE, INDEX, POSE_ERRORS, POSES, REPLAYS, RESULTS, SCALES, SCENES,
-    SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_POSES, SPATIAL_REPLAYS, SPATIAL_RESULTS,
-    SPATIAL_STEPS, STEPS, TRAINING,
-};
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_ingest::{
     Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
 };
+use re4_policy::{Chunk, kinds};
+use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
+use re4_scenes::SceneRow;
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+
+use crate::stages::{
+    BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay,
+};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
@@ -38,19 +41,32 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             AuditedEpisodeRow::table(),
             GraspRow::table(),
         ],
-        Stage::Index => vec![&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
-        Stage::Scenes => vec![&SCENES],
-        Stage::Rollout => vec![
-            &RESULTS,
-            &STEPS,
-            &DECISIONS,
-            &BUDGETS,
-            &SPATIAL_RESULTS,
-            &SPATIAL_STEPS,
-            &SPATIAL_DECISIONS,
+        Stage::Index => vec![
+            IndexRow::<PlanarState>::table(),
+            IndexRow::<SpatialState>::table(),
+            ScaleRow::table(),
+            Chunk::table(),
         ],
-        Stage::Replay => vec![&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
-        Stage::TrainPose => vec![&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
+        Stage::Scenes => vec![SceneRow::table()],
+        Stage::Rollout => [
+            re4_rollout::tables().to_vec(),
+            kinds::tables(),
+            vec![BudgetRow::table()],
+        ]
+        .concat(),
+        Stage::Replay => vec![
+            ReplayRow::<PlanarReplay>::table(),
+            ReplayRow::<SpatialReplay>::table(),
+            PlanarDivergenceRow::table(),
+            DivergenceRow::<SpatialDivergence>::table(),
+        ],
+        Stage::TrainPose => vec![
+            PoseRow::<Estimate>::table(),
+            PoseRow::<SpatialEstimate>::table(),
+            AnchorRow::table(),
+            TrainingRow::table(),
+            PoseErrorRow::table(),
+        ],
     }
 }
 

@@ -6,7 +6,7 @@ use crate::names::Facts;
 use crate::{Camera, Extent, ObjectLayout, ObjectRule, Positions, Solid, TaskSpec};
 
 /// All tasks of robosuite that this version knows.
-pub(crate) static RECORDS: [TaskSpec; 3] = [LIFT, CAN, SQUARE];
+pub(crate) static RECORDS: [TaskSpec; 4] = [LIFT, CAN, SQUARE, ROUND];
 
 /// The task in the plane.
 pub(crate) const PUSHT: Facts = Facts {
@@ -180,6 +180,39 @@ const SQUARE: TaskSpec = TaskSpec {
         Solid::cuboid("object", [0.0, 0.033_25, 0.0], [0.031_25, 0.0105, 0.01]),
         Solid::cuboid("object", [0.0, -0.033_25, 0.0], [0.031_25, 0.0105, 0.01]),
         Solid::cuboid("object", [0.054, 0.0, 0.0], [0.025_25, 0.015_875, 0.01]),
+    ],
+};
+
+const ROUND: TaskSpec = TaskSpec {
+    name: "round",
+    title: "Round",
+    about: "robosuite's `NutAssemblyRound`: a Panda puts a round nut onto a peg.",
+    environment: "NutAssemblyRound",
+    mimicgen: None,
+    object: "RoundNut",
+    symmetry: Symmetry::None,
+    layouts: RELATIVE_POSE,
+    placement: &[square_nut(false), round_nut(true)],
+    landmarks: &["peg2"],
+    success: on_peg,
+    cameras: ARM_CAMERAS,
+    control_rate: ARM_RATE,
+    fixtures: &[
+        table(0.795),
+        Solid::cuboid("wall", [0.23, 0.1, 0.885], [0.016, 0.016, 0.065]),
+        Solid::cylinder("goal", [0.23, -0.1, 0.885], 0.02, 0.065),
+    ],
+    shape: &[
+        Solid::cuboid("object", [-0.042_45, 0.0, 0.0], [0.011_25, 0.0225, 0.01]),
+        Solid::cuboid("object", [0.042_45, 0.0, 0.0], [0.011_25, 0.0225, 0.01]),
+        Solid::cuboid("object", [0.0, -0.042_45, 0.0], [0.0225, 0.011_25, 0.01]),
+        Solid::cuboid("object", [0.0, 0.042_45, 0.0], [0.0225, 0.011_25, 0.01]),
+        // In place of boxes at 45 degrees.
+        Solid::cylinder("object", [-0.03, -0.03, 0.0], 0.016, 0.01),
+        Solid::cylinder("object", [-0.03, 0.03, 0.0], 0.016, 0.01),
+        Solid::cylinder("object", [0.03, -0.03, 0.0], 0.016, 0.01),
+        Solid::cylinder("object", [0.03, 0.03, 0.0], 0.016, 0.01),
+        Solid::cuboid("object", [0.06, 0.0, 0.0], [0.025_25, 0.015_875, 0.01]),
     ],
 };
 

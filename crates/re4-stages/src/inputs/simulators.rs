@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context as _, Result, bail, ensure};
 use re4_artifact::Artifact;
 use re4_ingest::{DemoRow, ModelRow};
-use re4_mujoco::{Data, Library};
+use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_pictures};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
@@ -34,24 +34,6 @@ pub(crate) fn library(profile: Profile) -> Result<Library> {
     let library = Library::open(&folder, version)?;
     info!(%version, folder = %folder.display(), "MuJoCo loaded");
     Ok(library)
-}
-
-/// Puts a flattened state (time, coordinates, velocities) into a simulation and computes what a picture of it depends on.
-///
-/// # Errors
-/// When the state has another length than the model's.
-pub(crate) fn set_state(data: &mut Data, state: &[f64]) -> Result<()> {
-    let (nq, nv) = (data.model().nq(), data.model().nv());
-    ensure!(
-        state.len() == 1 + nq + nv,
-        "cannot draw a state of {} numbers: the model has the time, {nq} coordinates and {nv} velocities",
-        state.len()
-    );
-    data.set_time(state[0]);
-    data.qpos_mut().copy_from_slice(&state[1..=nq]);
-    data.qvel_mut().copy_from_slice(&state[1 + nq..]);
-    data.forward();
-    Ok(())
 }
 
 /// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.

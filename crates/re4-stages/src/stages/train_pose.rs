@@ -11,13 +11,13 @@ use anyhow::{Context as _, Result};
 use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
-use re4_artifact::{
-    Artifact, Columns, Facts, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns, tables,
-};
+use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns};
 use re4_geometry::{Pose2, periodic_distance};
 use re4_ingest::{FrameRow, ImageRow, PlanarColumns};
 use re4_policy::DemoNames;
-use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Picture, PictureError, SIDE};
+use re4_pose::{
+    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, LogPolarEstimator, Picture, PictureError, PoseRow, SIDE,
+};
 use re4_stats::spread;
 use serde_json::{Value, json};
 
@@ -28,7 +28,7 @@ use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Every picture of a frame whose number this divides is looked at for the goal; the first of every demonstration is
 /// among them.
@@ -111,34 +111,35 @@ impl Runner {
             .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))
     }
 
-    fn estimate_all(&self, estimator: &LogPolarEstimator, pictures: &Pictures, writer: &Writer) -> Result<Vec<Row>> {
+    fn estimate_all(
+        &self,
+        estimator: &LogPolarEstimator,
+        pictures: &Pictures,
+        writer: &Writer,
+    ) -> Result<Vec<PoseRow<Estimate>>> {
         let bar = self.notes.progress(pictures.table.rows(), "poses");
-        let mut table = writer.table(&tables::POSES)?;
+        let mut table = writer.rows()?;
         let mut all = Vec::with_capacity(pictures.table.rows() as usize);
         for group in 0..pictures.table.row_groups() {
             self.interrupt.check("train-pose")?;
             let rows = pictures.table.read_row_group(group)?;
             let estimates = pictures.map(&rows, |picture| estimator.estimate(picture))?;
-            table.write_columns(pose_columns(&rows, &estimates)?)?;
             bar.inc(estimates.len() as u64);
             let ids = col_u32(&rows, "episode")?.iter().zip(col_u32(&rows, "frame")?);
-            all.extend(ids.zip(estimates).map(|((&episode, &frame), estimate)| Row {
-                episode,
-                frame,
-                estimate,
-            }));
+            for ((&episode, &frame), estimate) in ids.zip(estimates) {
+                let row = PoseRow {
+                    episode,
+                    frame,
+                    estimate,
+                };
+                table.push(&row)?;
+                all.push(row);
+            }
         }
         table.finish()?;
         bar.finish_and_clear();
         Ok(all)
     }
-}
-
-/// A row of table poses.
-struct Row {
-    episode: u32,
-    frame: u32,
-    estimate: Estimate,
 }
 
 /// The pictures of an `episodes` artifact.
@@ -214,35 +215,15 @@ impl Pictures {
 }
 
 fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
-    let pixels = anchor.share().len() as u32;
-    let side = SIDE as u32;
-    let mut table = writer.table(&tables::ANCHOR)?;
-    table.write_columns(
-        Columns::new(&tables::ANCHOR)
-            .u32("row", (0..pixels).map(|i| i / side).collect())
-            .u32("column", (0..pixels).map(|i| i % side).collect())
-            .f64(
-                "goal_share",
-                anchor.share().iter().map(|share| f64::from(*share)).collect(),
-            ),
-    )?;
-    table.finish()?;
+    writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, share)| AnchorRow {
+        row: pixel / SIDE,
+        column: pixel % SIDE,
+        goal_share: f64::from(*share),
+    }))?;
     Ok(())
 }
 
-fn pose_columns(rows: &RecordBatch, estimates: &[Estimate]) -> Result<Columns> {
-    let of = |value: fn(Pose2) -> f64| estimates.iter().map(|e| e.pose.map(value)).collect::<Vec<_>>();
-    Ok(Columns::new(&tables::POSES)
-        .u32("episode", col_u32(rows, "episode")?.to_vec())
-        .u32("frame", col_u32(rows, "frame")?.to_vec())
-        .f64_or_null("object_x", of(|p| p.x))
-        .f64_or_null("object_y", of(|p| p.y))
-        .f64_or_null("object_theta", of(|p| p.theta))
-        .f64("confidence", estimates.iter().map(|e| e.confidence).collect())
-        .text("flag", estimates.iter().map(|e| e.flag.as_str())))
-}
-
-fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
+fn count(rows: &[PoseRow<Estimate>]) -> BTreeMap<&'static str, usize> {
     let mut flags: BTreeMap<_, _> = Flag::ALL.iter().map(|flag| (flag.as_str(), 0)).collect();
     for row in rows {
         *flags.entry(row.estimate.flag.as_str()).or_default() += 1;
@@ -250,7 +231,7 @@ fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
     flags
 }
 
-fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
+fn warnings(rows: &[PoseRow<Estimate>], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
     let mut doubtful = rows.iter().filter(|row| row.estimate.flag != Flag::Clear);
     let Some(first) = doubtful.next() else {
         return Vec::new();
@@ -273,21 +254,19 @@ fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNam
     })]
 }
 
-columns! {
-    /// The recorded pose of the block.
-    pub struct RecordedObject {
-        /// The pose; null where the dataset has none.
-        pub object: Option<Pose2>,
+/// How far the estimates are from the recorded poses: a report, which nothing reads.
+fn evaluate(rows: &[PoseRow<Estimate>], episodes: &Artifact) -> Result<Option<Value>> {
+    columns! {
+        /// A recorded pose alone.
+        pub struct Recorded {
+            /// Pose of the block; null where the dataset has none.
+            pub object: Option<Pose2>,
+        }
     }
-}
-
-/// How far the estimates are from the recorded poses: a report, which nothing reads; none where none are recorded.
-fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
-    let recorded = episodes.table(FrameRow::<PlanarColumns>::table())?;
-    let recorded = recorded.read::<RecordedObject>()?;
+    let recorded: Vec<Recorded> = episodes.table(FrameRow::<PlanarColumns>::table())?.read()?;
     let (mut position, mut angle) = (Vec::new(), Vec::new());
-    for (row, recorded) in rows.iter().zip(recorded) {
-        if let (Some(pose), Some(object)) = (row.estimate.pose, recorded.object) {
+    for (row, Recorded { object }) in rows.iter().zip(recorded) {
+        if let (Some(pose), Some(object)) = (row.estimate.pose, object) {
             position.push((pose.x - object.x).hypot(pose.y - object.y));
             angle.push(periodic_distance(pose.theta, object.theta, TAU).to_degrees());
         }

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Result, bail};
-use nalgebra::Isometry3;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, tables};
+use re4_artifact::{Artifact, Facts, Recipe, SixAxis, Stage};
 use re4_audit::{CheckRow, FindingRow, SpatialDemo};
+use re4_index::{IndexRow, SpatialState};
 use serde_json::json;
 
 use super::estimated::EstimatedPoses;
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::poses::pose_columns;
 use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
@@ -63,7 +62,7 @@ impl Runner {
             };
             let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
             let (mut demos, mut frames, mut retrievable) = (0_u64, 0_u64, 0_u64);
-            let mut table = writer.table(&tables::SPATIAL_INDEX)?;
+            let mut table = writer.rows()?;
             for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
                 self.interrupt.check("index")?;
                 let mut demo = demo?;
@@ -75,7 +74,7 @@ impl Runner {
                 demos += 1;
                 frames += count as u64;
                 retrievable += count.saturating_sub(end) as u64;
-                table.write_columns(columns(&demo, end))?;
+                table.extend(rows(&demo, end))?;
             }
             table.finish()?;
             if let Some(estimated) = &estimated {
@@ -133,23 +132,19 @@ pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a
     }
 }
 
-fn columns(demo: &SpatialDemo, end: usize) -> Columns {
-    let frames = &demo.episode.frames;
-    let eef: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.eef).collect();
-    let object: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.object).collect();
-    let mut columns = Columns::new(&tables::SPATIAL_INDEX)
-        .u32("episode", vec![demo.number; frames.len()])
-        .u32("frame", (0..frames.len() as u32).collect())
-        .text("mode", demo.segmented.modes.iter().map(|mode| mode.as_str()));
-    columns = pose_columns(columns, "eef", &eef);
-    columns = pose_columns(columns, "object", &object);
-    for (part, name) in ["x", "y", "z", "rx", "ry", "rz"].into_iter().enumerate() {
-        columns = columns.f64(
-            &format!("goal_{name}"),
-            frames.iter().map(|frame| frame.goal[part]).collect(),
-        );
-    }
-    columns
-        .f64("gripper", frames.iter().map(|frame| frame.gripper).collect())
-        .bool("retrievable", (0..frames.len()).map(|frame| frame >= end).collect())
+/// Its rows in the index; frames before `end` are not retrieved.
+fn rows(demo: &SpatialDemo, end: usize) -> impl Iterator<Item = IndexRow<SpatialState>> {
+    let frames = demo.episode.frames.iter().zip(&demo.segmented.modes);
+    frames.enumerate().map(move |(number, (frame, &mode))| IndexRow {
+        episode: demo.number,
+        frame: number as u32,
+        mode,
+        state: SpatialState {
+            eef: frame.eef,
+            object: frame.object,
+            goal: SixAxis(frame.goal),
+            gripper: frame.gripper,
+        },
+        retrievable: Some(number >= end),
+    })
 }

@@ -272,7 +272,7 @@ fn draw_demo(
         if interrupt.requested() {
             return Ok(());
         }
-        simulators::set_state(&mut data, state)?;
+        re4_rollout::set_state(&mut data, state).map_err(anyhow::Error::msg)?;
         for (&camera, pictures) in cameras.iter().zip(&mut pictures) {
             renderer.draw_into(&mut data, camera, &mut pixels)?;
             pictures.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage};
 use re4_episode::SpatialEpisode;
 use re4_ingest::{Convention, EpisodeRow, StateRow};
 use re4_sim::Simulator as _;
@@ -13,13 +13,14 @@ use re4_stats::{spread, wilson_interval};
 use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
+use super::tables::{DivergenceRow, ReplayRow, SpatialDivergence, SpatialReplay};
 use crate::inputs::by_episode::ByEpisode;
 use crate::inputs::demos::SpatialEpisodes;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Replays that are made before their rows are written.
 const AT_A_TIME: usize = 32;
@@ -93,8 +94,8 @@ impl Runner {
             let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.notes.progress(2 * recordings.demos as u64, "replays");
-            let mut replays = writer.table(&tables::SPATIAL_REPLAYS)?;
-            let mut divergence = writer.table(&tables::SPATIAL_DIVERGENCE)?;
+            let mut replays = writer.rows()?;
+            let mut divergence = writer.rows()?;
             let mut summaries = [Summary::default(), Summary::default()];
             loop {
                 self.interrupt.check("replay")?;
@@ -122,8 +123,11 @@ impl Runner {
                 for replay in &played {
                     summaries[usize::from(replay.kind == Kind::Absolute)].add(replay);
                 }
-                replays.write_columns(replay_columns(&played, &recorded, &numbers))?;
-                divergence.write_columns(divergence_columns(&played))?;
+                for replay in &played {
+                    let number = numbers.get(replay.number as usize).copied().flatten();
+                    replays.push(&replay.row(&recorded, number))?;
+                    divergence.extend(replay.divergence())?;
+                }
             }
             bar.finish_and_clear();
             replays.finish()?;
@@ -261,6 +265,42 @@ impl Replay {
     fn largest(&self, value: fn(&Distance) -> f64) -> f64 {
         self.distances.iter().map(value).fold(0.0, f64::max)
     }
+
+    fn row(&self, recorded: &str, source_episode: Option<u32>) -> ReplayRow<SpatialReplay> {
+        let actions = self.kind.as_str();
+        let origin = if actions == recorded { "recorded" } else { "converted" };
+        ReplayRow {
+            episode: self.number,
+            source_episode,
+            frames: self.success.len(),
+            replay: SpatialReplay {
+                actions: actions.into(),
+                origin: origin.into(),
+                success: self.succeeded(),
+                first_success: self.success.iter().position(|done| *done),
+                success_at_end: self.success.last() == Some(&true),
+                object_max: self.largest(|d| d.object),
+                object_final: self.distances.last().map_or(0.0, |d| d.object),
+                object_turn_max: self.largest(|d| d.turn),
+                eef_max: self.largest(|d| d.eef),
+                arm_max: self.largest(|d| d.arm),
+            },
+            demo_name: Some(self.name.clone()),
+        }
+    }
+
+    fn divergence(&self) -> impl Iterator<Item = DivergenceRow<SpatialDivergence>> {
+        (0..).zip(&self.distances).map(|(frame, distance)| DivergenceRow {
+            episode: self.number,
+            frame,
+            distance: SpatialDivergence {
+                actions: self.kind.as_str().into(),
+                object: distance.object,
+                object_turn: distance.turn,
+                eef: distance.eef,
+            },
+        })
+    }
 }
 
 /// Figures over the replays of one kind.
@@ -291,63 +331,4 @@ impl Summary {
             "object_max_m": spread(self.object.iter().copied(), &[0.5, 0.9, 0.99, 1.0]),
         })
     }
-}
-
-fn replay_columns(replays: &[Replay], recorded: &str, numbers: &[Option<u32>]) -> Columns {
-    let of = |value: &dyn Fn(&Replay) -> f64| replays.iter().map(value).collect::<Vec<f64>>();
-    Columns::new(&tables::SPATIAL_REPLAYS)
-        .u32("episode", replays.iter().map(|r| r.number).collect())
-        .u32_or_null(
-            "source_episode",
-            replays
-                .iter()
-                .map(|r| numbers.get(r.number as usize).copied().flatten())
-                .collect(),
-        )
-        .text("actions", replays.iter().map(|r| r.kind.as_str()))
-        .text(
-            "origin",
-            replays.iter().map(|r| {
-                if r.kind.as_str() == recorded {
-                    "recorded"
-                } else {
-                    "converted"
-                }
-            }),
-        )
-        .u32("frames", replays.iter().map(|r| r.success.len() as u32).collect())
-        .bool("success", replays.iter().map(Replay::succeeded).collect())
-        .u32_or_null(
-            "first_success",
-            replays
-                .iter()
-                .map(|r| r.success.iter().position(|done| *done).map(|at| at as u32))
-                .collect(),
-        )
-        .bool(
-            "success_at_end",
-            replays.iter().map(|r| r.success.last() == Some(&true)).collect(),
-        )
-        .f64("object_max", of(&|r| r.largest(|d| d.object)))
-        .f64("object_final", of(&|r| r.distances.last().map_or(0.0, |d| d.object)))
-        .f64("object_turn_max", of(&|r| r.largest(|d| d.turn)))
-        .f64("eef_max", of(&|r| r.largest(|d| d.eef)))
-        .f64("arm_max", of(&|r| r.largest(|d| d.arm)))
-        .text("demo_name", replays.iter().map(|r| &r.name))
-}
-
-fn divergence_columns(replays: &[Replay]) -> Columns {
-    let rows = || {
-        replays
-            .iter()
-            .flat_map(|r| r.distances.iter().enumerate().map(move |(f, d)| (r, f as u32, d)))
-    };
-    let of = |value: fn(&Distance) -> f64| rows().map(|(_, _, d)| value(d)).collect::<Vec<f64>>();
-    Columns::new(&tables::SPATIAL_DIVERGENCE)
-        .u32("episode", rows().map(|(r, ..)| r.number).collect())
-        .text("actions", rows().map(|(r, ..)| r.kind.as_str()))
-        .u32("frame", rows().map(|(_, f, _)| f).collect())
-        .f64("object", of(|d| d.object))
-        .f64("object_turn", of(|d| d.turn))
-        .f64("eef", of(|d| d.eef))
 }

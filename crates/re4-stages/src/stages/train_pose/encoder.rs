@@ -1,15 +1,13 @@
 //! Train-pose for robosuite's tasks: `episodes` and `modes` to `poses`, by an encoder that is trained on them.
 //!
-//! Until the poses are written, only [`EefColumns`], modes and pictures are read: no recorded object
+//! Until the poses are written, only the columns of [`EefOf`], modes and images are read: no recorded object
 //! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use image::ImageFormat;
 use nalgebra::{Isometry3, UnitQuaternion};
 use rayon::prelude::*;
-use re4_artifact::{
-    Artifact, Columns, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns, tables,
-};
+use re4_artifact::{Artifact, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns};
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::pictures::{MIDDLE, PictureFile};
@@ -17,6 +15,7 @@ use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
+use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
 use tracing::info;
@@ -24,36 +23,11 @@ use tracing::info;
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
-use crate::inputs::poses::pose_columns;
 use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 2;
-
-columns! {
-    /// What is read of table frames before the poses are written.
-    pub struct EefColumns {
-        /// Number of the demonstration.
-        pub episode: u32,
-        /// Number of the frame.
-        pub frame: u32,
-        /// Pose of the grip site.
-        pub eef: Isometry3<f64>,
-    }
-}
-
-columns! {
-    /// What is read of table modes.
-    pub struct ModeColumns {
-        /// Number of the demonstration.
-        pub episode: u32,
-        /// Number of the frame.
-        pub frame: u32,
-        /// Its mode.
-        pub mode: Mode,
-    }
-}
 
 /// Folder of checkpoints, below that of the artifacts.
 const CHECKPOINTS: &str = "checkpoints";
@@ -344,13 +318,12 @@ impl Runner {
         writer: &Writer,
     ) -> Result<Vec<Vec<Isometry3<f64>>>> {
         let bar = self.notes.progress(pictures.count(), "poses");
-        let mut table = writer.table(&tables::SPATIAL_POSES)?;
+        let mut table = writer.rows()?;
         let mut all = Vec::with_capacity(demos.len());
         for demo in demos {
             self.interrupt.check("train-pose")?;
             let frames = demo.eef.len();
-            let (mut poses, mut embeddings) = (Vec::with_capacity(frames), Vec::new());
-            let mut width = 0;
+            let mut poses = Vec::with_capacity(frames);
             for start in (0..frames).step_by(AT_ONCE) {
                 let chunk = (start..frames.min(start + AT_ONCE))
                     .map(|frame| {
@@ -361,16 +334,18 @@ impl Runner {
                     .collect::<Result<Vec<_>, EncoderError>>()?;
                 let chunk: Vec<&[u8]> = chunk.iter().map(Vec::as_slice).collect();
                 for prediction in predictor.predict(&chunk)? {
+                    table.push(&PoseRow {
+                        episode: demo.episode,
+                        frame: poses.len() as u32,
+                        estimate: SpatialEstimate {
+                            trained_on: demo.trained_on,
+                            object: prediction.pose,
+                            embedding: prediction.embedding,
+                        },
+                    })?;
                     poses.push(prediction.pose);
-                    width = prediction.embedding.len();
-                    embeddings.extend(prediction.embedding);
                 }
             }
-            let columns = Columns::new(&tables::SPATIAL_POSES)
-                .u32("episode", vec![demo.episode; frames])
-                .u32("frame", (0..frames as u32).collect())
-                .bool("trained_on", vec![demo.trained_on; frames]);
-            table.write_columns(pose_columns(columns, "object", &poses).f32_rows("embedding", embeddings, width))?;
             bar.inc(frames as u64);
             all.push(poses);
         }
@@ -380,26 +355,46 @@ impl Runner {
     }
 }
 
+columns! {
+    /// What is read of the frames before the poses are written.
+    pub struct EefOf {
+        /// Demonstration.
+        pub episode: u32,
+        /// Frame.
+        pub frame: u32,
+        /// End effector.
+        pub eef: Isometry3<f64>,
+    }
+}
+
+columns! {
+    /// The mode of a frame.
+    pub struct ModeOf {
+        /// Demonstration.
+        pub episode: u32,
+        /// Frame.
+        pub frame: u32,
+        /// Mode.
+        pub mode: Mode,
+    }
+}
+
 /// End-effector poses and modes, and nothing else.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let frames = episodes
-        .table(FrameRow::<SpatialColumns>::table())?
-        .read::<EefColumns>()?;
-    let modes_of = modes
-        .table(ModeRow::<SpatialEvidence>::table())?
-        .read::<ModeColumns>()?;
-    let same = |(frame, mode): (&EefColumns, &ModeColumns)| (frame.episode, frame.frame) == (mode.episode, mode.frame);
+    let frames: Vec<EefOf> = episodes.table(FrameRow::<SpatialColumns>::table())?.read()?;
+    let modes_of: Vec<ModeOf> = modes.table(ModeRow::<SpatialEvidence>::table())?.read()?;
+    let ids = frames.iter().map(|row| (row.episode, row.frame));
     ensure!(
-        frames.len() == modes_of.len() && frames.iter().zip(&modes_of).all(same),
+        ids.eq(modes_of.iter().map(|row| (row.episode, row.frame))),
         "cannot train: {} and {} are not of the same frames; segment again",
         episodes.path().display(),
         modes.path().display()
     );
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
-    for (row, (EefColumns { episode, eef, .. }, ModeColumns { mode, .. })) in
-        frames.into_iter().zip(modes_of).enumerate()
-    {
+    for (row, (EefOf { episode, eef, .. }, ModeOf { mode, .. })) in frames.into_iter().zip(modes_of).enumerate() {
+        let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
+        let eef = Isometry3::from_parts(eef.translation, rotation);
         if demos.last().is_none_or(|demo| demo.episode != episode) {
             let number = demos.len();
             demos.push(Demo {
@@ -411,9 +406,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
             });
         }
         if let Some(demo) = demos.last_mut() {
-            // Of unit length to the last bit: what training computes with it takes that for granted.
-            let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
-            demo.eef.push(Isometry3::from_parts(eef.translation, rotation));
+            demo.eef.push(eef);
             demo.modes.push(mode);
         }
     }
@@ -421,20 +414,19 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
 }
 
 fn write_course(epochs: &[Epoch], writer: &Writer) -> Result<()> {
-    let of = |value: fn(&Epoch) -> f64| epochs.iter().map(value).collect::<Vec<_>>();
-    let mut table = writer.table(&tables::TRAINING)?;
-    table.write_columns(
-        Columns::new(&tables::TRAINING)
-            .u32("epoch", epochs.iter().map(|epoch| epoch.epoch).collect())
-            .u32("steps", epochs.iter().map(|epoch| epoch.steps).collect())
-            .f64("learning_rate", of(|epoch| epoch.learning_rate))
-            .f64("loss", of(|epoch| epoch.losses[0]))
-            .f64("absolute", of(|epoch| epoch.losses[1]))
-            .f64("relative", of(|epoch| epoch.losses[2]))
-            .f64("cross", of(|epoch| epoch.losses[3]))
-            .f64_or_null("held_out_absolute", epochs.iter().map(|epoch| epoch.held_out).collect()),
-    )?;
-    table.finish()?;
+    writer.write_rows(epochs.iter().map(|epoch| {
+        let [loss, absolute, relative, cross] = epoch.losses;
+        TrainingRow {
+            epoch: epoch.epoch,
+            steps: epoch.steps,
+            learning_rate: epoch.learning_rate,
+            loss,
+            absolute,
+            relative,
+            cross,
+            held_out_absolute: epoch.held_out,
+        }
+    }))?;
     Ok(())
 }
 

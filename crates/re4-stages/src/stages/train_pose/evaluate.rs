@@ -3,9 +3,10 @@
 
 use anyhow::{Context as _, Result, ensure};
 use nalgebra::Isometry3;
-use re4_artifact::{Artifact, Columns, Writer, tables};
+use re4_artifact::{Artifact, Writer};
 use re4_episode::Mode;
 use re4_geometry::spatial::rotation_vector;
+use re4_pose::PoseErrorRow;
 use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
 use re4_stats::spread;
 use serde_json::{Map, Value, json};
@@ -89,23 +90,18 @@ fn read(
 }
 
 fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Measured>) -> Result<()> {
-    let mut table = writer.table(&tables::POSE_ERRORS)?;
+    let mut table = writer.rows()?;
     let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
     for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
         // Every frame has an estimate.
-        let errors: Vec<FrameError> = errors.iter().flatten().copied().collect();
-        let column = |value: fn(&FrameError) -> f64| errors.iter().map(value).collect::<Vec<_>>();
-        table.write_columns(
-            Columns::new(&tables::POSE_ERRORS)
-                .u32("episode", vec![episode; errors.len()])
-                .u32("frame", (0..errors.len() as u32).collect())
-                .bool("trained_on", vec![demo.trained_on; errors.len()])
-                .text("phase", demo.phases.iter().map(|phase| phase.as_str()))
-                .f64("translation", column(|e| e.translation))
-                .f64("translation_at_grasp", column(|e| e.translation_at_grasp))
-                .f64("rotation", column(|e| e.rotation))
-                .bool("half_turn", errors.iter().map(|e| e.half_turn).collect()),
-        )?;
+        let errors = (0..).zip(&demo.phases).zip(errors.iter().flatten());
+        table.extend(errors.map(|((frame, &phase), &error)| PoseErrorRow {
+            episode,
+            frame,
+            trained_on: demo.trained_on,
+            phase,
+            error,
+        }))?;
     }
     table.finish()?;
     Ok(())
