@@ -83,7 +83,6 @@ fn the_schemas_describe_the_columns_that_are_written() {
             "left_out",
             "states",
             "models",
-            "camera_images",
             "results-space",
             "steps-space",
             "decisions-space",
