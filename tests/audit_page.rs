@@ -27,7 +27,7 @@ fn expected(audit: &Audit) -> Value {
     let codes: Map<String, Value> = audit
         .checks
         .iter()
-        .map(|check| (check.code.clone(), json!([check.findings, check.episodes])))
+        .map(|check| (check.code.to_string(), json!([check.findings, check.episodes])))
         .collect();
     let mut outcomes = Map::new();
     for grasp in &audit.grasps {

@@ -9,14 +9,12 @@ mod inputs;
 mod interrupt;
 mod notes;
 mod pipeline;
+mod redraw;
 mod runner;
 mod stages;
 #[doc(hidden)]
 pub mod testing;
 
-pub use inputs::pictures::encode_png;
-pub use inputs::poses::from_numbers;
-pub use inputs::simulators::Scenes;
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
 pub use notes::{Notes, print_error, sentence};
@@ -24,5 +22,6 @@ pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
     Seeds, SpatialRolloutSection, TaskName, Variant, schema,
 };
+pub use redraw::{Redrawn, add_pictures};
 pub use runner::{Built, Runner, Settings};
 pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};

@@ -15,7 +15,7 @@ pub(crate) fn numbers(pose: &Isometry3<f64>) -> [f64; 7] {
 }
 
 /// The pose that [`numbers`] are of. The quaternion is taken as it is, sign and all.
-pub fn from_numbers([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Isometry3<f64> {
+pub(crate) fn from_numbers([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Isometry3<f64> {
     Isometry3::from_parts(
         Translation3::new(x, y, z),
         UnitQuaternion::new_unchecked(Quaternion::new(qw, qx, qy, qz)),

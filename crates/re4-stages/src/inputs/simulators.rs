@@ -53,7 +53,7 @@ pub(crate) fn set_state(data: &mut Data, state: &[f64]) -> Result<()> {
 }
 
 /// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
-pub struct Scenes {
+pub(crate) struct Scenes {
     task: RobosuiteTask,
     profile: Profile,
     library: Library,
@@ -90,7 +90,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When MuJoCo's library or an asset is missing, or the artifact has no models.
-    pub fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
+    pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
         let profile = profile(episodes)?;
         let library = library(profile)?;
         let demos = episodes.table(&tables::DEMOS)?.read_columns(&["demo", "model"])?;
@@ -132,19 +132,19 @@ impl Scenes {
     }
 
     /// The version of robosuite whose behaviour is reproduced.
-    pub fn profile(&self) -> Profile {
+    pub(crate) fn profile(&self) -> Profile {
         self.profile
     }
 
     /// MJCF of the first demonstration that has a model.
-    pub fn first_mjcf(&self) -> Result<&str> {
+    pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
         Ok(text.context("no demonstration has a model")?)
     }
 
     /// The same MJCF with what is only drawn, and everything touching.
-    pub fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+    pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
         let table = episodes.table(&tables::MODELS)?.read_all()?;
@@ -155,13 +155,13 @@ impl Scenes {
     }
 
     /// A scene from MJCF that is not a demonstration's own.
-    pub fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
+    pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
         Ok(model.with_fidelity(self.fidelity))
     }
 
     /// The scene of a demonstration, by its number in the artifact.
-    pub fn of(&self, demo: u32) -> Result<RobosuiteModel> {
+    pub(crate) fn of(&self, demo: u32) -> Result<RobosuiteModel> {
         let number = self
             .of_demo
             .get(demo as usize)

@@ -9,8 +9,9 @@ mod data;
 mod sections;
 
 use maud::{Markup, html};
+use re4_artifact::{Label, Word, columns};
 
-use super::common::Document;
+use super::shell::Document;
 
 /// What the page shows.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,33 +61,36 @@ pub struct Measure {
     pub factor: f64,
 }
 
-/// A demonstration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Demo {
-    /// Number in the artifact.
-    pub number: u32,
-    /// Name in its source.
-    pub name: String,
-    /// Frames.
-    pub frames: u32,
-    /// Frames in transit.
-    pub transit_frames: u32,
-    /// Frames in transfer.
-    pub transfer_frames: u32,
-    /// Segments.
-    pub segments: u32,
-    /// Transfer segments.
-    pub transfers: u32,
-    /// First transfer frame.
-    pub grasp_frame: Option<u32>,
-    /// Distance of the object's origin at the end from where it was at the start, in the artifact's unit.
-    pub object_displacement: f64,
-    /// Findings of severity error.
-    pub errors: u32,
-    /// Findings of severity warning.
-    pub warnings: u32,
-    /// Findings of severity note.
-    pub notes: u32,
+columns! {
+    /// A demonstration.
+    pub struct Demo {
+        /// Number in the artifact.
+        #[prefix = "episode"]
+        pub number: u32,
+        /// Name in its source.
+        #[prefix = "demo"]
+        pub name: String,
+        /// Frames.
+        pub frames: u32,
+        /// Frames in transit.
+        pub transit_frames: u32,
+        /// Frames in transfer.
+        pub transfer_frames: u32,
+        /// Segments.
+        pub segments: u32,
+        /// Transfer segments.
+        pub transfers: u32,
+        /// First transfer frame.
+        pub grasp_frame: Option<u32>,
+        /// Distance of the object's origin at the end from where it was at the start, in the artifact's unit.
+        pub object_displacement: f64,
+        /// Findings of severity error.
+        pub errors: u32,
+        /// Findings of severity warning.
+        pub warnings: u32,
+        /// Findings of severity note.
+        pub notes: u32,
+    }
 }
 
 /// How bad a finding is.
@@ -112,66 +116,71 @@ impl Severity {
             Self::Note => "note",
         }
     }
+}
 
-    /// The severity of that word.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|severity| severity.as_str() == name)
+impl Word for Severity {
+    const ALL: &'static [Self] = &Self::ALL;
+
+    fn word(self) -> &'static str {
+        self.as_str()
     }
 }
 
-/// A check that was made.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Check {
-    /// Kind of finding that it makes.
-    pub code: String,
-    /// Severity of its findings.
-    pub severity: Severity,
-    /// What such a finding means, and what to do about it.
-    pub meaning: String,
-    /// What is measured.
-    pub measure: String,
-    /// What it is compared with.
-    pub threshold: Option<f64>,
-    /// Unit of the threshold.
-    pub unit: String,
-    /// Where the threshold comes from: data, setting or default.
-    pub origin: String,
-    /// How it was derived.
-    pub derivation: String,
-    /// How many findings it made.
-    pub findings: u32,
-    /// In how many demonstrations.
-    pub episodes: u32,
+columns! {
+    /// A check that was made.
+    pub struct Check {
+        /// Kind of finding that it makes.
+        pub code: Label,
+        /// Severity of its findings.
+        pub severity: Severity,
+        /// What such a finding means, and what to do about it.
+        pub meaning: String,
+        /// What is measured.
+        pub measure: String,
+        /// What it is compared with.
+        pub threshold: Option<f64>,
+        /// Unit of the threshold.
+        pub unit: Label,
+        /// Where the threshold comes from: data, setting or default.
+        pub origin: Label,
+        /// How it was derived.
+        pub derivation: String,
+        /// How many findings it made.
+        pub findings: u32,
+        /// In how many demonstrations.
+        pub episodes: u32,
+    }
 }
 
-/// A finding.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Finding {
-    /// How bad it is.
-    pub severity: Severity,
-    /// Its kind.
-    pub code: String,
-    /// Place of its demonstration in [`Audit::demos`].
-    pub demo: usize,
-    /// First frame.
-    pub first_frame: u32,
-    /// Frame after the last one.
-    pub end_frame: u32,
-    /// What was measured.
-    pub value: Option<f64>,
-    /// What it was compared with.
-    pub threshold: Option<f64>,
-    /// Unit of both.
-    pub unit: String,
-    /// The finding in one sentence.
-    pub message: String,
+columns! {
+    /// A finding.
+    pub struct Finding {
+        /// How bad it is.
+        pub severity: Severity,
+        /// Its kind.
+        pub code: Label,
+        /// Number of its demonstration.
+        pub episode: u32,
+        /// First frame.
+        pub first_frame: u32,
+        /// Frame after the last one.
+        pub end_frame: u32,
+        /// What was measured.
+        pub value: Option<f64>,
+        /// What it was compared with.
+        pub threshold: Option<f64>,
+        /// Unit of both.
+        pub unit: Label,
+        /// The finding in one sentence.
+        pub message: String,
+    }
 }
 
 /// A segment; lengths in the artifact's unit, angles in rad.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Segment {
-    /// Place of its demonstration in [`Audit::demos`].
-    pub demo: usize,
+    /// Number of its demonstration.
+    pub episode: u32,
     /// Number in its demonstration.
     pub number: u32,
     /// Whether it is transfer; else transit.
@@ -197,8 +206,8 @@ pub struct Segment {
 /// A grasp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grasp {
-    /// Place of its demonstration in [`Audit::demos`].
-    pub demo: usize,
+    /// Number of its demonstration.
+    pub episode: u32,
     /// Number of its segment.
     pub segment: u32,
     /// First frame of the segment, or of the contact.
@@ -226,27 +235,29 @@ pub struct Contacts {
     pub jaccard: Option<f64>,
 }
 
-/// A convention of the dataset.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Convention {
-    /// What it is about.
-    pub name: String,
-    /// How it is.
-    pub value: String,
-    /// Why that is believed: proven, setting or declared.
-    pub basis: String,
-    /// The evidence in words.
-    pub evidence: String,
-    /// What the test measured.
-    pub residual: Option<f64>,
-    /// What it measured for the next best value.
-    pub runner_up: Option<f64>,
-    /// What the residual has to be below.
-    pub threshold: Option<f64>,
-    /// Unit of the three.
-    pub unit: String,
-    /// Frames that the test was made on.
-    pub frames: u32,
+columns! {
+    /// A convention of the dataset.
+    pub struct Convention {
+        /// What it is about.
+        #[prefix = "convention"]
+        pub name: Label,
+        /// How it is.
+        pub value: Label,
+        /// Why that is believed: proven, setting or declared.
+        pub basis: Label,
+        /// The evidence in words.
+        pub evidence: String,
+        /// What the test measured.
+        pub residual: Option<f64>,
+        /// What it measured for the next best value.
+        pub runner_up: Option<f64>,
+        /// What the residual has to be below.
+        pub threshold: Option<f64>,
+        /// Unit of the three.
+        pub unit: Label,
+        /// Frames that the test was made on.
+        pub frames: u32,
+    }
 }
 
 /// A fact of each frame that holds or not.
