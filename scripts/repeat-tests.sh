@@ -1,7 +1,7 @@
 #!/bin/sh
 # Runs the tests N times beside a load that keeps all processors and the disk busy, and counts what fails, test by test.
 #
-#   scripts/repeat-tests.sh N [cargo's arguments, as in --workspace --test kill]
+#   scripts/repeat-tests.sh N [cargo's arguments, as in -p re4-pipe kill::]
 #
 # RE4_LOAD says how many busy loops run (one a processor by default, 0 for a quiet machine). Logs are in target/repeated-tests.
 set -eu

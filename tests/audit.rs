@@ -1,22 +1,14 @@
 //! The audit from end to end: on the invented demonstrations, whose faults are known, on Push-T, and on scripted demonstrations
 //! where they are at hand.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
+use crate::support::{Answer, Place, assert_same_bytes, real_data, repository};
 use insta::assert_snapshot;
 use re4_artifact::Stage;
 use serde_json::Value;
-use support::{Answer, Place, assert_same_bytes, real_data, repository};
 
 /// Runs a command on a pipeline of the repository.
 fn on(place: &Place, data: &Path, command: &str, pipeline: &str, more: &str) -> Answer {

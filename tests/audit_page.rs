@@ -1,22 +1,17 @@
 //! The page of an audit: its figures are the artifact's, it needs nothing but itself, and it works in a browser.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Place, invented, repository};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
-use re4_report::html::audit::{Audit, Severity, page};
+use re4_audit::{AuditedEpisodeRow, Severity};
+use re4_report::html::audit::{Audit, page};
+use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use serde_json::{Map, Value, json};
-use support::{Place, invented, repository};
 
 /// The largest page for 600 demonstrations of a hundred and some frames.
 const LARGEST: usize = 8_000_000;
@@ -34,17 +29,18 @@ fn expected(audit: &Audit) -> Value {
         let count = outcomes.entry(grasp.outcome.clone()).or_insert(json!(0));
         *count = json!(count.as_u64().unwrap() + 1);
     }
-    let sum = |value: fn(&re4_report::html::audit::Demo) -> u32| audit.demos.iter().map(value).sum::<u32>();
+    let severities = [Severity::Error, Severity::Warning, Severity::Note];
+    let sum = |value: fn(&AuditedEpisodeRow) -> usize| audit.demos.iter().map(value).sum::<usize>();
     json!({
         "frames": sum(|d| d.frames),
         "transit_frames": sum(|d| d.transit_frames),
         "transfer_frames": sum(|d| d.transfer_frames),
-        "severities": Severity::ALL.map(|s| (s.as_str().to_owned(), of(s).into())).into_iter().collect::<Map<_, _>>(),
+        "severities": severities.map(|s| (s.as_str().to_owned(), of(s).into())).into_iter().collect::<Map<_, _>>(),
         "codes": codes,
         "grasps": audit.grasps.len(),
         "outcomes": outcomes,
         "demos": audit.demos.iter().map(|d| json!({
-            "number": d.number, "name": d.name, "frames": d.frames, "transfer_frames": d.transfer_frames,
+            "number": d.episode, "name": d.demo, "frames": d.frames, "transfer_frames": d.transfer_frames,
             "segments": d.segments, "grasp_frame": d.grasp_frame,
             "error": d.errors, "warning": d.warnings, "note": d.notes,
         })).collect::<Vec<_>>(),
@@ -156,7 +152,7 @@ fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static T
     }
     let rows = place
         .artifact(Stage::Audit)
-        .table(&tables::AUDITED_EPISODES)
+        .table(AuditedEpisodeRow::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -204,7 +200,7 @@ fn figures_are_those_that_audit_prints() {
     let place = can();
     let answer = place.run("audit can.toml --html page.html --json").done().json();
     let page = place.path().join("page.html");
-    let modes = (Stage::Segment, &tables::SPATIAL_MODES);
+    let modes = (Stage::Segment, ModeRow::<SpatialEvidence>::table());
     let of = |title, columns| (title, modes.0, modes.1, columns);
     let expected = expected_of(
         &place,
@@ -246,7 +242,7 @@ fn push_t_has_contacts_in_place_of_grasps() {
         .run("audit small.toml --no-images --html page.html --json")
         .done()
         .json();
-    let of = |title, columns| (title, Stage::Segment, &tables::MODES, columns);
+    let of = |title, columns| (title, Stage::Segment, ModeRow::<Evidence>::table(), columns);
     let expected = expected_of(
         &place,
         &answer,

@@ -1,13 +1,5 @@
 //! What goes wrong in datasets, artifacts and on disks: exit code 2, one sentence that says what, where and how to mend,
 //! nothing half-written, and once it is mended the same bytes as if nothing had happened.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,11 +8,11 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::Command;
 
+use crate::support::dataset::{self, LENGTH, replace, replace_ends, replace_state};
+use crate::support::{PROGRAM, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::canonical_text;
 use serde_json::Value;
-use support::dataset::{self, LENGTH, replace, replace_ends, replace_state};
-use support::{PROGRAM, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use tempfile::TempDir;
 
 const FRAMES: usize = 12 * LENGTH;
@@ -450,7 +442,7 @@ fn a_folder_without_permission() {
             return;
         }
     };
-    let said = support::Answer::new(&output, place.path()).refused();
+    let said = crate::support::Answer::new(&output, place.path()).refused();
     assert!(fs::read_dir(&closed).unwrap().next().is_none(), "{said}");
     fs::set_permissions(&closed, fs::Permissions::from_mode(0o755)).unwrap();
     with_settings!({filters => filters()}, { assert_snapshot!(said) });

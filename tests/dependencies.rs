@@ -1,23 +1,12 @@
 //! What `deny.toml` asks of the dependencies, checked without a further tool: licences, sources, bans, duplicates.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
 
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../..")
-        .canonicalize()
-        .unwrap()
-}
+use crate::support::repository;
 
 fn deny() -> toml::Table {
     std::fs::read_to_string(repository().join("deny.toml"))

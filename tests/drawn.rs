@@ -1,9 +1,6 @@
 //! Pictures that ingest draws of robosuite's tasks: robosuite's own, whatever happens meanwhile.
 //!
-//! `RE4_PICTURES=all cargo test -p re4-pipe --test drawn` compares all pictures that there are, which takes minutes.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
-
-mod support;
+//! `RE4_PICTURES=all cargo test -p re4-pipe drawn::` compares all pictures that there are, which takes minutes.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -11,9 +8,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use crate::support::{Answer, Gate, Place, assert_same_bytes, filters, repository, scripted_and_simulators, wait_for};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Stage, col_binary, col_text, col_u32, tables};
-use support::{Answer, Gate, Place, assert_same_bytes, filters, repository, scripted_and_simulators, wait_for};
 
 fn pipeline(place: &Place, name: &str, task: &str, source: &Path, rest: &str) {
     let source = source.display();
@@ -36,7 +33,7 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
 
 /// Camera, episode, frame and bytes of every picture.
 fn pictures(place: &Place) -> Vec<(String, u32, u32, Vec<u8>)> {
-    let table = place.artifact(Stage::Ingest).table(&tables::CAMERA_IMAGES).unwrap();
+    let table = place.artifact(Stage::Ingest).table(&tables::IMAGES).unwrap();
     let table = table.read_all().unwrap();
     let cameras = col_text(&table, "camera").unwrap();
     let (episodes, frames) = (col_u32(&table, "episode").unwrap(), col_u32(&table, "frame").unwrap());

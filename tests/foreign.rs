@@ -1,21 +1,13 @@
 //! Files with traits of public datasets, converters and writers: each is read as its author meant it, or refused in one sentence
 //! that names what is odd and what to do. Those in `foreign` beside the datasets were made after public reports; those of
 //! `make_foreign.py` are made here.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Answer, Place, repository, scripted_and_simulators};
 use re4_artifact::{Artifact, Stage, col_f64, col_text, tables};
-use support::{Answer, Place, repository, scripted_and_simulators};
 
 /// What a user expects.
 #[derive(Debug, Clone, Copy)]

@@ -1,10 +1,4 @@
 //! The kept inputs of the fuzzers, and those that once crashed, read again: none may stop the program.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
 
 #[path = "../fuzz/harness/artifact.rs"]
 mod artifact;
@@ -19,14 +13,7 @@ mod zarr;
 #[path = "../fuzz/harness/zip.rs"]
 mod zip;
 
-use std::path::{Path, PathBuf};
-
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../..")
-        .canonicalize()
-        .unwrap()
-}
+use crate::support::repository;
 
 /// Runs every kept input of a target. Some have to be refused and some accepted, or the corpus would not say much; every
 /// refusal is a sentence.

@@ -2,21 +2,13 @@
 //!
 //! The snapshot holds the BLAKE3 hash of every table. It changes when a preset, a stage or the sample changes, and then
 //! on purpose; on another machine it may differ in the last bits of sines and cosines, which the system's mathematical
-//! library computes. Accept a wanted change with `INSTA_UPDATE=always cargo test -p re4-pipe --test golden`.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
+//! library computes. Accept a wanted change with `INSTA_UPDATE=always cargo test -p re4-pipe golden::`.
 
 use std::fmt::Write as _;
 use std::process::Command;
 
+use crate::support::{Answer, PROGRAM, folders_in, repository};
 use re4_artifact::Artifact;
-use support::{Answer, PROGRAM, folders_in, repository};
 use tempfile::TempDir;
 
 /// Runs the demo as a user does, in the top folder of the repository; its score table and the hashes of its tables.

@@ -1,20 +1,12 @@
 //! Damaged HDF5 files and dying workers: one sentence, exit code 2, nothing left behind.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
+use crate::support::{Answer, Gate, LONGEST, Place, assert_same_bytes, filters, repository, signal};
 use insta::{assert_snapshot, with_settings};
-use support::{Answer, Gate, LONGEST, Place, assert_same_bytes, filters, repository, signal};
 
 /// Mutated copies in an ordinary run; `RE4_MUTATIONS` says another number.
 const MUTATIONS: u64 = 40;

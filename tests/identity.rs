@@ -1,12 +1,4 @@
 //! A demonstration is called what its source calls it, from the selection to the rollout, whatever its place in a file or an artifact.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,11 +6,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_audit::{AuditedEpisodeRow, FindingRow};
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::Value;
-use support::{Answer, Place, filters, repository, scripted_and_simulators};
 
 fn pipeline(task: &str, source: &Path) -> String {
     format!(
@@ -164,20 +159,23 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "modes",
         [&whole, &gaps].map(|place| {
-            let modes = rows(&place.artifact(Stage::Segment), &tables::SPATIAL_MODES);
+            let modes = rows(&place.artifact(Stage::Segment), ModeRow::<SpatialEvidence>::table());
             numbers(&modes, &names(&of(place)), "finger_separation")
         }),
     );
     same(
         "the index",
         [&whole, &gaps].map(|place| {
-            let index = rows(&place.artifact(Stage::Index), &tables::SPATIAL_INDEX);
+            let index = rows(
+                &place.artifact(Stage::Index),
+                re4_index::IndexRow::<re4_index::SpatialState>::table(),
+            );
             numbers(&index, &names(&of(place)), "eef_x")
         }),
     );
     let audit = gaps.artifact(Stage::Audit);
-    assert_eq!(texts(&rows(&audit, &tables::AUDITED_EPISODES), "demo"), known);
-    let findings = rows(&audit, &tables::FINDINGS);
+    assert_eq!(texts(&rows(&audit, AuditedEpisodeRow::table()), "demo"), known);
+    let findings = rows(&audit, FindingRow::table());
     let places = col_u32(&findings, "episode").unwrap();
     let called = texts(&findings, "demo_name");
     assert!(
@@ -327,7 +325,10 @@ fn replays_and_rollouts_name_what_they_follow() {
     let episodes = place.artifact(Stage::Ingest);
     let known = names(&episodes);
     assert_eq!(known, ["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
-    let replays = rows(&place.artifact(Stage::Replay), &tables::SPATIAL_REPLAYS);
+    let replays = rows(
+        &place.artifact(Stage::Replay),
+        re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table(),
+    );
     let places = col_u32(&replays, "episode").unwrap();
     let called = texts(&replays, "demo_name");
     assert_eq!(called.len(), 10);
@@ -347,7 +348,7 @@ fn replays_and_rollouts_name_what_they_follow() {
         .unwrap();
     assert!(failed.iter().all(Value::is_string), "{failed:?}");
 
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let (demos, frames) = (
         col_u32_or_null(&decisions, "demo").unwrap(),
         col_u32_or_null(&decisions, "demo_frame").unwrap(),
@@ -366,7 +367,7 @@ fn replays_and_rollouts_name_what_they_follow() {
     // One alone, which is number 3 among those that are there.
     fs::remove_dir_all(place.artifacts()).unwrap();
     run("rollout p.toml --set ingest.select={episodes=[4]}").done();
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let mut called = texts(&decisions, "demo_name");
     called.retain(|name| !name.is_empty());
     called.dedup();

@@ -1,18 +1,10 @@
 //! Ctrl-C: the run ends soon, says so in one sentence, and leaves nothing half-written.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::time::{Duration, Instant};
 
-use support::{Place, assert_same_bytes, signal};
+use crate::support::{Place, assert_same_bytes, signal};
 
 /// So many rollouts that no machine is done with them before it is interrupted.
 const LONG: &str = "run small.toml --set rollout.seeds=0..200000 --policy paper";

@@ -1,21 +1,13 @@
 //! Runs that are killed at any moment, and runs side by side: the next run ends in the bytes of an undisturbed one.
 //!
-//! `RE4_KILLS=200 cargo test -p re4-pipe --test kill` kills more often than the default of 12.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
+//! `RE4_KILLS=200 cargo test -p re4-pipe kill::` kills more often than the default of 12.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-use support::{Place, assert_same_bytes};
+use crate::support::{Place, assert_same_bytes};
 
 const COMMAND: &str = "run small.toml --set rollout.seeds=500..512";
 

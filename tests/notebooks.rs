@@ -1,21 +1,13 @@
 //! The notebooks run from top to bottom on the artifacts of the demo pipeline, and notice a manifest that is wrong.
 //!
 //! They are executed by the Python interpreter that the variable `RE4_PYTHON` names, as `scripts/test.sh` sets it.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Answer, Place, folders_in, repository};
 use serde_json::{Value, json};
-use support::{Answer, Place, folders_in, repository};
 
 fn notebook(name: &str) -> PathBuf {
     repository().join("notebooks").join(name)

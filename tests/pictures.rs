@@ -1,25 +1,18 @@
 //! The image variant from end to end: poses estimated from pictures, indexed and seen by the policy; and pictures that no
 //! pose can be estimated from.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::f64::consts::TAU;
 use std::fs;
 
+use crate::support::dataset::{self, LENGTH, replace};
+use crate::support::{Place, assert_same_bytes, filters};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32};
 use re4_geometry::{Point2, Pose2, periodic_distance};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
 use re4_sim::{Canvas, OBSERVATION_SIDE};
-use support::dataset::{self, LENGTH, replace};
-use support::{Place, assert_same_bytes, filters};
 
 const EPISODES: u32 = 6;
 const FRAMES: usize = EPISODES as usize * LENGTH;
@@ -147,13 +140,13 @@ fn the_policy_is_told_what_the_picture_shows() {
     let place = with_pictures();
     place.run("run image.toml").done();
     let rollouts = place.artifact(Stage::Rollout);
-    let steps = rollouts.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(&rollouts);
     let of = |name| col_f64(&steps, name).unwrap();
     let told = |name| col_f64_or_null(&steps, name).unwrap();
     let (seed, step) = (col_u32(&steps, "seed").unwrap(), col_u32(&steps, "step").unwrap());
     let (x, y, theta) = (of("object_x"), of("object_y"), of("object_theta"));
-    let (seen_x, seen_y) = (told("observed_object_x"), told("observed_object_y"));
-    let (seen_theta, confidence) = (told("observed_object_theta"), told("pose_confidence"));
+    let (seen_x, seen_y) = (told("seen_x"), told("seen_y"));
+    let (seen_theta, confidence) = (told("seen_theta"), told("pose_confidence"));
     let mut exact = 0;
     for row in 1..seed.len() {
         if step[row] == 0 {
@@ -169,7 +162,7 @@ fn the_policy_is_told_what_the_picture_shows() {
     assert_eq!(exact, 0, "an estimate that is exact is none");
     let flags = col_text(&steps, "pose_flag").unwrap();
     assert!(flags.iter().all(|flag| *flag == Some("clear")));
-    let decisions = rollouts.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+    let decisions = crate::support::decisions(&rollouts);
     let (at, query) = (
         (
             col_u32(&decisions, "seed").unwrap(),
@@ -185,15 +178,10 @@ fn the_policy_is_told_what_the_picture_shows() {
     }
     // Of true states there is nothing to tell.
     place.run("run small.toml --artifacts states").done();
-    let folder = &support::folders_in(&place.path().join("states/rollouts"))[0];
-    let steps = Artifact::open(folder)
-        .unwrap()
-        .table(&tables::STEPS)
-        .unwrap()
-        .read_all()
-        .unwrap();
+    let folder = &crate::support::folders_in(&place.path().join("states/rollouts"))[0];
+    let steps = crate::support::steps(&Artifact::open(folder).unwrap());
     assert!(
-        col_f64_or_null(&steps, "observed_object_x")
+        col_f64_or_null(&steps, "pose_confidence")
             .unwrap()
             .iter()
             .all(Option::is_none)
@@ -227,10 +215,10 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let mut pictures: Vec<Vec<u8>> = all.iter().map(drawn).collect();
     // One push leads the block out of the picture; those frames are not clear as it is.
     place.run("train-pose image.toml --artifacts before").done();
-    let folder = &support::folders_in(&place.path().join("before/poses"))[0];
+    let folder = &crate::support::folders_in(&place.path().join("before/poses"))[0];
     let poses = Artifact::open(folder)
         .unwrap()
-        .table(&tables::POSES)
+        .table(re4_pose::PoseRow::<re4_pose::Estimate>::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -275,7 +263,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     );
     let index = place
         .artifact(Stage::Index)
-        .table(&tables::INDEX)
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -288,7 +276,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     assert_eq!(x[3 * LENGTH], x[3 * LENGTH + 1]);
     let chunks = place
         .artifact(Stage::Index)
-        .table(&tables::CHUNKS)
+        .table(re4_policy::Chunk::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -312,7 +300,7 @@ fn pictures_that_give_no_poses() {
             .run(&format!("train-pose image.toml --quiet {arguments}"))
             .refused();
         assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
-        assert!(support::folders_in(&place.artifacts().join("poses")).is_empty());
+        assert!(crate::support::folders_in(&place.artifacts().join("poses")).is_empty());
         refusals.extend([name, "\n  ", &refusal, "\n"]);
     };
     refuse("no pictures", &states_only(), "");

@@ -1,20 +1,12 @@
 //! The stages from end to end: what is built, what is skipped, what comes out.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 
+use crate::support::dataset::{LENGTH, SIDE, picture};
+use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use serde_json::Value;
-use support::dataset::{LENGTH, SIDE, picture};
-use support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 
 /// Stages in the order in which the program reported on them, and whether each was skipped.
 fn stages(answer: &Answer) -> Vec<(&str, bool)> {
@@ -88,7 +80,7 @@ fn json_answers_with_one_object_of_the_agreed_keys() {
         object["artifact"].as_str().unwrap(),
         format!("artifacts/rollouts/{}", rollouts.key().short())
     );
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
     for (name, column) in [
         ("score_scaled_mean", "score_max"),
         ("coverage_raw_mean", "coverage_max"),
@@ -359,8 +351,8 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     let place = Place::new();
     place.run("run small.toml --record out.zarr").done();
     let rollouts = place.artifact(Stage::Rollout);
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
-    let steps = rollouts.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
+    let steps = crate::support::steps(&rollouts);
 
     let source = place.path().join("out.zarr");
     let again = format!(
@@ -389,11 +381,11 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
             _ => col_f64(&steps, in_steps).unwrap()[row - 1],
         };
         for (column, in_results, in_steps) in [
-            ("eef_x", "agent_x", "eef_x"),
-            ("eef_y", "agent_y", "eef_y"),
-            ("object_x", "block_x", "object_x"),
-            ("object_y", "block_y", "object_y"),
-            ("object_theta", "block_theta", "object_theta"),
+            ("eef_x", "eef_x", "eef_x"),
+            ("eef_y", "eef_y", "eef_y"),
+            ("object_x", "object_x", "object_x"),
+            ("object_y", "object_y", "object_y"),
+            ("object_theta", "object_theta", "object_theta"),
         ] {
             let found = col_f64(&frames, column).unwrap()[row];
             assert_eq!(found, single(before(in_results, in_steps)), "{column} of row {row}");
@@ -469,7 +461,7 @@ fn inspect_shows_every_artifact() {
             let heading = format!("table {name} (version {}): {} rows", facts.schema_version, facts.rows);
             assert!(text.stdout.contains(&heading), "{heading}\n{}", text.stdout);
             let columns = object["tables"][name]["columns"].as_array().unwrap();
-            let spec = tables::find(name).unwrap();
+            let spec = re4_stages::tables::described(&artifact, name).unwrap();
             assert_eq!(columns.len(), spec.columns.len());
             for column in spec.columns {
                 assert!(text.stdout.contains(&format!("  {} ", column.name)), "{}", column.name);
@@ -495,7 +487,7 @@ fn inspect_shows_every_artifact() {
         "states",
         "training",
     ];
-    let mut known: Vec<&str> = tables::all()
+    let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)
         .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
         .collect();
@@ -573,7 +565,7 @@ fn all_presets_leave_traces_of_the_loop() {
             .done();
         let folder = folders_in(&place.path().join(preset).join("rollouts")).remove(0);
         let artifact = Artifact::open(&folder).unwrap();
-        let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+        let decisions = crate::support::decisions(&artifact);
         let kinds = col_text(&decisions, "plan").unwrap();
         assert_eq!(kinds.iter().any(|kind| *kind != Some("off")), plans, "{preset}");
         let deltas = ["delta_x", "delta_y", "delta_theta"].map(|name| col_f64(&decisions, name).unwrap());

@@ -1,26 +1,19 @@
 //! The human Push-T demonstrations from end to end, where they are at hand (`RE4_DATA`); skipped where they are not.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use crate::support::{PROGRAM, folders_in, real_data, repository};
 use arrow::array::Array as _;
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Batches, Table, col_binary, col_f64, col_f64_or_null, col_u32, tables};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
-use support::{PROGRAM, folders_in, real_data, repository};
 use tempfile::TempDir;
 
 const DATASET: &str = "pusht/pusht_cchi_v7_replay.zarr";
@@ -217,8 +210,16 @@ fn open_loop_replay_stays_near_the_recording() {
     assert!(number("/block_px/max") < 5.0);
     assert!((number("/coverage_recorded_mean") - number("/coverage_replayed_mean")).abs() < 0.01);
     let artifact = open(folder.path(), "replays");
-    let replays = artifact.table(&tables::REPLAYS).unwrap().read_all().unwrap();
-    let divergence = artifact.table(&tables::DIVERGENCE).unwrap().read_all().unwrap();
+    let replays = artifact
+        .table(re4_stages::ReplayRow::<re4_stages::PlanarReplay>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
+    let divergence = artifact
+        .table(re4_stages::PlanarDivergenceRow::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let (episode, block) = (
         col_u32(&divergence, "episode").unwrap(),
         col_f64(&divergence, "block").unwrap(),

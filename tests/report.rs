@@ -1,23 +1,16 @@
 //! The page of rollouts: its figures are the artifacts', it needs nothing but itself, and it works in a browser.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Place, filters, folders_in, repository};
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, Stage, col_f64, col_u32};
 use serde_json::Value;
-use support::{Place, filters, folders_in, repository};
 
 /// Rollouts of two policies on the small dataset: their folders relative to the place, `re4` first.
 fn two_policies() -> (Place, [String; 2]) {
@@ -210,7 +203,11 @@ fn stated_metrics(page: &str, artifact: &Artifact, number: usize) {
 
 /// The table of budgets, computed by the stage, and the page's curve, computed from the steps, are one.
 fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
-    let budgets = artifact.table(&tables::BUDGETS).unwrap().read_all().unwrap();
+    let budgets = artifact
+        .table(re4_stages::tables::of(re4_artifact::Stage::Rollout).pop().unwrap())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let steps: Vec<f64> = col_u32(&budgets, "budget")
         .unwrap()
         .iter()
@@ -235,7 +232,7 @@ fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
 }
 
 fn results_are_equal(artifact: &Artifact, shown: &Value) {
-    let results = artifact.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&artifact);
     for (name, column) in [
         ("score", "score_max"),
         ("coverage", "coverage_max"),
@@ -251,13 +248,13 @@ fn results_are_equal(artifact: &Artifact, shown: &Value) {
 }
 
 fn traces_are_equal(artifact: &Artifact, shown: &Value) {
-    let steps = artifact.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(&artifact);
     assert_eq!(f64s(&shown["steps"]["coverage"]), col_f64(&steps, "coverage").unwrap());
     let eef = f32s(&shown["steps"]["eef"]);
     let x: Vec<f32> = eef.iter().step_by(2).copied().collect();
     let expected: Vec<f32> = col_f64(&steps, "eef_x").unwrap().iter().map(|v| *v as f32).collect();
     assert_eq!(x, expected);
-    let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+    let decisions = crate::support::decisions(&artifact);
     assert_eq!(
         f64s(&shown["decisions"]["predicted_coverage"]),
         col_f64(&decisions, "predicted_coverage").unwrap()
@@ -274,7 +271,7 @@ fn demonstrations_are_those_that_decisions_name() {
     let index = place.artifact(Stage::Index);
     let shown = &data["demonstrations"][index.key().to_string()];
     let artifact = Artifact::open(&place.path().join(&folder)).unwrap();
-    let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+    let decisions = crate::support::decisions(&artifact);
     let mut named = col_u32(&decisions, "demo").unwrap().to_vec();
     named.sort_unstable();
     named.dedup();
@@ -282,7 +279,11 @@ fn demonstrations_are_those_that_decisions_name() {
         numbers(&shown["number"]),
         named.iter().map(|n| f64::from(*n)).collect::<Vec<_>>()
     );
-    let frames = index.table(&tables::INDEX).unwrap().read_all().unwrap();
+    let frames = index
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let episodes = col_u32(&frames, "episode").unwrap();
     let theta = col_f64(&frames, "object_theta").unwrap();
     let expected: Vec<f32> = (0..episodes.len())

@@ -1,21 +1,13 @@
 //! Robomimic's HDF5 files from end to end: values bit for bit, every fault in one sentence.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Stage, col_text, col_u32, tables};
-use support::{Place, assert_same_bytes, filters, folders_in, repository};
 
 const TASKS: [&str; 3] = ["lift", "can", "square"];
 

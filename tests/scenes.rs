@@ -1,20 +1,13 @@
 //! Rollouts from scenes far from the demonstrations, on the sample in `data/`: what is chosen, what the rollouts start from,
 //! what they had reached under smaller budgets of steps, and every refusal.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::fs;
 
+use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
 use re4_stats::{mean_interval, wilson_interval};
-use support::{Place, assert_same_bytes, filters, folders_in, repository};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
 fn place() -> Place {
@@ -53,7 +46,7 @@ fn scenes_are_chosen_rolled_out_and_kept() {
     });
 
     let scenes = place.artifact(Stage::Scenes);
-    let scenes = scenes.table(&tables::SCENES).unwrap().read_all().unwrap();
+    let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let number = |name| col_u32(&scenes, name).unwrap().to_vec();
     assert_eq!(number("scene"), (0..12).collect::<Vec<_>>());
     assert_eq!(number("pose"), (0..12).map(|i| i / 2).collect::<Vec<_>>());
@@ -64,9 +57,9 @@ fn scenes_are_chosen_rolled_out_and_kept() {
         rollouts.manifest().inputs.keys().collect::<Vec<_>>(),
         ["index", "scenes"]
     );
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
     assert_eq!(col_u32(&results, "seed").unwrap(), number("scene"));
-    for name in ["agent_x", "agent_y", "block_x", "block_y", "block_theta"] {
+    for name in ["eef_x", "eef_y", "object_x", "object_y", "object_theta"] {
         let (asked, found) = (col_f64(&scenes, name).unwrap(), col_f64(&results, name).unwrap());
         for (asked, found) in asked.iter().zip(found) {
             assert!((asked - found).abs() < 1e-6, "{name}: {found} in place of {asked}");
@@ -86,10 +79,10 @@ fn the_nearest_frame_is_the_nearest() {
     let frames = place.artifact(Stage::Ingest);
     let frames = frames.table(&tables::FRAMES).unwrap().read_all().unwrap();
     let scenes = place.artifact(Stage::Scenes);
-    let scenes = scenes.table(&tables::SCENES).unwrap().read_all().unwrap();
+    let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let turn = std::f64::consts::TAU;
     let demonstrated = ["object_x", "object_y", "object_theta"].map(|name| col_f64(&frames, name).unwrap());
-    let chosen = ["block_x", "block_y", "block_theta"].map(|name| col_f64(&scenes, name).unwrap());
+    let chosen = ["object_x", "object_y", "object_theta"].map(|name| col_f64(&scenes, name).unwrap());
     let spans = demonstrated.map(|values| {
         let wrapped = values.iter().map(|v| if *v < 0.0 { v + turn } else { *v });
         let (low, high) = wrapped.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
@@ -133,7 +126,11 @@ fn budgets_say_what_was_reached_by_then() {
         let path = place.path().join(object["artifact"].as_str().unwrap());
         let artifact = re4_artifact::Artifact::open(&path).unwrap();
         let read = |table| artifact.table(table).unwrap().read_all().unwrap();
-        let (results, steps, budgets) = (read(&tables::RESULTS), read(&tables::STEPS), read(&tables::BUDGETS));
+        let (results, steps, budgets) = (
+            crate::support::results(&artifact),
+            crate::support::steps(&artifact),
+            read(re4_stages::tables::of(re4_artifact::Stage::Rollout).pop().unwrap()),
+        );
         assert_eq!(col_u32(&budgets, "budget").unwrap(), expected);
         let numbers = col_u32(&results, "seed").unwrap();
         assert!(

@@ -1,18 +1,9 @@
 //! The descriptions in `schemas/`: up to date, and true of the files that stages write.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
 
 use std::collections::BTreeSet;
 use std::fs;
 
-use re4_artifact::tables;
-use support::{Answer, Place, compare_with_schemas, repository};
+use crate::support::{Answer, Place, compare_with_schemas, repository};
 
 #[test]
 fn the_committed_schemas_are_up_to_date() {
@@ -80,7 +71,7 @@ fn the_schemas_describe_the_columns_that_are_written() {
     );
     place.run("index can.toml").done();
     let compared = compare_with_schemas(&place);
-    let missing: Vec<&str> = tables::all()
+    let missing: Vec<&str> = re4_stages::tables::all()
         .map(|(_, table)| table.name)
         .filter(|name| !compared.contains(*name))
         .collect();

@@ -1,14 +1,6 @@
 //! A source that changes while it is read: it is refused in one sentence, or what was published is what stands in its key.
 //!
-//! `RE4_CHANGES=200 cargo test -p re4-pipe --test source_changes` changes it more often than the default of 12 times each.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test may stop where it fails"
-)]
-
-mod support;
+//! `RE4_CHANGES=200 cargo test -p re4-pipe source_changes::` changes it more often than the default of 12 times each.
 
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
@@ -17,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use support::{Answer, Place, dataset, repository};
+use crate::support::{Answer, Place, dataset, repository};
 
 /// What happens to a file.
 #[derive(Debug, Clone, Copy)]
@@ -111,7 +103,7 @@ impl Case {
     /// Files of the artifacts in a folder, which is then removed.
     fn artifacts(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
         let folder = self.place.path().join(folder);
-        let bytes = support::artifact_bytes(&folder);
+        let bytes = crate::support::artifact_bytes(&folder);
         let _ = fs::remove_dir_all(folder);
         bytes
     }

@@ -11,7 +11,7 @@ use re4_ingest::pusht::{PushtOptions, PushtReader};
 use re4_ingest::{OnBad, Selection};
 use tempfile::TempDir;
 
-use crate::edits::{Input, edit};
+use super::edits::{Input, edit};
 
 const MOST_EDITS: usize = 8;
 

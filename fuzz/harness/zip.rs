@@ -21,6 +21,6 @@ impl Zip {
     pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
         let path = self.folder.path().join("store.zip");
         fs::write(&path, input).unwrap();
-        crate::zarr::read(&path, &Selection::All)
+        super::zarr::read(&path, &Selection::All)
     }
 }

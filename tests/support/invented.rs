@@ -1,8 +1,7 @@
 //! An invented audit: pick-and-place demonstrations with faults, as the page of an audit takes them.
 
-use re4_report::html::audit::{
-    Audit, Check, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity,
-};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
+use re4_report::html::audit::{Audit, Convention, Flag, Grasp, Measure, Panel, Segment, Series};
 
 /// A small generator of numbers, the same for the same seed.
 struct Draws(u64);
@@ -78,8 +77,8 @@ pub(crate) fn audit(count: u32) -> Audit {
 
 #[derive(Default)]
 struct Invented {
-    demos: Vec<Demo>,
-    findings: Vec<Finding>,
+    demos: Vec<AuditedEpisodeRow>,
+    findings: Vec<FindingRow>,
     segments: Vec<Segment>,
     grasps: Vec<Grasp>,
     closes: Vec<Option<bool>>,
@@ -140,15 +139,15 @@ impl Invented {
             .map(|(_, length)| length)
             .sum();
         let count = |severity| found.iter().filter(|(kind, ..)| KINDS[*kind].1 == severity).count() as u32;
-        self.demos.push(Demo {
-            number,
-            name: format!("demo_{number}"),
-            frames,
-            transit_frames: frames - transfer,
-            transfer_frames: transfer,
-            segments: runs.len() as u32,
-            transfers: runs.iter().filter(|(transfer, _)| *transfer).count() as u32,
-            grasp_frame: Some(runs[0].1),
+        self.demos.push(AuditedEpisodeRow {
+            episode: number,
+            demo: format!("demo_{number}"),
+            frames: frames as usize,
+            transit_frames: (frames - transfer) as usize,
+            transfer_frames: transfer as usize,
+            segments: runs.len(),
+            transfers: runs.iter().filter(|(transfer, _)| *transfer).count(),
+            grasp_frame: Some(runs[0].1 as usize),
             object_displacement: draws.about(0.4, 0.1),
             errors: count(Severity::Error),
             warnings: count(Severity::Warning),
@@ -156,12 +155,13 @@ impl Invented {
         });
         for (kind, first_frame, end_frame) in found {
             let (code, severity, words, threshold, unit) = KINDS[kind];
-            self.findings.push(Finding {
+            self.findings.push(FindingRow {
+                finding: self.findings.len() as u32,
+                demo_name: None,
                 severity,
                 code: code.into(),
                 episode: number,
-                first_frame,
-                end_frame,
+                frames: first_frame..end_frame,
                 value: Some(draws.about(threshold * 1.7, threshold * 0.2)),
                 threshold: Some(threshold),
                 unit: unit.into(),
@@ -257,7 +257,7 @@ impl Invented {
                 .collect();
             let findings = demos.len() as u32;
             demos.dedup();
-            Check {
+            CheckRow {
                 code: code.into(),
                 severity,
                 meaning: format!("A finding says that {words}. Look at the frames and decide."),

@@ -1,5 +1,4 @@
 //! Shared by the end-to-end tests: the program in a folder of its own, with a small dataset and a pipeline file.
-#![allow(dead_code)]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -7,8 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use arrow::array::{ArrayRef, RecordBatch};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use re4_artifact::{Artifact, Stage};
+use re4_artifact::{Artifact, Row as _, Stage};
+use re4_policy::kinds::{PlaneRe4Row, SpaceRe4Row};
+use re4_rollout::{PlaneDecisionRow, PlaneResultRow, PlaneStepRow, SpaceDecisionRow, SpaceResultRow, SpaceStepRow};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -94,6 +96,7 @@ impl Place {
             .current_dir(self.path())
             .env("RE4_DATA", self.path().join("data"))
             .env_remove("NO_COLOR")
+            .env_remove("RUST_LOG")
             .env_remove("CLICOLOR_FORCE")
             .env("COLUMNS", "100");
         command
@@ -516,4 +519,59 @@ pub(crate) fn scripted_and_simulators() -> Option<(PathBuf, PathBuf)> {
         }
     }
     Some((data, simulators.canonicalize().unwrap()))
+}
+
+/// Whether rollouts are of a robosuite task.
+fn in_space(rollouts: &Artifact) -> bool {
+    rollouts.table_named("results").unwrap().domain().as_deref() == Some("space")
+}
+
+/// How rollouts went.
+pub(crate) fn results(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceResultRow::table()
+    } else {
+        PlaneResultRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
+/// Their steps.
+pub(crate) fn steps(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceStepRow::table()
+    } else {
+        PlaneStepRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
+/// Their decisions, with what the table of RE4 adds, which has the same rows.
+pub(crate) fn decisions(rollouts: &Artifact) -> RecordBatch {
+    let (core, details) = if in_space(rollouts) {
+        (SpaceDecisionRow::table(), SpaceRe4Row::table())
+    } else {
+        (PlaneDecisionRow::table(), PlaneRe4Row::table())
+    };
+    let [core, details] = [core, details].map(|spec| rollouts.table(spec).unwrap().read_all().unwrap());
+    let names: Vec<String> = core
+        .schema()
+        .fields()
+        .iter()
+        .map(|field| field.name().clone())
+        .collect();
+    let mut columns: Vec<(String, ArrayRef, bool)> = Vec::new();
+    for batch in [&core, &details] {
+        for (field, column) in batch.schema().fields().iter().zip(batch.columns()) {
+            if columns.iter().all(|(name, ..)| name != field.name()) {
+                columns.push((field.name().clone(), column.clone(), true));
+            } else {
+                assert!(names.contains(field.name()));
+                assert_eq!(core.column_by_name(field.name()).unwrap(), column, "{}", field.name());
+            }
+        }
+    }
+    RecordBatch::try_from_iter_with_nullable(columns).unwrap()
 }

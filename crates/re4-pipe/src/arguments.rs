@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use re4_stages::{Notes, Runner, Seeds, Settings};
 
 /// Staged batch jobs from robot demonstrations to explainable imitation policies.
@@ -15,6 +15,16 @@ use re4_stages::{Notes, Runner, Seeds, Settings};
 #[derive(Debug, Parser)]
 #[command(name = "re4-pipe", version, max_term_width = 100, propagate_version = true)]
 pub(crate) struct Arguments {
+    /// How much is logged.
+    #[arg(
+        short,
+        long,
+        action = ArgAction::Count,
+        global = true,
+        display_order = 900,
+        help = "Log what is done on standard error; -vv logs more, RUST_LOG by crate"
+    )]
+    pub(crate) verbose: u8,
     /// What to do.
     #[command(subcommand)]
     pub(crate) command: Command,
@@ -142,7 +152,7 @@ pub(crate) struct RolloutArguments {
     /// Seeds of the scenes, half-open: 500..600; as --set rollout.seeds=...
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
-    /// Policy preset: paper, re4 or re2; as --set rollout.policy=...
+    /// Kind of the policy: re4, paper, re2, ...; as --set policy.kind=...
     #[arg(long, value_name = "NAME")]
     pub(crate) policy: Option<String>,
     /// Control steps an episode lasts at most.

@@ -6,6 +6,7 @@
 mod arguments;
 mod commands;
 mod console;
+mod log;
 mod output;
 
 use std::process::ExitCode;
@@ -25,6 +26,10 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
+    // The worker's standard error is for its last words.
+    if !matches!(arguments.command, Command::IngestWorker) {
+        log::start(arguments.verbose);
+    }
     let outcome = match arguments.command {
         Command::Ingest(arguments) => commands::run::ingest(&arguments),
         Command::Segment(arguments) => commands::run::segment(&arguments),

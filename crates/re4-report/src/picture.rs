@@ -3,12 +3,13 @@
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use re4_geometry::{Point2, Pose2};
+use re4_rollout::Phase;
 use re4_sim::{AGENT_RADIUS, tee_rectangles};
 use re4_stats::{quantile, sorted};
 use thiserror::Error;
 
-use crate::html::rollouts::Rollout;
 use crate::html::rollouts::plane::Plane;
+use crate::html::rollouts::{Rollout, demo_name};
 
 /// Why a picture could not be drawn.
 #[derive(Debug, Error)]
@@ -47,11 +48,11 @@ pub fn rollout_picture(rollout: &Rollout<Plane>) -> Result<String, PictureError>
         decisions,
         ..
     } = rollout;
-    let blocks: Vec<Pose2> = [result.block]
+    let blocks: Vec<Pose2> = [result.object]
         .into_iter()
         .chain(steps.iter().map(|step| step.object))
         .collect();
-    let pusher: Vec<Point2> = [result.agent]
+    let pusher: Vec<Point2> = [result.eef]
         .into_iter()
         .chain(steps.iter().map(|step| step.eef))
         .collect();
@@ -67,7 +68,7 @@ pub fn rollout_picture(rollout: &Rollout<Plane>) -> Result<String, PictureError>
         tee(&area, re4_sim::GOAL, GOAL.filled())?;
         let shown: Vec<usize> = decisions
             .iter()
-            .map(|d| (d.step as usize).min(last))
+            .map(|d| (d.core().step as usize).min(last))
             .chain([last])
             .collect();
         for (i, &at) in shown.iter().enumerate() {
@@ -79,7 +80,7 @@ pub fn rollout_picture(rollout: &Rollout<Plane>) -> Result<String, PictureError>
             area.draw(&PathElement::new(path, PLAN.mix(0.5).stroke_width(1)))?;
         }
         for (pair, step) in pusher.windows(2).zip(steps) {
-            let colour = if step.replays() { REPLAY } else { PLAN };
+            let colour = if step.core.phase == Phase::Replay { REPLAY } else { PLAN };
             area.draw(&PathElement::new(
                 vec![pixel(pair[0]), pixel(pair[1])],
                 colour.stroke_width(2),
@@ -93,9 +94,12 @@ pub fn rollout_picture(rollout: &Rollout<Plane>) -> Result<String, PictureError>
         }
         let demos: Vec<String> = decisions
             .iter()
-            .map(|d| format!("step {}: {}", d.step, d.demo_name()))
+            .map(|d| format!("step {}: {}", d.core().step, demo_name(d.core())))
             .collect();
-        let caption = format!("seed {}, score {:.3} after {last} steps", result.seed, result.score_max);
+        let caption = format!(
+            "seed {}, score {:.3} after {last} steps",
+            result.core.seed, result.score_max
+        );
         let font = ("sans-serif", 14).into_font();
         let y = (WORKSPACE + 2 * MARGIN + 4) as i32;
         root.draw(&Text::new(caption, (MARGIN as i32, y), font.clone()))?;

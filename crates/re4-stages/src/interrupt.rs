@@ -105,7 +105,10 @@ impl Interrupt {
         self.0.requested.load(Ordering::SeqCst)
     }
 
-    /// An error once the user asked to stop.
+    /// Goes on, unless the user asked to stop.
+    ///
+    /// # Errors
+    /// When the user asked to stop: the sentence that says so.
     pub fn check(&self, stage: &str) -> Result<()> {
         if self.requested() {
             bail!("{stage} {SENTENCE_OF_STAGE}");

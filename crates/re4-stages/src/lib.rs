@@ -12,6 +12,7 @@ mod pipeline;
 mod redraw;
 mod runner;
 mod stages;
+pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
@@ -19,9 +20,12 @@ pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
 pub use notes::{Notes, print_error, sentence};
 pub use pipeline::{
-    Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
-    Seeds, SpatialRolloutSection, TaskName, Variant, schema,
+    Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
+    RolloutSection, Seeds, Task, Variant, schema,
 };
 pub use redraw::{Redrawn, add_pictures};
 pub use runner::{Built, Runner, Settings};
-pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};
+pub use stages::{
+    BudgetRow, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
+    SpatialReplay, metrics, read_rollouts, serve_ingest,
+};

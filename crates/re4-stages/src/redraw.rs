@@ -15,7 +15,7 @@ use re4_robosuite::models::looks;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Placement, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
-    RobosuiteTask, with_cube_size,
+    RobosuiteTask,
 };
 
 use crate::inputs::pictures::encode_png;
@@ -74,15 +74,10 @@ impl Redrawn {
         };
         for place in 0..redrawn.rollouts.len() {
             let rollout = &redrawn.rollouts[place];
-            // The cube's size is a part of a seed's scene; other models serve all seeds.
-            let cube = Placement::draw(task, rollout.result.seed).cube;
-            let sized = |mjcf: &str| match cube {
-                Some(size) => with_cube_size(mjcf, size),
-                None => Ok(mjcf.to_owned()),
-            };
-            let model = scenes.compile(&sized(scenes.first_mjcf()?)?)?;
+            let placement = Placement::draw(task, rollout.core().seed);
+            let model = scenes.compile(&placement.in_model(scenes.first_mjcf()?)?)?;
             redrawn.coordinates.push(again(artifact, &model, rollout)?);
-            redrawn.set(&sized(&drawn)?, &scenes, side)?;
+            redrawn.set(&placement.in_model(&drawn)?, &scenes, side)?;
         }
         Ok(redrawn)
     }
@@ -120,7 +115,7 @@ impl Redrawn {
 fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) -> Result<Vec<Vec<f64>>> {
     let mut simulation = Robosuite::new(model)?;
     let nq = model.mujoco().nq();
-    let (seed, path) = (rollout.result.seed, artifact.path().display());
+    let (seed, path) = (rollout.core().seed, artifact.path().display());
     let Some(start) = rollout.result.state.get(1..=nq) else {
         bail!(
             "cannot draw seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates; run the rollout again",
@@ -137,7 +132,7 @@ fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) 
         let away = (after.observation.object.translation.vector - step.object.translation.vector).amax();
         ensure!(
             away <= TOLERANCE,
-            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table spatial_steps has it after step {number}, so pictures would show another rollout; run the rollout again on this machine"
+            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table steps has it after step {number}, so pictures would show another rollout; run the rollout again on this machine"
         );
         coordinates.push(simulation.data().qpos().to_vec());
     }
@@ -176,33 +171,33 @@ pub fn add_pictures(
 
 fn pictures(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &Path) -> Result<()> {
     let mut chosen: Vec<&Rollout<Space>> = set.rollouts.iter().filter(|rollout| rollout.shown).collect();
-    chosen.sort_by_key(|rollout| Reverse(!rollout.result.success));
+    chosen.sort_by_key(|rollout| Reverse(!rollout.core().success));
     chosen.truncate(count);
-    let seeds: Vec<u32> = chosen.iter().map(|rollout| rollout.result.seed).collect();
+    let seeds: Vec<u32> = chosen.iter().map(|rollout| rollout.core().seed).collect();
     let mut redrawn = Redrawn::new(artifact, &seeds, SIDE, store)?;
     for (place, rollout) in chosen.into_iter().enumerate() {
         for (number, decision) in (0..).zip(rollout.decisions.iter().take(DECISIONS)) {
-            let pixels = redrawn.draw(place, decision.step as usize)?;
+            let pixels = redrawn.draw(place, decision.core().step as usize)?;
             let view = redrawn.renderer.as_mut().and_then(Renderer::view);
-            let seen = |pose: &Isometry3<f64>| seen(view.as_ref(), pose);
+            let seen = |pose: Option<&Isometry3<f64>>| seen(view.as_ref(), pose);
             let picture = DecisionPicture {
                 camera: CAMERA,
                 side: SIDE,
                 png: encode_png(&pixels, SIDE, SIDE)?,
-                told: seen(&decision.query_object),
-                simulated: seen(&rollout.object_before(decision.step as usize)),
+                told: seen(decision.core.query_object.as_ref()),
+                simulated: seen(Some(&rollout.object_before(decision.core().step as usize))),
             };
-            set.scene.pictures.insert((rollout.result.seed, number), picture);
+            set.scene.pictures.insert((rollout.core().seed, number), picture);
         }
     }
     Ok(())
 }
 
-/// A frame's origin and the ends of its axes in a picture.
-fn seen(view: Option<&View>, pose: &Isometry3<f64>) -> FrameInPicture {
+/// A frame's origin and the ends of its axes in a picture; nothing where there is no such frame.
+fn seen(view: Option<&View>, pose: Option<&Isometry3<f64>>) -> FrameInPicture {
     let ends = [[0.0; 3], [AXIS, 0.0, 0.0], [0.0, AXIS, 0.0], [0.0, 0.0, AXIS]];
     ends.map(|end| {
-        let point = pose.transform_point(&end.into());
+        let point = pose?.transform_point(&end.into());
         view?.pixel([point.x, point.y, point.z], SIDE as usize, SIDE as usize)
     })
 }

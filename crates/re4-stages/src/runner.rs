@@ -8,6 +8,7 @@ use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Facts, Key, Recipe, Stage, Store, Writer};
 use re4_ingest::{IngestError, Stop};
 use serde_json::{Value, json};
+use tracing::{debug, info, info_span};
 
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
@@ -76,6 +77,7 @@ impl Runner {
     /// When the pipeline file cannot be used, or there can be no artifacts in the folder.
     pub fn new(settings: &Settings<'_>) -> Result<Self> {
         let pipeline = load(settings.pipeline, &settings.overrides)?;
+        info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
         if let Some(jobs) = settings.jobs {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(jobs.get())
@@ -91,6 +93,7 @@ impl Runner {
             );
         }
         let store = Store::open(artifacts)?;
+        debug!(artifacts = %artifacts.display(), threads = rayon::current_num_threads(), "store open");
         Ok(Self {
             pipeline,
             file: settings.pipeline.to_owned(),
@@ -106,14 +109,18 @@ impl Runner {
         hash: impl FnOnce(Stop<'_>) -> Result<[u8; 32], IngestError>,
         stage: &str,
     ) -> Result<Key> {
+        let start = Instant::now();
         let hashed = hash(&|| self.interrupt.requested());
         self.interrupt.check(stage)?;
-        Ok(Key::from_bytes(hashed?))
+        let hash = Key::from_bytes(hashed?);
+        info!(stage, blake3 = %hash, wall = ?start.elapsed(), "source hashed");
+        Ok(hash)
     }
 
     /// Makes an artifact unless it is there.
     pub(crate) fn build(&self, recipe: &Recipe, make: impl FnOnce(&Writer) -> Result<Facts>) -> Result<Built> {
         let start = Instant::now();
+        let _span = info_span!("stage", name = recipe.stage().as_str()).entered();
         if let Some(built) = self.unchanged(recipe, start)? {
             return Ok(built);
         }
@@ -127,8 +134,10 @@ impl Runner {
     pub(crate) fn unchanged(&self, recipe: &Recipe, start: Instant) -> Result<Option<Built>> {
         let stage = recipe.stage();
         let Some(artifact) = self.store.lookup(stage, &recipe.key())? else {
+            info!(key = %recipe.key(), "no such artifact yet, so it is made");
             return Ok(None);
         };
+        info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact is there, and whole");
         self.notes.note(&format!(
             "{:>10}  {}  unchanged, skipped",
             stage.as_str(),
@@ -153,6 +162,10 @@ impl Runner {
             &json!({ "wall_s": wall.as_secs_f64(), "threads": rayon::current_num_threads() }),
         )?;
         let manifest = artifact.manifest();
+        for (name, table) in &manifest.tables {
+            debug!(name, rows = table.rows, bytes = table.bytes, "table written");
+        }
+        info!(key = %recipe.key(), ?wall, "artifact published");
         self.notes.note(&format!(
             "{:>10}  {}  {}{}  {:.2} s",
             stage.as_str(),

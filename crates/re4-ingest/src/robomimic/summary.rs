@@ -38,6 +38,14 @@ impl Comparison {
         RobomimicReader::open(sources, &DemoChoice::default(), access).map(|reader| Self { reader })
     }
 
+    /// Whether its files are still what they were when they were opened.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub(super) fn unchanged(&self) -> Result<(), IngestError> {
+        self.reader.sources().unchanged()
+    }
+
     /// Actions of the demonstration of this name and length; none where there is no such demonstration.
     ///
     /// # Errors
@@ -89,19 +97,14 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// Groups that cannot be read.
-    pub fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
+    pub(super) fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
         let taken = |name: &str| {
             let camera = name.strip_prefix("obs/").and_then(|name| name.strip_suffix("_image"));
             TAKEN.contains(&name) || camera.is_some_and(|camera| cameras.iter().any(|taken| taken == camera))
         };
         let skipped = self.skipped(taken).map_err(|fault| Fault::from(fault).of(&self.path))?;
-        Ok((!skipped.is_empty()).then(|| Warning {
-            code: WarningCode::SkippedDatasets,
-            message: format!("not ingested: {}", skipped.join(", ")),
-            episode: None,
-            frame: None,
-            count: skipped.len() as u64,
-        }))
+        let message = format!("not ingested: {}", skipped.join(", "));
+        Ok((!skipped.is_empty()).then(|| Warning::new(WarningCode::SkippedDatasets, message, skipped.len())))
     }
 }
 

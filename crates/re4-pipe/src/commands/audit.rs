@@ -1,9 +1,9 @@
 //! `re4-pipe audit`.
 
 use anyhow::Result;
-use re4_report::html::audit::Severity;
+use re4_audit::Severity;
 use re4_report::{AuditSources, Findings, LARGE_PAGE, audit_page};
-use re4_stages::{Built, Runner, TaskName};
+use re4_stages::{Built, Runner};
 
 use super::Outcome;
 use crate::arguments::{AuditArguments, FailOn, StageArguments};
@@ -59,14 +59,7 @@ fn write_page(
         .map(|setting| [" --set ", setting].concat())
         .collect();
     let text = audit_page(&AuditSources {
-        task: match runner.pipeline.task {
-            TaskName::PushT => "Push-T",
-            TaskName::Lift => "Lift",
-            TaskName::Can => "PickPlaceCan",
-            TaskName::Square => "NutAssemblySquare",
-            TaskName::Robosuite => "robosuite",
-        },
-        planar: runner.pipeline.task.is_planar(),
+        task: runner.pipeline.task,
         dataset: match &ingest.filter {
             Some(filter) => format!("{source}, filter {filter}"),
             None => source.to_string(),

@@ -29,6 +29,7 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
             destination.display()
         ));
     }
+    tracing::info!(provides = %dataset.provides, destination = %destination.display(), "looking for what is there");
     let bar = console.progress(0, "bytes");
     let report = re4_fetch::fetch(&dataset, &destination, &mut |done, length| {
         bar.set_length(length.unwrap_or(done));

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
 use arrow::util::pretty::pretty_format_batches;
-use re4_artifact::{Artifact, Table, json_description, tables};
+use re4_artifact::{Artifact, Table, json_description};
 use re4_report::{is_spatial, planar_rollout, rollout_picture};
 use serde_json::{Value, json};
 
@@ -39,7 +39,9 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
             "\ntable {name} (version {}): {} rows, {} bytes",
             facts.schema_version, facts.rows, facts.bytes
         )?;
-        let Some(spec) = tables::find(name) else { continue };
+        let Some(spec) = re4_stages::tables::described(&artifact, name) else {
+            continue;
+        };
         writeln!(text, "  {}", spec.description)?;
         for column in spec.columns_at(facts.schema_version) {
             let unit = match (column.unit, column.frame) {

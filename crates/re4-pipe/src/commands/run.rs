@@ -7,9 +7,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
+use re4_artifact::Row as _;
 use re4_artifact::{col_f64, col_f64_or_null, col_text, col_u32, tables};
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::{Findings, divergence_plot};
+use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
 use super::{Outcome, report};
@@ -17,7 +19,7 @@ use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::console::Console;
 use crate::output::Output;
 use re4_stages::PoseSource;
-use re4_stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
+use re4_stages::{BudgetRow, Built, Runner, metrics, read_rollouts};
 
 /// `re4-pipe ingest`.
 pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
@@ -99,11 +101,10 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe rollout`.
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let runner = runner(arguments)?;
+    runner.pipeline.rollout()?;
     if runner.pipeline.task.is_planar() {
-        runner.pipeline.rollout()?;
         roll_out(&runner, arguments)
     } else {
-        runner.pipeline.spatial_rollout()?;
         spatial::roll_out(&runner, arguments)
     }
 }
@@ -113,10 +114,7 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let runner = runner(arguments)?;
     if runner.pipeline.rollout.is_some() {
-        return roll_out(&runner, arguments);
-    }
-    if runner.pipeline.spatial_rollout.is_some() {
-        return spatial::roll_out(&runner, arguments);
+        return rollout(arguments);
     }
     anyhow::ensure!(
         arguments.report.is_none() && arguments.record.is_none(),
@@ -142,7 +140,7 @@ fn runner(arguments: &RolloutArguments) -> Result<Runner> {
         arguments
             .policy
             .as_ref()
-            .map(|policy| format!("rollout.policy={}", text(policy))),
+            .map(|policy| format!("policy.kind={}", text(policy))),
     );
     overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
     arguments.stage.runner(&overrides)
@@ -198,12 +196,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
         );
     }
     let page = Page::at(runner, arguments)?;
-    let episodes = runner.ingest()?;
-    let modes = runner.segment(&episodes)?;
-    let poses = runner.train_pose(&episodes)?;
-    let index = runner.index(&episodes, &modes, poses.as_ref())?;
-    let scenes = runner.scenes(&episodes)?;
-    let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
+    let (built, scenes) = runner.roll_out()?;
     if let Some(path) = &arguments.record {
         record(console, &built, path)?;
     }
@@ -212,13 +205,14 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     }
     let metrics = metrics(&built.artifact);
     let section = runner.pipeline.rollout()?;
-    let rollouts = built.artifact.table(&tables::RESULTS)?.rows();
+    let kind = runner.pipeline.policy()?.kind();
+    let rollouts = built.artifact.table(PlaneResultRow::table())?.rows();
     // The curve over budgets is what scenes are rolled out for; elsewhere the table in the artifact is enough.
     let budgets = scenes.is_some().then(|| budgets(&built)).transpose()?;
     let mut answer = json!({
         "task": runner.pipeline.task,
         "variant": runner.pipeline.variant,
-        "policy": section.policy,
+        "policy": kind,
         "episodes": rollouts,
         "max_steps": section.max_steps,
         "metrics": in_order(&metrics),
@@ -229,7 +223,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
         answer["budgets"] = json!(budgets);
     }
     console.answer(&answer)?;
-    let mut text = score_table(&section.policy, rollouts, section.max_steps, &metrics)?;
+    let mut text = score_table(kind, rollouts, section.max_steps, &metrics)?;
     if let Some(budgets) = &budgets {
         text += &budget_table(budgets)?;
     }
@@ -252,7 +246,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     if let Some(path) = &arguments.plot {
         let table = built
             .artifact
-            .table(&tables::DIVERGENCE)?
+            .table(re4_stages::PlanarDivergenceRow::table())?
             .read_columns(&["frame", "block"])?;
         let frames = col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
@@ -370,18 +364,19 @@ const METRICS: [(&str, &str); 4] = [
 
 /// What was reached under smaller budgets of steps: a budget and its metrics, as the answer has them.
 fn budgets(built: &Built) -> Result<Vec<Value>> {
-    let table = built.artifact.table(&tables::BUDGETS)?.read_all()?;
-    let mut rows = Vec::new();
-    for (row, budget) in col_u32(&table, "budget")?.iter().enumerate() {
-        let mut object = json!({ "budget": budget });
-        for ((_, name), columns) in METRICS.iter().zip(BUDGET_MEASURES) {
-            for (part, column) in ["value", "low", "high"].into_iter().zip(columns) {
-                object[*name][part] = json!(col_f64(&table, column)?[row]);
+    let rows: Vec<BudgetRow> = built.artifact.read()?;
+    let object = |row: BudgetRow| {
+        let mut object = json!({ "budget": row.budget });
+        let means = [row.score, row.coverage, row.iou].map(|m| [m.mean, m.low, m.high]);
+        let success = [row.success.rate, row.success.low, row.success.high];
+        for ((_, name), parts) in METRICS.iter().zip(means.into_iter().chain([success])) {
+            for (part, value) in ["value", "low", "high"].into_iter().zip(parts) {
+                object[*name][part] = json!(value);
             }
         }
-        rows.push(object);
-    }
-    Ok(rows)
+        object
+    };
+    Ok(rows.into_iter().map(object).collect())
 }
 
 fn budget_table(budgets: &[Value]) -> Result<String> {

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Manifest, json_description, tables};
+use re4_artifact::{Manifest, json_description};
+use re4_stages::tables;
 use serde_json::json;
 
 use super::Outcome;
@@ -53,7 +54,7 @@ pub(crate) fn schemas(arguments: &SchemasArguments) -> Result<Outcome> {
 fn generate() -> Result<BTreeMap<String, String>> {
     let mut files = BTreeMap::new();
     for (_, spec) in tables::all() {
-        files.insert(format!("{}.json", spec.name), json_description(spec));
+        files.insert(format!("{}.json", spec.title()), json_description(spec));
     }
     files.insert("pipeline.schema.json".to_owned(), re4_stages::schema());
     files.insert(

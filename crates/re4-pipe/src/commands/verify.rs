@@ -22,7 +22,7 @@ pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
     let mut verified = Vec::new();
     let mut damaged = Vec::new();
     for path in &paths {
-        match verify_artifact(path) {
+        match verify_artifact(path, &re4_stages::tables::described) {
             Ok(report) => {
                 let bytes: u64 = report.files.iter().map(|file| file.bytes).sum();
                 console.say(&format!(

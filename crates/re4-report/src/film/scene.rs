@@ -7,7 +7,7 @@ use std::io::Write;
 use super::paint::{Palette, median_cut};
 use super::reel::{Reel, check_settings};
 use super::{BAR, FilmError, FilmFacts, FilmSettings, INK, PLAN, REPLAY, SUCCEEDED, text, text_scale};
-use crate::html::rollouts::space::Phase;
+use re4_rollout::Phase;
 
 /// Hundredths of a second that a control step lasts.
 const STEP_CS: f64 = 5.0;
@@ -173,7 +173,7 @@ fn strip(pixels: &mut Vec<u8>, size: u32, rollout: &SceneRollout, at: usize, pal
 
 fn phase_of(phase: Phase) -> (&'static str, [u8; 3]) {
     match phase {
-        Phase::Bridge => ("BRIDGE", PLAN),
+        Phase::Plan | Phase::Bridge => ("BRIDGE", PLAN),
         Phase::Replay => ("REPLAY", REPLAY),
         Phase::Home => ("HOME", HOME),
     }

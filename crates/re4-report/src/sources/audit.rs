@@ -1,21 +1,21 @@
 //! The HTML page of an audit: what its tables and those of its inputs hold, put into the page's own terms.
 
 use anyhow::{Result, ensure};
-use nalgebra::Vector3;
-use re4_artifact::{Artifact, Label, TableSpec, col_bool, col_f64_or_null, columns, tables};
+use re4_artifact::{Artifact, Row as _, TableSpec, col_bool, col_f64_or_null, columns, tables};
+use re4_audit::{AuditedEpisodeRow, FindingRow, GraspRow};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
+use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+use re4_task::Task;
 
-use crate::html::audit::{Audit, Contacts, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, page};
+use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, page};
 use crate::html::rollouts::plane::block_outline;
 
 /// The artifacts that a page is made of, and what it says of them.
 #[derive(Debug)]
 pub struct AuditSources<'a> {
-    /// Name of the task on the page.
-    pub task: &'static str,
-    /// Whether it is in the plane.
-    pub planar: bool,
+    /// Task of the pipeline.
+    pub task: Task,
     /// The dataset as the pipeline names it.
     pub dataset: String,
     /// The command that makes the page, without the page's own place.
@@ -33,19 +33,19 @@ pub struct AuditSources<'a> {
 /// # Errors
 /// When tables cannot be read, or are not of the same demonstrations.
 pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
-    let planar = sources.planar;
-    let demos: Vec<Demo> = sources.audit.table(&tables::AUDITED_EPISODES)?.read()?;
-    let places = Places(demos.iter().map(|demo| demo.number).collect());
+    let planar = sources.task.is_planar();
+    let demos: Vec<AuditedEpisodeRow> = sources.audit.read()?;
+    let places = Places(demos.iter().map(|demo| demo.episode).collect());
     let segments = segments(sources.modes, planar)?;
     places.hold(
         sources.modes,
-        "segments",
+        SegmentRow::<SegmentFacts>::NAME,
         segments.iter().map(|segment| segment.episode),
     )?;
-    let findings: Vec<Finding> = sources.audit.table(&tables::FINDINGS)?.read()?;
+    let findings: Vec<FindingRow> = sources.audit.read()?;
     places.hold(
         sources.audit,
-        tables::FINDINGS.name,
+        FindingRow::NAME,
         findings.iter().map(|finding| finding.episode),
     )?;
     let grasps = if planar {
@@ -53,19 +53,19 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
     } else {
         grasps(sources.audit)?
     };
-    places.hold(
-        sources.audit,
-        tables::GRASPS.name,
-        grasps.iter().map(|grasp| grasp.episode),
-    )?;
-    let frames: u64 = demos.iter().map(|demo| u64::from(demo.frames)).sum();
+    places.hold(sources.audit, GraspRow::NAME, grasps.iter().map(|grasp| grasp.episode))?;
+    let frames: u64 = demos.iter().map(|demo| demo.frames as u64).sum();
     let (flags, panels) = if planar {
-        PLANAR.read(sources.modes, sources.episodes, [&tables::MODES, &tables::FRAMES])?
+        PLANAR.read(
+            sources.modes,
+            sources.episodes,
+            [ModeRow::<Evidence>::table(), &tables::FRAMES],
+        )?
     } else {
         SPATIAL.read(
             sources.modes,
             sources.episodes,
-            [&tables::SPATIAL_MODES, &tables::SPATIAL_FRAMES],
+            [ModeRow::<SpatialEvidence>::table(), &tables::SPATIAL_FRAMES],
         )?
     };
     let rows = panels
@@ -81,18 +81,18 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
     Ok(page(&Audit {
         tool_version: env!("CARGO_PKG_VERSION").to_owned(),
         dataset: sources.dataset.clone(),
-        task: sources.task.to_owned(),
+        task: sources.task.environment().to_owned(),
         command: sources.command.clone(),
         artifacts: [sources.audit, sources.modes, sources.episodes]
             .map(|artifact| (artifact.manifest().artifact.clone(), artifact.key().to_string()))
             .to_vec(),
-        frame_seconds: if planar { 0.1 } else { 0.05 },
+        frame_seconds: 1.0 / sources.task.control_rate() as f64,
         length: if planar {
             measure("px", 1.0)
         } else {
             measure("mm", 1000.0)
         },
-        checks: sources.audit.table(&tables::CHECKS)?.read()?,
+        checks: sources.audit.read()?,
         findings,
         grasps,
         outline: planar.then(block_outline),
@@ -128,101 +128,56 @@ impl Places {
             "cannot make a page of {}: table {table} names episode {}, which table {} lacks; run the audit again",
             artifact.path().display(),
             foreign.unwrap_or_default(),
-            tables::AUDITED_EPISODES.name
+            AuditedEpisodeRow::NAME
         );
         Ok(())
     }
 }
 
-columns! {
-    /// A segment, in the plane or in space.
-    pub struct AnySegment {
-        /// Demonstration.
-        pub episode: u32,
-        /// Number in it.
-        pub segment: u32,
-        /// Mode.
-        pub mode: Mode,
-        /// First frame.
-        pub first_frame: u32,
-        /// Frame after the last one.
-        pub end_frame: u32,
-        /// Largest distance of the end effector in the object's frame from the grasp.
-        pub rigidity_residual: Option<f64>,
-        /// Distance that the object moves.
-        pub object_displacement: f64,
-    }
-}
-
-columns! {
-    /// What a segment in space has besides.
-    pub struct Held {
-        /// First frame at which the fingers have stopped closing.
-        pub settled_frame: Option<u32>,
-        /// Distance between the fingers there.
-        pub finger_separation: Option<f64>,
-        /// Largest angle from the grasp.
-        pub rigidity_residual_rotation: Option<f64>,
-        /// Height that the object rises.
-        pub object_rise: f64,
-    }
-}
-
 fn segments(modes: &Artifact, planar: bool) -> Result<Vec<Segment>> {
-    let table = modes.table(if planar {
-        &tables::SEGMENTS
-    } else {
-        &tables::SPATIAL_SEGMENTS
-    })?;
-    let rows: Vec<AnySegment> = table.read()?;
-    let held: Vec<Option<Held>> = if planar {
-        vec![None; rows.len()]
-    } else {
-        table.read()?.into_iter().map(Some).collect()
-    };
-    let segments = rows.into_iter().zip(held).map(|(row, held)| Segment {
-        episode: row.episode,
-        number: row.segment,
-        transfer: row.mode == Mode::Transfer,
-        first_frame: row.first_frame,
-        end_frame: row.end_frame,
-        settled_frame: held.as_ref().and_then(|held| held.settled_frame),
-        finger_separation: held.as_ref().and_then(|held| held.finger_separation),
-        residual: row.rigidity_residual,
-        residual_rotation: held.as_ref().and_then(|held| held.rigidity_residual_rotation),
-        object_displacement: row.object_displacement,
-        object_rise: held.map(|held| held.object_rise),
+    if planar {
+        let rows: Vec<SegmentRow<SegmentFacts>> = modes.read()?;
+        let segments = rows.into_iter().map(|row| Segment {
+            residual: row.facts.rigidity_residual,
+            object_displacement: row.facts.object_displacement,
+            ..segment(row.episode, row.segment, &row.facts.segment)
+        });
+        return Ok(segments.collect());
+    }
+    let rows: Vec<SegmentRow<SpatialSegment>> = modes.read()?;
+    let segments = rows.into_iter().map(|row| Segment {
+        settled_frame: row.facts.settled_frame.map(|frame| frame as u32),
+        finger_separation: row.facts.grasp.map(|grasp| grasp.finger_separation),
+        residual: row.facts.grasp.map(|grasp| grasp.residual),
+        residual_rotation: row.facts.grasp.map(|grasp| grasp.residual_rotation),
+        object_displacement: row.facts.object_displacement,
+        object_rise: Some(row.facts.object_rise),
+        ..segment(row.episode, row.segment, &row.facts.segment)
     });
     Ok(segments.collect())
 }
 
-columns! {
-    /// A grasp in space.
-    pub struct SpatialGrasp {
-        /// Demonstration.
-        pub episode: u32,
-        /// Number of its segment.
-        pub segment: u32,
-        /// First frame of the segment.
-        pub first_frame: u32,
-        /// Frame after the last one of the segment.
-        pub end_frame: u32,
-        /// How it went.
-        pub outcome: Label,
-        /// The end effector in the object's frame.
-        pub grasp: Vector3<f64>,
+/// What both domains say of a segment.
+fn segment(episode: u32, number: u32, segment: &re4_episode::Segment) -> Segment {
+    Segment {
+        episode,
+        number,
+        transfer: segment.mode == Mode::Transfer,
+        first_frame: segment.frames.start as u32,
+        end_frame: segment.frames.end as u32,
+        ..Segment::default()
     }
 }
 
 fn grasps(audit: &Artifact) -> Result<Vec<Grasp>> {
-    let rows: Vec<SpatialGrasp> = audit.table(&tables::GRASPS)?.read()?;
+    let rows: Vec<GraspRow> = audit.read()?;
     let grasps = rows.into_iter().map(|row| Grasp {
         episode: row.episode,
-        segment: row.segment,
-        first_frame: row.first_frame,
-        end_frame: row.end_frame,
+        segment: row.segment as u32,
+        first_frame: row.frames.start as u32,
+        end_frame: row.frames.end as u32,
         outcome: row.outcome.to_string(),
-        position: row.grasp.into(),
+        position: row.grasp.translation.vector.into(),
     });
     Ok(grasps.collect())
 }
@@ -237,27 +192,15 @@ columns! {
     }
 }
 
-columns! {
-    /// Whether a frame has contact.
-    pub struct Touch {
-        /// Demonstration.
-        pub episode: u32,
-        /// Frame.
-        pub frame: u32,
-        /// Whether contact was counted; nothing where it is not recorded.
-        pub contact: Option<bool>,
-    }
-}
-
 /// Where the pusher is in the block's frame as contact begins.
 fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment]) -> Result<Vec<Grasp>> {
     let seen: Vec<Seen> = episodes.table(&tables::FRAMES)?.read()?;
-    let touches: Vec<Touch> = modes.table(&tables::MODES)?.read()?;
-    let touching = |touch: &Touch| touch.contact == Some(true);
+    let touches: Vec<ModeRow<Evidence>> = modes.read()?;
+    let touching = |touch: &ModeRow<Evidence>| touch.evidence.contact == Some(true);
     let mut begins = Vec::new();
     for row in 1..touches.len().min(seen.len()) {
-        let Touch { episode, frame, .. } = touches[row];
-        if frame == 0 || touches[row - 1].contact != Some(false) || !touching(&touches[row]) {
+        let ModeRow { episode, frame, .. } = touches[row];
+        if frame == 0 || touches[row - 1].evidence.contact != Some(false) || !touching(&touches[row]) {
             continue;
         }
         let lasting = touches[row..]
@@ -293,7 +236,7 @@ fn contacts(audit: &Artifact) -> Option<Contacts> {
 }
 
 /// Evidence by frame: names of columns, with what they are called on the page.
-struct Evidence {
+struct Shown {
     flags: &'static [(&'static str, &'static str)],
     panels: &'static [(&'static str, &'static str, f64, &'static [Curve])],
 }
@@ -303,7 +246,7 @@ type Curve = (bool, &'static str, &'static str);
 
 const DEGREES: f64 = 180.0 / std::f64::consts::PI;
 
-const SPATIAL: Evidence = Evidence {
+const SPATIAL: Shown = Shown {
     flags: &[
         ("command_closes", "gripper closes"),
         ("holds", "evidence holds"),
@@ -339,7 +282,7 @@ const SPATIAL: Evidence = Evidence {
     ],
 };
 
-const PLANAR: Evidence = Evidence {
+const PLANAR: Shown = Shown {
     flags: &[("contact", "in contact"), ("object_moving", "object moves")],
     panels: &[
         ("Contact points", "", 1.0, &[(false, "contacts", "")]),
@@ -360,7 +303,7 @@ const PLANAR: Evidence = Evidence {
     ],
 };
 
-impl Evidence {
+impl Shown {
     fn read(
         &self,
         modes: &Artifact,

@@ -3,10 +3,11 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, tables};
+use re4_artifact::Artifact;
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
 use serde_json::{Value, json};
 
-use crate::html::audit::{Check, Demo, Finding, Severity};
+use crate::html::audit::SEVERITIES;
 
 /// Findings of one kind that are printed one by one.
 const SHOWN: usize = 12;
@@ -15,9 +16,9 @@ const SHOWN: usize = 12;
 #[derive(Debug)]
 pub struct Findings {
     summary: Value,
-    demos: Vec<Demo>,
-    checks: Vec<Check>,
-    findings: Vec<Finding>,
+    demos: Vec<AuditedEpisodeRow>,
+    checks: Vec<CheckRow>,
+    findings: Vec<FindingRow>,
 }
 
 impl Findings {
@@ -28,15 +29,15 @@ impl Findings {
     pub fn read(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
             summary: artifact.manifest().summary.clone(),
-            demos: artifact.table(&tables::AUDITED_EPISODES)?.read()?,
-            checks: artifact.table(&tables::CHECKS)?.read()?,
-            findings: artifact.table(&tables::FINDINGS)?.read()?,
+            demos: artifact.read()?,
+            checks: artifact.read()?,
+            findings: artifact.read()?,
         })
     }
 
     /// What the demonstration of a finding is called.
-    fn demo(&self, finding: &Finding) -> &str {
-        self.demos.get(finding.episode as usize).map_or("", |demo| &demo.name)
+    fn demo(&self, finding: &FindingRow) -> &str {
+        self.demos.get(finding.episode as usize).map_or("", |demo| &demo.demo)
     }
 
     /// Findings of a severity.
@@ -66,7 +67,7 @@ impl Findings {
             .map(|f| {
                 json!({
                     "severity": f.severity.as_str(), "code": f.code.to_string(), "episode": f.episode, "demo": self.demo(f),
-                    "first_frame": f.first_frame, "end_frame": f.end_frame,
+                    "first_frame": f.frames.start, "end_frame": f.frames.end,
                     "value": f.value, "threshold": f.threshold, "unit": f.unit.to_string(), "message": f.message,
                 })
             })
@@ -133,7 +134,7 @@ impl Findings {
     }
 
     fn write_checks(&self, text: &mut String) -> Result<()> {
-        let found: Vec<&Check> = self.checks.iter().filter(|check| check.findings > 0).collect();
+        let found: Vec<&CheckRow> = self.checks.iter().filter(|check| check.findings > 0).collect();
         if !found.is_empty() {
             write!(
                 text,
@@ -141,7 +142,7 @@ impl Findings {
                 "severity", "check", "findings", "demos"
             )?;
         }
-        for severity in Severity::ALL {
+        for severity in SEVERITIES {
             for check in found.iter().filter(|check| check.severity == severity) {
                 let threshold = check.threshold.map_or_else(
                     || "-".to_owned(),
@@ -180,7 +181,7 @@ impl Findings {
     }
 
     fn write_findings(&self, text: &mut String) -> Result<()> {
-        for severity in Severity::ALL {
+        for severity in SEVERITIES {
             for check in self.checks.iter().filter(|check| check.severity == severity) {
                 self.write_findings_of(&check.code, text)?;
             }
@@ -189,11 +190,11 @@ impl Findings {
     }
 
     fn write_findings_of(&self, code: &str, text: &mut String) -> Result<()> {
-        let found: Vec<&Finding> = self.findings.iter().filter(|finding| finding.code == code).collect();
+        let found: Vec<&FindingRow> = self.findings.iter().filter(|finding| finding.code == code).collect();
         for (place, finding) in found.iter().take(SHOWN).enumerate() {
             // A demonstration that was left out has none.
-            let frames = match finding.end_frame.checked_sub(1) {
-                Some(last) => format!("{}-{last}", finding.first_frame),
+            let frames = match finding.frames.end.checked_sub(1) {
+                Some(last) => format!("{}-{last}", finding.frames.start),
                 None => String::new(),
             };
             if place == 0 {

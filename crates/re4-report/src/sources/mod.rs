@@ -10,12 +10,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use re4_artifact::{Artifact, Key, MANIFEST_NAME, Stage, TableSpec};
+use re4_artifact::{Artifact, Key, MANIFEST_NAME, Row, Stage};
+use re4_policy::kinds::Kinds;
+use re4_rollout::SpaceResultRow;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use crate::html::rollouts::space::Space;
-use crate::html::rollouts::{Demonstration, Rollout, Rollouts, Scene, Table};
+use crate::html::rollouts::{Decided, Demonstration, Rollout, Rollouts, Scene};
 
 /// What the manifest states under a name, which lies at `place` in it.
 ///
@@ -32,7 +33,8 @@ pub fn stated<T: DeserializeOwned>(artifact: &Artifact, place: &str, values: &Va
 
 /// Whether an artifact holds rollouts of a robosuite task.
 pub fn is_spatial(artifact: &Artifact) -> bool {
-    artifact.has_table(Space::table(Table::Results))
+    let domain = || artifact.table_named(SpaceResultRow::NAME).ok()?.domain();
+    artifact.manifest().tables.contains_key(SpaceResultRow::FORMERLY) || domain().as_deref() == Some("space")
 }
 
 /// An artifact that rollouts were made from: beside them, or in the artifacts folder `store`.
@@ -78,25 +80,31 @@ fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
 pub(crate) trait Source: Scene {
     /// What the manifest of an artifact states; `index` is what its demonstrations were retrieved from, where that is there.
     fn stated(artifact: &Artifact, index: Option<&Artifact>) -> Result<Self>;
-
-    /// The settings of a preset as it is.
-    fn preset(name: &str) -> Option<Value>;
 }
 
 /// A `rollouts` artifact.
 fn rollouts<S: Source>(artifact: &Artifact, index: Option<&Artifact>) -> Result<Rollouts<S>> {
     let manifest = artifact.manifest();
     let config = &manifest.config;
-    let preset: String = stated(artifact, "config", config, "preset")?;
+    let mut settings = config["policy"].clone();
+    // Older versions state the kind beside the settings.
+    let preset: String = match settings.as_object_mut().and_then(|settings| settings.remove("kind")) {
+        Some(Value::String(kind)) => kind,
+        _ => stated(artifact, "config", config, "preset")?,
+    };
+    let mut defaults = serde_json::to_value(S::Policies::defaults(&preset))?;
+    if let Some(defaults) = defaults.as_object_mut() {
+        defaults.remove("kind");
+    }
     Ok(Rollouts {
         key: artifact.key().to_string(),
         index_key: input_key(artifact, Stage::Index)?.to_string(),
-        altered: S::preset(&preset).as_ref() != Some(&config["policy"]),
+        altered: defaults != settings,
         preset,
         variant: stated(artifact, "config", config, "variant")?,
         max_steps: stated(artifact, "config", config, "max_steps")?,
         protocol: manifest.summary["protocol"].clone(),
-        settings: config["policy"].clone(),
+        settings,
         scene: S::stated(artifact, index)?,
         rollouts: traces(artifact)?,
     })
@@ -104,24 +112,29 @@ fn rollouts<S: Source>(artifact: &Artifact, index: Option<&Artifact>) -> Result<
 
 /// The rollouts of an artifact, each with its steps and decisions, in the order of its results.
 fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
-    let [results, steps, decisions] = [Table::Results, Table::Steps, Table::Decisions].map(S::table);
-    let results: Vec<S::Result> = artifact.table(results)?.read()?;
-    let mut of_steps = artifact.table(steps)?.read::<S::Step>()?.into_iter();
-    let mut of_decisions = artifact.table(decisions)?.read::<S::Decision>()?.into_iter();
+    let results: Vec<S::Result> = artifact.read()?;
+    let mut steps = artifact.read::<S::Step>()?.into_iter();
+    let cores: Vec<S::Decision> = artifact.read()?;
+    let details: Vec<Option<S::Detail>> = if artifact.has::<S::Detail>() {
+        artifact.read()?.into_iter().map(Some).collect()
+    } else {
+        vec![None; cores.len()]
+    };
+    let mut decisions = cores
+        .into_iter()
+        .zip(details)
+        .map(|(core, detail)| Decided { core, detail });
     let traces = results.into_iter().map(|result| {
-        let [seed, step_count, decision_count] = S::counts(&result);
+        let &core = S::result(&result);
+        let (seed, name) = (core.seed, S::Step::NAME);
+        let steps = of_seed(artifact, name, &mut steps, seed, core.steps, |step| S::step(step).seed)?;
+        let name = S::Decision::NAME;
+        let decisions = of_seed(artifact, name, &mut decisions, seed, core.decisions, |d| d.core().seed)?;
         Ok(Rollout {
             result,
             shown: true,
-            steps: of_seed(artifact, steps, &mut of_steps, seed, step_count, S::seed_of_step)?,
-            decisions: of_seed(
-                artifact,
-                decisions,
-                &mut of_decisions,
-                seed,
-                decision_count,
-                S::seed_of_decision,
-            )?,
+            steps,
+            decisions,
         })
     });
     traces.collect()
@@ -130,7 +143,7 @@ fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
 /// The next rows of a table that lists them in the order of the results: those of a seed.
 fn of_seed<R>(
     artifact: &Artifact,
-    table: &TableSpec,
+    table: &str,
     rows: &mut impl Iterator<Item = R>,
     seed: u32,
     count: u32,
@@ -139,9 +152,8 @@ fn of_seed<R>(
     let found: Vec<R> = rows.take(count as usize).collect();
     ensure!(
         found.len() == count as usize && found.iter().all(|row| seed_of(row) == seed),
-        "cannot report on {}: table {} does not hold the rows of seed {seed} that table results counts; run the rollout again",
-        artifact.path().display(),
-        table.name
+        "cannot report on {}: table {table} does not hold the rows of seed {seed} that table results counts; run the rollout again",
+        artifact.path().display()
     );
     Ok(found)
 }
@@ -153,7 +165,7 @@ fn trace_of<'a, S: Scene>(
     seed: u32,
     what: &str,
 ) -> Result<&'a Rollout<S>> {
-    let found = traces.iter().find(|trace| S::counts(&trace.result)[0] == seed);
+    let found = traces.iter().find(|trace| trace.core().seed == seed);
     found.with_context(|| {
         format!(
             "cannot {what} seed {seed}: the artifact {} has no such rollout; give one of its seeds",
@@ -169,10 +181,10 @@ fn demonstrations<S: Scene>(index: &Artifact, sets: &[Rollouts<S>]) -> Result<BT
         .iter()
         .filter(|set| set.index_key == key)
         .flat_map(|set| set.shown().flat_map(|rollout| &rollout.decisions))
-        .filter_map(S::demo)
+        .filter_map(|decision| decision.core().demo)
         .collect();
     let mut demonstrations: BTreeMap<u32, Demonstration> = BTreeMap::new();
-    for frame in index.table(S::table(Table::Index))?.stream::<S::Frame>()? {
+    for frame in index.table(S::Frame::table())?.stream::<S::Frame>()? {
         let (demo, numbers) = S::frame(&frame?);
         if needed.contains(&demo) {
             demonstrations.entry(demo).or_default().push(numbers);

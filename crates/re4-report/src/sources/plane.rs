@@ -6,14 +6,15 @@ use anyhow::Result;
 use re4_artifact::{Artifact, Stage};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::PolicyConfig;
+use re4_index::{IndexRow, PlanarState};
+use re4_rollout::Phase;
 use re4_sim::{GOAL, coverage};
 use serde_json::Value;
 
 use super::{Source, find_input, inclusive, stated, trace_of, traces};
 use crate::film::{FilmDecision, FilmRollout, FilmState};
-use crate::html::rollouts::plane::{Plane, PlaneDecision, PlaneFrame, Starts, Taken};
-use crate::html::rollouts::{Rollout, Scene as _, Table};
+use crate::html::rollouts::plane::{Plane, Starts, Taken};
+use crate::html::rollouts::{Decided, Rollout, demo_name};
 
 impl Source for Plane {
     fn stated(artifact: &Artifact, _: Option<&Artifact>) -> Result<Self> {
@@ -29,10 +30,6 @@ impl Source for Plane {
             scenes,
             metrics: stated(artifact, "summary", &manifest.summary, "metrics")?,
         })
-    }
-
-    fn preset(name: &str) -> Option<Value> {
-        serde_json::to_value(PolicyConfig::preset(name)?).ok()
     }
 }
 
@@ -86,9 +83,7 @@ pub fn planar_rollout(artifact: &Artifact, seed: u32) -> Result<Rollout<Plane>> 
 pub fn planar_films(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result<(Vec<FilmRollout>, bool)> {
     let traces = traces::<Plane>(artifact)?;
     let index = find_input(artifact, Stage::Index, store)?;
-    let frames: Option<Vec<PlaneFrame>> = index
-        .map(|index| index.table(Plane::table(Table::Index))?.read())
-        .transpose()?;
+    let frames: Option<Vec<IndexRow<PlanarState>>> = index.map(|index| index.read()).transpose()?;
     let films = seeds.iter().map(|&seed| {
         let trace = trace_of(artifact, &traces, seed, "film")?;
         Ok(FilmRollout {
@@ -103,7 +98,7 @@ pub fn planar_films(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result<
 /// The states of a rollout, each with the action that follows on it; the last one with that of the action before it.
 fn states(trace: &Rollout<Plane>) -> Vec<FilmState> {
     let result = &trace.result;
-    let first = (result.agent, result.block, coverage(result.block, GOAL));
+    let first = (result.eef, result.object, coverage(result.object, GOAL));
     let after = trace.steps.iter().map(|step| (step.eef, step.object, step.coverage));
     let actions = trace.steps.iter().chain(trace.steps.last()).map(Some);
     let states = [first].into_iter().chain(after).zip(actions.chain([None]));
@@ -112,28 +107,29 @@ fn states(trace: &Rollout<Plane>) -> Vec<FilmState> {
             pusher,
             block,
             coverage,
-            decision: action.map_or(0, |step| step.decision as usize),
-            replaying: action.is_some_and(|step| step.replays()),
+            decision: action.map_or(0, |step| step.core.decision as usize),
+            replaying: action.is_some_and(|step| step.core.phase == Phase::Replay),
         })
         .collect()
 }
 
-fn decision(decision: &PlaneDecision, frames: Option<&[PlaneFrame]>) -> FilmDecision {
+fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>) -> FilmDecision {
     // What is replayed in transfer is not carried (re4-policy's `reframe`).
-    let carry = match decision.mode {
-        Mode::Transfer => Pose2::IDENTITY,
-        Mode::Transit => decision.delta,
+    let carry = match &decision.detail {
+        Some(detail) if detail.mode == Mode::Transit => detail.delta,
+        _ => Pose2::IDENTITY,
     };
-    let (first, last) = (decision.demo_frame, decision.demo_end);
-    let chunk = frames.map_or(&[][..], |frames| {
-        let start = frames.partition_point(|at| (at.episode, at.frame) < (decision.demo, first));
-        let end = frames.partition_point(|at| (at.episode, at.frame) <= (decision.demo, last));
+    let core = decision.core();
+    let [demo, first, last] = [core.demo, core.demo_frame, core.demo_end].map(Option::unwrap_or_default);
+    let chunk = frames.filter(|_| core.demo.is_some()).map_or(&[][..], |frames| {
+        let start = frames.partition_point(|at| (at.episode, at.frame) < (demo, first));
+        let end = frames.partition_point(|at| (at.episode, at.frame) <= (demo, last));
         frames.get(start..end).unwrap_or_default()
     });
     FilmDecision {
-        demo: decision.demo_name(),
+        demo: demo_name(core),
         frames: (first, last),
         plan: decision.path().map(|[x, y]| Point2::new(x, y)).collect(),
-        chunk: chunk.iter().map(|frame| carry.transform_point(frame.eef)).collect(),
+        chunk: chunk.iter().map(|row| carry.transform_point(row.state.eef)).collect(),
     }
 }

@@ -150,7 +150,7 @@ fn show_only<S: Scene>(sets: &mut [Rollouts<S>], seeds: &[u32]) -> Result<()> {
     let wanted: BTreeSet<u32> = seeds.iter().copied().collect();
     let mut found = BTreeSet::new();
     for rollout in sets.iter_mut().flat_map(|set| &mut set.rollouts) {
-        let [seed, ..] = S::counts(&rollout.result);
+        let seed = rollout.core().seed;
         rollout.shown = wanted.contains(&seed);
         if rollout.shown {
             found.insert(seed);

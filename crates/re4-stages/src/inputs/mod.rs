@@ -1,12 +1,10 @@
 //! Readers of artifacts, and of what lies beside them, that more than one stage uses.
 
+pub(crate) mod by_episode;
 pub(crate) mod demos;
 pub(crate) mod episodes;
 pub(crate) mod estimators;
-pub(crate) mod index;
 pub(crate) mod pictures;
-pub(crate) mod poses;
 pub(crate) mod simulators;
 pub(crate) mod sources;
-pub(crate) mod spatial_index;
 pub(crate) mod starts;

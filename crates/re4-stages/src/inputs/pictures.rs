@@ -20,7 +20,7 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
         format!("holds pictures of {} alone", cameras.join(", "))
     };
     ensure!(
-        manifest.tables.contains_key(tables::CAMERA_IMAGES.name) && cameras.contains(&camera),
+        manifest.tables.contains_key(tables::IMAGES.name) && cameras.contains(&camera),
         "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}; set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera",
         episodes.path().display()
     );

@@ -6,10 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
-use re4_mujoco::{Data, Library};
+use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_pictures};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
+use tracing::{debug, info};
 
 /// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
 pub(crate) fn simulators_folder() -> PathBuf {
@@ -28,28 +29,10 @@ pub(crate) fn assets_folder() -> PathBuf {
 /// The MuJoCo that goes with a version of robosuite.
 pub(crate) fn library(profile: Profile) -> Result<Library> {
     let version = profile.mujoco();
-    Ok(Library::open(
-        &simulators_folder().join(format!("mujoco-{version}")),
-        version,
-    )?)
-}
-
-/// Puts a flattened state (time, coordinates, velocities) into a simulation and computes what a picture of it depends on.
-///
-/// # Errors
-/// When the state has another length than the model's.
-pub(crate) fn set_state(data: &mut Data, state: &[f64]) -> Result<()> {
-    let (nq, nv) = (data.model().nq(), data.model().nv());
-    ensure!(
-        state.len() == 1 + nq + nv,
-        "cannot draw a state of {} numbers: the model has the time, {nq} coordinates and {nv} velocities",
-        state.len()
-    );
-    data.set_time(state[0]);
-    data.qpos_mut().copy_from_slice(&state[1..=nq]);
-    data.qvel_mut().copy_from_slice(&state[1 + nq..]);
-    data.forward();
-    Ok(())
+    let folder = simulators_folder().join(format!("mujoco-{version}"));
+    let library = Library::open(&folder, version)?;
+    info!(%version, folder = %folder.display(), "MuJoCo loaded");
+    Ok(library)
 }
 
 /// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
@@ -115,7 +98,7 @@ impl Scenes {
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
-                text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
+                text = without_contacts(&text, &task.put_away()).map_err(anyhow::Error::msg)?;
             }
             let text = with_assets(&text, &folder).with_context(place)?;
             mjcf.push(text);
@@ -137,6 +120,9 @@ impl Scenes {
     }
 
     /// MJCF of the first demonstration that has a model.
+    ///
+    /// # Errors
+    /// When none has one.
     pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
@@ -144,6 +130,9 @@ impl Scenes {
     }
 
     /// The same MJCF with what is only drawn, and everything touching.
+    ///
+    /// # Errors
+    /// When no demonstration has a model, or an asset is missing.
     pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
@@ -155,12 +144,18 @@ impl Scenes {
     }
 
     /// A scene from MJCF that is not a demonstration's own.
+    ///
+    /// # Errors
+    /// When MuJoCo cannot compile it.
     pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
         Ok(model.with_fidelity(self.fidelity))
     }
 
     /// The scene of a demonstration, by its number in the artifact.
+    ///
+    /// # Errors
+    /// When it has no model, or MuJoCo cannot compile it.
     pub(crate) fn of(&self, demo: u32) -> Result<RobosuiteModel> {
         let number = self
             .of_demo
@@ -182,6 +177,7 @@ impl Scenes {
         }
         let mjcf = self.mjcf.get(number as usize).context("table models ends too early")?;
         let model = self.compile(mjcf)?;
+        debug!(number, demo, "model compiled");
         *place = Some(model.clone());
         Ok(model)
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use re4_artifact::{Artifact, col_text, tables};
 use re4_ingest::LeftOut;
+use tracing::debug;
 
 /// A file of weights, looked for as sources are.
 pub(crate) fn find_weights(weights: &Path) -> Result<PathBuf> {
@@ -28,6 +29,7 @@ pub(crate) fn find_source(source: &Path) -> Result<PathBuf> {
         .map(|folder| folder.join(source))
         .find(|path| path.exists())
     {
+        debug!(path = %found.display(), "source found");
         return Ok(found);
     }
     let looked_below: Vec<String> = data_folders()

@@ -3,12 +3,12 @@
 use anyhow::{Result, bail, ensure};
 use re4_encoder::EncoderConfig;
 use re4_encoder::loss::GROUP;
-use re4_policy::spatial::WhileHeld;
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
+use re4_task::RobosuiteTask;
 
-use super::{Camera, IngestSection, Pipeline, PoseSection, PoseSource, TaskName, Variant};
+use super::{IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
@@ -16,6 +16,10 @@ use super::{Camera, IngestSection, Pipeline, PoseSection, PoseSource, TaskName, 
 /// The first such setting, with the values that it can have.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     pipeline.audit.check()?;
+    ensure!(
+        pipeline.policy.is_none() || pipeline.rollout.is_some(),
+        "there is a table [policy] and none [rollout] that would roll it out; leave it out"
+    );
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
     }
@@ -27,27 +31,7 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         );
         return Ok(());
     };
-    let (retrieve, replan, replay) = (&rollout.retrieve, &rollout.replan, &rollout.replay);
-    between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
-    at_least_one("rollout.retrieve.candidates", retrieve.candidates as u64)?;
-    at_least_one("rollout.replan.iterations", u64::from(replan.iterations))?;
-    at_least_one("rollout.replay.horizon", replay.horizon as u64)?;
-    at_least_one("rollout.replay.stride", replay.stride as u64)?;
-    not_negative("rollout.retrieve.epsilon", retrieve.epsilon)?;
-    not_negative("rollout.retrieve.step_cost", retrieve.step_cost)?;
-    not_negative("rollout.retrieve.motion_cost", retrieve.motion_cost)?;
-    not_negative("rollout.replan.keepout", replan.keepout)?;
-    if let Some(divergence) = replay.divergence {
-        not_negative("rollout.replay.divergence", divergence)?;
-    }
-    long_enough("rollout.replan.step", replan.step)?;
-    long_enough("rollout.replan.spacing", replan.spacing)?;
-    long_enough("rollout.replay.speed", replay.speed)?;
-    let bias = replan.goal_bias;
-    ensure!(
-        (0.0..=1.0).contains(&bias),
-        "rollout.replan.goal_bias is {bias}; it is a share, from 0 to 1"
-    );
+    check_rollout(pipeline, rollout)?;
     match (&pipeline.scenes, &rollout.seeds) {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
@@ -80,7 +64,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "ingest.pusht belongs to Push-T; leave it out"
     );
     ensure!(
-        ingest.object.is_none() || pipeline.task == TaskName::Robosuite,
+        ingest.object.is_none() || pipeline.task == Task::Robosuite,
         "ingest.object is given and the task says which object it is; leave it out, or set task = \"robosuite\""
     );
     ensure!(
@@ -88,7 +72,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "ingest.images is false and ingest.cameras names cameras; leave one of the two out"
     );
     ensure!(
-        !ingest.render.contains(&Camera::Image),
+        renders_own(pipeline),
         "ingest.render names the camera \"image\", which is Push-T's; robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
     );
     ensure!(
@@ -101,34 +85,41 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "the table [scenes] is for Push-T; leave it out, and give rollout.seeds"
     );
     check_spatial_pose(pipeline)?;
-    let Some(rollout) = &pipeline.spatial_rollout else {
+    let Some(rollout) = &pipeline.rollout else {
         return Ok(());
     };
     ensure!(
-        pipeline.task != TaskName::Robosuite,
-        "of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\", or leave the table [rollout] out"
+        pipeline.task != Task::Robosuite,
+        "{}, or leave the table [rollout] out",
+        RobosuiteTask::known()
     );
+    ensure!(
+        pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
+        "variant is \"image\" and rollout.noise gives errors to recorded poses; leave it out"
+    );
+    check_rollout(pipeline, rollout)?;
+    ensure!(
+        rollout.seeds.is_some(),
+        "nothing says where rollouts start; give rollout.seeds, such as \"500..600\""
+    );
+    if let Some(noise) = &rollout.noise {
+        standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
+        standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
+    }
+    Ok(())
+}
+
+/// What rollouts of every task need.
+fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     pipeline.index()?;
     pipeline.pose()?;
     ensure!(
         pipeline.variant.is_some(),
         "nothing says what the policy observes; give variant = \"state\" or variant = \"image\""
     );
-    ensure!(
-        pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
-        "variant is \"image\" and rollout.noise gives errors to recorded poses; leave it out"
-    );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
-    if let Err(error) = rollout.policy_config().check() {
-        bail!("rollout.{error}");
-    }
-    ensure!(
-        pipeline.variant == Some(Variant::Image) || rollout.reframe.held == WhileHeld::Seen,
-        "rollout.reframe.held is \"carried\", which belongs to variant = \"image\"; leave it out"
-    );
-    if let Some(noise) = &rollout.noise {
-        standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
-        standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
+    if let Err(error) = pipeline.policy()?.check(pipeline.variant == Some(Variant::Image)) {
+        bail!("policy.{error}");
     }
     Ok(())
 }
@@ -251,6 +242,12 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
     }
 }
 
+/// Whether the cameras to be rendered are the task's.
+fn renders_own(pipeline: &Pipeline) -> bool {
+    let own = pipeline.task.cameras();
+    pipeline.ingest.render.iter().all(|camera| own.contains(camera))
+}
+
 fn check_render(ingest: &IngestSection) -> Result<()> {
     let repeated = (1..ingest.render.len()).any(|i| ingest.render[..i].contains(&ingest.render[i]));
     ensure!(!repeated, "ingest.render names a camera twice; name each once");
@@ -283,7 +280,7 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
         bail!("ingest.pusht.{why}");
     }
     ensure!(
-        ingest.render.iter().all(|&camera| camera == Camera::Image),
+        renders_own(pipeline),
         "ingest.render names a camera of robosuite's tasks; Push-T's only one is \"image\""
     );
     check_render(ingest)?;
@@ -292,14 +289,6 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
         ensure!(
             index.leave_out.is_empty(),
             "index.leave_out belongs to robosuite's tasks; leave it out"
-        );
-    }
-    if pipeline.rollout.is_some() {
-        pipeline.index()?;
-        pipeline.pose()?;
-        ensure!(
-            pipeline.variant.is_some(),
-            "nothing says what the policy observes; give variant = \"state\" or variant = \"image\""
         );
     }
     match (&pipeline.pose, pipeline.variant) {
@@ -399,13 +388,5 @@ fn at_least_one(name: &str, value: u64) -> Result<()> {
 
 fn not_negative(name: &str, value: f64) -> Result<()> {
     ensure!(value >= 0.0, "{name} is {value}; give 0 or more");
-    Ok(())
-}
-
-/// Shorter steps would cut a way across the window into more way-points than any episode has steps.
-const SHORTEST: f64 = 0.01;
-
-fn long_enough(name: &str, value: f64) -> Result<()> {
-    ensure!(value >= SHORTEST, "{name} is {value} px; give {SHORTEST} or more");
     Ok(())
 }

@@ -16,18 +16,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use load::{load, parse};
-pub use rollout::{NoiseSection, RolloutSection, SpatialRolloutSection};
+pub use re4_task::{Camera, Task};
+pub use rollout::{NoiseSection, Policy, RolloutSection};
 pub use schema::schema;
-pub use sections::{Camera, Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
+pub use sections::{Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
 pub use seeds::Seeds;
-pub use task::{TaskName, Variant};
+pub use task::Variant;
 
 /// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pipeline {
     /// Task of the experiment.
-    pub task: TaskName,
+    pub task: Task,
     /// What the policy observes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variant: Option<Variant>,
@@ -47,12 +48,13 @@ pub struct Pipeline {
     /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenes: Option<ScenesConfig>,
-    /// `index` to `rollouts`, for Push-T.
+    /// The policy that is rolled out.
+    #[serde(skip_deserializing, skip_serializing_if = "Option::is_none")]
+    #[schemars(skip)]
+    pub policy: Option<Policy>,
+    /// `index` to `rollouts`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutSection>,
-    /// `index` to `rollouts`, for robosuite's tasks. In files it is called `rollout`, too.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub spatial_rollout: Option<SpatialRolloutSection>,
 }
 
 impl Pipeline {
@@ -78,19 +80,19 @@ impl Pipeline {
         self.index.as_ref().with_context(|| Self::missing("index"))
     }
 
-    /// How the policy is rolled out, for Push-T.
+    /// The policy.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[policy]`.
+    pub fn policy(&self) -> Result<&Policy> {
+        self.policy.as_ref().with_context(|| Self::missing("policy"))
+    }
+
+    /// How it is rolled out.
     ///
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub fn rollout(&self) -> Result<&RolloutSection> {
         self.rollout.as_ref().with_context(|| Self::missing("rollout"))
-    }
-
-    /// How the policy is rolled out, for robosuite's tasks.
-    ///
-    /// # Errors
-    /// When the pipeline has no table `[rollout]`.
-    pub fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
-        self.spatial_rollout.as_ref().with_context(|| Self::missing("rollout"))
     }
 }

@@ -10,5 +10,6 @@ mod segment;
 mod train_pose;
 
 pub use ingest::{INGEST_WORKER, serve_ingest};
-pub use rollout::{BUDGET_MEASURES, metrics, read_rollouts};
-pub(crate) use rollout::{Lens, Studio, put_renderer_away, unseen};
+pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
+pub use rollout::{BudgetRow, metrics, read_rollouts};
+pub(crate) use rollout::{Made, Watching, studio};

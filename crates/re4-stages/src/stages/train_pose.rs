@@ -11,10 +11,12 @@ use anyhow::{Context as _, Result};
 use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Table, Writer, col_binary, col_f64, col_u32, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage, Table, Writer, col_binary, col_u32, columns, tables};
 use re4_geometry::{Pose2, periodic_distance};
 use re4_policy::DemoNames;
-use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Picture, PictureError, SIDE};
+use re4_pose::{
+    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, LogPolarEstimator, Picture, PictureError, PoseRow, SIDE,
+};
 use re4_stats::spread;
 use serde_json::{Value, json};
 
@@ -25,7 +27,7 @@ use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Every picture of a frame whose number this divides is looked at for the goal; the first of every demonstration is
 /// among them.
@@ -108,34 +110,35 @@ impl Runner {
             .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))
     }
 
-    fn estimate_all(&self, estimator: &LogPolarEstimator, pictures: &Pictures, writer: &Writer) -> Result<Vec<Row>> {
+    fn estimate_all(
+        &self,
+        estimator: &LogPolarEstimator,
+        pictures: &Pictures,
+        writer: &Writer,
+    ) -> Result<Vec<PoseRow<Estimate>>> {
         let bar = self.notes.progress(pictures.table.rows(), "poses");
-        let mut table = writer.table(&tables::POSES)?;
+        let mut table = writer.rows()?;
         let mut all = Vec::with_capacity(pictures.table.rows() as usize);
         for group in 0..pictures.table.row_groups() {
             self.interrupt.check("train-pose")?;
             let rows = pictures.table.read_row_group(group)?;
             let estimates = pictures.map(&rows, |picture| estimator.estimate(picture))?;
-            table.write_columns(pose_columns(&rows, &estimates)?)?;
             bar.inc(estimates.len() as u64);
             let ids = col_u32(&rows, "episode")?.iter().zip(col_u32(&rows, "frame")?);
-            all.extend(ids.zip(estimates).map(|((&episode, &frame), estimate)| Row {
-                episode,
-                frame,
-                estimate,
-            }));
+            for ((&episode, &frame), estimate) in ids.zip(estimates) {
+                let row = PoseRow {
+                    episode,
+                    frame,
+                    estimate,
+                };
+                table.push(&row)?;
+                all.push(row);
+            }
         }
         table.finish()?;
         bar.finish_and_clear();
         Ok(all)
     }
-}
-
-/// A row of table poses.
-struct Row {
-    episode: u32,
-    frame: u32,
-    estimate: Estimate,
 }
 
 /// The pictures of an `episodes` artifact.
@@ -211,35 +214,15 @@ impl Pictures {
 }
 
 fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
-    let pixels = anchor.share().len() as u32;
-    let side = SIDE as u32;
-    let mut table = writer.table(&tables::ANCHOR)?;
-    table.write_columns(
-        Columns::new(&tables::ANCHOR)
-            .u32("row", (0..pixels).map(|i| i / side).collect())
-            .u32("column", (0..pixels).map(|i| i % side).collect())
-            .f64(
-                "goal_share",
-                anchor.share().iter().map(|share| f64::from(*share)).collect(),
-            ),
-    )?;
-    table.finish()?;
+    writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, share)| AnchorRow {
+        row: pixel / SIDE,
+        column: pixel % SIDE,
+        goal_share: f64::from(*share),
+    }))?;
     Ok(())
 }
 
-fn pose_columns(rows: &RecordBatch, estimates: &[Estimate]) -> Result<Columns> {
-    let of = |value: fn(Pose2) -> f64| estimates.iter().map(|e| e.pose.map(value)).collect::<Vec<_>>();
-    Ok(Columns::new(&tables::POSES)
-        .u32("episode", col_u32(rows, "episode")?.to_vec())
-        .u32("frame", col_u32(rows, "frame")?.to_vec())
-        .f64_or_null("object_x", of(|p| p.x))
-        .f64_or_null("object_y", of(|p| p.y))
-        .f64_or_null("object_theta", of(|p| p.theta))
-        .f64("confidence", estimates.iter().map(|e| e.confidence).collect())
-        .text("flag", estimates.iter().map(|e| e.flag.as_str())))
-}
-
-fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
+fn count(rows: &[PoseRow<Estimate>]) -> BTreeMap<&'static str, usize> {
     let mut flags: BTreeMap<_, _> = Flag::ALL.iter().map(|flag| (flag.as_str(), 0)).collect();
     for row in rows {
         *flags.entry(row.estimate.flag.as_str()).or_default() += 1;
@@ -247,7 +230,7 @@ fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
     flags
 }
 
-fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
+fn warnings(rows: &[PoseRow<Estimate>], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
     let mut doubtful = rows.iter().filter(|row| row.estimate.flag != Flag::Clear);
     let Some(first) = doubtful.next() else {
         return Vec::new();
@@ -271,20 +254,20 @@ fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNam
 }
 
 /// How far the estimates are from the recorded poses: a report, which nothing reads.
-fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
-    let table = episodes
-        .table(&tables::FRAMES)?
-        .read_columns(&["object_x", "object_y", "object_theta"])?;
-    let (x, y, theta) = (
-        col_f64(&table, "object_x")?,
-        col_f64(&table, "object_y")?,
-        col_f64(&table, "object_theta")?,
-    );
+fn evaluate(rows: &[PoseRow<Estimate>], episodes: &Artifact) -> Result<Option<Value>> {
+    columns! {
+        /// A recorded pose alone.
+        pub struct Recorded {
+            /// Pose of the block.
+            pub object: Pose2,
+        }
+    }
+    let recorded: Vec<Recorded> = episodes.table(&tables::FRAMES)?.read()?;
     let (mut position, mut angle) = (Vec::new(), Vec::new());
-    for (row, estimate) in rows.iter().map(|row| row.estimate).enumerate() {
-        if let Some(pose) = estimate.pose {
-            position.push((pose.x - x[row]).hypot(pose.y - y[row]));
-            angle.push(periodic_distance(pose.theta, theta[row], TAU).to_degrees());
+    for (row, Recorded { object }) in rows.iter().zip(recorded) {
+        if let Some(pose) = row.estimate.pose {
+            position.push((pose.x - object.x).hypot(pose.y - object.y));
+            angle.push(periodic_distance(pose.theta, object.theta, TAU).to_degrees());
         }
     }
     if position.is_empty() {

@@ -1,8 +1,9 @@
 //! The data that the page's script draws from: one JSON object, its columns by frame packed as base64.
 
+use re4_audit::{AuditedEpisodeRow, FindingRow, Severity};
 use serde_json::{Value, json};
 
-use super::{Audit, Demo, Finding, Flag, Grasp, Panel, Segment, Series, Severity};
+use super::{Audit, Flag, Grasp, Panel, SEVERITIES, Segment, Series};
 use crate::html::pack::{Pack, f32s};
 
 /// A flag that is not known at a frame.
@@ -13,14 +14,14 @@ pub(super) fn json(audit: &Audit) -> Value {
     let place = |episode: u32| {
         audit
             .demos
-            .binary_search_by_key(&episode, |demo| demo.number)
+            .binary_search_by_key(&episode, |demo| demo.episode)
             .unwrap_or_default()
     };
     json!({
         "dataset": audit.dataset,
         "frame_seconds": audit.frame_seconds,
         "length": { "unit": audit.length.unit, "factor": audit.length.factor },
-        "severities": Severity::ALL.map(Severity::as_str),
+        "severities": SEVERITIES.map(Severity::as_str),
         "checks": audit.checks.iter().map(|check| json!({
             "code": check.code.to_string(),
             "severity": severity(check.severity),
@@ -37,13 +38,16 @@ pub(super) fn json(audit: &Audit) -> Value {
 }
 
 fn severity(severity: Severity) -> usize {
-    severity as usize
+    SEVERITIES
+        .iter()
+        .position(|known| *known == severity)
+        .unwrap_or_default()
 }
 
-fn demos(demos: &[Demo]) -> Value {
+fn demos(demos: &[AuditedEpisodeRow]) -> Value {
     Pack::of(demos)
-        .list("number", |d| d.number)
-        .list("name", |d| d.name.as_str())
+        .list("number", |d| d.episode)
+        .list("name", |d| d.demo.as_str())
         .list("frames", |d| d.frames)
         .list("transit", |d| d.transit_frames)
         .list("transfer", |d| d.transfer_frames)
@@ -57,13 +61,13 @@ fn demos(demos: &[Demo]) -> Value {
         .json()
 }
 
-fn findings(findings: &[Finding], place: impl Fn(u32) -> usize) -> Value {
+fn findings(findings: &[FindingRow], place: impl Fn(u32) -> usize) -> Value {
     Pack::of(findings)
         .list("severity", |f| severity(f.severity))
         .list("code", |f| f.code.to_string())
         .list("demo", |f| place(f.episode))
-        .list("first", |f| f.first_frame)
-        .list("end", |f| f.end_frame)
+        .list("first", |f| f.frames.start)
+        .list("end", |f| f.frames.end)
         .list("value", |f| f.value)
         .list("threshold", |f| f.threshold)
         .list("unit", |f| f.unit.to_string())

@@ -1,8 +1,9 @@
 //! The parts of the page.
 
 use maud::{Markup, html};
+use re4_audit::{CheckRow, Severity};
 
-use super::{Audit, Check, Contacts, Severity};
+use super::{Audit, Contacts, SEVERITIES};
 use crate::html::shell::{self, choice, exact, plural, table};
 use re4_stats::median;
 
@@ -53,9 +54,9 @@ fn thousands(count: u64) -> String {
 
 /// The title, what was audited, and what share of it is which mode.
 pub(super) fn header(audit: &Audit) -> Markup {
-    let frames: u64 = audit.demos.iter().map(|d| u64::from(d.frames)).sum();
-    let transit: u64 = audit.demos.iter().map(|d| u64::from(d.transit_frames)).sum();
-    let transfer: u64 = audit.demos.iter().map(|d| u64::from(d.transfer_frames)).sum();
+    let frames: u64 = audit.demos.iter().map(|d| d.frames as u64).sum();
+    let transit: u64 = audit.demos.iter().map(|d| d.transit_frames as u64).sum();
+    let transfer: u64 = audit.demos.iter().map(|d| d.transfer_frames as u64).sum();
     let share = |part: u64| {
         if frames == 0 {
             0.0
@@ -99,7 +100,7 @@ pub(super) fn header(audit: &Audit) -> Markup {
 
 /// What was found, by severity and by kind; buttons that filter.
 pub(super) fn findings(audit: &Audit) -> Markup {
-    let silent: Vec<&Check> = audit.checks.iter().filter(|check| check.findings == 0).collect();
+    let silent: Vec<&CheckRow> = audit.checks.iter().filter(|check| check.findings == 0).collect();
     html! {
         section #found aria-labelledby="found-title" {
             div.heading {
@@ -107,7 +108,7 @@ pub(super) fn findings(audit: &Audit) -> Markup {
                 button.link.gone #clear-filters type="button" { "Show all demonstrations" }
             }
             div.kinds {
-                @for severity in Severity::ALL {
+                @for severity in SEVERITIES {
                     @let count = audit.findings.iter().filter(|f| f.severity == severity).count();
                     @let checks = sorted_checks(audit, severity);
                     div.card.kind {
@@ -157,8 +158,8 @@ fn meaning(severity: Severity) -> &'static str {
 }
 
 /// Checks of a severity that found something, the most frequent first.
-fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&Check> {
-    let mut checks: Vec<&Check> = audit
+fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&CheckRow> {
+    let mut checks: Vec<&CheckRow> = audit
         .checks
         .iter()
         .filter(|check| check.severity == severity && check.findings > 0)
@@ -169,7 +170,8 @@ fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&Check> {
 
 /// Codes of the notes that more than half of the demonstrations have.
 fn usual_notes(audit: &Audit) -> Vec<&str> {
-    let is_usual = |check: &&Check| check.severity == Severity::Note && 2 * check.episodes as usize > audit.demos.len();
+    let is_usual =
+        |check: &&CheckRow| check.severity == Severity::Note && 2 * check.episodes as usize > audit.demos.len();
     let mut codes: Vec<&str> = audit.checks.iter().filter(is_usual).map(|check| &*check.code).collect();
     codes.sort_unstable();
     codes
@@ -208,7 +210,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                     ul.legend {
                         li { span.swatch.transit {} "transit" }
                         li { span.swatch.transfer {} "transfer" }
-                        @for severity in Severity::ALL { li { (glyph(severity)) (severity.as_str()) } }
+                        @for severity in SEVERITIES { li { (glyph(severity)) (severity.as_str()) } }
                     }
                     @if !usual.is_empty() {
                         p.hint { "Not drawn here, since more than half of the demonstrations have it: " (usual.join(", ")) ". Press it above to see where." }

@@ -4,10 +4,10 @@ use serde_json::Value;
 
 use super::*;
 
-fn demo(number: u32, frames: u32) -> Demo {
-    Demo {
-        number,
-        name: format!("demo_{number}"),
+fn demo(episode: u32, frames: usize) -> AuditedEpisodeRow {
+    AuditedEpisodeRow {
+        episode,
+        demo: format!("demo_{episode}"),
         frames,
         transit_frames: frames - 1,
         transfer_frames: 1,
@@ -62,8 +62,8 @@ fn audit() -> Audit {
     }
 }
 
-fn check(code: &str, severity: Severity, findings: u32) -> Check {
-    Check {
+fn check(code: &str, severity: Severity, findings: u32) -> CheckRow {
+    CheckRow {
         code: code.to_owned().into(),
         severity,
         meaning: "what it means".to_owned(),
@@ -77,17 +77,18 @@ fn check(code: &str, severity: Severity, findings: u32) -> Check {
     }
 }
 
-fn finding(episode: u32) -> Finding {
-    Finding {
+fn finding(episode: u32) -> FindingRow {
+    FindingRow {
+        finding: 0,
         severity: Severity::Error,
         code: "grasp_lost".into(),
         episode,
-        first_frame: 0,
-        end_frame: 1,
+        frames: 0..1,
         value: Some(0.1 + 0.2),
         threshold: None,
         unit: "m".into(),
         message: "it </script> slipped".to_owned(),
+        demo_name: None,
     }
 }
 

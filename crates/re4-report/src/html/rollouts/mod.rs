@@ -12,7 +12,9 @@ use maud::{Markup, html};
 use serde_json::{Map, Value, json};
 
 use self::facts::Facts;
-use re4_artifact::{Cell, TableSpec};
+use re4_artifact::Row;
+use re4_policy::kinds::Kinds;
+use re4_rollout::{DecisionCore, ResultCore, StepCore};
 
 use super::pack::{Pack, f32s};
 use super::shell::{Column, Document};
@@ -59,14 +61,37 @@ pub struct Rollouts<S: Scene> {
 /// One rollout.
 #[derive(Debug, Clone)]
 pub struct Rollout<S: Scene> {
-    /// Its figures.
+    /// Its row in table results.
     pub result: S::Result,
     /// Whether the viewer holds it; if not, its figures alone are on the page.
     pub shown: bool,
     /// Control steps.
     pub steps: Vec<S::Step>,
     /// Decisions.
-    pub decisions: Vec<S::Decision>,
+    pub decisions: Vec<Decided<S>>,
+}
+
+/// A decision.
+#[derive(Debug, Clone)]
+pub struct Decided<S: Scene> {
+    /// What every policy says.
+    pub core: S::Decision,
+    /// What RE4 says besides; nothing of other policies.
+    pub detail: Option<S::Detail>,
+}
+
+impl<S: Scene> Rollout<S> {
+    /// What all scenes say of it.
+    pub fn core(&self) -> &ResultCore {
+        S::result(&self.result)
+    }
+}
+
+impl<S: Scene> Decided<S> {
+    /// What all scenes say of it.
+    pub fn core(&self) -> &DecisionCore {
+        S::decision(&self.core)
+    }
 }
 
 impl<S: Scene> Rollouts<S> {
@@ -82,53 +107,50 @@ impl<S: Scene> Rollouts<S> {
 
     fn data(&self, label: &str, extra: &S::Extra) -> Value {
         let shown: Vec<usize> = (0..self.rollouts.len()).filter(|&i| self.rollouts[i].shown).collect();
-        let counts = Pack::of(&self.rollouts)
-            .list("seed", |r| S::counts(&r.result)[0])
+        let results = Pack::of(&self.rollouts)
+            .list("seed", |r| r.core().seed)
+            .list("success", |r| u8::from(r.core().success))
             .list("steps", |r| r.steps.len())
             .list("decisions", |r| r.decisions.len());
+        let steps = Pack::of(self.shown().flat_map(|r| &r.steps))
+            .u32("decision", |s| S::step(s).decision)
+            .u8("phase", |s| S::step(s).phase as u8);
+        let decisions = Pack::of(self.shown().flat_map(|r| &r.decisions))
+            .u32("step", |d| d.core().step)
+            .u32("demo", |d| d.core().demo.unwrap_or(NONE))
+            .u32("demo_frame", |d| d.core().demo_frame.unwrap_or(NONE))
+            .u32("demo_end", |d| d.core().demo_end.unwrap_or(NONE))
+            .u8("detailed", |d| u8::from(d.detail.is_some()))
+            .list("kind", |d| d.core().kind.as_deref().unwrap_or("retrieve").to_owned())
+            .list("reason", |d| d.core().reason.as_str())
+            .list("demo_name", |d| demo_name(d.core()));
         let pack = Pack::of([])
             .with("label", json!(label))
             .with("key", json!(self.key))
             .with("index", json!(self.index_key))
             .with("noun", json!(self.scene.noun()))
             .with("max_steps", json!(self.max_steps))
-            .with("rollouts", S::pack_results(counts).json())
+            .with("rollouts", S::pack_results(results).json())
             .with("shown", json!(shown))
             .with("starts", f32s(self.shown().flat_map(S::start)))
-            .with(
-                "steps",
-                S::pack_steps(Pack::of(self.shown().flat_map(|r| &r.steps)), self).json(),
-            )
-            .with(
-                "decisions",
-                S::pack_decisions(Pack::of(self.shown().flat_map(|r| &r.decisions))).json(),
-            );
+            .with("steps", S::pack_steps(steps, self).json())
+            .with("decisions", S::pack_decisions(decisions).json());
         S::pack_more(pack, self, extra).json()
     }
 }
 
-/// What the demonstration of a decision is called; nothing on the way home. Artifacts of older versions have numbers in the
+/// What the demonstration of a decision is called; nothing where none is followed. Artifacts of older versions have numbers in the
 /// index alone.
-pub(crate) fn demo_name(number: Option<u32>, name: Option<&str>) -> String {
-    match (number, name) {
-        (_, Some(name)) => name.to_owned(),
+pub(crate) fn demo_name(core: &DecisionCore) -> String {
+    match (core.demo, &core.demo_name) {
+        (_, Some(name)) => name.clone(),
         (Some(number), None) => format!("demonstration {number}"),
         (None, None) => String::new(),
     }
 }
 
-/// Tables that the page is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Table {
-    /// One row a rollout.
-    Results,
-    /// One row a control step.
-    Steps,
-    /// One row a decision.
-    Decisions,
-    /// One row a frame of the demonstrations that were retrieved from, in the index.
-    Index,
-}
+/// A number that is not there.
+const NONE: u32 = u32::MAX;
 
 /// The words of a kind of page.
 #[derive(Debug)]
@@ -152,13 +174,17 @@ pub struct Words {
 /// What the page shows of rollouts and how, in the plane or in space.
 pub trait Scene: Clone + std::fmt::Debug {
     /// A rollout's row.
-    type Result: Cell + Clone + std::fmt::Debug;
+    type Result: Row + Clone + std::fmt::Debug;
     /// A control step's row.
-    type Step: Cell + Clone + std::fmt::Debug;
+    type Step: Row + Clone + std::fmt::Debug;
     /// A decision's row.
-    type Decision: Cell + Clone + std::fmt::Debug;
+    type Decision: Row + Clone + std::fmt::Debug;
+    /// The row of what RE4 says of a decision.
+    type Detail: Row + Clone + std::fmt::Debug;
     /// The row of a demonstration's frame in the index.
-    type Frame: Cell;
+    type Frame: Row;
+    /// Kinds of policies.
+    type Policies: Kinds;
     /// What is worked out of an artifact once.
     type Extra;
 
@@ -169,8 +195,6 @@ pub trait Scene: Clone + std::fmt::Debug {
     /// Its parts of the script, which give what `script/traces.js`, `viewer.js`, `timeline.js` and `table.js` ask for.
     const SCRIPT: &'static [&'static str];
 
-    /// The tables with these rows.
-    fn table(table: Table) -> &'static TableSpec;
     /// What a rollout's number is called: seed or scene.
     fn noun(&self) -> &'static str;
     /// What the rollouts are of.
@@ -193,24 +217,22 @@ pub trait Scene: Clone + std::fmt::Debug {
         [html! {}, html! {}]
     }
 
-    /// A rollout's seed, and how many steps and decisions it has.
-    fn counts(result: &Self::Result) -> [u32; 3];
-    /// The rollout that a step is of.
-    fn seed_of_step(step: &Self::Step) -> u32;
-    /// The rollout that a decision is of.
-    fn seed_of_decision(decision: &Self::Decision) -> u32;
-    /// The demonstration that a decision retrieved.
-    fn demo(decision: &Self::Decision) -> Option<u32>;
+    /// What all scenes say of a rollout.
+    fn result(row: &Self::Result) -> &ResultCore;
+    /// What all scenes say of a step.
+    fn step(row: &Self::Step) -> &StepCore;
+    /// What all scenes say of a decision.
+    fn decision(row: &Self::Decision) -> &DecisionCore;
     /// The demonstration that a frame is of, and its numbers.
     fn frame(frame: &Self::Frame) -> (u32, Vec<f64>);
     /// Numbers of a rollout's first state.
     fn start(rollout: &Rollout<Self>) -> Vec<f64>;
-    /// What the script reads of rollouts, beside seed and counts.
+    /// What the script reads of rollouts, beside what all scenes say.
     fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>>;
     /// What it reads of control steps.
     fn pack_steps<'a>(pack: Pack<'a, Self::Step>, artifact: &'a Rollouts<Self>) -> Pack<'a, Self::Step>;
     /// What it reads of decisions.
-    fn pack_decisions(pack: Pack<'_, Self::Decision>) -> Pack<'_, Self::Decision>;
+    fn pack_decisions(pack: Pack<'_, Decided<Self>>) -> Pack<'_, Decided<Self>>;
     /// What else it reads of an artifact.
     fn pack_more<'a>(pack: Pack<'a, Self>, artifact: &Rollouts<Self>, extra: &Self::Extra) -> Pack<'a, Self>;
 }

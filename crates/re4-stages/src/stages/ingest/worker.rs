@@ -18,6 +18,7 @@ use indicatif::ProgressBar;
 use re4_artifact::Key;
 use re4_ingest::robomimic::SourcesIdentity;
 use serde::{Deserialize, Serialize};
+use tracing::info;
 
 use crate::interrupt::Interrupt;
 use crate::pipeline::Pipeline;
@@ -193,6 +194,7 @@ fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Resul
         .stderr(Stdio::piped())
         .spawn()
         .context("cannot start another process to read HDF5 in; end other programs and run again")?;
+    info!(process = child.id(), source = %order.source.display(), cautious = order.cautious, "worker started to read HDF5");
     interrupt.set_worker(Some(child.id()));
     let mut line = serde_json::to_vec(order)?;
     line.push(b'\n');
@@ -220,6 +222,7 @@ fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Resul
     };
     interrupt.set_worker(None);
     let status = status.context("cannot learn how the process that reads HDF5 ended")?;
+    info!(%status, "worker ended");
     match ended {
         // The artifact is published, however long the worker took to go.
         Ended::Word(word @ (Word::Done | Word::Models(_))) => return Ok(word),

@@ -3,16 +3,16 @@
 
 use anyhow::{Context as _, Result, ensure};
 use nalgebra::Isometry3;
-use re4_artifact::{Artifact, Columns, Writer, tables};
+use re4_artifact::{Artifact, Writer};
 use re4_episode::Mode;
 use re4_geometry::spatial::rotation_vector;
+use re4_pose::PoseErrorRow;
 use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
 use re4_stats::spread;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::spatial_index::orientation_to_site;
-use crate::pipeline::TaskName;
+use crate::pipeline::Task;
 
 /// Quantiles that are stated of errors.
 const SHARES: [f64; 2] = [0.5, 0.9];
@@ -34,7 +34,7 @@ pub(super) fn evaluate(
     modes: &Artifact,
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
-    task: TaskName,
+    task: Task,
 ) -> Result<Value> {
     let symmetry = task.symmetry();
     let demonstrations = read(episodes, modes, poses, trained_on)?;
@@ -53,7 +53,6 @@ fn read(
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
 ) -> Result<Vec<Demonstration>> {
-    let to_site = orientation_to_site(episodes)?;
     let mut estimates = poses.iter().zip(trained_on);
     let mut demonstrations = Vec::with_capacity(poses.len());
     for demo in SegmentedEpisodes::open(episodes, modes)? {
@@ -79,7 +78,7 @@ fn read(
             phases: GraspPhase::of(&held),
             estimated: poses.clone(),
             recorded: frames.iter().map(|frame| frame.object).collect(),
-            eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
+            eef: frames.iter().map(|frame| frame.eef).collect(),
         });
     }
     ensure!(
@@ -91,23 +90,18 @@ fn read(
 }
 
 fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Measured>) -> Result<()> {
-    let mut table = writer.table(&tables::POSE_ERRORS)?;
+    let mut table = writer.rows()?;
     let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
     for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
         // Every frame has an estimate.
-        let errors: Vec<FrameError> = errors.iter().flatten().copied().collect();
-        let column = |value: fn(&FrameError) -> f64| errors.iter().map(value).collect::<Vec<_>>();
-        table.write_columns(
-            Columns::new(&tables::POSE_ERRORS)
-                .u32("episode", vec![episode; errors.len()])
-                .u32("frame", (0..errors.len() as u32).collect())
-                .bool("trained_on", vec![demo.trained_on; errors.len()])
-                .text("phase", demo.phases.iter().map(|phase| phase.as_str()))
-                .f64("translation", column(|e| e.translation))
-                .f64("translation_at_grasp", column(|e| e.translation_at_grasp))
-                .f64("rotation", column(|e| e.rotation))
-                .bool("half_turn", errors.iter().map(|e| e.half_turn).collect()),
-        )?;
+        let errors = (0..).zip(&demo.phases).zip(errors.iter().flatten());
+        table.extend(errors.map(|((frame, &phase), &error)| PoseErrorRow {
+            episode,
+            frame,
+            trained_on: demo.trained_on,
+            phase,
+            error,
+        }))?;
     }
     table.finish()?;
     Ok(())

@@ -1,9 +1,10 @@
 //! What fewer steps would reach.
 
+use re4_rollout::PlaneStepRow;
 use re4_stats::{Interval, budgets, mean, mean_interval, running_maxima};
 use serde::Serialize;
 
-use super::{Plane, PlaneStep};
+use super::Plane;
 use crate::html::rollouts::Rollouts;
 
 /// Seed of the bootstrap; the same as that of the artifacts' own summaries, so that the last budget has their interval.
@@ -37,7 +38,7 @@ impl Curve {
             .filter(|step| step % spacing == 0 || *step == artifact.max_steps)
             .collect();
         // One column a budget, one value a rollout.
-        let columns = |value: fn(&PlaneStep) -> f64, at: &[u32]| -> Vec<Vec<f64>> {
+        let columns = |value: fn(&PlaneStepRow) -> f64, at: &[u32]| -> Vec<Vec<f64>> {
             let mut columns = vec![Vec::with_capacity(artifact.rollouts.len()); at.len()];
             for rollout in &artifact.rollouts {
                 let values: Vec<f64> = rollout.steps.iter().map(value).collect();

@@ -5,16 +5,19 @@ mod paper;
 mod sections;
 
 use maud::Markup;
-use re4_artifact::{Label, TableSpec, columns, tables};
+use re4_artifact::Label;
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
+use re4_index::{IndexRow, PlanarState};
+use re4_policy::kinds::{PlanePolicy, PlaneRe4Row};
+use re4_rollout::{DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, ResultCore, StepCore};
 use re4_sim::{AGENT_RADIUS, GOAL, SUCCESS_COVERAGE};
 use re4_stats::Interval;
 use serde_json::json;
 
 pub use self::curve::Curve;
 use super::facts::told_apart;
-use super::{Rollout, Rollouts, Scene, Table, Words, demo_name};
+use super::{Decided, NONE, Rollout, Rollouts, Scene, Words};
 use crate::html::pack::Pack;
 use crate::html::shell::plural;
 
@@ -68,140 +71,21 @@ pub struct Metrics {
     pub success_rate: Interval,
 }
 
-columns! {
-    /// A rollout: its first state and what it reached.
-    pub struct PlaneResult {
-        /// Seed of its scene, or number of its scene.
-        pub seed: u32,
-        /// Pusher in the first state.
-        pub agent: Point2,
-        /// Block in the first state.
-        pub block: Pose2,
-        /// Greatest coverage.
-        pub coverage_max: f64,
-        /// Greatest intersection over union.
-        pub iou_max: f64,
-        /// Greatest scaled score.
-        pub score_max: f64,
-        /// Coverage in the last state.
-        pub coverage_final: f64,
-        /// Whether it succeeded.
-        pub success: bool,
-        /// Control steps.
-        pub steps: u32,
-        /// Decisions.
-        pub decisions: u32,
+impl Decided<Plane> {
+    /// A whole number that RE4 states.
+    fn count(&self, value: fn(&PlaneRe4Row) -> u32) -> u32 {
+        self.detail.as_ref().map_or(NONE, value)
     }
-}
 
-columns! {
-    /// A control step.
-    pub struct PlaneStep {
-        /// Rollout.
-        pub seed: u32,
-        /// Target sent.
-        pub action: Point2,
-        /// Pusher after the step.
-        pub eef: Point2,
-        /// Block after the step.
-        pub object: Pose2,
-        /// Coverage after the step.
-        pub coverage: f64,
-        /// Scaled score after the step.
-        pub score: f64,
-        /// Decision that the action follows from.
-        pub decision: u32,
-        /// What the action is part of: plan or replay.
-        pub phase: Label,
-        /// Pose of the block that the policy was given before the step, where it was estimated.
-        pub observed_object: Option<Pose2>,
-        /// Confidence of that estimate, 0 to 1.
-        pub pose_confidence: Option<f64>,
-        /// What the estimator says of it, in a word.
-        pub pose_flag: Option<Label>,
-    }
-}
-
-impl PlaneStep {
-    /// Whether the action replays a chunk; else it follows a plan.
-    pub(crate) fn replays(&self) -> bool {
-        self.phase == "replay"
-    }
-}
-
-columns! {
-    /// A decision.
-    pub struct PlaneDecision {
-        /// Rollout.
-        pub seed: u32,
-        /// Control steps taken before it.
-        pub step: u32,
-        /// Mode of the demonstration; in transfer a chunk is replayed where it was recorded.
-        pub mode: Mode,
-        /// Rule that chose.
-        pub selector: Label,
-        /// Pose of the block that the decision was taken on.
-        pub query_object: Pose2,
-        /// Retrieved demonstration, by its number in the index.
-        pub demo: u32,
-        /// Its name in its source, where the artifact has names.
-        pub demo_name: Option<String>,
-        /// First frame of the chunk.
-        pub demo_frame: u32,
-        /// Last frame of the chunk, included.
-        pub demo_end: u32,
-        /// Demonstrations or chunks compared.
-        pub compared: u32,
-        /// Distance of the states, where the rule has it.
-        pub d_q: Option<f64>,
-        /// Distance of the object poses, where the rule has it.
-        pub d_o: Option<f64>,
-        /// Motion that carries the demonstration's object onto ours.
-        pub delta: Pose2,
-        /// Where the chunk starts.
-        pub set_point: Point2,
-        /// How it was planned to get there.
-        pub plan: Label,
-        /// Control steps of the plan.
-        pub plan_steps: u32,
-        /// Nodes searched.
-        pub plan_nodes: u32,
-        /// The plan as a polyline: x and y by turns.
-        pub plan_path: Vec<f64>,
-        /// Control steps of the chunk.
-        pub replay_steps: u32,
-        /// Expected pose of the block after the chunk.
-        pub predicted_object: Pose2,
-        /// Coverage there.
-        pub predicted_coverage: f64,
-        /// The decision in words.
-        pub reason: String,
-    }
-}
-
-columns! {
-    /// A frame of a demonstration.
-    pub struct PlaneFrame {
-        /// Demonstration.
-        pub episode: u32,
-        /// Its number in it.
-        pub frame: u32,
-        /// Pusher.
-        pub eef: Point2,
-        /// Block.
-        pub object: Pose2,
-    }
-}
-
-impl PlaneDecision {
-    /// What the demonstration is called.
-    pub(crate) fn demo_name(&self) -> String {
-        demo_name(Some(self.demo), self.demo_name.as_deref())
+    /// Numbers that it states.
+    fn numbers<const N: usize>(&self, value: impl Fn(&PlaneRe4Row) -> [f64; N]) -> [f64; N] {
+        self.detail.as_ref().map_or([f64::NAN; N], value)
     }
 
     /// The points of the plan.
     pub(crate) fn path(&self) -> impl Iterator<Item = [f64; 2]> {
-        self.plan_path.as_chunks().0.iter().copied()
+        let path = self.detail.iter().flat_map(|detail| detail.plan_path.as_chunks().0);
+        path.copied()
     }
 }
 
@@ -221,10 +105,12 @@ pub(crate) fn block_outline() -> Vec<[f64; 2]> {
 }
 
 impl Scene for Plane {
-    type Result = PlaneResult;
-    type Step = PlaneStep;
-    type Decision = PlaneDecision;
-    type Frame = PlaneFrame;
+    type Result = PlaneResultRow;
+    type Step = PlaneStepRow;
+    type Decision = PlaneDecisionRow;
+    type Detail = PlaneRe4Row;
+    type Frame = IndexRow<PlanarState>;
+    type Policies = PlanePolicy;
     type Extra = Curve;
 
     const WORDS: Words = Words {
@@ -261,15 +147,6 @@ impl Scene for Plane {
         include_str!("script/scene.js"),
         include_str!("script/viewer.js"),
     ];
-
-    fn table(table: Table) -> &'static TableSpec {
-        match table {
-            Table::Results => &tables::RESULTS,
-            Table::Steps => &tables::STEPS,
-            Table::Decisions => &tables::DECISIONS,
-            Table::Index => &tables::INDEX,
-        }
-    }
 
     fn noun(&self) -> &'static str {
         match self.starts {
@@ -332,29 +209,28 @@ impl Scene for Plane {
         [sections::paper_table(), sections::budgets(labels, curves)]
     }
 
-    fn counts(result: &PlaneResult) -> [u32; 3] {
-        [result.seed, result.steps, result.decisions]
+    fn result(row: &PlaneResultRow) -> &ResultCore {
+        &row.core
     }
 
-    fn seed_of_step(step: &PlaneStep) -> u32 {
-        step.seed
+    fn step(row: &PlaneStepRow) -> &StepCore {
+        &row.core
     }
 
-    fn seed_of_decision(decision: &PlaneDecision) -> u32 {
-        decision.seed
+    fn decision(row: &PlaneDecisionRow) -> &DecisionCore {
+        &row.core
     }
 
-    fn demo(decision: &PlaneDecision) -> Option<u32> {
-        Some(decision.demo)
-    }
-
-    fn frame(frame: &PlaneFrame) -> (u32, Vec<f64>) {
-        (frame.episode, [&point(frame.eef)[..], &pose(frame.object)].concat())
+    fn frame(frame: &IndexRow<PlanarState>) -> (u32, Vec<f64>) {
+        (
+            frame.episode,
+            [&point(frame.state.eef)[..], &pose(frame.state.object)].concat(),
+        )
     }
 
     fn start(rollout: &Rollout<Self>) -> Vec<f64> {
         let result = &rollout.result;
-        [&point(result.agent)[..], &pose(result.block)].concat()
+        [&point(result.eef)[..], &pose(result.object)].concat()
     }
 
     fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>> {
@@ -362,19 +238,18 @@ impl Scene for Plane {
             .list("coverage", |r| r.result.coverage_max)
             .list("iou", |r| r.result.iou_max)
             .list("coverage_final", |r| r.result.coverage_final)
-            .list("success", |r| u8::from(r.result.success))
     }
 
-    fn pack_steps<'a>(pack: Pack<'a, PlaneStep>, _: &Rollouts<Self>) -> Pack<'a, PlaneStep> {
+    fn pack_steps<'a>(pack: Pack<'a, PlaneStepRow>, _: &Rollouts<Self>) -> Pack<'a, PlaneStepRow> {
+        // A recorded pose is not shown once more.
+        let observed = |s: &PlaneStepRow| s.seen.filter(|_| s.pose_flag.is_some());
         pack.f32("action", |s| point(s.action))
             .f32("eef", |s| point(s.eef))
             .f32("object", |s| pose(s.object))
             .f64("coverage", |s| [s.coverage])
-            .u32("decision", |s| s.decision)
-            .u8("replay", |s| u8::from(s.replays()))
             .where_any(
-                |s| s.observed_object.is_some(),
-                |pack| pack.f32("observed", |s| s.observed_object.map_or([f64::NAN; 3], pose)),
+                |s| observed(s).is_some(),
+                |pack| pack.f32("observed", |s| observed(s).map_or([f64::NAN; 3], pose)),
             )
             .where_any(
                 |s| s.pose_confidence.is_some(),
@@ -386,29 +261,32 @@ impl Scene for Plane {
             )
     }
 
-    fn pack_decisions(pack: Pack<'_, PlaneDecision>) -> Pack<'_, PlaneDecision> {
-        pack.u32("step", |d| d.step)
-            .u32("demo", |d| d.demo)
-            .u32("demo_frame", |d| d.demo_frame)
-            .u32("demo_end", |d| d.demo_end)
-            .u32("compared", |d| d.compared)
-            .u32("plan_steps", |d| d.plan_steps)
-            .u32("plan_nodes", |d| d.plan_nodes)
-            .u32("replay_steps", |d| d.replay_steps)
-            .u8("transfer", |d| u8::from(d.mode == Mode::Transfer))
-            .f64("d_q", |d| [d.d_q.unwrap_or(f64::NAN)])
-            .f64("d_o", |d| [d.d_o.unwrap_or(f64::NAN)])
-            .f64("predicted_coverage", |d| [d.predicted_coverage])
-            .f64("delta", |d| pose(d.delta))
-            .f64("set_point", |d| point(d.set_point))
-            .f32("object", |d| pose(d.query_object))
-            .f32("predicted", |d| pose(d.predicted_object))
+    fn pack_decisions(pack: Pack<'_, Decided<Self>>) -> Pack<'_, Decided<Self>> {
+        let word = |word: fn(&PlaneRe4Row) -> &Label| {
+            move |d: &Decided<Self>| {
+                d.detail
+                    .as_ref()
+                    .map_or(String::new(), |detail| word(detail).to_string())
+            }
+        };
+        pack.u32("compared", |d| d.count(|d| d.compared))
+            .u32("plan_steps", |d| d.count(|d| d.plan_steps))
+            .u32("plan_nodes", |d| d.count(|d| d.plan_nodes))
+            .u32("replay_steps", |d| d.count(|d| d.replay_steps))
+            .u8("transfer", |d| {
+                u8::from(d.detail.as_ref().is_some_and(|d| d.mode == Mode::Transfer))
+            })
+            .f64("d_q", |d| d.numbers(|d| [d.d_q.unwrap_or(f64::NAN)]))
+            .f64("d_o", |d| d.numbers(|d| [d.d_o.unwrap_or(f64::NAN)]))
+            .f64("predicted_coverage", |d| d.numbers(|d| [d.predicted_coverage]))
+            .f64("delta", |d| d.numbers(|d| pose(d.delta)))
+            .f64("set_point", |d| d.numbers(|d| point(d.set_point)))
+            .f32("object", |d| d.core.query_object.map_or([f64::NAN; 3], pose))
+            .f32("predicted", |d| d.numbers(|d| pose(d.predicted_object)))
             .u32("path_length", |d| d.path().count() as u32)
             .f32s("path", |d| d.path().flatten())
-            .list("plan", |d| d.plan.to_string())
-            .list("selector", |d| d.selector.to_string())
-            .list("reason", |d| d.reason.as_str())
-            .list("demo_name", PlaneDecision::demo_name)
+            .list("plan", word(|d| &d.plan))
+            .list("selector", word(|d| &d.selector))
     }
 
     fn pack_more<'a>(pack: Pack<'a, Self>, _: &Rollouts<Self>, curve: &Curve) -> Pack<'a, Self> {

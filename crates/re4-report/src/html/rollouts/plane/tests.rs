@@ -6,70 +6,95 @@ use re4_stats::mean;
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
+use re4_rollout::Phase;
+
 use super::super::facts::Facts;
 use super::*;
-use crate::html::rollouts::{Report, page};
+use crate::html::rollouts::{Report, demo_name, page};
 
-fn step(coverage: f64, decision: u32, replay: bool) -> PlaneStep {
-    PlaneStep {
-        seed: 0,
+fn step(coverage: f64, replay: bool) -> PlaneStepRow {
+    PlaneStepRow {
+        core: StepCore {
+            seed: 0,
+            step: 0,
+            decision: 0,
+            phase: if replay { Phase::Replay } else { Phase::Plan },
+            asked_object: None,
+            asked_images: None,
+        },
         action: Point2::new(100.5, 200.25),
         eef: Point2::new(101.0, 201.0),
         object: Pose2::new(256.0, 250.0, 0.5),
+        contacts: 0.0,
         coverage,
+        iou: coverage / 2.0,
         score: (coverage / 0.95).min(1.0),
-        decision,
-        phase: Label::from(if replay { "replay" } else { "plan" }),
-        observed_object: None,
+        seen: None,
         pose_confidence: None,
         pose_flag: None,
     }
 }
 
-fn decision(reason: &str) -> PlaneDecision {
-    PlaneDecision {
-        seed: 0,
-        step: 0,
-        mode: Mode::Transit,
-        selector: Label::from("two_stage"),
-        query_object: Pose2::new(256.0, 240.0, 0.5),
-        demo: 7,
-        demo_name: Some("episode 31".to_owned()),
-        demo_frame: 1,
-        demo_end: 2,
-        compared: 3,
-        d_q: Some(0.125),
-        d_o: None,
-        delta: Pose2::new(1.0, 2.0, 0.1),
-        set_point: Point2::new(10.0, 20.0),
-        plan: Label::from("direct"),
-        plan_steps: 1,
-        plan_nodes: 0,
-        plan_path: vec![1.0, 2.0, 10.0, 20.0],
-        replay_steps: 2,
-        predicted_object: Pose2::new(256.0, 256.0, 0.7),
-        predicted_coverage: 0.875,
-        reason: reason.to_owned(),
+fn decision(reason: &str) -> Decided<Plane> {
+    Decided {
+        core: PlaneDecisionRow {
+            core: DecisionCore {
+                seed: 0,
+                decision: 0,
+                step: 0,
+                kind: None,
+                demo: Some(7),
+                demo_frame: Some(1),
+                demo_end: Some(2),
+                reason: reason.to_owned(),
+                demo_name: Some("episode 31".to_owned()),
+            },
+            query_eef: Point2::new(50.0, 60.0),
+            query_object: Some(Pose2::new(256.0, 240.0, 0.5)),
+        },
+        detail: Some(PlaneRe4Row {
+            seed: 0,
+            decision: 0,
+            mode: Mode::Transit,
+            selector: Label::from("two_stage"),
+            compared: 3,
+            d_q: Some(0.125),
+            d_o: None,
+            delta: Pose2::new(1.0, 2.0, 0.1),
+            set_point: Point2::new(10.0, 20.0),
+            plan: Label::from("direct"),
+            plan_steps: 1,
+            plan_nodes: 0,
+            plan_path: vec![1.0, 2.0, 10.0, 20.0],
+            replay_steps: 2,
+            predicted_object: Pose2::new(256.0, 256.0, 0.7),
+            predicted_coverage: 0.875,
+        }),
     }
 }
 
 pub(crate) fn rollout(seed: u32, coverage: &[f64]) -> Rollout<Plane> {
     let most = coverage.iter().copied().fold(0.0, f64::max);
     Rollout {
-        result: PlaneResult {
-            seed,
-            agent: Point2::new(50.0, 60.0),
-            block: Pose2::new(256.0, 240.0, 0.5),
+        result: PlaneResultRow {
+            core: ResultCore {
+                episode: 0,
+                seed,
+                success: most > 0.95,
+                steps: coverage.len() as u32,
+                decisions: 1,
+                images: None,
+            },
+            eef: Point2::new(50.0, 60.0),
+            object: Pose2::new(256.0, 240.0, 0.5),
+            contacts: 0.0,
             score_max: (most / 0.95).min(1.0),
             coverage_max: most,
             iou_max: most / 2.0,
             coverage_final: *coverage.last().unwrap(),
-            success: most > 0.95,
-            steps: coverage.len() as u32,
-            decisions: 1,
         },
         shown: true,
-        steps: coverage.iter().enumerate().map(|(i, &c)| step(c, 0, i > 0)).collect(),
+        steps: coverage.iter().enumerate().map(|(i, &c)| step(c, i > 0)).collect(),
         decisions: vec![decision("nearest")],
     }
 }
@@ -155,7 +180,7 @@ fn figures_are_the_artifacts_to_the_last_digit() {
 fn texts_cannot_leave_their_place() {
     let evil = "</script><script>alert(1)</script><!-- \u{2028} \" ' & ]]>";
     let mut set = set('a', evil);
-    set.rollouts[0].decisions[0].reason = evil.to_owned();
+    set.rollouts[0].decisions[0].core.core.reason = evil.to_owned();
     set.protocol = json!({ evil: evil });
     set.variant = evil.to_owned();
     let page = page(&report(vec![set]));
@@ -269,7 +294,8 @@ fn estimated_poses_are_packed_where_there_are_any() {
     let mut set = set('a', "re4");
     let plain = data(&page(&report(vec![set.clone()])));
     assert!(plain["artifacts"][0]["steps"].get("observed").is_none());
-    set.rollouts[0].steps[1].observed_object = Some(Pose2::new(1.0, 2.0, 3.0));
+    set.rollouts[0].steps[1].seen = Some(Pose2::new(1.0, 2.0, 3.0));
+    set.rollouts[0].steps[1].pose_flag = Some(Label::from("clear"));
     set.rollouts[0].steps[1].pose_confidence = Some(0.75);
     set.rollouts[0].steps[2].pose_flag = Some(Label::from("held"));
     let steps = data(&page(&report(vec![set])))["artifacts"][0]["steps"].clone();
@@ -279,10 +305,10 @@ fn estimated_poses_are_packed_where_there_are_any() {
         .decode(steps["observed"]["data"].as_str().unwrap())
         .unwrap();
     assert_eq!(bytes.len(), 5 * 3 * 4);
-    assert_eq!(steps["flag_words"], json!(["", "held"]));
+    assert_eq!(steps["flag_words"], json!(["", "clear", "held"]));
     assert_eq!(
         BASE64_STANDARD.decode(steps["flag"]["data"].as_str().unwrap()).unwrap(),
-        [0, 0, 1, 0, 0]
+        [0, 1, 2, 0, 0]
     );
     assert_eq!(bytes[12..16], 1.0f32.to_le_bytes());
 }
@@ -319,8 +345,26 @@ fn the_papers_figures_stand_beside_the_same_experiment_only() {
 
 #[test]
 fn decisions_of_older_versions_have_numbers_for_names() {
-    let name = |number, name: Option<&str>| demo_name(number, name);
-    assert_eq!(name(Some(3), Some("demo_4")), "demo_4");
-    assert_eq!(name(Some(3), None), "demonstration 3");
-    assert_eq!(name(None, None), "");
+    let mut core = decision("nearest").core.core;
+    assert_eq!(demo_name(&core), "episode 31");
+    core.demo_name = None;
+    assert_eq!(demo_name(&core), "demonstration 7");
+    core.demo = None;
+    assert_eq!(demo_name(&core), "");
+}
+
+#[test]
+fn decisions_of_other_policies_have_no_detail() {
+    let mut set = set('a', "other");
+    set.rollouts[0].decisions[0].detail = None;
+    set.rollouts[0].decisions[0].core.core.demo = None;
+    let decisions = data(&page(&report(vec![set])))["artifacts"][0]["decisions"].clone();
+    let bytes = |name: &str| {
+        BASE64_STANDARD
+            .decode(decisions[name]["data"].as_str().unwrap())
+            .unwrap()
+    };
+    assert_eq!(bytes("detailed"), [0, 1]);
+    assert_eq!(bytes("demo"), [[0xff; 4], [7, 0, 0, 0]].concat());
+    assert!(f64s(&decisions["d_q"])[0].is_nan());
 }

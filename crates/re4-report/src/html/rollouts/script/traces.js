@@ -1,5 +1,7 @@
 // Traces of rollouts and the frames that decisions retrieved, unpacked where they are needed. The scene gives START and FRAME,
 // the numbers of a first state and of a recorded frame, decisionAt, statesOf and frameOf.
+const PHASES = ["plan", "bridge", "replay", "home"];
+const NONE = 0xffffffff;
 const row = (values, count, i) => Array.from(values.subarray(count * i, count * i + count));
 
 // Columns of an artifact's traces, and where each rollout's rows begin.
@@ -16,6 +18,23 @@ const traces = remember((number) => {
   return { places, starts: unpack(artifact.starts), steps: unpackAll(artifact.steps), decisions: unpackAll(artifact.decisions) };
 });
 
+// A decision, with what the scene has of it; `detailed` says whether RE4 took it, and so whether there is more than what it followed.
+const readDecision = (columns, i) => ({
+  row: i,
+  step: columns.step[i],
+  demo: columns.demo[i] === NONE ? undefined : columns.demo[i],
+  name: columns.demo_name[i],
+  first: columns.demo_frame[i],
+  last: columns.demo_end[i],
+  kind: columns.kind[i],
+  detailed: columns.detailed[i] === 1,
+  transfer: columns.transfer[i] === 1,
+  compared: columns.compared[i],
+  replaySteps: columns.replay_steps[i],
+  reason: columns.reason[i],
+  ...decisionAt(columns, i),
+});
+
 // One rollout: states 0 to `length` (before each step, and the last), the steps between them, and the decisions.
 // Undefined where the page does not hold it.
 const loadRollout = (artifact, rollout) => {
@@ -25,7 +44,7 @@ const loadRollout = (artifact, rollout) => {
   const figures = REPORT.artifacts[artifact].rollouts;
   const length = figures.steps[rollout];
   const rows = Array.from({ length }, (_, i) => place.step + i);
-  const decided = Array.from({ length: figures.decisions[rollout] }, (_, i) => decisionAt(decisions, place.decision + i));
+  const decided = Array.from({ length: figures.decisions[rollout] }, (_, i) => readDecision(decisions, place.decision + i));
   return {
     artifact,
     rollout,
@@ -33,6 +52,7 @@ const loadRollout = (artifact, rollout) => {
     success: figures.success[rollout] === 1,
     length,
     decisionOf: rows.map((i) => steps.decision[i]),
+    phase: rows.map((i) => PHASES[steps.phase[i]]),
     decisions: decided,
     ...statesOf(row(starts, START, place.place), steps, rows, decided),
   };

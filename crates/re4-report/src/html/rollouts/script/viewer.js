@@ -2,6 +2,9 @@
 // decisionFacts, stepFacts and showEvidence, and LEGEND, legendShape and isDrawn for its legend.
 const fact = (name, words, key, value, title) => [html("dt", {}, name), html("dd", key === undefined ? {} : { "data-fact": key, "data-value": value, title }, words)];
 
+const demoFacts = ({ demo, name, first, last }) =>
+  (demo === undefined ? [] : [fact("Demonstration", `${name}, frames ${first}–${last}`, "demo_name", name)]);
+
 let shownDecision = "";
 const showDecision = (data, step, number) => {
   const decision = data.decisions[number];

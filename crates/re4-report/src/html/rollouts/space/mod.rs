@@ -3,30 +3,30 @@
 
 mod sections;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use maud::Markup;
-use nalgebra::{Isometry3, Vector3};
-use re4_artifact::{Label, SixAxis, TableSpec, Word, columns, tables};
+use nalgebra::Isometry3;
 use re4_episode::Mode;
+use re4_index::{IndexRow, SpatialState};
+use re4_policy::kinds::{SpacePolicy, SpaceRe4Row};
+use re4_rollout::{DecisionCore, ResultCore, SpaceDecisionRow, SpaceResultRow, SpaceStepRow, StepCore};
 use re4_stats::Interval;
-use serde::Serialize;
+use re4_task::{RobosuiteTask, Solid};
 use serde_json::{Value, json};
 
 use super::facts::told_apart;
-use super::{Report, Rollout, Rollouts, Scene, Table, Words, demo_name};
+use super::{Decided, NONE, Report, Rollout, Rollouts, Scene, Words};
 use crate::html::pack::{Pack, f32s, u32s};
 use crate::html::shell::plural;
 
 /// What an artifact states of rollouts in space.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Space {
-    /// Name of the task on the page.
-    pub task: String,
-    /// What is drawn of its scene.
-    pub solids: Solids,
+    /// The task.
+    pub task: RobosuiteTask,
     /// The seeds in words.
     pub seeds: String,
     /// Share of rollouts that succeed, with its Wilson interval.
@@ -45,28 +45,6 @@ pub struct Space {
     pub simulator: String,
     /// What the camera saw at decisions, by seed and number of the decision.
     pub pictures: BTreeMap<(u32, u32), DecisionPicture>,
-}
-
-/// What of a task's scene is drawn.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Solids {
-    /// What does not move, world frame.
-    pub fixtures: Vec<Solid>,
-    /// Parts of the manipulated object, in its own frame.
-    pub object: Vec<Solid>,
-}
-
-/// A box, or an upright cylinder, along the axes of its frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Solid {
-    /// What it is: `table`, `wall`, `goal`, `object`.
-    pub kind: &'static str,
-    /// Its centre.
-    pub centre: [f64; 3],
-    /// Half its sides; of a cylinder the first two are the radius.
-    pub half: [f64; 3],
-    /// Whether it is a cylinder.
-    pub round: bool,
 }
 
 /// What a camera saw when a decision was taken.
@@ -88,166 +66,15 @@ pub struct DecisionPicture {
 /// behind the camera.
 pub type FrameInPicture = [Option<[f64; 2]>; 4];
 
-/// What an action is part of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phase {
-    /// The way to the chunk.
-    Bridge,
-    /// The chunk.
-    Replay,
-    /// The way back to the initial pose.
-    Home,
-}
-
-impl Word for Phase {
-    const ALL: &'static [Self] = &[Self::Bridge, Self::Replay, Self::Home];
-
-    fn word(self) -> &'static str {
-        match self {
-            Self::Bridge => "bridge",
-            Self::Replay => "replay",
-            Self::Home => "home",
-        }
-    }
-}
-
-columns! {
-    /// A rollout: its first state and its outcome.
-    pub struct SpaceResult {
-        /// Seed of its placement.
-        pub seed: u32,
-        /// Whether it succeeded.
-        pub success: bool,
-        /// Control steps.
-        pub steps: u32,
-        /// Decisions.
-        pub decisions: u32,
-        /// How often the grasp was lost.
-        pub losses: u32,
-        /// Demonstrations that were not followed again at the end.
-        pub banned: u32,
-        /// Demonstrations that were followed.
-        pub demos: u32,
-        /// End effector at the start. Its orientation is that of the first query.
-        pub eef: Vector3<f64>,
-        /// Object at the start.
-        pub object: Isometry3<f64>,
-        /// First state of the simulation: time, coordinates, velocities.
-        pub state: Vec<f64>,
-    }
-}
-
-columns! {
-    /// A control step.
-    pub struct SpaceStep {
-        /// Rollout.
-        pub seed: u32,
-        /// Commanded pose of the end effector.
-        pub action: SixAxis,
-        /// Gripper command: below 0 opens, above 0 closes.
-        pub gripper: f64,
-        /// End effector after the step.
-        pub eef: Isometry3<f64>,
-        /// Object after the step.
-        pub object: Isometry3<f64>,
-        /// Positions of the fingers after the step.
-        pub finger: [f64; 2],
-        /// Decision that the action belongs to.
-        pub decision: u32,
-        /// What the action is part of.
-        pub phase: Phase,
-        /// Object that the policy was told before the action.
-        pub seen: Isometry3<f64>,
-    }
-}
-
-columns! {
-    /// A decision.
-    pub struct SpaceDecision {
-        /// Rollout.
-        pub seed: u32,
-        /// Control steps taken before it.
-        pub step: u32,
-        /// What was decided: `retrieve`, `continue`, `grasp_lost` or `demo_ended`.
-        pub kind: Label,
-        /// Whether the object is held.
-        pub mode: Mode,
-        /// End effector of the query.
-        pub query_eef: Isometry3<f64>,
-        /// Object of the query.
-        pub query_object: Isometry3<f64>,
-        /// Distance between the fingers.
-        pub finger_separation: f64,
-        /// What was retrieved; nothing on the way home.
-        #[prefix = ""]
-        pub choice: Option<SpaceChoice>,
-        /// Name of the demonstration in its source, where the artifact has names.
-        pub demo_name: Option<String>,
-        /// Where the end effector goes first.
-        pub set_point: Isometry3<f64>,
-        /// Whether a bridge, or the way home, leads there.
-        pub bridge: bool,
-        /// Demonstrations that are not followed again by now.
-        pub banned: u32,
-        /// The decision in words.
-        pub reason: String,
-    }
-}
-
-columns! {
-    /// What a decision retrieved.
-    pub struct SpaceChoice {
-        /// Demonstration, by its number in the index.
-        pub demo: u32,
-        /// First frame of the chunk.
-        pub demo_frame: u32,
-        /// Last frame of the chunk, included.
-        pub demo_end: u32,
-        /// Demonstrations compared.
-        pub compared: u32,
-        /// Distance of the full states.
-        pub d_q: f64,
-        /// Distance of the object poses.
-        pub d_o: f64,
-        /// Distance of the end effectors as seen from the object.
-        pub d_e: f64,
-        /// Motion that carries the demonstration's object onto the query's.
-        pub delta: SixAxis,
-        /// Turn about the object's symmetry axis.
-        pub symmetry_turn: f64,
-        /// Actions of the chunk.
-        pub replay_steps: u32,
-    }
-}
-
-columns! {
-    /// A frame of a demonstration.
-    pub struct SpaceFrame {
-        /// Demonstration.
-        pub episode: u32,
-        /// End effector.
-        pub eef: Vector3<f64>,
-        /// Object.
-        pub object: Isometry3<f64>,
-    }
-}
-
-impl SpaceDecision {
-    /// What the demonstration is called; nothing on the way home.
-    pub(crate) fn demo_name(&self) -> String {
-        demo_name(
-            self.choice.as_ref().map(|choice| choice.demo),
-            self.demo_name.as_deref(),
-        )
+impl Decided<Space> {
+    /// A whole number that RE4 states of what was retrieved.
+    fn count(&self, value: fn(&SpaceRe4Row) -> Option<u32>) -> u32 {
+        self.detail.as_ref().and_then(value).unwrap_or(NONE)
     }
 
-    /// A number of what was retrieved.
-    fn chosen(&self, value: fn(&SpaceChoice) -> u32) -> u32 {
-        self.choice.as_ref().map_or(u32::MAX, value)
-    }
-
-    fn measured(&self, value: fn(&SpaceChoice) -> f64) -> [f64; 1] {
-        [self.choice.as_ref().map_or(f64::NAN, value)]
+    /// A number likewise.
+    fn number(&self, value: fn(&SpaceRe4Row) -> Option<f64>) -> [f64; 1] {
+        [self.detail.as_ref().and_then(value).unwrap_or(f64::NAN)]
     }
 }
 
@@ -258,11 +85,36 @@ impl Rollout<Space> {
         before.map_or(self.result.object, |step| step.object)
     }
 
+    /// How often the grasp was lost.
+    fn losses(&self) -> usize {
+        let kinds = self
+            .decisions
+            .iter()
+            .filter_map(|decision| decision.core().kind.as_ref());
+        kinds.filter(|kind| **kind == "grasp_lost").count()
+    }
+
+    /// Demonstrations that were followed.
+    fn demos(&self) -> usize {
+        let followed: BTreeSet<u32> = self
+            .decisions
+            .iter()
+            .filter_map(|decision| decision.core().demo)
+            .collect();
+        followed.len()
+    }
+
+    /// Demonstrations that were not followed again at the end.
+    fn banned(&self) -> u32 {
+        let last = self.decisions.last().and_then(|decision| decision.detail.as_ref());
+        last.map_or(0, |detail| detail.banned)
+    }
+
     /// Whether the policy was told of another object pose than the simulator had.
     fn told_otherwise(&self) -> bool {
         let away = |a: Isometry3<f64>, b: Isometry3<f64>| (a.translation.vector - b.translation.vector).amax() > 1e-6;
         let mut steps = self.steps.iter().enumerate();
-        steps.any(|(i, step)| away(step.seen, self.object_before(i)))
+        steps.any(|(i, step)| step.seen.is_some_and(|seen| away(seen, self.object_before(i))))
     }
 }
 
@@ -273,10 +125,12 @@ fn pose(pose: Isometry3<f64>) -> [f64; 7] {
 }
 
 impl Scene for Space {
-    type Result = SpaceResult;
-    type Step = SpaceStep;
-    type Decision = SpaceDecision;
-    type Frame = SpaceFrame;
+    type Result = SpaceResultRow;
+    type Step = SpaceStepRow;
+    type Decision = SpaceDecisionRow;
+    type Detail = SpaceRe4Row;
+    type Frame = IndexRow<SpatialState>;
+    type Policies = SpacePolicy;
     type Extra = ();
 
     const WORDS: Words = Words {
@@ -314,21 +168,12 @@ impl Scene for Space {
         include_str!("script/timeline.js"),
     ];
 
-    fn table(table: Table) -> &'static TableSpec {
-        match table {
-            Table::Results => &tables::SPATIAL_RESULTS,
-            Table::Steps => &tables::SPATIAL_STEPS,
-            Table::Decisions => &tables::SPATIAL_DECISIONS,
-            Table::Index => &tables::SPATIAL_INDEX,
-        }
-    }
-
     fn noun(&self) -> &'static str {
         "seed"
     }
 
     fn title(artifacts: &[Rollouts<Self>]) -> String {
-        let mut tasks: Vec<&str> = artifacts.iter().map(|artifact| artifact.scene.task.as_str()).collect();
+        let mut tasks: Vec<&str> = artifacts.iter().map(|artifact| artifact.scene.task.title).collect();
         tasks.dedup();
         tasks.join(", ")
     }
@@ -341,7 +186,7 @@ impl Scene for Space {
         told_apart(
             artifacts,
             |artifact| match several {
-                true => format!("{} {}", artifact.scene.task, artifact.preset),
+                true => format!("{} {}", artifact.scene.task.title, artifact.preset),
                 false => artifact.preset.clone(),
             },
             &[
@@ -357,7 +202,12 @@ impl Scene for Space {
     fn details(artifact: &Rollouts<Self>) -> Vec<String> {
         let steps = plural(artifact.max_steps as usize, "step", "steps");
         vec![
-            format!("{} · {}{}", artifact.scene.task, artifact.variant, artifact.changed()),
+            format!(
+                "{} · {}{}",
+                artifact.scene.task.title,
+                artifact.variant,
+                artifact.changed()
+            ),
             format!("seeds {} · at most {steps}", artifact.scene.seeds),
         ]
     }
@@ -379,24 +229,24 @@ impl Scene for Space {
         )
     }
 
-    fn counts(result: &SpaceResult) -> [u32; 3] {
-        [result.seed, result.steps, result.decisions]
+    fn result(row: &SpaceResultRow) -> &ResultCore {
+        &row.core
     }
 
-    fn seed_of_step(step: &SpaceStep) -> u32 {
-        step.seed
+    fn step(row: &SpaceStepRow) -> &StepCore {
+        &row.core
     }
 
-    fn seed_of_decision(decision: &SpaceDecision) -> u32 {
-        decision.seed
+    fn decision(row: &SpaceDecisionRow) -> &DecisionCore {
+        &row.core
     }
 
-    fn demo(decision: &SpaceDecision) -> Option<u32> {
-        Some(decision.choice.as_ref()?.demo)
-    }
-
-    fn frame(frame: &SpaceFrame) -> (u32, Vec<f64>) {
-        (frame.episode, [frame.eef.as_slice(), &pose(frame.object)].concat())
+    fn frame(frame: &IndexRow<SpatialState>) -> (u32, Vec<f64>) {
+        let state = &frame.state;
+        (
+            frame.episode,
+            [state.eef.translation.vector.as_slice(), &pose(state.object)].concat(),
+        )
     }
 
     /// The artifact holds no orientation of the end effector at the start; it is that of the first query.
@@ -404,7 +254,7 @@ impl Scene for Space {
         let turned = rollout
             .decisions
             .first()
-            .map_or(Isometry3::identity(), |decision| decision.query_eef);
+            .map_or(Isometry3::identity(), |decision| decision.core.query_eef);
         [
             rollout.result.eef.as_slice(),
             &pose(turned)[3..],
@@ -414,56 +264,60 @@ impl Scene for Space {
     }
 
     fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>> {
-        pack.list("success", |r| u8::from(r.result.success))
-            .list("demos", |r| r.result.demos)
-            .list("losses", |r| r.result.losses)
-            .list("banned", |r| r.result.banned)
+        pack.list("demos", Rollout::demos)
+            .list("losses", Rollout::losses)
+            .list("banned", Rollout::banned)
     }
 
-    fn pack_steps<'a>(pack: Pack<'a, SpaceStep>, artifact: &Rollouts<Self>) -> Pack<'a, SpaceStep> {
+    fn pack_steps<'a>(pack: Pack<'a, SpaceStepRow>, artifact: &Rollouts<Self>) -> Pack<'a, SpaceStepRow> {
         let pack = pack
             .f32("goal", |s| [s.action.0[0], s.action.0[1], s.action.0[2]])
             .f32("eef", |s| pose(s.eef))
             .f32("object", |s| pose(s.object))
             .f32("fingers", |s| [(s.finger[0] - s.finger[1]).abs()])
-            .u32("decision", |s| s.decision)
-            .u8("phase", |s| s.phase as u8)
             .u8("closing", |s| u8::from(s.gripper > 0.0));
         if artifact.shown().any(Rollout::told_otherwise) {
-            return pack.f32("seen", |s| pose(s.seen));
+            return pack.f32("seen", |s| s.seen.map_or([f64::NAN; 7], pose));
         }
         pack
     }
 
-    fn pack_decisions(pack: Pack<'_, SpaceDecision>) -> Pack<'_, SpaceDecision> {
-        pack.u32("step", |d| d.step)
-            .u32("banned", |d| d.banned)
-            .u8("transfer", |d| u8::from(d.mode == Mode::Transfer))
-            .u8("bridge", |d| u8::from(d.bridge))
-            .f64("fingers", |d| [d.finger_separation])
-            .f32("object", |d| pose(d.query_object))
-            .f64("set_point", |d| pose(d.set_point))
-            .u32("demo", |d| d.chosen(|c| c.demo))
-            .u32("demo_frame", |d| d.chosen(|c| c.demo_frame))
-            .u32("demo_end", |d| d.chosen(|c| c.demo_end))
-            .u32("compared", |d| d.chosen(|c| c.compared))
-            .u32("replay_steps", |d| d.chosen(|c| c.replay_steps))
-            .f64("d_q", |d| d.measured(|c| c.d_q))
-            .f64("d_o", |d| d.measured(|c| c.d_o))
-            .f64("d_e", |d| d.measured(|c| c.d_e))
-            .f64("turn", |d| d.measured(|c| c.symmetry_turn))
-            .f64("delta", |d| d.choice.as_ref().map_or([f64::NAN; 6], |c| c.delta.0))
-            .list("kind", |d| d.kind.to_string())
-            .list("reason", |d| d.reason.as_str())
-            .list("demo_name", SpaceDecision::demo_name)
+    fn pack_decisions(pack: Pack<'_, Decided<Self>>) -> Pack<'_, Decided<Self>> {
+        let detail = |d: &Decided<Self>, value: fn(&SpaceRe4Row) -> bool| d.detail.as_ref().is_some_and(value);
+        pack.u32("banned", |d| d.count(|d| Some(d.banned)))
+            .u8("transfer", |d| u8::from(detail(d, |d| d.mode == Mode::Transfer)))
+            .u8("bridge", |d| u8::from(detail(d, |d| d.bridge)))
+            .f64("fingers", |d| d.number(|d| Some(d.finger_separation)))
+            .f32("object", |d| d.core.query_object.map_or([f64::NAN; 7], pose))
+            .f64("set_point", |d| {
+                d.detail.as_ref().map_or([f64::NAN; 7], |d| pose(d.set_point))
+            })
+            .u32("compared", |d| d.count(|d| d.compared))
+            .u32("replay_steps", |d| d.count(|d| d.replay_steps))
+            .f64("d_q", |d| d.number(|d| d.d_q))
+            .f64("d_o", |d| d.number(|d| d.d_o))
+            .f64("d_e", |d| d.number(|d| d.d_e))
+            .f64("turn", |d| d.number(|d| d.symmetry_turn))
+            .f64("delta", |d| {
+                d.detail
+                    .as_ref()
+                    .and_then(|d| d.delta)
+                    .map_or([f64::NAN; 6], |delta| delta.0)
+            })
     }
 
     fn pack_more<'a>(pack: Pack<'a, Self>, artifact: &Rollouts<Self>, (): &()) -> Pack<'a, Self> {
-        pack.with("task", json!(artifact.scene.task))
-            .with("fixtures", json!(artifact.scene.solids.fixtures))
-            .with("object", json!(artifact.scene.solids.object))
+        let task = artifact.scene.task;
+        pack.with("task", json!(task.title))
+            .with("fixtures", solids(task.fixtures))
+            .with("object", solids(task.shape))
             .with("pictures", pictures(artifact))
     }
+}
+
+fn solids(solids: &[Solid]) -> Value {
+    let solid = |s: &Solid| json!({ "kind": s.kind, "centre": s.centre, "half": s.half, "round": s.round });
+    solids.iter().map(solid).collect()
 }
 
 /// Pictures of some decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers each, the
@@ -471,7 +325,7 @@ impl Scene for Space {
 fn pictures(artifact: &Rollouts<Space>) -> Value {
     let decisions = artifact
         .shown()
-        .flat_map(|r| (0..).zip(&r.decisions).map(|(i, _)| (r.result.seed, i)));
+        .flat_map(|r| (0..).zip(&r.decisions).map(|(i, _)| (r.core().seed, i)));
     let shown: Vec<(u32, &DecisionPicture)> = (0..)
         .zip(decisions)
         .filter_map(|(number, place)| Some((number, artifact.scene.pictures.get(&place)?)))

@@ -1,3 +1,6 @@
+use re4_artifact::{Label, SixAxis};
+use re4_rollout::Phase;
+
 use super::*;
 use crate::html::rollouts::page as rollouts_page;
 
@@ -7,70 +10,74 @@ fn at() -> Isometry3<f64> {
     Isometry3::translation(AT[0], AT[1], AT[2])
 }
 
-fn solid(kind: &'static str, z: f64) -> Solid {
-    Solid {
-        kind,
-        centre: [0.0, 0.0, z],
-        half: [0.4, 0.4, 0.02],
-        round: false,
-    }
-}
-
 fn trace(seed: u32, success: bool) -> Rollout<Space> {
-    let step = |i: u32| SpaceStep {
-        seed,
+    let step = |i: u32| SpaceStepRow {
+        core: StepCore {
+            seed,
+            step: i,
+            decision: u32::from(i > 1),
+            phase: [Phase::Bridge, Phase::Replay, Phase::Home][i as usize],
+            asked_object: None,
+            asked_images: None,
+        },
         action: SixAxis([0.2, 0.0, 0.9, 0.0, 0.0, 0.0]),
         gripper: if i == 2 { 1.0 } else { -1.0 },
         eef: at(),
         object: at(),
         finger: [0.01 * f64::from(i), 0.0],
-        decision: u32::from(i > 1),
-        phase: Phase::ALL[i as usize],
-        seen: at(),
+        success: false,
+        seen: Some(at()),
     };
-    let choice = SpaceChoice {
-        demo: 17,
-        demo_frame: 3,
-        demo_end: 4,
-        compared: 20,
-        d_q: 0.125,
-        d_o: 0.1,
-        d_e: 0.3,
-        delta: SixAxis([0.01, 0.0, 0.0, 0.0, 0.0, 0.5]),
-        symmetry_turn: 0.25,
-        replay_steps: 2,
-    };
-    let decision = |step, choice: Option<SpaceChoice>| SpaceDecision {
-        seed,
-        step,
-        kind: Label::from(if choice.is_some() { "retrieve" } else { "grasp_lost" }),
-        mode: Mode::Transit,
-        query_eef: at(),
-        query_object: at(),
-        finger_separation: 0.08,
-        demo_name: choice.as_ref().map(|_| "demo_40".to_owned()),
-        choice,
-        set_point: at(),
-        bridge: true,
-        banned: 1,
-        reason: "because </script> of it".to_owned(),
+    let decision = |step, followed: bool| Decided {
+        core: SpaceDecisionRow {
+            core: DecisionCore {
+                seed,
+                decision: u32::from(!followed),
+                step,
+                kind: Some(Label::from(if followed { "retrieve" } else { "grasp_lost" })),
+                demo: followed.then_some(17),
+                demo_frame: followed.then_some(3),
+                demo_end: followed.then_some(4),
+                reason: "because </script> of it".to_owned(),
+                demo_name: followed.then(|| "demo_40".to_owned()),
+            },
+            query_eef: at(),
+            query_object: Some(at()),
+        },
+        detail: Some(SpaceRe4Row {
+            seed,
+            decision: u32::from(!followed),
+            mode: Mode::Transit,
+            finger_separation: 0.08,
+            compared: followed.then_some(20),
+            d_q: followed.then_some(0.125),
+            d_o: followed.then_some(0.1),
+            d_e: followed.then_some(0.3),
+            delta: followed.then_some(SixAxis([0.01, 0.0, 0.0, 0.0, 0.0, 0.5])),
+            symmetry_turn: followed.then_some(0.25),
+            replay_steps: followed.then_some(2),
+            set_point: at(),
+            bridge: true,
+            banned: 1,
+        }),
     };
     Rollout {
-        result: SpaceResult {
-            seed,
-            success,
-            steps: 3,
-            decisions: 2,
-            losses: 1,
-            banned: 1,
-            demos: 1,
+        result: SpaceResultRow {
+            core: ResultCore {
+                episode: 0,
+                seed,
+                success,
+                steps: 3,
+                decisions: 2,
+                images: None,
+            },
             eef: AT.into(),
             object: at(),
             state: Vec::new(),
         },
         shown: true,
         steps: (0..3).map(step).collect(),
-        decisions: vec![decision(0, Some(choice)), decision(2, None)],
+        decisions: vec![decision(0, true), decision(2, false)],
     }
 }
 
@@ -85,11 +92,7 @@ fn rollouts(task: &str, preset: &str) -> Rollouts<Space> {
         protocol: serde_json::json!({ "seeds": "200000..200002" }),
         settings: serde_json::json!({ "replay": { "horizon": 16 } }),
         scene: Space {
-            task: task.to_owned(),
-            solids: Solids {
-                fixtures: vec![solid("table", 0.8), solid("goal", 0.85)],
-                object: vec![solid("object", 0.0)],
-            },
+            task: RobosuiteTask::all().find(|known| known.title == task).unwrap(),
             seeds: "200000–200001".to_owned(),
             success_rate: Interval {
                 value: 0.5,
@@ -172,7 +175,7 @@ fn traces_are_packed_in_order_and_texts_cannot_end_the_script() {
         let text = artifact[part][name]["data"].as_str().unwrap();
         base64::prelude::BASE64_STANDARD.decode(text).unwrap()
     };
-    assert_eq!(unpacked("phase", "steps"), [0, 1, 2, 0, 1, 2]);
+    assert_eq!(unpacked("phase", "steps"), [1, 2, 3, 1, 2, 3]);
     assert_eq!(unpacked("closing", "steps"), [0, 0, 1, 0, 0, 1]);
     let demos: Vec<u32> = unpacked("demo", "decisions")
         .chunks_exact(4)
@@ -182,7 +185,7 @@ fn traces_are_packed_in_order_and_texts_cannot_end_the_script() {
     // Where the policy was told the truth, the page does not say it twice.
     assert!(artifact["steps"]["seen"].is_null());
     let mut noisy = rollouts("Lift", "re4");
-    noisy.rollouts[1].steps[2].seen.translation.x += 0.002;
+    noisy.rollouts[1].steps[2].seen = Some(Isometry3::translation(0.002, 0.0, 0.0) * at());
     let noisy = rollouts_page(&report(vec![noisy]));
     assert_eq!(data(&noisy)["artifacts"][0]["steps"]["seen"]["type"], "f32");
 }

@@ -21,16 +21,8 @@ const pathStarts = (columns) => {
 };
 
 const decisionAt = (columns, i) => ({
-  step: columns.step[i],
-  demo: columns.demo[i],
-  name: columns.demo_name[i],
-  first: columns.demo_frame[i],
-  last: columns.demo_end[i],
-  compared: columns.compared[i],
   planSteps: columns.plan_steps[i],
   planNodes: columns.plan_nodes[i],
-  replaySteps: columns.replay_steps[i],
-  transfer: columns.transfer[i] === 1,
   dq: numberOrNull(columns.d_q[i]),
   do: numberOrNull(columns.d_o[i]),
   predictedCoverage: columns.predicted_coverage[i],
@@ -40,7 +32,6 @@ const decisionAt = (columns, i) => ({
   predicted: row(columns.predicted, 3, i),
   plan: columns.plan[i],
   selector: columns.selector[i],
-  reason: columns.reason[i],
   path: Array.from({ length: columns.path_length[i] }, (_, k) => row(columns.path, 2, pathStarts(columns)[i] + k)),
 });
 
@@ -55,7 +46,6 @@ const statesOf = (start, steps, rows) => {
     eef: [start.slice(0, 2), ...rows.map((i) => row(steps.eef, 2, i))],
     object: [start.slice(2), ...rows.map((i) => row(steps.object, 3, i))],
     action: rows.map((i) => row(steps.action, 2, i)),
-    phase: rows.map((i) => (steps.replay[i] === 1 ? "replay" : "plan")),
     observed: rows.map((i) => {
       const pose = steps.observed ? row(steps.observed, 3, i) : [NaN];
       return pose.some(Number.isNaN) ? null : pose;

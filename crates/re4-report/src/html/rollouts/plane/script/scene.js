@@ -53,8 +53,9 @@ const drawScene = (data, step, number, chunk) => {
   setPath(named.observed, estimate?.differs ? blockAt(estimate.pose) : "");
   setCircle(named.pusher, data.eef[step]);
   setPath(named.command, step < data.length ? cross(data.action[step]) : "");
-  setShown(named["set-point"], decision !== undefined);
-  if (decision === undefined) return root;
+  setShown(named["set-point"], decision?.detailed === true);
+  for (const layer of ["before", "predicted", "plan-path", "chunk"]) setPath(named[layer], "");
+  if (!decision?.detailed) return root;
   setPath(named.before, step > decision.step ? blockAt(decision.object) : "");
   setPath(named.predicted, blockAt(decision.predicted));
   setPath(named["plan-path"], decision.path.length > 1 ? line(decision.path) : "");

@@ -19,7 +19,11 @@ const distanceFacts = ({ dq, do: d_o, predictedCoverage, selector, compared }) =
 ];
 
 const decisionFacts = (decision) => [
-  fact("Demonstration", `${decision.name}, frames ${decision.first}–${decision.last}`, "demo_name", decision.name),
+  ...demoFacts(decision),
+  ...(decision.detailed ? detailFacts(decision) : []),
+];
+
+const detailFacts = (decision) => [
   ...distanceFacts(decision),
   fact("δ", `${point(decision.delta)}, ${degrees(around(decision.delta[2]))}`, "delta", decision.delta.join(" "),
     "Motion that carries the demonstration's block onto ours: translation, rotation about the world's origin"),
@@ -41,7 +45,7 @@ const stepFacts = (data, step) => {
 
 const showEvidence = (data, decision, chunk, lacking) => {
   drawDemo(chunk);
-  if (decision === undefined) return;
+  if (decision?.demo === undefined) return;
   byId("demo-note").textContent = chunk
     ? `As recorded in ${decision.name}: frame ${decision.first}, the pusher’s way and the block (dashed) up to frame ${decision.last}.`
     : `The recording of ${decision.name}, frame ${decision.first}, ${lacking}`;

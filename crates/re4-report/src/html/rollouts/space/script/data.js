@@ -1,6 +1,4 @@
 // Rollouts in space; metres, poses are position and quaternion x, y, z, w.
-const NO_DEMO = 0xffffffff;
-const PHASES = ["bridge", "replay", "home"];
 const CONTROL_RATE = 20;
 const START = 14;
 const FRAME = 10;
@@ -8,22 +6,11 @@ const FRAME = 10;
 const frameOf = (values) => ({ eef: values.slice(0, 3), object: values.slice(3) });
 
 const decisionAt = (columns, i) => ({
-  row: i,
-  step: columns.step[i],
-  kind: columns.kind[i],
-  transfer: columns.transfer[i] === 1,
   bridge: columns.bridge[i] === 1,
   banned: columns.banned[i],
   fingers: columns.fingers[i],
   object: row(columns.object, 7, i),
   setPoint: row(columns.set_point, 7, i),
-  reason: columns.reason[i],
-  demo: columns.demo[i] === NO_DEMO ? undefined : columns.demo[i],
-  name: columns.demo_name[i],
-  first: columns.demo_frame[i],
-  last: columns.demo_end[i],
-  compared: columns.compared[i],
-  replaySteps: columns.replay_steps[i],
   dq: columns.d_q[i],
   do: columns.d_o[i],
   de: columns.d_e[i],
@@ -37,7 +24,6 @@ const statesOf = (start, steps, rows, decided) => ({
   fingers: [decided[0]?.fingers ?? NaN, ...rows.map((i) => steps.fingers[i])],
   goal: rows.map((i) => row(steps.goal, 3, i)),
   closing: rows.map((i) => steps.closing[i] === 1),
-  phase: rows.map((i) => PHASES[steps.phase[i]]),
   seen: steps.seen ? rows.map((i) => row(steps.seen, 7, i)) : undefined,
 });
 

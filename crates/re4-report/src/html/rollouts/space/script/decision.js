@@ -10,7 +10,6 @@ const KINDS = {
 };
 
 const chosenFacts = (decision) => [
-  fact("Demonstration", `${decision.name}, frames ${decision.first}–${decision.last}`, "demo_name", decision.name),
   fact("d_q", digits(decision.dq, 4), "d_q", decision.dq, "Distance of the full object-augmented states, without unit"),
   fact("d_o", digits(decision.do, 4), "d_o", decision.do, "Distance of the object poses alone"),
   fact("d_e", digits(decision.de, 4), "d_e", decision.de, "Distance of the end effectors as seen from the object"),
@@ -22,7 +21,12 @@ const chosenFacts = (decision) => [
 
 const decisionFacts = (decision) => [
   fact("Decided", KINDS[decision.kind] ?? decision.kind.replaceAll("_", " "), "kind", decision.kind),
-  fact("Mode", decision.transfer ? "transfer: the object is held" : "transit", "mode", decision.transfer ? "transfer" : "transit"),
+  ...(decision.detailed ? [fact("Mode", decision.transfer ? "transfer: the object is held" : "transit", "mode", decision.transfer ? "transfer" : "transit")] : []),
+  ...demoFacts(decision),
+  ...(decision.detailed ? detailFacts(decision) : []),
+];
+
+const detailFacts = (decision) => [
   ...(decision.demo === undefined ? [] : chosenFacts(decision)),
   fact("Set point", inCentimetres(decision.setPoint), "set_point", decision.setPoint.join(" ")),
   fact("Fingers", `${millimetres(decision.fingers)} apart`, "finger_separation", decision.fingers),
@@ -31,7 +35,7 @@ const decisionFacts = (decision) => [
 ];
 
 const stepFacts = (data, step) => {
-  if (data.seen === undefined || step >= data.length) return [];
+  if (!data.seen?.[step]?.every(Number.isFinite)) return [];
   const away = apart(data.seen[step], data.object[step]);
   return [fact("Pose told", `off by ${millimetres(away)}`, "pose_error", away)];
 };

@@ -143,11 +143,11 @@ const drawScene = (data, step, number, chunk) => {
     });
     paths.fingers = fingersAt(data.eef[step], data.fingers[step], view);
     paths.command = step < data.length ? cross(view(data.goal[step])) : "";
-    paths.seen = data.seen && step < data.length ? solidAt(object, data.seen[step], view) : "";
-    paths["set-point"] = decision ? ring(view(decision.setPoint)) : "";
+    paths.seen = data.seen?.[step]?.every(Number.isFinite) ? solidAt(object, data.seen[step], view) : "";
+    paths["set-point"] = decision?.detailed ? ring(view(decision.setPoint)) : "";
     // In transit the chunk is carried with the object; in transfer it is replayed where it was recorded.
-    const carried = chunk?.map(({ eef }) => view(decision.transfer ? eef : moved(decision.delta, eef)));
-    paths.chunk = carried?.length ? arrow(carried) : "";
+    const carried = decision?.detailed && chunk?.map(({ eef }) => view(decision.transfer ? eef : moved(decision.delta, eef)));
+    paths.chunk = carried && carried.length > 0 ? arrow(carried) : "";
     paths.recorded = chunk ? solidAt(object, chunk[0].object, view) : "";
     paths.delta = chunk && apart(chunk[0].object, decision.object) > 0.004 ? arrow([view(chunk[0].object), view(decision.object)]) : "";
     for (const [layer] of LAYERS) named[layer].setAttribute("d", paths[layer] ?? "");

@@ -1,0 +1,39 @@
+//! End-to-end tests, one module a subject, in one program: a link of all that there is takes long.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
+
+mod architecture;
+mod audit;
+mod audit_page;
+mod bad_input;
+mod cli;
+mod dependencies;
+mod drawn;
+mod encoder;
+mod films;
+mod foreign;
+mod fuzz_corpus;
+mod golden;
+mod hdf5_damage;
+mod identity;
+mod image_rollouts;
+mod interrupt;
+mod kill;
+mod notebooks;
+mod pictures;
+mod pipeline;
+mod real_data;
+mod report;
+mod robomimic;
+mod robosuite;
+mod robosuite_rollouts;
+mod rollouts;
+mod scenes;
+mod schemas;
+mod source_changes;
+mod spatial_report;
+mod support;
