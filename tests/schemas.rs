@@ -39,7 +39,10 @@ fn a_check_finds_what_is_stale_and_writes_nothing() {
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), stale);
     let object = place.run("schemas described --check --json").json();
-    assert_eq!(object["stale"], serde_json::json!(["frames-plane.json", "modes-plane.json"]));
+    assert_eq!(
+        object["stale"],
+        serde_json::json!(["frames-plane.json", "modes-plane.json"])
+    );
 }
 
 /// Read with the Parquet library alone, so that the descriptions are compared with the files and not with themselves.
