@@ -1,7 +1,8 @@
 //! An invented audit: pick-and-place demonstrations with faults, as the page of an audit takes them.
 
+use re4_artifact::episodes::Convention;
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
-use re4_report::html::audit::{Audit, Convention, Flag, Grasp, Measure, Panel, Segment, Series};
+use re4_report::html::audit::{Audit, Flag, Grasp, Measure, Panel, Segment, Series};
 
 /// A small generator of numbers, the same for the same seed.
 struct Draws(u64);
@@ -305,7 +306,7 @@ impl Invented {
             outline: None,
             contacts: None,
             conventions: vec![Convention {
-                name: "quaternion_order".into(),
+                convention: "quaternion_order".into(),
                 value: "xyzw".into(),
                 basis: "proven".into(),
                 evidence: "The recorded relative pose equals the one that was computed.".into(),
