@@ -5,7 +5,8 @@ use std::fs;
 use crate::support::dataset::{LENGTH, SIDE, picture};
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Row as _, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32};
+use re4_ingest::{EpisodeRow, FrameRow, ImageRow, PlanarColumns};
 use serde_json::Value;
 
 /// Stages in the order in which the program reported on them, and whether each was skipped.
@@ -261,7 +262,7 @@ fn episodes_are_selected_by_number() {
         let artifact = Artifact::open(&folder).unwrap();
         artifact.table(table).unwrap().read_all().unwrap()
     };
-    let all = read("all", &tables::FRAMES);
+    let all = read("all", FrameRow::<PlanarColumns>::table());
     assert_eq!(all.num_rows(), 12 * LENGTH);
     for (name, selection, expected) in [
         ("first", "first=3", vec![0, 1, 2]),
@@ -274,14 +275,17 @@ fn episodes_are_selected_by_number() {
                 "ingest small.toml --artifacts {name} --set ingest.select.{selection}"
             ))
             .done();
-        let episodes = read(name, &tables::EPISODES);
+        let episodes = read(name, EpisodeRow::table());
         assert_eq!(col_u32(&episodes, "source_episode").unwrap(), expected, "{name}");
         assert_eq!(
             col_u32(&episodes, "frames").unwrap(),
             vec![LENGTH as u32; expected.len()],
             "{name}"
         );
-        let (frames, images) = (read(name, &tables::FRAMES), read(name, &tables::IMAGES));
+        let (frames, images) = (
+            read(name, FrameRow::<PlanarColumns>::table()),
+            read(name, ImageRow::table()),
+        );
         let pictures = col_binary(&images, "image").unwrap();
         assert_eq!(frames.num_rows(), expected.len() * LENGTH, "{name}");
         for (position, source) in expected.iter().map(|source| *source as usize).enumerate() {
@@ -308,7 +312,7 @@ fn pictures_are_kept_without_loss_or_left_out() {
     let place = Place::new();
     place.run("ingest small.toml").done();
     let with = place.artifact(Stage::Ingest);
-    let images = with.table(&tables::IMAGES).unwrap().read_all().unwrap();
+    let images = with.table(ImageRow::table()).unwrap().read_all().unwrap();
     assert_eq!(images.num_rows(), 12 * LENGTH);
     let (episode, frame) = (col_u32(&images, "episode").unwrap(), col_u32(&images, "frame").unwrap());
     let pictures = col_binary(&images, "image").unwrap();
@@ -362,8 +366,12 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     place.run(&again).done();
     let folder = folders_in(&place.path().join("recorded/episodes")).remove(0);
     let recorded = Artifact::open(&folder).unwrap();
-    let episodes = recorded.table(&tables::EPISODES).unwrap().read_all().unwrap();
-    let frames = recorded.table(&tables::FRAMES).unwrap().read_all().unwrap();
+    let episodes = recorded.table(EpisodeRow::table()).unwrap().read_all().unwrap();
+    let frames = recorded
+        .table(FrameRow::<PlanarColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     assert_eq!(
         col_u32(&episodes, "frames").unwrap(),
         col_u32(&results, "steps").unwrap()
@@ -477,9 +485,7 @@ fn inspect_shows_every_artifact() {
     seen.sort();
     // Push-T's: those of robosuite's tasks are not among them, nor the one of demonstrations that cannot be used.
     let others = [
-        "camera_images",
         "conventions",
-        "demos",
         "grasps",
         "left_out",
         "models",

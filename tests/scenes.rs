@@ -5,8 +5,8 @@ use std::fs;
 
 use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::Row as _;
-use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
+use re4_artifact::{Row as _, Stage, col_bool, col_f64, col_u32};
+use re4_ingest::{FrameRow, PlanarColumns};
 use re4_stats::{mean_interval, wilson_interval};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
@@ -83,7 +83,11 @@ fn the_nearest_frame_is_the_nearest() {
         "scenes need no index"
     );
     let frames = place.artifact(Stage::Ingest);
-    let frames = frames.table(&tables::FRAMES).unwrap().read_all().unwrap();
+    let frames = frames
+        .table(FrameRow::<PlanarColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let scenes = place.artifact(Stage::Scenes);
     let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let turn = std::f64::consts::TAU;

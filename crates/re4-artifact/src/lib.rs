@@ -41,6 +41,7 @@ mod canonical;
 mod columns;
 mod contained;
 mod disk;
+pub mod episodes;
 mod error;
 mod key;
 mod manifest;
@@ -48,7 +49,6 @@ mod reader;
 mod rows;
 mod spec;
 mod store;
-pub mod tables;
 mod verify;
 mod writer;
 

@@ -20,12 +20,15 @@ mod store;
 mod warning;
 mod zarr;
 
-pub use demos::{
-    DemoName, DemoSource, Episode, Frames, ImageBlock, Info, KEYPOINTS, Matrix, PlanarFrames, SpatialFrames, Tally,
-};
+pub use demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Matrix, Tally};
 pub use error::{Fault, IngestError};
-pub use left_out::{LeftOut, OnBad, refusal};
+pub use left_out::{OnBad, refusal};
 pub use name::{Pick, SourceName};
+use re4_artifact::episodes as tables;
+pub use re4_artifact::episodes::{
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, ModelRow, PlanarColumns, SpatialColumns,
+    StateRow,
+};
 pub use selection::{EpisodeRange, Selection, SelectionError};
 pub use source::{SourceFile, Stop};
 pub use warning::{Warning, WarningCode};

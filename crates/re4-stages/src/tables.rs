@@ -1,11 +1,11 @@
 //! The tables of every artifact.
 
-use re4_artifact::tables::{
-    CAMERA_IMAGES, CONVENTIONS, DEMOS, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, SPATIAL_FRAMES, STATES,
-};
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
+use re4_ingest::{
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
+};
 use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
@@ -19,16 +19,15 @@ use crate::stages::{
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
     match stage {
         Stage::Ingest => vec![
-            &EPISODES,
-            &FRAMES,
-            &IMAGES,
-            &SPATIAL_FRAMES,
-            &DEMOS,
-            &CONVENTIONS,
-            &LEFT_OUT,
-            &STATES,
-            &MODELS,
-            &CAMERA_IMAGES,
+            EpisodeRow::table(),
+            FrameRow::<PlanarColumns>::table(),
+            FrameRow::<SpatialColumns>::table(),
+            ImageRow::table(),
+            DemoRow::table(),
+            Convention::table(),
+            LeftOut::table(),
+            StateRow::table(),
+            ModelRow::table(),
         ],
         Stage::Segment => vec![
             ModeRow::<Evidence>::table(),
@@ -120,6 +119,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 39);
+        assert_eq!(names.len(), 38);
     }
 }

@@ -7,14 +7,13 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::Row as _;
-use re4_artifact::{col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Row as _, col_f64, col_u32};
+use re4_ingest::Convention;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
-use re4_report::divergence_plot;
+use re4_report::{Findings, divergence_plot};
 use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
-use super::audit_text::Told;
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::console::Console;
@@ -37,7 +36,7 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let audit = runner.audit(&episodes, &modes)?;
-    let told = Told::read(&audit.artifact)?;
+    let told = Findings::read(&audit.artifact)?;
     let mut both = modes.to_json();
     both["audit"] = audit.to_json();
     console.answer(&both)?;
@@ -298,29 +297,19 @@ fn described(built: &Built) -> Result<String> {
 /// The conventions of a dataset, each with the reason why it is believed.
 fn conventions(built: &Built) -> Result<String> {
     let mut text = String::new();
-    if !built.artifact.manifest().tables.contains_key(tables::CONVENTIONS.name) {
+    if !built.artifact.has::<Convention>() {
         return Ok(text);
     }
-    let rows = built.artifact.table(&tables::CONVENTIONS)?.read_all()?;
-    let words = ["convention", "value", "basis", "evidence", "unit"].map(|name| col_text(&rows, name));
-    let [names, values, bases, evidence, units] = words;
-    let (names, values, bases, evidence, units) = (names?, values?, bases?, evidence?, units?);
-    let residuals = col_f64_or_null(&rows, "residual")?;
-    let rivals = col_f64_or_null(&rows, "runner_up")?;
-    for row in 0..rows.num_rows() {
-        let word = |column: &[Option<&str>]| column[row].unwrap_or_default().to_owned();
+    for row in built.artifact.read::<Convention>()? {
         write!(
             text,
             "\n  {:<18} {:<18} {}: {}",
-            word(&names),
-            word(&values),
-            word(&bases),
-            word(&evidence)
+            &*row.convention, &*row.value, row.basis, row.evidence
         )?;
-        if let Some(residual) = residuals[row] {
-            write!(text, ", {residual:.2e} {}", word(&units))?;
+        if let Some(residual) = row.residual {
+            write!(text, ", {residual:.2e} {}", row.unit)?;
         }
-        if let Some(rival) = rivals[row] {
+        if let Some(rival) = row.runner_up {
             write!(text, " (next best {rival:.2e})")?;
         }
     }

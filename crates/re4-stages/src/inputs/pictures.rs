@@ -3,7 +3,8 @@
 use anyhow::{Context as _, Result, ensure};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
-use re4_artifact::{Artifact, tables};
+use re4_artifact::Artifact;
+use re4_ingest::ImageRow;
 
 /// Refuses demonstrations without pictures of a camera.
 pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
@@ -20,7 +21,7 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
         format!("holds pictures of {} alone", cameras.join(", "))
     };
     ensure!(
-        manifest.tables.contains_key(tables::IMAGES.name) && cameras.contains(&camera),
+        episodes.has::<ImageRow>() && cameras.contains(&camera),
         "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}; set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera",
         episodes.path().display()
     );
@@ -31,7 +32,7 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
 ///
 /// # Errors
 /// When there are more or fewer bytes than pixels of this size have.
-pub fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+pub(crate) fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(4096);
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(pixels, width, height, ExtendedColorType::Rgb8)

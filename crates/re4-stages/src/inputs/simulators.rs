@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
+use re4_artifact::Artifact;
+use re4_ingest::{DemoRow, ModelRow};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_pictures};
@@ -36,7 +37,7 @@ pub(crate) fn library(profile: Profile) -> Result<Library> {
 }
 
 /// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
-pub struct Scenes {
+pub(crate) struct Scenes {
     task: RobosuiteTask,
     profile: Profile,
     library: Library,
@@ -73,28 +74,23 @@ impl Scenes {
     ///
     /// # Errors
     /// When MuJoCo's library or an asset is missing, or the artifact has no models.
-    pub fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
+    pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
         let profile = profile(episodes)?;
         let library = library(profile)?;
-        let demos = episodes.table(&tables::DEMOS)?.read_columns(&["demo", "model"])?;
-        let names = col_text(&demos, "demo")?;
-        let of_demo = col_u32_or_null(&demos, "model")?;
-        let has_models = episodes.manifest().tables.contains_key(tables::MODELS.name);
+        let demos = episodes.read::<DemoRow>()?;
         ensure!(
-            has_models,
+            episodes.has::<ModelRow>(),
             "cannot simulate the demonstrations of {}: they have no model_file; ingest a file whose demonstrations have that attribute",
             episodes.path().display()
         );
-        let table = episodes.table(&tables::MODELS)?.read_all()?;
         let folder = assets_folder();
-        let numbers = col_u32(&table, "model")?;
-        let mut mjcf = Vec::with_capacity(numbers.len());
-        for (number, text) in numbers.iter().zip(col_text(&table, "mjcf")?) {
-            let user = of_demo.iter().position(|model| model == &Some(*number));
-            let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
+        let mut mjcf = Vec::new();
+        for ModelRow { model, mjcf: text } in episodes.read()? {
+            let user = demos.iter().find(|demo| demo.model == Some(model));
+            let demo = user.map_or("a demonstration", |demo| &demo.demo);
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
             // Files that are only drawn need not be here.
-            let mut text = without_pictures(text.unwrap_or_default())
+            let mut text = without_pictures(&text)
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
@@ -109,7 +105,7 @@ impl Scenes {
             library,
             fidelity,
             mjcf,
-            of_demo,
+            of_demo: demos.iter().map(|demo| demo.model).collect(),
             compiled: Mutex::default(),
         })
     }
@@ -123,7 +119,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When none has one.
-    pub fn first_mjcf(&self) -> Result<&str> {
+    pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
         Ok(text.context("no demonstration has a model")?)
@@ -133,12 +129,11 @@ impl Scenes {
     ///
     /// # Errors
     /// When no demonstration has a model, or an asset is missing.
-    pub fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+    pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
-        let table = episodes.table(&tables::MODELS)?.read_all()?;
-        let texts = col_text(&table, "mjcf")?;
-        let text = texts.get(number as usize).copied().flatten().unwrap_or_default();
+        let models = episodes.read::<ModelRow>()?;
+        let text = models.get(number as usize).map_or("", |row| &row.mjcf);
         with_assets(text, &assets_folder())
             .with_context(|| format!("cannot draw the models of {}", episodes.path().display()))
     }
@@ -147,7 +142,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When MuJoCo cannot compile it.
-    pub fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
+    pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
         Ok(model.with_fidelity(self.fidelity))
     }
@@ -156,7 +151,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When it has no model, or MuJoCo cannot compile it.
-    pub fn of(&self, demo: u32) -> Result<RobosuiteModel> {
+    pub(crate) fn of(&self, demo: u32) -> Result<RobosuiteModel> {
         let number = self
             .of_demo
             .get(demo as usize)
