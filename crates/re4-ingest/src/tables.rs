@@ -8,7 +8,7 @@
 
 use nalgebra::{Isometry3, UnitQuaternion};
 use re4_artifact::{Label, SixAxis, columns, table};
-use re4_episode::{PlanarFrame, SpatialFrame};
+use re4_episode::SpatialFrame;
 use re4_geometry::{Point2, Pose2};
 use serde::{Deserialize, Serialize};
 
@@ -204,19 +204,6 @@ table! {
         pub model: u32,
         /// The model as MJCF.
         pub mjcf: String,
-    }
-}
-
-impl PlanarColumns {
-    /// The frame in the vocabulary of the pipeline; none without the pose of the block. Contacts that were not recorded are
-    /// NaN, which says "unknown" where 0 would say "none".
-    pub fn frame(&self) -> Option<PlanarFrame> {
-        Some(PlanarFrame {
-            eef: self.eef,
-            object: self.object?,
-            action: self.action,
-            contacts: self.contacts.unwrap_or(f64::NAN),
-        })
     }
 }
 
