@@ -7,7 +7,7 @@
 //! null where it does not differ: every artifact has the same columns, and one of nulls takes no room.
 
 use nalgebra::{Isometry3, UnitQuaternion};
-use re4_episode::{PlanarFrame, SpatialFrame};
+use re4_episode::SpatialFrame;
 use re4_geometry::{Point2, Pose2};
 use serde::{Deserialize, Serialize};
 
@@ -205,19 +205,6 @@ table! {
         pub model: u32,
         /// The model as MJCF.
         pub mjcf: String,
-    }
-}
-
-impl PlanarColumns {
-    /// The frame in the vocabulary of the pipeline; none without the pose of the block. Contacts that were not recorded are
-    /// NaN, which says "unknown" where 0 would say "none".
-    pub fn frame(&self) -> Option<PlanarFrame> {
-        Some(PlanarFrame {
-            eef: self.eef,
-            object: self.object?,
-            action: self.action,
-            contacts: self.contacts.unwrap_or(f64::NAN),
-        })
     }
 }
 

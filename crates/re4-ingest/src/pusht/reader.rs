@@ -243,7 +243,8 @@ impl PushtReader {
             rate: Some(RATE),
             features: recorded
                 .into_iter()
-                .filter_map(|(there, name)| there.then(|| name.to_owned()))
+                .filter(|(there, _)| *there)
+                .map(|(_, name)| name.to_owned())
                 .collect(),
             object_poses: true,
             demonstrations: self.ranges.len(),

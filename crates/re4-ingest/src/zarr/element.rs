@@ -45,7 +45,7 @@ macro_rules! elements {
             /// One element, in the machine's byte order, as a float.
             pub(crate) fn float(self, bytes: &[u8]) -> f64 {
                 match self {
-                    $(Self::$variant => $type::from_ne_bytes(array(bytes)) as f64,)*
+                    $(Self::$variant => $type::from_ne_bytes(array(bytes)).float(),)*
                 }
             }
 
@@ -78,10 +78,11 @@ impl Element {
     }
 }
 
-/// A number in metadata, and as an integer.
+/// A number in metadata, as an integer, and as a float.
 trait Number: Sized {
     fn of(value: &Value) -> Option<Self>;
     fn whole(self) -> Option<i128>;
+    fn float(self) -> f64;
 }
 
 macro_rules! integers {
@@ -95,6 +96,11 @@ macro_rules! integers {
 
             fn whole(self) -> Option<i128> {
                 Some(self.into())
+            }
+
+            #[allow(clippy::cast_lossless, reason = "not all of these types fit")]
+            fn float(self) -> f64 {
+                self as f64
             }
         }
     )*};
@@ -114,6 +120,10 @@ impl Number for f32 {
     fn whole(self) -> Option<i128> {
         f64::from(self).whole()
     }
+
+    fn float(self) -> f64 {
+        self.into()
+    }
 }
 
 impl Number for f64 {
@@ -126,6 +136,10 @@ impl Number for f64 {
 
     fn whole(self) -> Option<i128> {
         (self.fract() == 0.0 && self.abs() < (1_u64 << 53) as Self).then_some(self as i128)
+    }
+
+    fn float(self) -> f64 {
+        self
     }
 }
 

@@ -146,3 +146,52 @@ pub(crate) fn in_portions<T>(mut items: impl Iterator<Item = Result<T>>) -> impl
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Isometry3;
+    use re4_artifact::{Facts, Recipe, SixAxis, Stage, Store};
+
+    use super::*;
+
+    #[test]
+    fn a_stage_that_reads_the_object_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let writer = store.begin(&Recipe::new(Stage::Ingest, 1)).unwrap();
+        let demo = DemoRow {
+            episode: 0,
+            demo: "demo_4".to_owned(),
+            filter_keys: String::new(),
+            model: None,
+            goal_error_position: None,
+            goal_error_rotation: None,
+        };
+        let recorded = SpatialColumns {
+            eef: Isometry3::identity(),
+            object: None,
+            fingers: [0.04, -0.04],
+            delta: SixAxis::default(),
+            goal: SixAxis::default(),
+            gripper: -1.0,
+            reward: None,
+            done: None,
+            raw_eef: None,
+            raw_gripper: None,
+        };
+        let frame = FrameRow {
+            episode: 0,
+            frame: 0,
+            recorded,
+        };
+        writer.write_rows([demo]).unwrap();
+        writer.write_rows([frame]).unwrap();
+        let artifact = writer.publish(Facts::default()).unwrap();
+        let said = SpatialEpisodes::open(&artifact).unwrap().next().unwrap().unwrap_err();
+        assert!(
+            said.to_string()
+                .ends_with("have no object pose, which this stage reads; ingest a dataset that has it"),
+            "{said}"
+        );
+    }
+}

@@ -1,0 +1,154 @@
+//! Sources of both formats: what they say of a dataset, and what they hand on.
+#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{FRAMES, SIDE, fixture, picture};
+use re4_ingest::pusht::{PushtOptions, PushtReader, PushtSource};
+use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources};
+use re4_ingest::{DemoSource, Episode, Frames, IngestError, LeftOut, Selection, Tally};
+use re4_robosuite::conventions::{RobosuiteTask, Settings};
+use re4_robosuite::hand_to_site;
+
+fn sample() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/can-sample.hdf5")
+}
+
+fn episodes<S: DemoSource>(source: &S) -> Vec<Result<Episode, LeftOut>> {
+    let mut all = Vec::new();
+    source
+        .episodes(|place, episode| {
+            assert_eq!(place, all.len());
+            all.push(episode);
+            Ok::<(), IngestError>(())
+        })
+        .unwrap();
+    all
+}
+
+fn can(select: Selection) -> RobomimicSource {
+    let choice = DemoChoice {
+        select,
+        ..DemoChoice::default()
+    };
+    let reader = RobomimicReader::open(&Sources::open(&sample()).unwrap(), &choice, Access::Direct).unwrap();
+    let reading = Reading {
+        task: RobosuiteTask::named("can"),
+        object: None,
+        env_args: None,
+        conventions: Settings::default(),
+    };
+    let learned = Interpreter::learn(&reader, &reading).unwrap();
+    RobomimicSource::new(reader, learned, None, Vec::new()).unwrap()
+}
+
+#[test]
+fn a_format_is_told_by_a_look() {
+    let folder = tempfile::tempdir().unwrap();
+    let unnamed = folder.path().join("dataset");
+    std::fs::copy(sample(), &unnamed).unwrap();
+    for (path, hdf5, zarr) in [
+        (sample(), true, false),
+        (unnamed, true, false),
+        (fixture("original"), false, true),
+        (folder.path().join("nothing.hdf5"), false, false),
+    ] {
+        let found = (RobomimicSource::probe(&path), PushtSource::probe(&path));
+        assert_eq!(found, (hdf5, zarr), "{}", path.display());
+    }
+}
+
+#[test]
+fn push_t_is_handed_on_by_episode() {
+    let reader = PushtReader::open(&fixture("original")).unwrap();
+    let options = PushtOptions {
+        images: true,
+        ..PushtOptions::default()
+    };
+    let source = PushtSource::read(reader, &Selection::All, &options).unwrap();
+    let info = source.info();
+    assert_eq!(
+        (info.rate, info.object_poses, &info.cameras[..]),
+        (Some(10.0), true, &["img".to_owned()][..])
+    );
+    assert_eq!(info.demonstrations, source.demos().len());
+    let mut tally = Tally::default();
+    let mut first = 0;
+    for episode in episodes(&source) {
+        let mut episode = episode.unwrap();
+        let Frames::Planar(frames) = &episode.frames else {
+            unreachable!()
+        };
+        let [x, y, ..] = common::state(first);
+        assert_eq!(
+            [frames[0].eef.x, frames[0].eef.y],
+            [x, y].map(|value| f64::from(value as f32))
+        );
+        first += frames.len();
+        tally.add(&mut episode);
+    }
+    assert_eq!((first, tally.frames()), (FRAMES, FRAMES));
+    let lengths: Vec<usize> = tally.demos.iter().map(|(_, frames)| *frames).collect();
+    let expected: Vec<(u32, u32)> = (0..)
+        .zip(&lengths)
+        .flat_map(|(episode, &frames)| (0..frames as u32).map(move |frame| (episode, frame)))
+        .collect();
+    let (mut places, mut bytes) = (Vec::new(), Vec::new());
+    source
+        .images("img", &tally.demos, |block| {
+            let block = block.unwrap();
+            assert_eq!((block.height, block.width), (SIDE, SIDE));
+            places.extend(block.places);
+            bytes.extend(block.bytes);
+            Ok::<(), IngestError>(())
+        })
+        .unwrap();
+    assert_eq!(places, expected);
+    assert_eq!(bytes, (0..FRAMES).flat_map(picture).collect::<Vec<u8>>());
+    source.unchanged().unwrap();
+}
+
+#[test]
+fn hdf5_is_handed_on_in_the_frame_of_the_grip_site() {
+    let source = can(Selection::First(3));
+    let info = source.info();
+    assert_eq!(
+        (info.rate, info.demonstrations, source.demos().len()),
+        (Some(20.0), 19, 3)
+    );
+    assert!(info.features.contains(&"actions".to_owned()) && info.features.contains(&"obs/object".to_owned()));
+    assert_eq!(info.details["environment"], "PickPlaceCan");
+    for (episode, name) in episodes(&source).into_iter().zip(source.demos()) {
+        let episode = episode.unwrap();
+        assert_eq!(episode.name, *name);
+        let Frames::Spatial(frames) = episode.frames else {
+            unreachable!()
+        };
+        for frame in frames {
+            // The file has the hand body's orientation, and robosuite's sign.
+            let recorded = frame.raw_eef.unwrap();
+            assert_eq!(frame.eef.rotation, recorded * hand_to_site());
+            assert_eq!(frame.raw_gripper, None);
+            assert!(frame.object.is_some() && frame.gripper.abs() <= 1.0);
+        }
+    }
+}
+
+#[test]
+fn the_way_out_of_a_closure_is_handed_back() {
+    struct Enough;
+    impl From<IngestError> for Enough {
+        fn from(_: IngestError) -> Self {
+            Self
+        }
+    }
+    let source = can(Selection::All);
+    let mut taken = 0;
+    let ended = source.episodes(|_, _| {
+        taken += 1;
+        if taken == 2 { Err(Enough) } else { Ok(()) }
+    });
+    assert!(ended.is_err() && taken == 2);
+}
