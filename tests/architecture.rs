@@ -77,13 +77,14 @@ fn dependencies_point_down() {
         assert!(!needs(stage).contains("re4-policy"), "{stage} needs re4-policy");
     }
     assert!(needs("re4-geometry").is_empty(), "re4-geometry is at the bottom");
+    assert_eq!(needs("re4-task").iter().collect::<Vec<_>>(), ["re4-geometry"]);
     assert_eq!(needs("re4-episode").iter().collect::<Vec<_>>(), ["re4-geometry"]);
     // Films are drawn by the simulator's own renderer.
     assert_eq!(
         needs("re4-report").iter().collect::<Vec<_>>(),
-        ["re4-geometry", "re4-sim"]
+        ["re4-geometry", "re4-sim", "re4-stats", "re4-task"]
     );
-    for name in ["re4-artifact", "re4-fetch"] {
+    for name in ["re4-artifact", "re4-fetch", "re4-stats"] {
         assert!(
             needs(name).is_empty(),
             "{name} knows nothing of robots: {:?}",

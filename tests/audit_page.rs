@@ -6,8 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::support::{Place, invented, repository};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
+use re4_audit::AuditedEpisodeRow;
 use re4_report::html::audit::{Audit, Severity, page};
+use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use serde_json::{Map, Value, json};
 
 /// The largest page for 600 demonstrations of a hundred and some frames.
@@ -148,7 +151,7 @@ fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static T
     }
     let rows = place
         .artifact(Stage::Audit)
-        .table(&tables::AUDITED_EPISODES)
+        .table(AuditedEpisodeRow::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -196,7 +199,7 @@ fn figures_are_those_that_audit_prints() {
     let place = can();
     let answer = place.run("audit can.toml --html page.html --json").done().json();
     let page = place.path().join("page.html");
-    let modes = (Stage::Segment, &tables::SPATIAL_MODES);
+    let modes = (Stage::Segment, ModeRow::<SpatialEvidence>::table());
     let of = |title, columns| (title, modes.0, modes.1, columns);
     let expected = expected_of(
         &place,
@@ -238,7 +241,7 @@ fn push_t_has_contacts_in_place_of_grasps() {
         .run("audit small.toml --no-images --html page.html --json")
         .done()
         .json();
-    let of = |title, columns| (title, Stage::Segment, &tables::MODES, columns);
+    let of = |title, columns| (title, Stage::Segment, ModeRow::<Evidence>::table(), columns);
     let expected = expected_of(
         &place,
         &answer,

@@ -33,7 +33,7 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
 
 /// Camera, episode, frame and bytes of every picture.
 fn pictures(place: &Place) -> Vec<(String, u32, u32, Vec<u8>)> {
-    let table = place.artifact(Stage::Ingest).table(&tables::CAMERA_IMAGES).unwrap();
+    let table = place.artifact(Stage::Ingest).table(&tables::IMAGES).unwrap();
     let table = table.read_all().unwrap();
     let cameras = col_text(&table, "camera").unwrap();
     let (episodes, frames) = (col_u32(&table, "episode").unwrap(), col_u32(&table, "frame").unwrap());

@@ -7,6 +7,7 @@ use std::path::Path;
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Store, col_f64, col_u32, tables};
 
 const SETTINGS: &str = r#"
@@ -57,16 +58,18 @@ fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
         &artifact_bytes(&place.path().join("two")),
     );
     let poses = only(&place, "one", Stage::TrainPose);
-    re4_artifact::verify(poses.path()).unwrap();
+    re4_artifact::verify(poses.path(), &re4_stages::tables::described).unwrap();
     let files: Vec<&str> = poses.manifest().files.keys().map(String::as_str).collect();
     assert_eq!(files, ["encoder.safetensors", "model_card.md", "training.svg"]);
     let frames = only(&place, "one", Stage::Ingest)
         .table(&tables::SPATIAL_FRAMES)
         .unwrap()
         .rows();
-    let table = poses.table(&tables::SPATIAL_POSES).unwrap();
+    let table = poses
+        .table(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
+        .unwrap();
     assert_eq!(table.rows(), frames);
-    let course = poses.table(&tables::TRAINING).unwrap().read_all().unwrap();
+    let course = poses.table(re4_pose::TrainingRow::table()).unwrap().read_all().unwrap();
     let losses = col_f64(&course, "loss").unwrap();
     assert_eq!(col_u32(&course, "steps").unwrap(), [12, 24, 36]);
     assert!(losses[2] < 0.7 * losses[0], "{losses:?}");
@@ -108,7 +111,7 @@ fn forge(original: &Artifact, store: &Path) {
     assert_eq!(recipe.key(), manifest.key);
     let writer = Store::open(store).unwrap().begin(&recipe).unwrap();
     for (name, facts) in &manifest.tables {
-        let spec = tables::find(name).unwrap();
+        let spec = re4_stages::tables::described(original, name).unwrap();
         let mut out = writer.table_in_groups(spec, facts.row_group_rows as usize).unwrap();
         for batch in original.table(spec).unwrap().batches().unwrap() {
             let batch = batch.unwrap();

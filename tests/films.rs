@@ -5,6 +5,7 @@ use std::fs;
 use crate::support::{Place, filters};
 use gif::{ColorOutput, DecodeOptions};
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, render_state};
@@ -127,7 +128,7 @@ fn the_chunk_is_the_demonstration_carried_to_the_block() {
         .unwrap();
     let index = place
         .artifact(Stage::Index)
-        .table(&tables::INDEX)
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())
         .unwrap()
         .read_all()
         .unwrap();

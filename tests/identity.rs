@@ -9,7 +9,10 @@ use std::process::Command;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_audit::{AuditedEpisodeRow, FindingRow};
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::Value;
 
 fn pipeline(task: &str, source: &Path) -> String {
@@ -156,20 +159,23 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     same(
         "modes",
         [&whole, &gaps].map(|place| {
-            let modes = rows(&place.artifact(Stage::Segment), &tables::SPATIAL_MODES);
+            let modes = rows(&place.artifact(Stage::Segment), ModeRow::<SpatialEvidence>::table());
             numbers(&modes, &names(&of(place)), "finger_separation")
         }),
     );
     same(
         "the index",
         [&whole, &gaps].map(|place| {
-            let index = rows(&place.artifact(Stage::Index), &tables::SPATIAL_INDEX);
+            let index = rows(
+                &place.artifact(Stage::Index),
+                re4_index::IndexRow::<re4_index::SpatialState>::table(),
+            );
             numbers(&index, &names(&of(place)), "eef_x")
         }),
     );
     let audit = gaps.artifact(Stage::Audit);
-    assert_eq!(texts(&rows(&audit, &tables::AUDITED_EPISODES), "demo"), known);
-    let findings = rows(&audit, &tables::FINDINGS);
+    assert_eq!(texts(&rows(&audit, AuditedEpisodeRow::table()), "demo"), known);
+    let findings = rows(&audit, FindingRow::table());
     let places = col_u32(&findings, "episode").unwrap();
     let called = texts(&findings, "demo_name");
     assert!(
@@ -319,7 +325,10 @@ fn replays_and_rollouts_name_what_they_follow() {
     let episodes = place.artifact(Stage::Ingest);
     let known = names(&episodes);
     assert_eq!(known, ["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
-    let replays = rows(&place.artifact(Stage::Replay), &tables::SPATIAL_REPLAYS);
+    let replays = rows(
+        &place.artifact(Stage::Replay),
+        re4_stages::ReplayRow::<re4_stages::SpatialReplay>::table(),
+    );
     let places = col_u32(&replays, "episode").unwrap();
     let called = texts(&replays, "demo_name");
     assert_eq!(called.len(), 10);

@@ -12,21 +12,19 @@ use std::time::Instant;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, Columns, Facts, Recipe, Stage, Store, col_binary, col_bool, col_f64, col_f64_list, col_text, col_u32,
     tables,
 };
 use re4_mujoco::{Library, Version};
-use re4_policy::PolicyError;
 use re4_policy::spatial::{
-    ObjectSight, Observer, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4,
-    SpatialRollout, SpatialStart, spatial_rollout,
+    SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4Factory,
 };
 use re4_robosuite::models::{looks, with_assets};
 use re4_robosuite::physics::without_pictures;
-use re4_sim::robosuite::{
-    Placement, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask, with_cube_size,
-};
+use re4_rollout::{Estimator, Image, PolicyError, RobosuiteEnv, Rollout, Source, Space, Start, Studio, Told, rollout};
+use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask};
 use re4_stages::testing::{Estimate, Invented, pictures};
 use serde_json::json;
 
@@ -82,8 +80,10 @@ fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, 
         .unwrap()
         .input("episodes", episodes.key());
     let writer = Store::open(artifacts).unwrap().begin(&recipe).unwrap();
-    let mut table = writer.table(&tables::SPATIAL_POSES).unwrap();
-    let mut columns = Columns::new(&tables::SPATIAL_POSES)
+    let mut table = writer
+        .table(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
+        .unwrap();
+    let mut columns = Columns::new(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
         .u32("episode", rows.iter().map(|row| row.0).collect())
         .u32("frame", rows.iter().map(|row| row.1).collect())
         .bool("trained_on", vec![true; rows.len()])
@@ -157,10 +157,10 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         let state = only(&place, &folder, Stage::Rollout);
         let asked = Arc::new(AtomicU64::new(0));
         let count = Arc::clone(&asked);
-        let truth: Estimate = Arc::new(move |picture, simulation| {
+        let truth: Estimate = Arc::new(move |picture, object| {
             assert_eq!(picture.len(), 84 * 84 * 3);
             count.fetch_add(1, Ordering::Relaxed);
-            simulation.observation().object
+            *object
         });
         let start = Instant::now();
         let invented = Invented {
@@ -207,7 +207,7 @@ fn pictures_are_those_of_the_demonstrations() {
         place.write("task.toml", text);
         run(&place, &simulators, "segment task.toml").done();
         let episodes = only(&place, "artifacts", Stage::Ingest);
-        let images = episodes.table(&tables::CAMERA_IMAGES).unwrap().read_all().unwrap();
+        let images = episodes.table(&tables::IMAGES).unwrap().read_all().unwrap();
         let (cameras, of_episode) = (
             col_text(&images, "camera").unwrap(),
             col_u32(&images, "episode").unwrap(),
@@ -224,14 +224,11 @@ fn pictures_are_those_of_the_demonstrations() {
         let front = cameras.iter().position(|camera| *camera == Some("agentview")).unwrap();
         for demo in 0..3_u32 {
             let mjcf = models[model_of[demo as usize].unwrap() as usize].unwrap();
-            let cube = (task == "lift").then(|| {
-                let boxes = looks(mjcf).unwrap().boxes;
-                boxes.iter().find(|(name, _)| name == "cube_g0").unwrap().1
-            });
+            let boxes = looks(mjcf).unwrap().boxes;
             let rows: Vec<usize> = (0..demos.len()).filter(|row| demos[*row] == demo).step_by(9).collect();
             let of_rows: Vec<Vec<f64>> = rows.iter().map(|row| states[*row].clone()).collect();
             let start = Instant::now();
-            let drawn = pictures(&place.path().join("task.toml"), &place.artifacts(), cube, &of_rows).unwrap();
+            let drawn = pictures(&place.path().join("task.toml"), &place.artifacts(), &boxes, &of_rows).unwrap();
             println!(
                 "{task}: {} pictures in {:.2} s",
                 drawn.len(),
@@ -248,27 +245,24 @@ fn pictures_are_those_of_the_demonstrations() {
     }
 }
 
-/// Where an observer that has seen enough says the object is.
+/// An estimator that has seen enough: it always says the same.
 struct Always(Isometry3<f64>);
 
-impl Observer for Always {
-    fn object(&mut self, _: &Robosuite) -> Result<Isometry3<f64>, PolicyError> {
-        Ok(self.0)
+impl Estimator<Space> for Always {
+    fn estimate(&mut self, image: &Image) -> Result<Told<Space>, PolicyError> {
+        assert_eq!(image.pixels.len(), 84 * 84 * 3);
+        Ok(Told {
+            pose: self.0,
+            confidence: None,
+            flag: None,
+        })
     }
 }
 
-struct Truthful;
-
-impl Observer for Truthful {
-    fn object(&mut self, simulation: &Robosuite) -> Result<Isometry3<f64>, PolicyError> {
-        Ok(simulation.observation().object)
-    }
-}
-
-/// The policy knows of the object what the observer says, wherever the object is: with an observer that always says the same,
+/// The policy knows of the object what the estimator says, wherever the object is: with one that always says the same,
 /// the whole way to the grasp is the same for a cube that lies elsewhere, to the bit.
 #[test]
-fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
+fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -282,43 +276,49 @@ fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
     let models = episodes.table(&tables::MODELS).unwrap().read_all().unwrap();
     let mjcf = without_pictures(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
     let mjcf = with_assets(&mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
-    let placement = Placement::draw(RobosuiteTask::Lift, 200_000);
-    let mjcf = with_cube_size(&mjcf, placement.cube.unwrap()).unwrap();
+    let lift = RobosuiteTask::named("lift").unwrap();
+    let placement = Placement::draw(lift, 200_000);
+    let mjcf = placement.in_model(&mjcf).unwrap();
     let library = Library::open(&simulators.join("mujoco-2.3.7"), Version::V2_3_7).unwrap();
-    let model = RobosuiteModel::compile(&library, RobosuiteTask::Lift, Profile::V1_4, &mjcf).unwrap();
+    let model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &mjcf).unwrap();
     let index = only(&place, "artifacts", Stage::Index);
     let config = SpatialPolicyConfig::re4();
     let knowledge = Arc::new(knowledge(&index, &config));
-    let here = placement.coordinates();
+    let here = placement.clone();
     let mut elsewhere = here.clone();
     let cube = placement.objects[0].position;
-    let at = here.windows(3).position(|part| part == cube).unwrap();
-    elsewhere[at] += 0.1;
+    elsewhere.objects[0].position[0] += 0.1;
     let said = Isometry3::from_parts(
         Translation3::from(Vector3::new(cube[0], cube[1] - 0.02, cube[2])),
         UnitQuaternion::identity(),
     );
-    let roll_out = |coordinates: &[f64], truthful: bool| -> SpatialRollout {
-        let start = SpatialStart {
+    let drawn = with_assets(
+        col_text(&models, "mjcf").unwrap()[0].unwrap(),
+        &simulators.join("robosuite-1.4.1"),
+    )
+    .unwrap();
+    let drawn_model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &drawn).unwrap();
+    let studio = Studio::new(drawn, drawn_model.mujoco().clone(), 84);
+    let factory = SpatialRe4Factory { config, knowledge };
+    let roll_out = |scene: &Placement, truthful: bool| -> Rollout<Space, SpatialDecision> {
+        let start = Start {
             seed: 200_000,
-            model: model.clone(),
-            scene: RobosuiteScene::Placed(coordinates.to_vec()),
+            scene: scene.clone(),
         };
-        let make = |_: &SpatialStart| -> Result<Box<dyn Observer>, PolicyError> {
-            Ok(if truthful {
-                Box::new(Truthful)
-            } else {
-                Box::new(Always(said))
-            })
+        let mut env = RobosuiteEnv::new(&model, Some(&studio)).unwrap();
+        let source = if truthful {
+            Source::Recorded
+        } else {
+            Source::Image {
+                camera: "agentview".to_owned(),
+                estimator: Box::new(Always(said)),
+            }
         };
-        spatial_rollout(&start, ObjectSight::Observed(&make), 30, |home| {
-            SpatialRe4::new(config.clone(), Arc::clone(&knowledge), *home)
-        })
-        .unwrap()
+        rollout(&factory, &mut env, source, start, 30).unwrap()
     };
     let (one, other) = (roll_out(&here, false), roll_out(&elsewhere, false));
-    assert_ne!(one.first.object, other.first.object);
-    assert_eq!(one.first.grip_site, other.first.grip_site);
+    assert_ne!(one.first.observation.object, other.first.observation.object);
+    assert_eq!(one.first.observation.grip_site, other.first.observation.grip_site);
     assert_eq!(one.decisions[0], other.decisions[0]);
     // Until something is touched, every action is the same.
     let same = one
@@ -328,15 +328,26 @@ fn nothing_but_the_observer_tells_the_policy_where_the_object_is() {
         .take_while(|(a, b)| a.action == b.action)
         .count();
     assert!(same >= 15, "{same} steps");
-    assert!(one.steps.iter().take(same).all(|step| step.seen.object == said));
-    // And with one that sees the cubes, they are not.
+    assert!(one.steps.iter().take(same).all(|step| step.seen == Some(said)));
+    // An image is rendered where the pose is asked for, and nowhere else.
+    assert!(one.images() >= 1 && one.images() as usize <= one.decisions.len());
+    assert!(
+        one.steps
+            .iter()
+            .all(|step| step.asked.object.is_some() == (step.asked.images == 1))
+    );
+    // And with the recorded pose, they are not.
     let (one, other) = (roll_out(&here, true), roll_out(&elsewhere, true));
     assert_ne!(one.decisions[0].set_point, other.decisions[0].set_point);
-    assert!(one.looks >= 1 && one.looks as usize <= one.decisions.len());
+    assert!(one.steps.iter().all(|step| step.asked.object.is_some()) && one.images() == 0);
 }
 
 fn knowledge(index: &Artifact, config: &SpatialPolicyConfig) -> SpatialKnowledge {
-    let table = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let table = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let column = |name: &str| col_f64(&table, name).unwrap();
     let pose = |prefix: &str, row: usize| {
         let [x, y, z, qx, qy, qz, qw] = POSE.map(|part| column(&format!("{prefix}_{part}"))[row]);
@@ -409,7 +420,11 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     };
     let index = index_over(&write_poses(&artifacts, &episodes, "nowhere", &rows)).unwrap();
     let index = Artifact::open(&index).unwrap();
-    let table = index.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let table = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     for (k, part) in POSE.into_iter().enumerate() {
         let column = col_f64(&table, &format!("object_{part}")).unwrap();
         assert!(
@@ -420,7 +435,11 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     assert!(index.manifest().inputs.contains_key("poses") && !index.manifest().inputs.contains_key("audit"));
     // Failed grasps show in the fingers, too.
     let state = only(&place, "state", Stage::Index);
-    let of_state = state.table(&tables::SPATIAL_INDEX).unwrap().read_all().unwrap();
+    let of_state = state
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let retrievable = |table| {
         col_bool(table, "retrievable")
             .unwrap()

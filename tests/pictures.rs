@@ -7,6 +7,7 @@ use std::fs;
 use crate::support::dataset::{self, LENGTH, replace};
 use crate::support::{Place, assert_same_bytes, filters};
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use re4_geometry::{Point2, Pose2, periodic_distance};
 use re4_ingest::Selection;
@@ -222,7 +223,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let folder = &crate::support::folders_in(&place.path().join("before/poses"))[0];
     let poses = Artifact::open(folder)
         .unwrap()
-        .table(&tables::POSES)
+        .table(re4_pose::PoseRow::<re4_pose::Estimate>::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -267,7 +268,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     );
     let index = place
         .artifact(Stage::Index)
-        .table(&tables::INDEX)
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())
         .unwrap()
         .read_all()
         .unwrap();
@@ -280,7 +281,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     assert_eq!(x[3 * LENGTH], x[3 * LENGTH + 1]);
     let chunks = place
         .artifact(Stage::Index)
-        .table(&tables::CHUNKS)
+        .table(re4_policy::Chunk::table())
         .unwrap()
         .read_all()
         .unwrap();

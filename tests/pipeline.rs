@@ -461,7 +461,7 @@ fn inspect_shows_every_artifact() {
             let heading = format!("table {name} (version {}): {} rows", facts.schema_version, facts.rows);
             assert!(text.stdout.contains(&heading), "{heading}\n{}", text.stdout);
             let columns = object["tables"][name]["columns"].as_array().unwrap();
-            let spec = tables::find(name).unwrap();
+            let spec = re4_stages::tables::described(&artifact, name).unwrap();
             assert_eq!(columns.len(), spec.columns.len());
             for column in spec.columns {
                 assert!(text.stdout.contains(&format!("  {} ", column.name)), "{}", column.name);
@@ -487,7 +487,7 @@ fn inspect_shows_every_artifact() {
         "states",
         "training",
     ];
-    let mut known: Vec<&str> = tables::all()
+    let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)
         .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
         .collect();

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::support::{PROGRAM, folders_in, real_data, repository};
 use arrow::array::Array as _;
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Batches, Table, col_binary, col_f64, col_f64_or_null, col_u32, tables};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
@@ -209,8 +210,16 @@ fn open_loop_replay_stays_near_the_recording() {
     assert!(number("/block_px/max") < 5.0);
     assert!((number("/coverage_recorded_mean") - number("/coverage_replayed_mean")).abs() < 0.01);
     let artifact = open(folder.path(), "replays");
-    let replays = artifact.table(&tables::REPLAYS).unwrap().read_all().unwrap();
-    let divergence = artifact.table(&tables::DIVERGENCE).unwrap().read_all().unwrap();
+    let replays = artifact
+        .table(re4_stages::ReplayRow::<re4_stages::PlanarReplay>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
+    let divergence = artifact
+        .table(re4_stages::PlanarDivergenceRow::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let (episode, block) = (
         col_u32(&divergence, "episode").unwrap(),
         col_f64(&divergence, "block").unwrap(),

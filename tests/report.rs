@@ -8,6 +8,7 @@ use crate::support::{Place, filters, folders_in, repository};
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
 use serde_json::Value;
 
@@ -274,7 +275,11 @@ fn demonstrations_are_those_that_decisions_name() {
         numbers(&shown["number"]),
         named.iter().map(|n| f64::from(*n)).collect::<Vec<_>>()
     );
-    let frames = index.table(&tables::INDEX).unwrap().read_all().unwrap();
+    let frames = index
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let episodes = col_u32(&frames, "episode").unwrap();
     let theta = col_f64(&frames, "object_theta").unwrap();
     let expected: Vec<f32> = (0..episodes.len())

@@ -1,4 +1,4 @@
-"""Makes the references that the native simulation of Lift, Can and Square is tested against, with robosuite itself.
+"""Makes the references that the native simulation of robosuite's tasks is tested against, with robosuite itself.
 
 Each pair of versions needs a virtual environment of its own:
 
@@ -12,6 +12,12 @@ and square with low_dim.hdf5 and low_dim_abs.hdf5):
     rs14/bin/python tests/robosuite_reference.py placement OUT      # and with rs15
     rs14/bin/python tests/robosuite_reference.py states OUT DATA
     rs14/bin/python tests/robosuite_reference.py replay OUT DATA
+
+A task that is added gets one file, with a trace, initial states of seeds and verdicts. NAME is that of pipeline files; GRASP
+where the hand takes the object, in the object's frame, and how far the object falls after its reset; INSIDE a place where it
+succeeds, in metres:
+
+    rs14/bin/python tests/robosuite_reference.py task OUT NAME ENVIRONMENT OBJECT GRASP INSIDE
 
 `crates/re4-sim/tests/data/robosuite/README.md` describes the files.
 """
@@ -40,6 +46,8 @@ import robosuite  # noqa: E402
 
 TASKS = {"lift": "Lift", "can": "PickPlaceCan", "square": "NutAssemblySquare"}
 OBJECT = {"lift": ("cube_joint0", "cube_main"), "can": ("Can_joint0", "Can_main"), "square": ("SquareNut_joint0", "SquareNut_main")}
+# Where the hand takes the object, in the object's frame, and how far the object falls after its reset.
+GRASP = {"square": [0.054, 0, 0, 0.06]}
 ASSETS = os.path.dirname(robosuite.__file__)
 OLD = robosuite.__version__.startswith("1.4")
 POLICY_STEPS = 60
@@ -186,7 +194,20 @@ def scripted_action(control, step, site, orientation, start, grasp):
     return np.concatenate([move, angles, [gripper]])
 
 
+def robot_touches(env):
+    """Whether the contacts of the last simulation step have one of a body of the robot."""
+    model, data = env.sim.model._model, env.sim.data._data
+    bodies = {model.geom_bodyid[geom] for contact in data.contact[: data.ncon] for geom in (contact.geom1, contact.geom2)}
+    return any(model.body(body).name.startswith(("robot0", "gripper0")) for body in bodies)
+
+
 def trace(task, control, out):
+    header, arrays, _ = traced(task, control)
+    write(out / f"trace_{task}_{robosuite.__version__}_{control}.bin.gz", header, arrays)
+
+
+def traced(task, control):
+    """A trace's header and arrays, and the environment after it."""
     env, part = make(task, control)
     np.random.seed(11)
     env.reset()
@@ -203,13 +224,13 @@ def trace(task, control, out):
     orientation = np.array(data.site_xmat[grip]).reshape(3, 3)
     body = names.body_name2id(OBJECT[task][1])
     start, target = site(), np.array(data.body_xpos[body])
-    # The nut falls by 6 cm after its reset; the hand takes it by its handle.
-    handle = np.array(data.body_xmat[body]).reshape(3, 3) @ [0.054, 0, 0] - [0, 0, 0.06]
-    grasp = target + handle if task == "square" else target
+    *handle, fall = GRASP.get(task, [0, 0, 0, 0])
+    grasp = target + (np.array(data.body_xmat[body]).reshape(3, 3) @ handle - [0, 0, fall])
 
     warmstart = np.array(data._data.qacc_warmstart)
     rows = {"ctrl": [], "forwards": []}
     unclipped = 0.0
+    first_contact = None
     calls = {"forward": 0}
     forward, name = env.sim.forward, "step" if OLD else "step2"
     step_of_simulator = getattr(env.sim, name)
@@ -219,7 +240,9 @@ def trace(task, control, out):
         forward()
 
     def stepped():
-        nonlocal unclipped
+        nonlocal unclipped, first_contact
+        if first_contact is None and robot_touches(env):
+            first_contact = len(actions)
         rows["ctrl"].append(np.array(data.ctrl))
         rows["forwards"].append(calls["forward"])
         unclipped = max(unclipped, np.abs(controller.torques - data.ctrl[:7]).max())
@@ -242,6 +265,8 @@ def trace(task, control, out):
         qpos.append(np.array(data.qpos))
         qvel.append(np.array(data.qvel))
         success.append(env._check_success())
+    env.sim.forward = forward
+    setattr(env.sim, name, step_of_simulator)
     shaped = {name: np.array(value).reshape(POLICY_STEPS, SUBSTEPS, -1) for name, value in rows.items()}
     arrays = {
         "initial_state": state,
@@ -262,13 +287,14 @@ def trace(task, control, out):
         "sim_steps_per_policy_step": SUBSTEPS,
         "reset": "reset_from_xml_string, set_state_from_flattened, forward, controller.update(force=True)",
         "forced_updates": 2,
+        "steps_before_contact": first_contact,
         "torque_clipped_by": unclipped,
         "controller": part,
         "xml": xml,
     }
     moved = np.abs(np.array(data.body_xpos[body]) - target)
     print(f"{task} {control}: object moved {moved}, success {success[-1]}, torque clipped by {unclipped}")
-    write(out / f"trace_{task}_{robosuite.__version__}_{control}.bin.gz", header, arrays)
+    return header, arrays, env
 
 
 def traces(out):
@@ -321,30 +347,35 @@ def sampled(env, task, seed):
 
 def placement(out):
     for task in TASKS:
-        env, _ = make(task, "delta")
-        env.set_xml_processor(without_pictures)
-        digest = hashlib.sha256()
-        for seed in range(10000):
-            numbers = sampled(env, task, seed)
-            digest.update(struct.pack(f"<{len(numbers)}d", *numbers))
-        qpos, sizes = [], []
-        for seed in PLACEMENT_SEEDS:
-            np.random.seed(seed)
-            env.reset()
-            qpos.append(np.array(env.sim.data.qpos))
-            if task == "lift":
-                sizes.append(env.cube.size)
-        header = {
-            "task": TASKS[task],
-            "seeded": "np.random.seed(seed), then env.reset() with a hard reset",
-            "sha256_of_10000": digest.hexdigest(),
-            "hashed": "seeds 0 to 9999: cube half sizes (Lift), arm joint positions, position and quaternion (wxyz) of the task's "
-            "object; little-endian f64",
-        }
-        arrays = {"seeds": np.array(PLACEMENT_SEEDS, dtype=np.uint32), "qpos": np.array(qpos)}
-        if sizes:
-            arrays["cube_size"] = np.array(sizes)
-        write(out / f"placement_{task}_{robosuite.__version__}.bin.gz", header, arrays)
+        header, arrays = placed(task)
+        write(out / f"placement_{task}_{robosuite.__version__}.bin.gz", dict(header, task=TASKS[task]), arrays)
+
+
+def placed(task):
+    """Initial states of seeds: the header's fields, and the arrays."""
+    env, _ = make(task, "delta")
+    env.set_xml_processor(without_pictures)
+    digest = hashlib.sha256()
+    for seed in range(10000):
+        numbers = sampled(env, task, seed)
+        digest.update(struct.pack(f"<{len(numbers)}d", *numbers))
+    qpos, sizes = [], []
+    for seed in PLACEMENT_SEEDS:
+        np.random.seed(seed)
+        env.reset()
+        qpos.append(np.array(env.sim.data.qpos))
+        if task == "lift":
+            sizes.append(env.cube.size)
+    header = {
+        "seeded": "np.random.seed(seed), then env.reset() with a hard reset",
+        "sha256_of_10000": digest.hexdigest(),
+        "hashed": "seeds 0 to 9999: cube half sizes (Lift), arm joint positions, position and quaternion (wxyz) of the task's "
+        "object; little-endian f64",
+    }
+    arrays = {"seeds": np.array(PLACEMENT_SEEDS, dtype=np.uint32), "qpos": np.array(qpos)}
+    if sizes:
+        arrays["cube_size"] = np.array(sizes)
+    return header, arrays
 
 
 # ---------------------------------------------------------------------------------------------------------------- states
@@ -515,8 +546,82 @@ def replay(out, data):
         print(f"{task} {actions}: {succeeded} of {len(missing)}, {rate:.0f} steps/s", flush=True)
 
 
+# ------------------------------------------------------------------------------------------------------------------ task
+
+
+def edges(succeeds, inside):
+    """Positions about every edge of a success rule, on lines from a place inside."""
+    found = []
+    for direction in [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1], [0.6, -0.8, 0], [0, 0.6, 0.8]]:
+        at = lambda distance: np.array(inside) + distance * np.array(direction)  # noqa: E731
+        beyond = next((step * 0.005 for step in range(1, 100) if not succeeds(at(step * 0.005))), None)
+        if beyond is None:
+            continue
+        within = beyond - 0.005
+        while beyond - within > 1e-12:
+            middle = (within + beyond) / 2
+            within, beyond = (middle, beyond) if succeeds(at(middle)) else (within, middle)
+        found += [at(beyond + d) for d in [-1e-3, -1e-6, -1e-9, 0.0, 1e-9, 1e-6, 1e-3]]
+    return found
+
+
+def reach(env, goal):
+    """Sets the arm so that the grip site is at a place, whatever is in the way."""
+    model, data = env.sim.model._model, env.sim.data._data
+    grip = env.sim.model.site_name2id("gripper0_grip_site" if OLD else "gripper0_right_grip_site")
+    joints = [model.joint(f"robot0_joint{i}") for i in range(1, 8)]
+    jacobian = np.zeros((3, model.nv))
+    for _ in range(200):
+        env.sim.forward()
+        mujoco.mj_jacSite(model, data, jacobian, None, grip)
+        arm = jacobian[:, [joint.dofadr[0] for joint in joints]]
+        move = arm.T @ np.linalg.solve(arm @ arm.T + 1e-4 * np.eye(3), goal - data.site_xpos[grip])
+        for joint, angle in zip(joints, move):
+            data.qpos[joint.qposadr[0]] += angle
+    env.sim.forward()
+    assert np.linalg.norm(data.site_xpos[grip] - goal) < 1e-3, "the arm does not reach there"
+
+
+def verdicts(env, task, inside):
+    """What the environment says of its object about every edge of its rule, with the hand far off and so near that it decides."""
+    address = env.sim.model.get_joint_qpos_addr(OBJECT[task][0])[0]
+
+    def succeeds(position):
+        env.sim.data.qpos[address : address + 3] = position
+        env.sim.forward()
+        return bool(env._check_success())
+
+    hands, rows = [], {"hand": [], "position": [], "verdict": []}
+    for offset in ([0.0, 0.0, 0.2], [0.03, 0.0, 0.035], [0.0, -0.046, 0.0]):
+        reach(env, np.array(inside) + offset)
+        hands.append(env.sim.get_state().flatten())
+        assert succeeds(inside), f"there is no success at {inside} with the hand {offset} from it"
+        for position in edges(succeeds, inside):
+            rows["hand"].append(len(hands) - 1)
+            rows["position"].append(position)
+            rows["verdict"].append(succeeds(position))
+    print(f"{task}: {len(rows['verdict'])} verdicts, {sum(rows['verdict'])} successes")
+    return {
+        "hands": np.array(hands),
+        "moved_hand": np.array(rows["hand"], dtype=np.uint32),
+        "moved_to": np.array(rows["position"]),
+        "moved_success": np.array(rows["verdict"], dtype=bool),
+    }
+
+
+def task(out, name, environment, obj, grasp, inside):
+    name, obj = str(name), str(obj)
+    numbers = lambda text: [float(number) for number in str(text).split(",")]  # noqa: E731
+    TASKS[name], OBJECT[name], GRASP[name] = str(environment), (f"{obj}_joint0", f"{obj}_main"), numbers(grasp)
+    header, arrays, env = traced(name, "absolute")
+    arrays.update(verdicts(env, name, numbers(inside)))
+    of_seeds, states = placed(name)
+    arrays["placed"] = states.pop("qpos")
+    write(out / f"trace_{name}_{robosuite.__version__}_absolute.bin.gz", dict(of_seeds, **header), dict(arrays, **states))
+
+
 if __name__ == "__main__":
-    commands = {"trace": traces, "placement": placement, "states": states, "replay": replay}
+    commands = {"task": task, "trace": traces, "placement": placement, "states": states, "replay": replay}
     if len(sys.argv) < 3 or sys.argv[1] not in commands:
         sys.exit(__doc__)
     paths = [pathlib.Path(argument) for argument in sys.argv[2:]]

@@ -5,8 +5,9 @@ use std::fs;
 
 use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
+use re4_artifact::Row as _;
 use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
-use re4_report::{mean_interval, wilson_interval};
+use re4_stats::{mean_interval, wilson_interval};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
 fn place() -> Place {
@@ -45,7 +46,7 @@ fn scenes_are_chosen_rolled_out_and_kept() {
     });
 
     let scenes = place.artifact(Stage::Scenes);
-    let scenes = scenes.table(&tables::SCENES).unwrap().read_all().unwrap();
+    let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let number = |name| col_u32(&scenes, name).unwrap().to_vec();
     assert_eq!(number("scene"), (0..12).collect::<Vec<_>>());
     assert_eq!(number("pose"), (0..12).map(|i| i / 2).collect::<Vec<_>>());
@@ -78,7 +79,7 @@ fn the_nearest_frame_is_the_nearest() {
     let frames = place.artifact(Stage::Ingest);
     let frames = frames.table(&tables::FRAMES).unwrap().read_all().unwrap();
     let scenes = place.artifact(Stage::Scenes);
-    let scenes = scenes.table(&tables::SCENES).unwrap().read_all().unwrap();
+    let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let turn = std::f64::consts::TAU;
     let demonstrated = ["object_x", "object_y", "object_theta"].map(|name| col_f64(&frames, name).unwrap());
     let chosen = ["block_x", "block_y", "block_theta"].map(|name| col_f64(&scenes, name).unwrap());

@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use crate::support::{Answer, Place, compare_with_schemas, repository};
-use re4_artifact::tables;
 
 #[test]
 fn the_committed_schemas_are_up_to_date() {
@@ -72,7 +71,7 @@ fn the_schemas_describe_the_columns_that_are_written() {
     );
     place.run("index can.toml").done();
     let compared = compare_with_schemas(&place);
-    let missing: Vec<&str> = tables::all()
+    let missing: Vec<&str> = re4_stages::tables::all()
         .map(|(_, table)| table.name)
         .filter(|name| !compared.contains(*name))
         .collect();

@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, ColumnKind, ColumnSpec, Columns, Facts, MANIFEST_NAME, Recipe, Stage, Store, TableSpec, canonical_json,
-    canonical_text, col_binary, col_f64_list, col_text, tables, verify,
+    canonical_text, col_binary, col_f64_list, col_text, verify,
 };
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
@@ -63,7 +64,7 @@ impl Sample {
             .input("raw", &re4_artifact::Key::from_bytes([7; 32]))
             .source(&[8; 32], json!({"format": "zarr"}));
         let writer = store.begin(&recipe).unwrap();
-        for spec in [&tables::SCALES, &EVERY_KIND] {
+        for spec in [re4_index::ScaleRow::table(), &EVERY_KIND] {
             let mut table = writer.table_in_groups(spec, ROWS_OF_A_GROUP).unwrap();
             table.write_columns(rows(spec)).unwrap();
             table.finish().unwrap();
@@ -172,12 +173,12 @@ fn key(manifest: &Map<String, Value>) -> Option<String> {
 
 /// Reads all that there is of an artifact, in every way that there is.
 fn read(path: &Path) -> Result<(), String> {
-    let verified = verify(path).map_err(|error| error.to_string());
+    let verified = verify(path, &re4_stages::tables::described).map_err(|error| error.to_string());
     let artifact = Artifact::open(path).map_err(|error| error.to_string())?;
     // As every command does before it reads tables.
     artifact.verify_bytes().map_err(|error| error.to_string())?;
     for name in artifact.manifest().tables.keys() {
-        let table = match tables::find(name) {
+        let table = match re4_stages::tables::described(&artifact, name) {
             Some(spec) => artifact.table(spec),
             None => artifact.table_named(name),
         };

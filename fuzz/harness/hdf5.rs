@@ -6,9 +6,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use re4_ingest::IngestError;
-use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, Sources};
-use re4_robosuite::conventions::{Settings, Task};
+use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources};
+use re4_ingest::{DemoSource as _, Frames, IngestError, Tally};
+use re4_robosuite::conventions::{RobosuiteTask, Settings};
 use tempfile::TempDir;
 
 use super::edits::{Input, edit};
@@ -64,52 +64,39 @@ fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
     let reader = RobomimicReader::open(&Sources::open(path)?, &choice, Access::Direct)?;
     reader.sources().hash(&|| false)?;
     let reading = Reading {
-        task: Task::Can,
+        task: RobosuiteTask::named("can"),
         object: None,
         env_args: None,
         conventions: Settings::default(),
     };
-    let (interpreter, _) = Interpreter::learn(&reader, &reading)?;
+    let learned = Interpreter::learn(&reader, &reading)?;
     let cameras = reader.cameras(None)?;
-    let mut sound = Vec::new();
-    let mut faults = Vec::new();
-    reader.for_each(
-        |_, demo| {
-            let demo = match demo {
-                Ok(demo) => demo,
-                Err(left) => return Ok(Err(left.why)),
-            };
-            assert_eq!(demo.actions.len(), demo.frames);
-            if let Err(left) = reader.check_cameras(&demo, &cameras)? {
-                return Ok(Err(left.why));
+    let source = RobomimicSource::new(reader, learned, None, cameras)?;
+    let mut tally = Tally::default();
+    source.episodes(|_, episode| {
+        match episode {
+            Ok(mut episode) => {
+                let Frames::Spatial(frames) = &episode.frames else {
+                    panic!()
+                };
+                assert_eq!(frames.goal.len(), frames.gripper.len());
+                tally.add(&mut episode);
             }
-            match interpreter.interpret(&reader, &demo, None) {
-                Ok(columns) => {
-                    assert_eq!(columns.goal.len(), demo.frames);
-                    Ok(Ok((demo.name, demo.frames)))
-                }
-                Err(error) if error.needs_library() => Err(error),
-                Err(error) => Ok(Err(error.fault.to_string())),
+            Err(left) => {
+                assert!(!left.why.is_empty());
+                tally.left_out.push(left);
             }
-        },
-        |_, read| {
-            match read {
-                Ok(demo) => sound.push(demo),
-                Err(why) => faults.push(why),
-            }
-            Ok::<(), IngestError>(())
-        },
-    )?;
-    assert!(faults.iter().all(|why| !why.is_empty()));
-    for camera in &cameras {
-        reader.for_each_block(camera, &sound, |block| {
+        }
+        Ok::<(), IngestError>(())
+    })?;
+    for camera in &source.info().cameras {
+        source.images(camera, &tally.demos, |block| {
             if let Ok(block) = block {
-                assert_eq!(block.bytes.len(), block.frames.len() * block.height * block.width * 3);
+                assert_eq!(block.bytes.len(), block.places.len() * block.height * block.width * 3);
             }
             Ok::<(), IngestError>(())
         })?;
     }
-    reader.total_warning(sound.iter().map(|(_, frames)| *frames as u64).sum())?;
-    reader.skipped_warning(&cameras)?;
-    reader.sources().unchanged()
+    source.warnings(&tally)?;
+    source.unchanged()
 }

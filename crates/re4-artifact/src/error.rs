@@ -1,5 +1,6 @@
 //! What can go wrong with artifacts, each in one sentence that ends with the mend.
 
+use re4_fault::Remedy;
 use std::error::Error;
 use std::fmt;
 use std::io;
@@ -8,7 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::spec::ColumnKind;
 
 /// Why an artifact could not be written, found or read.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum ArtifactError {
     /// The operating system refused an operation on a file or folder.
@@ -38,7 +39,8 @@ pub enum ArtifactError {
         source: serde_json::Error,
     },
     /// The bytes of a published artifact are not those that were published.
-    #[error("artifact {folder} is damaged: {damage}; delete the folder {folder} and run again", folder = .folder.display())]
+    #[error("artifact {folder} is damaged: {damage}", folder = .folder.display())]
+    #[remedy("delete the folder {folder} and run again", folder = folder.display())]
     Damaged {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -46,25 +48,25 @@ pub enum ArtifactError {
         damage: Damage,
     },
     /// There is no folder to verify or open.
-    #[error("cannot read artifact {folder}: there is no such folder; check the path, or run the stage that makes it", folder = .folder.display())]
+    #[error("cannot read artifact {folder}: there is no such folder", folder = .folder.display())]
+    #[remedy("check the path, or run the stage that makes it")]
     NoFolder {
         /// The folder asked for.
         folder: PathBuf,
     },
     /// The folder has no manifest: another folder was named, or the manifest was lost. Nobody is told to delete it.
-    #[error(
-        "cannot read artifact {folder}: it has no manifest.json; check the path, and where an artifact should be there, move the folder away and run again",
-        folder = .folder.display()
-    )]
+    #[error("cannot read artifact {folder}: it has no manifest.json", folder = .folder.display())]
+    #[remedy("check the path, and where an artifact should be there, move the folder away and run again")]
     NoManifest {
         /// The folder asked for.
         folder: PathBuf,
     },
     /// The manifest was written by a newer build.
     #[error(
-        "cannot read artifact {folder}: its manifest has format {found}, this build reads up to {supported}; update re4-pipe",
+        "cannot read artifact {folder}: its manifest has format {found}, this build reads up to {supported}",
         folder = .folder.display()
     )]
+    #[remedy("update re4-pipe")]
     NewerManifest {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -75,9 +77,10 @@ pub enum ArtifactError {
     },
     /// A table was written by a newer build.
     #[error(
-        "cannot read artifact {folder}: {table} table has schema version {found}, this build reads up to {supported}; update re4-pipe",
+        "cannot read artifact {folder}: {table} table has schema version {found}, this build reads up to {supported}",
         folder = .folder.display()
     )]
+    #[remedy("update re4-pipe")]
     NewerTable {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -89,10 +92,8 @@ pub enum ArtifactError {
         supported: u32,
     },
     /// Two keys share the first 16 digits, or a folder was renamed by hand.
-    #[error(
-        "artifact {folder} belongs to key {found}, not to {expected}; move that folder away and run again",
-        folder = .folder.display()
-    )]
+    #[error("artifact {folder} belongs to key {found}, not to {expected}", folder = .folder.display())]
+    #[remedy("move that folder away and run again")]
     OtherKey {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -102,7 +103,8 @@ pub enum ArtifactError {
         found: String,
     },
     /// An artifact holds no table of this name.
-    #[error("artifact {folder} has no table {table}; it has {known}", folder = .folder.display())]
+    #[error("artifact {folder} has no table {table}", folder = .folder.display())]
+    #[remedy("it has {known}")]
     NoTable {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -143,8 +145,12 @@ pub enum ArtifactError {
     },
     /// Another run published the same key with other bytes: some stage is not deterministic.
     #[error(
-        "cannot publish {folder}: another run published the same key with different bytes in {what}; delete the folder {folder}, run again, and report it, for equal keys must give equal bytes",
+        "cannot publish {folder}: another run published the same key with different bytes in {what}",
         folder = .folder.display()
+    )]
+    #[remedy(
+        "delete the folder {folder}, run again, and report it, for equal keys must give equal bytes",
+        folder = folder.display()
     )]
     NotReproducible {
         /// Folder of the artifact.
@@ -153,7 +159,8 @@ pub enum ArtifactError {
         what: String,
     },
     /// A batch lacks a column.
-    #[error("table {table} has no column {column}; it has {known}")]
+    #[error("table {table} has no column {column}")]
+    #[remedy("it has {known}")]
     NoColumn {
         /// Name of the table, `?` when the rows do not say.
         table: String,
@@ -175,7 +182,8 @@ pub enum ArtifactError {
         found: String,
     },
     /// A column that was asked for as complete has nulls.
-    #[error("column {column} of table {table} is null in row {row}; read it as a column with nulls")]
+    #[error("column {column} of table {table} is null in row {row}")]
+    #[remedy("read it as a column with nulls")]
     Null {
         /// Name of the table, `?` when the rows do not say.
         table: String,
@@ -185,9 +193,8 @@ pub enum ArtifactError {
         row: usize,
     },
     /// A word of a column is none of those that it may have.
-    #[error(
-        "column {column} of table {table} has the word {word:?}, which is none of {known}; build the artifact again"
-    )]
+    #[error("column {column} of table {table} has the word {word:?}, which is none of {known}")]
+    #[remedy("build the artifact again")]
     UnknownWord {
         /// Name of the table, `?` when the rows do not say.
         table: String,
@@ -200,9 +207,10 @@ pub enum ArtifactError {
     },
     /// A table holds the columns of another domain.
     #[error(
-        "cannot read table {table} of {folder} as one of the domain {expected}: it is of the domain {found}; name an artifact of a task in that domain",
+        "cannot read table {table} of {folder} as one of the domain {expected}: it is of the domain {found}",
         folder = .folder.display()
     )]
+    #[remedy("name an artifact of a task in that domain")]
     OtherDomain {
         /// Folder of the artifact.
         folder: PathBuf,

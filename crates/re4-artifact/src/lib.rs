@@ -6,7 +6,18 @@
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use re4_artifact::{Columns, Facts, Recipe, Stage, Store, col_f64, tables};
+//! use re4_artifact::{Facts, Recipe, Stage, Store, table};
+//!
+//! table! {
+//!     /// One row a dimension.
+//!     #[table("scales", version = 1)]
+//!     pub struct ScaleRow {
+//!         /// Name of the dimension.
+//!         pub dimension: String,
+//!         /// Greatest value.
+//!         pub maximum: f64,
+//!     }
+//! }
 //!
 //! # let folder = tempfile::tempdir()?;
 //! # let root = folder.path();
@@ -16,19 +27,12 @@
 //!     Some(found) => found,
 //!     None => {
 //!         let writer = store.begin(&recipe)?;
-//!         let mut table = writer.table(&tables::SCALES)?;
-//!         table.write_columns(
-//!             Columns::new(&tables::SCALES)
-//!                 .text("dimension", ["eef_x"])
-//!                 .f64("minimum", vec![12.0])
-//!                 .f64("maximum", vec![500.0]),
-//!         )?;
-//!         table.finish()?;
+//!         writer.write_rows([ScaleRow { dimension: "eef_x".to_owned(), maximum: 500.0 }])?;
 //!         writer.publish(Facts::default())?
 //!     }
 //! };
-//! let scales = artifact.table(&tables::SCALES)?.read_all()?;
-//! assert_eq!(col_f64(&scales, "maximum")?, &[500.0]);
+//! let scales: Vec<ScaleRow> = artifact.read()?;
+//! assert_eq!(scales[0].maximum, 500.0);
 //! # Ok(())
 //! # }
 //! ```
@@ -59,8 +63,10 @@ pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileFacts, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
 pub use reader::{Artifact, Batches, Table};
-pub use rows::{Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, trimmed};
+pub use rows::{
+    Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either, trimmed,
+};
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
-pub use verify::{VerifiedFile, VerifyReport, verify};
+pub use verify::{Described, VerifiedFile, VerifyReport, verify};
 pub use writer::{DEFAULT_ROW_GROUP_ROWS, Facts, TableWriter, Writer};

@@ -22,7 +22,6 @@ use crate::error::{ArtifactError, Damage};
 use crate::key::Key;
 use crate::manifest::{MANIFEST_NAME, Manifest, TableFacts};
 use crate::spec::{DOMAIN_KEY, TableSpec};
-use crate::tables;
 
 const ROWS_PER_BATCH: usize = 65_536;
 
@@ -89,28 +88,31 @@ impl Artifact {
 
     /// The table by the name that older versions had.
     fn formerly(&self, spec: &'static TableSpec) -> Option<&TableFacts> {
-        let facts = self.manifest.tables.get(spec.formerly)?;
+        // Tables in space had names of their own; those in the plane have kept theirs.
+        let facts = self
+            .manifest
+            .tables
+            .get(spec.formerly)
+            .filter(|_| spec.domain != "plane")?;
         (facts.schema_version < spec.version).then_some(facts)
     }
 
     /// A table by its name, as it is in the file; for programs that show any artifact.
     ///
     /// # Errors
-    /// As [`Artifact::table`].
+    /// As [`Artifact::table`], but for the version, which may be any.
     pub fn table_named(&self, name: &str) -> Result<Table, ArtifactError> {
         let facts = self.facts(name)?;
-        self.refuse_newer(name, facts)?;
         Table::open(self, facts, None)
     }
 
     /// Checks every byte: that each file of the manifest is there with its published length and hash, and no other.
     ///
     /// # Errors
-    /// [`ArtifactError::Damaged`], [`ArtifactError::NewerTable`], [`ArtifactError::Io`].
+    /// [`ArtifactError::Damaged`], [`ArtifactError::Io`].
     pub fn verify_bytes(&self) -> Result<(), ArtifactError> {
         let mut expected: BTreeSet<String> = BTreeSet::from([MANIFEST_NAME.to_owned()]);
-        for (name, facts) in &self.manifest.tables {
-            self.refuse_newer(name, facts)?;
+        for facts in self.manifest.tables.values() {
             self.verify_file(&facts.file, facts.bytes, &facts.blake3)?;
             expected.insert(facts.file.clone());
         }
@@ -162,13 +164,6 @@ impl Artifact {
         })
     }
 
-    fn refuse_newer(&self, table: &str, facts: &TableFacts) -> Result<(), ArtifactError> {
-        match tables::newest(table) {
-            Some(version) if facts.schema_version > version => Err(self.newer(table, facts, version)),
-            _ => Ok(()),
-        }
-    }
-
     fn newer(&self, table: &str, facts: &TableFacts, supported: u32) -> ArtifactError {
         ArtifactError::NewerTable {
             folder: self.path.clone(),
@@ -218,13 +213,12 @@ impl Table {
     /// Refuses a table that has the columns of another domain.
     fn refuse_other_domain(&self, artifact: &Artifact) -> Result<(), ArtifactError> {
         let Some(spec) = self.spec else { return Ok(()) };
-        let found = self.metadata.schema().metadata.get(DOMAIN_KEY);
-        match found.filter(|found| *found != spec.domain) {
+        match self.domain().filter(|found| found != spec.domain) {
             Some(found) => Err(ArtifactError::OtherDomain {
                 folder: artifact.path.clone(),
                 table: spec.name.to_owned(),
                 expected: spec.domain,
-                found: found.clone(),
+                found,
             }),
             None => Ok(()),
         }
@@ -242,19 +236,19 @@ impl Table {
         let spec = self.spec?;
         let version = self.facts.schema_version;
         let fields = self.metadata.schema().fields();
-        let described: Vec<_> = spec.columns_at(version).collect();
+        let current = version == spec.version;
         // An older version may have had columns that are gone.
-        if fields.len() != described.len() && version == spec.version {
+        if current && fields.len() != spec.columns.len() {
             return Some(format!(
                 "has {} columns where version {version} of the {} table has {}",
                 fields.len(),
                 spec.name,
-                described.len()
+                spec.columns.len()
             ));
         }
-        described.into_iter().enumerate().find_map(|(place, column)| {
+        spec.columns.iter().enumerate().find_map(|(place, column)| {
             let name = spec.name_at(column, version);
-            let field = if version == spec.version {
+            let field = if current {
                 fields.get(place)
             } else {
                 fields.iter().find(|field| field.name() == name)
@@ -269,6 +263,7 @@ impl Table {
                     spec.name,
                     column.kind
                 )),
+                None if column.since > version => None,
                 None => Some(format!(
                     "lacks the column {name} of version {version} of the {} table",
                     spec.name
@@ -312,6 +307,11 @@ impl Table {
     /// Number of row groups.
     pub fn row_groups(&self) -> usize {
         self.metadata.metadata().num_row_groups()
+    }
+
+    /// Domain that the file says it is of; none of a table of all domains, or of an old one.
+    pub fn domain(&self) -> Option<String> {
+        self.metadata.schema().metadata.get(DOMAIN_KEY).cloned()
     }
 
     /// Schema of the batches that it gives: names, types, units and frames of reference.

@@ -182,6 +182,14 @@ impl TableSpec {
         format!("{}.parquet", self.name)
     }
 
+    /// Name of the table, with its domain where it is of one: `modes-space`.
+    pub fn title(&self) -> String {
+        match self.domain {
+            "" => self.name.to_owned(),
+            domain => format!("{}-{domain}", self.name),
+        }
+    }
+
     /// The column of this name.
     pub fn column(&self, name: &str) -> Option<&'static ColumnSpec> {
         self.columns.iter().find(|column| column.name == name)

@@ -73,7 +73,7 @@ impl Store {
     ///
     /// # Errors
     /// [`ArtifactError::Damaged`] when a byte of it is not as published: nothing is rebuilt behind the user's back.
-    /// [`ArtifactError::NewerManifest`] and [`ArtifactError::NewerTable`] when a newer build wrote it,
+    /// [`ArtifactError::NewerManifest`] when a newer build wrote it,
     /// [`ArtifactError::OtherKey`] when the folder is another key's.
     pub fn lookup(&self, stage: Stage, key: &Key) -> Result<Option<Artifact>, ArtifactError> {
         let folder = self.folder(stage, key);

@@ -6,7 +6,7 @@ use crate::error::ArtifactError;
 use crate::key::Key;
 use crate::manifest::{MANIFEST_NAME, Manifest};
 use crate::reader::Artifact;
-use crate::tables;
+use crate::spec::TableSpec;
 
 /// What a verification looked at, all of it found as published.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,13 +32,16 @@ pub struct VerifiedFile {
     pub blake3: Key,
 }
 
+/// The description of a table of an artifact, by its name there; none of a table that is not known.
+pub type Described<'a> = &'a dyn Fn(&Artifact, &str) -> Option<&'static TableSpec>;
+
 /// Verifies an artifact: the manifest's own hash, format and key, every file's length and hash, no stray file, and that
-/// every table decodes to the rows and columns that the manifest and this build's descriptions say.
+/// every table decodes to the rows and columns that the manifest and the descriptions of tables say.
 ///
 /// # Errors
 /// [`ArtifactError::NoFolder`], [`ArtifactError::Damaged`] naming the file, [`ArtifactError::NewerManifest`],
 /// [`ArtifactError::NewerTable`], [`ArtifactError::Io`].
-pub fn verify(path: &Path) -> Result<VerifyReport, ArtifactError> {
+pub fn verify(path: &Path, described: Described<'_>) -> Result<VerifyReport, ArtifactError> {
     let artifact = Artifact::open(path)?;
     artifact.verify_bytes()?;
     let manifest = artifact.manifest();
@@ -51,7 +54,7 @@ pub fn verify(path: &Path) -> Result<VerifyReport, ArtifactError> {
         blake3: manifest.manifest_blake3,
     }];
     for (name, facts) in &manifest.tables {
-        let table = match tables::find(name) {
+        let table = match described(&artifact, name) {
             Some(spec) => artifact.table(spec)?,
             None => artifact.table_named(name)?,
         };

@@ -150,7 +150,7 @@ fn what_is_published_is_found_again() {
         fs::read_to_string(run).unwrap(),
         "{\n  \"host\": \"h\",\n  \"wall_s\": 1.5\n}\n"
     );
-    verify(found.path()).unwrap();
+    verify(found.path(), &|_, _| None).unwrap();
 }
 
 /// Whether some process has begun to write an artifact, and has not published it.
@@ -183,7 +183,7 @@ fn killed_processes_leave_nothing_that_a_later_run_trusts() {
         let store = Store::open(root.path()).unwrap();
         for name in artifact_names(root.path()) {
             assert!(!name.starts_with(".tmp-"), "{name} was left");
-            let report = verify(&root.path().join("modes").join(&name)).unwrap();
+            let report = verify(&root.path().join("modes").join(&name), &|_, _| None).unwrap();
             assert_eq!(report.files[1].rows, Some(2_000));
         }
         // What was interrupted can be done now, with the bytes of an undisturbed run.
@@ -216,7 +216,7 @@ fn processes_that_publish_the_same_key_at_once_all_succeed() {
     hashes.dedup();
     assert_eq!(hashes.len(), 1);
     assert_eq!(artifact_names(root.path()), [recipe(1).key().short()]);
-    verify(&root.path().join("modes").join(recipe(1).key().short())).unwrap();
+    verify(&root.path().join("modes").join(recipe(1).key().short()), &|_, _| None).unwrap();
 }
 
 #[test]

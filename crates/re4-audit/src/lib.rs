@@ -13,7 +13,7 @@ mod grasps;
 mod planar;
 mod runs;
 mod spatial;
-mod statistics;
+mod tables;
 mod thresholds;
 
 pub use checks::{Applies, Basis, CHECKS, Check, markdown};
@@ -23,5 +23,5 @@ pub use finding::{Finding, Severity};
 pub use grasps::{GraspLimits, GraspOutcome, JudgedGrasp};
 pub use planar::{PlanarDemo, audit_planar, contact_and_motion, observe_planar};
 pub use spatial::{SpatialAudit, SpatialDemo, audit_spatial, observe_spatial};
-pub use statistics::{median, quantile};
+pub use tables::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 pub use thresholds::{Observation, Origin, Threshold, Thresholds};

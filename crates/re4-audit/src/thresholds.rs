@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use crate::checks::{Basis, CHECKS, Check, ENOUGH};
 use crate::config::AuditConfig;
-use crate::statistics::{median, outer_fence, robust_deviation};
+use re4_stats::{median, outer_fence, robust_deviation};
 
 /// Where a threshold comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

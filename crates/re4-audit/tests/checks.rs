@@ -40,7 +40,6 @@ fn flawless(number: u32) -> Vec<SpatialFrame> {
             delta: [0.1 + own, 0.0, 0.1, 0.0, 0.0, 0.0],
             goal: [eef.x, eef.y, eef.z, 2.0, 0.0, 0.0],
             gripper: if closes { 1.0 } else { -1.0 },
-            closes,
             reward: Some(if t > 45 { 1.0 } else { 0.0 }),
         });
         let step = match t {
@@ -154,7 +153,7 @@ fn an_object_that_leaves_the_hand_is_lost_from_there() {
 fn a_grasp_goes_on_across_flickers_of_the_command() {
     let mut faulty = flawless(10);
     for t in [24, 27] {
-        (faulty[t].closes, faulty[t].gripper) = (false, -1.0);
+        faulty[t].gripper = -1.0;
     }
     let (findings, outcomes) = audit(faulty, &AuditConfig::default());
     assert_eq!(outcomes, [GraspOutcome::Held, GraspOutcome::Brief, GraspOutcome::Held]);

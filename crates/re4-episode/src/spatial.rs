@@ -5,7 +5,7 @@ use nalgebra::Isometry3;
 /// A frame of a spatial demonstration: the object-augmented state and the action taken there. World frame, metres and radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpatialFrame {
-    /// Pose of the end effector: position of the grip site, orientation as recorded.
+    /// Pose of the end effector, that is, of the grip site.
     pub eef: Isometry3<f64>,
     /// Pose of the manipulated object.
     pub object: Isometry3<f64>,
@@ -15,15 +15,18 @@ pub struct SpatialFrame {
     pub delta: [f64; 6],
     /// Absolute action: goal position and goal orientation as a rotation vector.
     pub goal: [f64; 6],
-    /// Gripper command as recorded.
+    /// Gripper command: above 0 closes, below 0 opens, and 0 leaves the fingers as they are.
     pub gripper: f64,
-    /// Whether that command closes the gripper; one of 0 leaves it as it is and does not.
-    pub closes: bool,
     /// Reward of the step, where it was recorded.
     pub reward: Option<f64>,
 }
 
 impl SpatialFrame {
+    /// Whether the gripper command closes.
+    pub fn closes(&self) -> bool {
+        self.gripper > 0.0
+    }
+
     /// Distance between the fingers.
     pub fn finger_separation(&self) -> f64 {
         (self.fingers[0] - self.fingers[1]).abs()

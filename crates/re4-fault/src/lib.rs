@@ -55,6 +55,20 @@ impl Fault {
         }
     }
 
+    /// What another error says.
+    pub fn of(error: &impl Remedy) -> Self {
+        Self::new(error.to_string(), error.remedy())
+    }
+
+    /// The same, with words before it that say where: `{place}{what}`.
+    #[must_use]
+    pub fn at(self, place: impl fmt::Display) -> Self {
+        Self {
+            what: format!("{place}{}", self.what),
+            ..self
+        }
+    }
+
     /// From a sentence as [`Remedy::sentence`] makes it, for what passed through a foreign parser, which knows texts alone.
     pub fn from_sentence(sentence: &str) -> Self {
         match sentence.split_once("; ") {

@@ -22,6 +22,7 @@ mod linear;
 mod metric;
 mod search;
 mod spatial;
+mod tables;
 mod tree;
 
 pub use linear::retrieve_linear;
@@ -32,6 +33,8 @@ pub use spatial::{
     IndexedSpatialFrame, SpatialDistances, SpatialIndex, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2,
     retrieve_spatial_linear,
 };
+
+pub use tables::{IndexRow, PlanarState, ScaleRow, SpatialState};
 
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::left_out::parts;
 use crate::robomimic::Hdf5Fault;
 use crate::selection::SelectionError;
+use crate::source::io_mend;
 
 /// A raw dataset that cannot be ingested.
 #[derive(Debug, Error)]
@@ -519,10 +521,7 @@ fn several(list: &[String], more: usize) -> String {
 impl Fault {
     /// What is wrong, without the remedy.
     pub(crate) fn what(&self) -> String {
-        let sentence = self.to_string();
-        sentence
-            .split_once("; ")
-            .map_or(sentence.clone(), |(what, _)| what.to_owned())
+        parts(&self.to_string()).0.to_owned()
     }
 
     /// Whether reading has to end at once: nothing more can be said of the dataset.
@@ -570,41 +569,5 @@ impl Fault {
             path: path.into(),
             source,
         }
-    }
-}
-
-/// What to do about an error of the operating system.
-pub(crate) fn io_mend(error: &io::Error) -> &'static str {
-    match error.kind() {
-        io::ErrorKind::PermissionDenied => "change its permissions or run as a user who may",
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "free some space there, or use a folder on a larger disk (TMPDIR for unpacked zip files)"
-        }
-        io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
-        io::ErrorKind::NotFound => "restore or create it",
-        _ => "check the disk and try again",
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn errors_of_the_system_name_the_path_and_the_mend() {
-        let sentences: Vec<String> = [
-            io::ErrorKind::PermissionDenied,
-            io::ErrorKind::StorageFull,
-            io::ErrorKind::ReadOnlyFilesystem,
-            io::ErrorKind::NotFound,
-            io::ErrorKind::TimedOut,
-        ]
-        .map(|kind| {
-            Fault::io("read", "/data/x.zarr/data/img/3.0.0.0", kind.into())
-                .of(Path::new("/data/x.zarr"))
-                .to_string()
-        })
-        .into();
-        insta::assert_snapshot!(sentences.join("\n"));
     }
 }

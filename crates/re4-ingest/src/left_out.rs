@@ -26,6 +26,11 @@ pub struct LeftOut {
 /// Demonstrations that are named one by one in a sentence.
 const NAMED: usize = 20;
 
+/// What is wrong, and what to do about it, of a sentence that says both.
+pub(crate) fn parts(sentence: &str) -> (&str, &str) {
+    sentence.split_once("; ").unwrap_or((sentence, ""))
+}
+
 /// Why a dataset of so many demonstrations is refused for these: one alone with its own sentence, several in one.
 pub fn refusal(left: &[LeftOut], of: usize) -> String {
     if let [only] = left {
@@ -35,7 +40,7 @@ pub fn refusal(left: &[LeftOut], of: usize) -> String {
         return sentence;
     }
     let what = |left: &LeftOut| {
-        let what = left.why.split_once("; ").map_or(&*left.why, |(what, _)| what);
+        let (what, _) = parts(&left.why);
         let what = what.strip_prefix(&format!("{}: ", left.demo)).unwrap_or(what);
         format!("{} ({what})", left.demo)
     };
@@ -58,7 +63,7 @@ fn same(left: &[LeftOut]) -> Option<String> {
         text.chars().filter(|c| !c.is_ascii_digit()).collect()
     };
     let first = left.first()?;
-    let (what, remedy) = first.why.split_once("; ").unwrap_or((&first.why, ""));
+    let (what, remedy) = parts(&first.why);
     let all = left.iter().all(|other| plain(other) == plain(first));
     all.then(|| format!("{what}, and so in all {} demonstrations; {remedy}", left.len()))
 }

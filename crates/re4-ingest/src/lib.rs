@@ -1,14 +1,17 @@
 //! Readers and writers of raw demonstration datasets.
 //!
-//! [`pusht`] reads the Push-T replay dataset, a Zarr store of format 2 or 3, as a folder or in a `.zip` file, and writes it. [`robomimic`] reads
+//! A dataset of any format is a [`DemoSource`]: it is told by a look at its path, says what it holds, and hands on demonstrations one
+//! after the other, what is wrong with one as a value. [`pusht`] reads the Push-T replay dataset, a Zarr store of format 2 or 3, as a folder or in a `.zip` file, and writes it. [`robomimic`] reads
 //! demonstrations of robosuite's tasks from HDF5 files. A reader
 //! checks everything it hands on; what it refuses is an [`IngestError`] that names the array and the index, what it
 //! only finds odd is a [`Warning`] that travels with the data.
 
 mod bitplanes;
 mod compression;
+mod demos;
 mod error;
 mod left_out;
+mod name;
 pub mod pusht;
 pub mod robomimic;
 mod selection;
@@ -17,8 +20,12 @@ mod store;
 mod warning;
 mod zarr;
 
+pub use demos::{
+    DemoName, DemoSource, Episode, Frames, ImageBlock, Info, KEYPOINTS, Matrix, PlanarFrames, SpatialFrames, Tally,
+};
 pub use error::{Fault, IngestError};
 pub use left_out::{LeftOut, OnBad, refusal};
-pub use selection::{EpisodeRange, Pick, Selection, SelectionError, SourceName};
+pub use name::{Pick, SourceName};
+pub use selection::{EpisodeRange, Selection, SelectionError};
 pub use source::{SourceFile, Stop};
 pub use warning::{Warning, WarningCode};

@@ -1,15 +1,15 @@
 //! Which demonstrations of a dataset to read.
 
 use std::borrow::Cow;
-use std::cmp::Ordering;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-use re4_episode::episode_name;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use thiserror::Error;
+
+use crate::name::{Pick, SourceName};
 
 /// Names in a sentence; more are counted.
 const NAMES_SHOWN: usize = 8;
@@ -37,16 +37,6 @@ pub enum Selection {
     Range(EpisodeRange),
 }
 
-/// A demonstration as a selection names it.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize)]
-#[serde(untagged)]
-pub enum Pick {
-    /// Its own number: for Push-T that of the episode, from 0, for an HDF5 file that which the name of its group ends in.
-    Number(u64),
-    /// Its name: that of its group, such as `demo_3`; for Push-T, the word episode and the number.
-    Name(String),
-}
-
 /// A half-open range of demonstrations' own numbers, written `10..20`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EpisodeRange {
@@ -54,18 +44,6 @@ pub struct EpisodeRange {
     pub start: u64,
     /// The number after the last.
     pub end: u64,
-}
-
-/// What a source calls a demonstration.
-///
-/// They are ordered by the numbers that they end in, whatever stands before these, then by name: `demo1`, `demo2`, `demo10`. Those
-/// without a number come last. Numbers inside names count as numbers, too, so that `take2b` comes before `take10b`. No number is
-/// too long.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct SourceName {
-    name: String,
-    /// Where the digits that it ends in begin, leading zeros left out; where there are none, its length.
-    digits: usize,
 }
 
 /// Why a selection does not fit a dataset, and how to mend it.
@@ -133,105 +111,6 @@ pub enum SelectionError {
         /// The text.
         text: String,
     },
-}
-
-impl SourceName {
-    /// A name as the source has it.
-    pub fn new(name: impl Into<String>) -> Self {
-        let name = name.into();
-        let before = name.trim_end_matches(|c: char| c.is_ascii_digit()).len();
-        let zeros = name[before..].len() - name[before..].trim_start_matches('0').len();
-        // Of 000 the last digit is the number.
-        let digits = (before + zeros).min(name.len().saturating_sub(1)).max(before);
-        Self { name, digits }
-    }
-
-    /// An episode of Push-T, by its number in the dataset.
-    pub fn episode(number: u32) -> Self {
-        Self::new(episode_name(number))
-    }
-
-    /// The name.
-    pub fn as_str(&self) -> &str {
-        &self.name
-    }
-
-    /// Its own number as decimal digits without leading zeros; none where the name does not end in a digit.
-    pub fn digits(&self) -> Option<&str> {
-        self.name.get(self.digits..).filter(|digits| !digits.is_empty())
-    }
-
-    /// Its own number, where it has one of at most 64 bits.
-    pub fn number(&self) -> Option<u64> {
-        self.digits()?.parse().ok()
-    }
-
-    fn has_number(&self, number: u64) -> bool {
-        self.number() == Some(number)
-    }
-
-    /// The name that a demonstration with another number would have: `demo_7` of `demo_3`.
-    fn with_number(&self, number: u64) -> String {
-        let stem = self.name.trim_end_matches(|c: char| c.is_ascii_digit());
-        let width = self.name.len() - stem.len();
-        let padded = self.name[stem.len()..].starts_with('0') && width > 1;
-        if padded {
-            format!("{stem}{number:0width$}")
-        } else {
-            format!("{stem}{number}")
-        }
-    }
-}
-
-impl fmt::Display for SourceName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.name)
-    }
-}
-
-impl Ord for SourceName {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let numbers = match (self.digits(), other.digits()) {
-            (Some(own), Some(others)) => compare_digits(own, others),
-            (own, others) => own.is_none().cmp(&others.is_none()),
-        };
-        numbers
-            .then_with(|| natural(&self.name, &other.name))
-            .then_with(|| self.name.cmp(&other.name))
-    }
-}
-
-impl PartialOrd for SourceName {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-/// Numbers of any length, without leading zeros.
-fn compare_digits(a: &str, b: &str) -> Ordering {
-    a.len().cmp(&b.len()).then_with(|| a.cmp(b))
-}
-
-/// Natural order: runs of digits are compared as numbers, all else byte by byte.
-fn natural(a: &str, b: &str) -> Ordering {
-    fn runs(text: &str) -> impl Iterator<Item = &[u8]> {
-        text.as_bytes()
-            .chunk_by(|x, y| x.is_ascii_digit() == y.is_ascii_digit())
-    }
-    let digits = |run: &[u8]| run.first().is_some_and(u8::is_ascii_digit);
-    for (x, y) in runs(a).zip(runs(b)) {
-        let order = if digits(x) && digits(y) {
-            let significant = |run: &'_ [u8]| run.iter().copied().skip_while(|c| *c == b'0').collect::<Vec<u8>>();
-            let (x, y) = (significant(x), significant(y));
-            x.len().cmp(&y.len()).then_with(|| x.cmp(&y))
-        } else {
-            x.cmp(y)
-        };
-        if order.is_ne() {
-            return order;
-        }
-    }
-    runs(a).count().cmp(&runs(b).count())
 }
 
 /// Names as a sentence lists them; of many, the first and the last.
@@ -329,10 +208,7 @@ impl Selection {
     fn listed(&self, list: &[Pick], among: &Among<'_>) -> Result<Vec<usize>, SelectionError> {
         let mut chosen = BTreeSet::new();
         for pick in list {
-            let mut found = among.iter().filter(|(_, name)| match pick {
-                Pick::Number(number) => name.has_number(*number),
-                Pick::Name(text) => name.as_str() == text,
-            });
+            let mut found = among.iter().filter(|(_, name)| pick.means(name));
             let (place, name) = found.next().ok_or_else(|| self.missing(pick, among))?;
             if let (Pick::Number(number), Some((_, second))) = (pick, found.next()) {
                 let candidates = [name, second].into_iter().chain(found.map(|(_, name)| name));
@@ -379,16 +255,12 @@ impl Selection {
     }
 
     fn missing(&self, pick: &Pick, among: &Among<'_>) -> SelectionError {
-        let is_it = |name: &SourceName| match pick {
-            Pick::Number(number) => name.has_number(*number),
-            Pick::Name(text) => name.as_str() == text,
-        };
-        let unlisted = among.all.iter().find(|name| is_it(name));
+        let unlisted = among.all.iter().find(|name| pick.means(name));
         let numbered = || among.all.iter().filter(|name| name.digits().is_some());
         let (wanted, absent) = match pick {
             Pick::Number(number) => {
                 let first = numbered().next();
-                let alike = first.filter(|first| numbered().all(|name| stem(name) == stem(first)));
+                let alike = first.filter(|first| numbered().all(|name| name.stem() == first.stem()));
                 let absent = match (unlisted, alike) {
                     (Some(name), _) => format!("but the filter key does not list {name}"),
                     // Where all names are alike, the name that it would have is clear.
@@ -409,11 +281,6 @@ impl Selection {
     }
 }
 
-/// What stands before the digits that a name ends in.
-fn stem(name: &SourceName) -> &str {
-    name.as_str().trim_end_matches(|c: char| c.is_ascii_digit())
-}
-
 /// The selection in its TOML form.
 impl fmt::Display for Selection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -430,74 +297,6 @@ impl fmt::Display for Selection {
     }
 }
 
-/// As TOML writes it.
-impl fmt::Display for Pick {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Number(number) => write!(f, "{number}"),
-            Self::Name(name) => write!(f, "{name:?}"),
-        }
-    }
-}
-
-impl From<u64> for Pick {
-    fn from(number: u64) -> Self {
-        Self::Number(number)
-    }
-}
-
-impl From<&str> for Pick {
-    fn from(name: &str) -> Self {
-        Self::Name(name.to_owned())
-    }
-}
-
-/// By hand, since a value that is neither is then named in the message.
-impl<'de> Deserialize<'de> for Pick {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-
-        impl de::Visitor<'_> for Visitor {
-            type Value = Pick;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("the number of a demonstration, or its name in quotes")
-            }
-
-            fn visit_u64<E: de::Error>(self, number: u64) -> Result<Pick, E> {
-                Ok(Pick::Number(number))
-            }
-
-            fn visit_i64<E: de::Error>(self, number: i64) -> Result<Pick, E> {
-                u64::try_from(number)
-                    .map(Pick::Number)
-                    .map_err(|_| E::invalid_value(de::Unexpected::Signed(number), &self))
-            }
-
-            fn visit_str<E: de::Error>(self, name: &str) -> Result<Pick, E> {
-                Ok(Pick::Name(name.to_owned()))
-            }
-        }
-
-        deserializer.deserialize_any(Visitor)
-    }
-}
-
-impl JsonSchema for Pick {
-    fn schema_name() -> Cow<'static, str> {
-        "Pick".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({
-            "description": "A demonstration: its own number (that of a Push-T episode, from 0, or that which the name of a group of an HDF5 file ends in, 3 for demo_3), or its name.",
-            "anyOf": [
-                { "type": "integer", "minimum": 0 },
-                { "type": "string" }
-            ]
-        })
-    }
-}
 impl fmt::Display for EpisodeRange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}..{}", self.start, self.end)
@@ -576,45 +375,6 @@ mod tests {
     fn taken<'a>(selection: &Selection, source: &'a [SourceName]) -> Result<Vec<&'a str>, String> {
         let places = selection.resolve(source).map_err(|error| error.to_string())?;
         Ok(places.into_iter().map(|place| source[place].as_str()).collect())
-    }
-
-    #[test]
-    fn names_come_in_the_order_of_the_numbers_they_end_in() {
-        for sorted in [
-            &["demo1", "demo2", "demo10", "demo11"][..],
-            &["demo_0", "demo_2", "demo_03", "demo_10", "notes"],
-            &["episode-7", "episode-12"],
-            &["a_1", "b_1", "a_2", "b_10"],
-            &["demo_7", "demo_18446744073709551616", "demo_99999999999999999999999"],
-            &["run2_1", "run10_1", "other_2", "take2b", "take10b"],
-            &["3", "20", "x"],
-            &["demo_0", "demo_000", "demo_1"],
-        ] {
-            let mut names: Vec<SourceName> = sorted.iter().rev().map(|name| SourceName::new(*name)).collect();
-            names.sort();
-            let found: Vec<&str> = names.iter().map(SourceName::as_str).collect();
-            assert_eq!(found, sorted);
-        }
-    }
-
-    #[test]
-    fn a_name_has_the_number_that_it_ends_in() {
-        for (name, digits) in [
-            ("demo_3", Some("3")),
-            ("demo3", Some("3")),
-            ("demo_03", Some("3")),
-            ("demo_000", Some("0")),
-            ("12", Some("12")),
-            ("traj-99999999999999999999999", Some("99999999999999999999999")),
-            ("demo", None),
-            ("demo_3b", None),
-            ("", None),
-            ("d\u{e9}mo_\u{663}", None),
-        ] {
-            assert_eq!(SourceName::new(name).digits(), digits, "{name}");
-        }
-        assert_eq!(SourceName::new("demo_18446744073709551616").number(), None);
-        assert_eq!(SourceName::episode(12).number(), Some(12));
     }
 
     #[test]

@@ -214,6 +214,19 @@ pub(crate) fn irregular(metadata: &Metadata) -> Option<&'static str> {
     })
 }
 
+/// What to do about an error of the operating system.
+pub(crate) fn io_mend(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => "change its permissions or run as a user who may",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "free some space there, or use a folder on a larger disk (TMPDIR for unpacked zip files)"
+        }
+        io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
+        io::ErrorKind::NotFound => "restore or create it",
+        _ => "check the disk and try again",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -325,5 +338,23 @@ mod tests {
             let said = SourceFile::open(path).unwrap_err().to_string();
             assert!(said.contains(what), "{said}");
         }
+    }
+
+    #[test]
+    fn errors_of_the_system_name_the_path_and_the_mend() {
+        let sentences: Vec<String> = [
+            io::ErrorKind::PermissionDenied,
+            io::ErrorKind::StorageFull,
+            io::ErrorKind::ReadOnlyFilesystem,
+            io::ErrorKind::NotFound,
+            io::ErrorKind::TimedOut,
+        ]
+        .map(|kind| {
+            Fault::io("read", "/data/x.zarr/data/img/3.0.0.0", kind.into())
+                .of(Path::new("/data/x.zarr"))
+                .to_string()
+        })
+        .into();
+        insta::assert_snapshot!(sentences.join("\n"));
     }
 }

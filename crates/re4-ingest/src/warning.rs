@@ -50,37 +50,10 @@ pub enum WarningCode {
     SkippedColumns,
 }
 
-impl WarningCode {
-    /// The word used in tables and messages; equal to the serialised form.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::AngleSeam => "angle_seam",
-            Self::ActionOutsideWindow => "action_outside_window",
-            Self::ShortEpisode => "short_episode",
-            Self::RepeatedState => "repeated_state",
-            Self::NoContacts => "no_contacts",
-            Self::NoKeypoints => "no_keypoints",
-            Self::NoImages => "no_images",
-            Self::SinglePrecision => "single_precision",
-            Self::SkippedMembers => "skipped_members",
-            Self::SkippedFilterKeys => "skipped_filter_keys",
-            Self::StaleTotal => "stale_total",
-            Self::UnusedObservations => "unused_observations",
-            Self::SkippedValues => "skipped_values",
-            Self::LeftOut => "left_out",
-            Self::SkippedDatasets => "skipped_datasets",
-            Self::Convention => "convention",
-            Self::NotCompared => "not_compared",
-            Self::AngleWrapped => "angle_wrapped",
-            Self::AbsentChunks => "absent_chunks",
-            Self::SkippedColumns => "skipped_columns",
-        }
-    }
-}
-
+/// The word used in tables and messages.
 impl fmt::Display for WarningCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
+        self.serialize(f)
     }
 }
 
@@ -98,4 +71,17 @@ pub struct Warning {
     pub frame: Option<u64>,
     /// How many places there are.
     pub count: u64,
+}
+
+impl Warning {
+    /// Of the dataset as a whole.
+    pub fn new(code: WarningCode, message: String, count: usize) -> Self {
+        Self {
+            code,
+            message,
+            episode: None,
+            frame: None,
+            count: count as u64,
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! One array of a Zarr store of format 2 or 3: its metadata, and its chunks read so that a missing or broken one can be named.
 
 mod codecs;
+mod element;
 mod metadata;
 
 use std::ops::Range;
@@ -8,12 +9,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rayon::prelude::*;
-use serde_json::Value;
 
 use crate::compression::Compressor;
 use crate::error::Fault;
 use crate::source::Stop;
 use crate::store::Store;
+pub(crate) use element::Element;
 use metadata::Layout;
 
 /// Largest decoded chunk, and largest row of chunks converted to bytes: 128 MiB. It bounds the memory of every reader.
@@ -30,109 +31,6 @@ const BATCH: usize = 256;
 
 /// Longest metadata of an array. Attributes of format 3 stand in it, too.
 const METADATA_LIMIT: u64 = 64 << 20;
-
-/// Element types that are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Element {
-    F32,
-    F64,
-    U8,
-    U16,
-    U32,
-    U64,
-    I8,
-    I16,
-    I32,
-    I64,
-}
-
-impl Element {
-    /// Of format 2, such as `<f4`.
-    fn from_dtype(dtype: &str) -> Option<Self> {
-        Some(match dtype.trim_start_matches(['<', '>', '|']) {
-            "f4" => Self::F32,
-            "f8" => Self::F64,
-            "u1" => Self::U8,
-            "u2" => Self::U16,
-            "u4" => Self::U32,
-            "u8" => Self::U64,
-            "i1" => Self::I8,
-            "i2" => Self::I16,
-            "i4" => Self::I32,
-            "i8" => Self::I64,
-            _ => return None,
-        })
-    }
-
-    /// Of format 3, such as `float32`.
-    fn from_data_type(name: &str) -> Option<Self> {
-        Some(match name {
-            "float32" => Self::F32,
-            "float64" => Self::F64,
-            "uint8" => Self::U8,
-            "uint16" => Self::U16,
-            "uint32" => Self::U32,
-            "uint64" => Self::U64,
-            "int8" => Self::I8,
-            "int16" => Self::I16,
-            "int32" => Self::I32,
-            "int64" => Self::I64,
-            _ => return None,
-        })
-    }
-
-    pub(crate) fn size(self) -> usize {
-        match self {
-            Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 => 2,
-            Self::F32 | Self::U32 | Self::I32 => 4,
-            Self::F64 | Self::U64 | Self::I64 => 8,
-        }
-    }
-
-    pub(crate) fn is_float(self) -> bool {
-        matches!(self, Self::F32 | Self::F64)
-    }
-
-    /// A number of metadata as the bytes of an element, in the machine's order; `None` if it is none, or does not fit.
-    fn bytes_of(self, value: &Value) -> Option<Vec<u8>> {
-        let float = || match value {
-            Value::String(word) => match word.as_str() {
-                "NaN" => Some(f64::NAN),
-                "Infinity" => Some(f64::INFINITY),
-                "-Infinity" => Some(f64::NEG_INFINITY),
-                // Format 3 may write the bits.
-                _ => match (self, word.strip_prefix("0x")?) {
-                    (Self::F32, bits) => u32::from_str_radix(bits, 16)
-                        .ok()
-                        .map(|bits| f32::from_bits(bits).into()),
-                    (_, bits) => u64::from_str_radix(bits, 16).ok().map(f64::from_bits),
-                },
-            },
-            other => other.as_f64(),
-        };
-        let integer = || {
-            let whole = value.as_f64().filter(|number| number.fract() == 0.0);
-            value
-                .as_i64()
-                .map(i128::from)
-                .or(value.as_u64().map(i128::from))
-                .or(whole.map(|number| number as i128))
-        };
-        Some(match self {
-            Self::F32 => (float()? as f32).to_ne_bytes().to_vec(),
-            Self::F64 => float()?.to_ne_bytes().to_vec(),
-            Self::U8 => u8::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::U16 => u16::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::U32 => u32::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::U64 => u64::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::I8 => i8::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::I16 => i16::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::I32 => i32::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-            Self::I64 => i64::try_from(integer()?).ok()?.to_ne_bytes().to_vec(),
-        })
-    }
-}
 
 /// What a chunk that is not stored means. By Zarr's rule each of its elements is the fill value; writers may leave out chunks that
 /// hold nothing else, and a copy that lost a file looks the same.
@@ -602,20 +500,14 @@ impl ZarrArray {
         absent: Absent,
         stop: Stop<'_>,
     ) -> Result<Rows<f64>, Fault> {
-        self.read(element, runs, absent, stop, |bytes| float(element, bytes))
+        self.read(element, runs, absent, stop, |bytes| element.float(bytes))
     }
 
     /// The whole array as integers; `None` stands for a number that is not whole.
     pub(crate) fn read_integers(&self, element: Element, stop: Stop<'_>) -> Result<Rows<Option<i128>>, Fault> {
         let all = 0..self.len();
-        self.read(element, std::slice::from_ref(&all), Absent::IsLost, stop, |bytes| {
-            if element.is_float() {
-                let number = float(element, bytes);
-                (number.fract() == 0.0 && number.abs() < (1_u64 << 53) as f64).then_some(number as i128)
-            } else {
-                Some(integer(element, bytes))
-            }
-        })
+        let whole = |bytes: &[u8]| element.integer(bytes);
+        self.read(element, std::slice::from_ref(&all), Absent::IsLost, stop, whole)
     }
 }
 
@@ -677,34 +569,4 @@ fn scatter(
         copy(&decoded[from..from + run * element_size], to)?;
     }
     Ok(())
-}
-
-/// One element as a float.
-pub(crate) fn float(element: Element, bytes: &[u8]) -> f64 {
-    match element {
-        Element::F32 => f32::from_ne_bytes(array(bytes)).into(),
-        Element::F64 => f64::from_ne_bytes(array(bytes)),
-        _ => integer(element, bytes) as f64,
-    }
-}
-
-/// One element as an integer.
-fn integer(element: Element, bytes: &[u8]) -> i128 {
-    match element {
-        Element::U8 => u8::from_ne_bytes(array(bytes)).into(),
-        Element::U16 => u16::from_ne_bytes(array(bytes)).into(),
-        Element::U32 => u32::from_ne_bytes(array(bytes)).into(),
-        Element::U64 => u64::from_ne_bytes(array(bytes)).into(),
-        Element::I8 => i8::from_ne_bytes(array(bytes)).into(),
-        Element::I16 => i16::from_ne_bytes(array(bytes)).into(),
-        Element::I32 => i32::from_ne_bytes(array(bytes)).into(),
-        Element::I64 => i64::from_ne_bytes(array(bytes)).into(),
-        Element::F32 => f32::from_ne_bytes(array(bytes)) as i128,
-        Element::F64 => f64::from_ne_bytes(array(bytes)) as i128,
-    }
-}
-
-/// The bytes of one element; a slice of the wrong length, which `chunks_exact` never gives, would read as zero.
-fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    bytes.try_into().unwrap_or([0; N])
 }

@@ -184,7 +184,10 @@ fn a_request_to_stop_is_answered_wherever_it_comes() {
     let all = asked.load(Ordering::Relaxed);
     assert!(all > 100, "{all}");
     for after in (0..all).step_by(7) {
-        let error = attempt(after).unwrap_err();
-        assert!(is_stop(&error), "{after} of {all}: {error}");
+        match attempt(after) {
+            Err(error) => assert!(is_stop(&error), "{after} of {all}: {error}"),
+            // Files that were written a moment ago are listed twice, so that the others may ask less often.
+            Ok(()) => assert!(asked.load(Ordering::Relaxed) <= after, "{after} of {all}"),
+        }
     }
 }

@@ -3,9 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use re4_ingest::robomimic::{Access, DemoChoice, Interpreted, Interpreter, Layout, Reading, RobomimicReader, Sources};
-use re4_ingest::{IngestError, LeftOut, refusal};
-use re4_robosuite::conventions::{ActionFrame, ActionScale, GripperRange, InitialGoal, Settings, Task};
+use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Layout, Reading, RobomimicReader, Sources};
+use re4_ingest::{IngestError, LeftOut, SpatialFrames, refusal};
+use re4_robosuite::conventions::{ActionFrame, ActionScale, GripperRange, InitialGoal, RobosuiteTask, Settings};
 
 /// A file below the folder of the datasets, if it is at hand.
 fn dataset(name: &str) -> Option<PathBuf> {
@@ -26,9 +26,9 @@ fn foreign(name: &str) -> Option<PathBuf> {
     dataset(&format!("foreign/{name}/{name}.hdf5"))
 }
 
-fn reading(task: Task, conventions: Settings) -> Reading {
+fn reading(task: &str, conventions: Settings) -> Reading {
     Reading {
-        task,
+        task: RobosuiteTask::named(task),
         object: None,
         env_args: None,
         conventions,
@@ -39,7 +39,7 @@ fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
     RobomimicReader::open(&Sources::open(path)?, &DemoChoice::default(), Access::Library)
 }
 
-type Columns = Vec<(String, Interpreted)>;
+type Columns = Vec<(String, SpatialFrames)>;
 
 /// The interpreter's rows of conventions and the columns of all demonstrations, or the sentence of the refusal.
 fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), String> {
@@ -52,9 +52,9 @@ fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), Stri
     reader
         .for_each(
             |_, demo: Result<_, LeftOut>| {
-                let demo = demo.unwrap();
-                let columns = interpreter.interpret(&reader, &demo, None)?;
-                Ok::<_, IngestError>((demo.name, columns))
+                let mut demo = demo.unwrap();
+                let columns = interpreter.interpret(&reader, &mut demo, None)?;
+                Ok::<_, IngestError>((demo.name, columns.frames))
             },
             |_, row| {
                 all.push(row);
@@ -77,8 +77,7 @@ fn differences(a: &Columns, b: &Columns) -> [f64; 3] {
                 most[0] = most[0].max((a.delta[t][axis] - b.delta[t][axis]).abs());
                 most[1] = most[1].max((a.goal[t][axis] - b.goal[t][axis]).abs());
             }
-            most[2] = most[2].max((a.goal[t][6] - b.goal[t][6]).abs());
-            most[2] = most[2].max((a.delta[t][6] - b.delta[t][6]).abs());
+            most[2] = most[2].max((a.gripper[t] - b.gripper[t]).abs());
         }
     }
     most
@@ -94,20 +93,20 @@ fn deltas_in_metres_are_those_of_the_controller_by_the_setting() {
     let (Some(metres), Some(control)) = (foreign("h26_deltas_in_metres"), foreign("h00_control_can")) else {
         return;
     };
-    let refused = ingest(&metres, &reading(Task::Can, Settings::default())).err().unwrap();
+    let refused = ingest(&metres, &reading("can", Settings::default())).err().unwrap();
     println!("{refused}");
     assert!(refused.contains("set action_scale = \"metres\""), "{refused}");
     let settings = Settings {
         action_scale: Some(ActionScale::Metres),
         ..Settings::default()
     };
-    let (interpreter, columns) = ingest(&metres, &reading(Task::Can, settings)).unwrap();
+    let (interpreter, columns) = ingest(&metres, &reading("can", settings)).unwrap();
     assert_eq!(basis(&interpreter, "action_scale"), ("metres".to_owned(), "proven"));
-    let (interpreter, expected) = ingest(&control, &reading(Task::Can, Settings::default())).unwrap();
+    let (interpreter, expected) = ingest(&control, &reading("can", Settings::default())).unwrap();
     assert_eq!(basis(&interpreter, "action_scale"), ("controller".to_owned(), "proven"));
     let most = differences(&columns, &expected);
     assert!(most.iter().all(|most| *most < 1e-9), "{most:?}");
-    let refused = ingest(&control, &reading(Task::Can, settings)).err().unwrap();
+    let refused = ingest(&control, &reading("can", settings)).err().unwrap();
     println!("{refused}");
     assert!(refused.contains("action_scale = \"controller\" fits"), "{refused}");
 }
@@ -117,18 +116,16 @@ fn gripper_commands_from_0_to_1_are_those_of_robosuite_by_the_setting() {
     let (Some(zero_one), Some(control)) = (foreign("h28_gripper_zero_one"), foreign("h00_control_lift")) else {
         return;
     };
-    let refused = ingest(&zero_one, &reading(Task::Lift, Settings::default()))
-        .err()
-        .unwrap();
+    let refused = ingest(&zero_one, &reading("lift", Settings::default())).err().unwrap();
     println!("{refused}");
     assert!(refused.contains("set gripper_range = \"zero_one\""), "{refused}");
     let settings = Settings {
         gripper_range: Some(GripperRange::ZeroOne),
         ..Settings::default()
     };
-    let (interpreter, columns) = ingest(&zero_one, &reading(Task::Lift, settings)).unwrap();
+    let (interpreter, columns) = ingest(&zero_one, &reading("lift", settings)).unwrap();
     assert_eq!(basis(&interpreter, "gripper_range"), ("zero_one".to_owned(), "proven"));
-    let (_, expected) = ingest(&control, &reading(Task::Lift, Settings::default())).unwrap();
+    let (_, expected) = ingest(&control, &reading("lift", Settings::default())).unwrap();
     assert_eq!(differences(&columns, &expected), [0.0; 3]);
 }
 
@@ -141,9 +138,9 @@ fn goals_in_the_base_s_frame_are_the_controller_s_by_the_setting() {
         action_frame: Some(ActionFrame::Base),
         ..Settings::default()
     };
-    let (interpreter, columns) = ingest(&in_base, &reading(Task::Lift, settings)).unwrap();
+    let (interpreter, columns) = ingest(&in_base, &reading("lift", settings)).unwrap();
     assert_eq!(basis(&interpreter, "action_frame"), ("base".to_owned(), "proven"));
-    let (_, expected) = ingest(&control, &reading(Task::Lift, Settings::default())).unwrap();
+    let (_, expected) = ingest(&control, &reading("lift", Settings::default())).unwrap();
     let [deltas, goals, gripper] = differences(&columns, &expected);
     println!("{deltas:.2e} {goals:.2e}");
     assert!(goals < 1e-6 && gripper == 0.0, "{goals:.2e}");
@@ -162,8 +159,8 @@ fn the_raw_and_the_observed_layout_give_the_same_goals() {
         allow_actions_beyond_range: true,
         ..Settings::default()
     };
-    let (of_live, observed) = ingest(&live, &reading(Task::Lift, settings)).unwrap();
-    let (of_raw, states) = ingest(&raw, &reading(Task::Lift, settings)).unwrap();
+    let (of_live, observed) = ingest(&live, &reading("lift", settings)).unwrap();
+    let (of_raw, states) = ingest(&raw, &reading("lift", settings)).unwrap();
     for interpreter in [&of_live, &of_raw] {
         assert_eq!(basis(interpreter, "initial_goal"), ("reset_pose".to_owned(), "proven"));
     }
@@ -174,7 +171,7 @@ fn the_raw_and_the_observed_layout_give_the_same_goals() {
         initial_goal: Some(InitialGoal::FirstPose),
         ..settings
     };
-    let refused = ingest(&raw, &reading(Task::Lift, first)).err().unwrap();
+    let refused = ingest(&raw, &reading("lift", first)).err().unwrap();
     assert!(
         refused.contains("initial_goal = \"first_pose\" is contradicted"),
         "{refused}"
@@ -186,13 +183,11 @@ fn what_was_never_recorded_is_named_or_left_out() {
     let Some(cut_off) = foreign("h64_preallocated_rows_counted") else {
         return;
     };
-    let refused = ingest(&cut_off, &reading(Task::Lift, Settings::default()))
-        .err()
-        .unwrap();
+    let refused = ingest(&cut_off, &reading("lift", Settings::default())).err().unwrap();
     println!("{refused}");
     assert!(refused.contains("demo_2: rows 53 to 79 are zeros"), "{refused}");
     let reader = open(&cut_off).unwrap();
-    let reading = reading(Task::Lift, Settings::default());
+    let reading = reading("lift", Settings::default());
     let (_, left_out) = Interpreter::learn(&reader, &reading).unwrap();
     let names: Vec<&str> = left_out.iter().map(|left| left.demo.as_str()).collect();
     assert_eq!(names, ["demo_2"]);
@@ -208,13 +203,13 @@ fn names_of_environments_are_those_of_their_scene() {
     ) else {
         return;
     };
-    let (interpreter, columns) = ingest(&square, &reading(Task::Square, Settings::default())).unwrap();
+    let (interpreter, columns) = ingest(&square, &reading("square", Settings::default())).unwrap();
     assert!(!columns.is_empty());
     assert_eq!(interpreter.env().env_name, "Square_D0");
     assert_eq!(interpreter.warnings(), Vec::<String>::new().as_slice());
-    let refused = ingest(&square, &reading(Task::Can, Settings::default())).err().unwrap();
+    let refused = ingest(&square, &reading("can", Settings::default())).err().unwrap();
     assert!(refused.contains("the pipeline's task needs PickPlaceCan"), "{refused}");
-    for task in [Task::Lift, Task::Other] {
+    for task in ["lift", "robosuite"] {
         let refused = ingest(&isaac, &reading(task, Settings::default())).err().unwrap();
         println!("{refused}");
         assert!(
@@ -222,7 +217,7 @@ fn names_of_environments_are_those_of_their_scene() {
             "{refused}"
         );
     }
-    ingest(&infinity, &reading(Task::Lift, Settings::default())).unwrap();
+    ingest(&infinity, &reading("lift", Settings::default())).unwrap();
     let reader = open(&square).unwrap();
     assert_eq!(reader.layout(), Layout::Observed);
 }

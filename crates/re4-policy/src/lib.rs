@@ -1,4 +1,4 @@
-//! Reframe, Replan, Replay, the rollout loop and the baselines.
+//! Reframe, Replan, Replay, and the baselines.
 
 mod config;
 mod demos;
@@ -6,12 +6,10 @@ mod names;
 mod open_loop;
 mod outcome;
 mod path;
-mod perception;
 mod policy;
 mod pusher;
 mod reframe;
 mod replan;
-mod rollout;
 pub mod spatial;
 mod visibility;
 
@@ -22,41 +20,18 @@ pub use demos::DemoSet;
 pub use names::DemoNames;
 pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
-pub use perception::{Observation, Perception, Sight};
-pub use policy::{Decision, Knowledge, Phase, Re4};
+pub use policy::{Decision, Knowledge, Re4, Re4Factory};
 pub use pusher::{PusherModel, PusherState};
 pub use reframe::{Reframed, reframe, without_reframe};
 pub use replan::{Obstacle, Plan, PlanKind, plan};
 
-pub use rollout::{EpisodeRollout, RolloutError, Start, StepRecord, rollout, rollouts};
-
 use re4_episode::Mode;
-use re4_geometry::Point2;
+use re4_rollout::PolicyError;
 use thiserror::Error;
 
-/// A policy in the middle of an episode of Push-T.
-pub trait Policy {
-    /// The next action for an observation.
-    ///
-    /// # Errors
-    /// When the policy has no action for it.
-    fn act(&mut self, observation: &Observation) -> Result<Act, PolicyError>;
-}
-
-/// One action, and why it was taken.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Act {
-    /// Absolute target position of the pusher, world frame, pixels.
-    pub target: Point2,
-    /// Part of the loop that the action belongs to.
-    pub phase: Phase,
-    /// The decision that the action starts, if it starts one.
-    pub decision: Option<Decision>,
-}
-
-/// Why a policy cannot act.
+/// Why a policy that looks demonstrations up has no action.
 #[derive(Debug, Error)]
-pub enum PolicyError {
+pub enum LookupError {
     /// Retrieve failed.
     #[error(transparent)]
     Retrieve(#[from] re4_index::IndexError),
@@ -89,13 +64,13 @@ pub enum PolicyError {
         /// What the tree library reports.
         reason: String,
     },
-    /// A policy in space has nobody who tells it where the object is.
-    #[error("cannot retrieve: the object's pose is not known, since {reason}")]
-    Look {
-        /// Why, in words that go on from there.
-        reason: String,
-    },
     /// A decision gave no command.
     #[error("cannot act: the decision gave no command; report this together with the pipeline file")]
     NothingToDo,
+}
+
+impl From<LookupError> for PolicyError {
+    fn from(error: LookupError) -> Self {
+        Self::Own(Box::new(error))
+    }
 }

@@ -1,22 +1,30 @@
 //! Open-loop replay of demonstrations: the recorded actions, from the recorded first state, without looking again.
 
+use re4_artifact::columns;
 use re4_episode::PlanarFrame;
 use re4_geometry::periodic_distance;
 use re4_sim::{GOAL, PushT, ResetOrder, Scene, SimError, Simulator as _, coverage};
 
 use crate::outcome::Body;
 
-/// Distance between a replay and its recording at one frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Divergence {
-    /// Between the pushers, in pixels.
-    pub pusher: f64,
-    /// Between the origins of the block's frame, in pixels.
-    pub block_position: f64,
-    /// Between the block's angles, the short way round, in radians.
-    pub block_angle: f64,
-    /// Root mean square displacement of the block's points, in pixels.
-    pub block: f64,
+columns! {
+    /// Distance between a replay and its recording at one frame.
+    #[domain = "plane"]
+    #[derive(Copy)]
+    pub struct Divergence {
+        /// Distance between the replayed and the recorded pusher.
+        #[unit = "px"]
+        pub pusher: f64,
+        /// Distance between the origins of the block's frame.
+        #[unit = "px"]
+        pub block_position: f64,
+        /// Difference of the block's angles, the short way round, at least 0.
+        #[unit = "rad"]
+        pub block_angle: f64,
+        /// Root mean square displacement of the block's points.
+        #[unit = "px"]
+        pub block: f64,
+    }
 }
 
 /// An open-loop replay of one demonstration.

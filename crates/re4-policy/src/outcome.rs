@@ -12,10 +12,11 @@
 use std::num::NonZeroUsize;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use re4_artifact::table;
 use re4_geometry::{Point2, Pose2, polygon_area};
 use re4_sim::tee_rectangles;
 
-use crate::PolicyError;
+use crate::LookupError;
 use crate::demos::DemoSet;
 use crate::replan::Obstacle;
 
@@ -69,21 +70,31 @@ impl Body {
     }
 }
 
-/// A part of a demonstration: starts with the pusher free, ends anywhere after the object began to move.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Chunk {
-    /// Demonstration.
-    pub demo: u32,
-    /// First frame.
-    pub start: u32,
-    /// Last frame, included.
-    pub end: u32,
-    /// Motion of the object from the first to the last frame, in its own frame.
-    pub motion: Pose2,
-    /// Length of the pusher's path, in pixels.
-    pub travel: f64,
-    /// Length of the object's path, root mean square over its points, in pixels.
-    pub pushed: f64,
+table! {
+    /// One row a chunk: a part of a demonstration that starts with the pusher clear of the block and ends anywhere after the block
+    /// began to move. Sorted by episode, first and last frame.
+    #[table("chunks", version = 1)]
+    #[derive(Copy)]
+    pub struct Chunk {
+        /// Number of the demonstration in this artifact, from 0.
+        #[prefix = "episode"]
+        pub demo: u32,
+        /// First frame of the chunk.
+        #[prefix = "first_frame"]
+        pub start: u32,
+        /// Last frame of the chunk, included.
+        #[prefix = "last_frame"]
+        pub end: u32,
+        /// The block's motion o_j^-1 o_e: its pose at the last frame in its own frame at the first.
+        #[frame = "object"]
+        pub motion: Pose2,
+        /// Length of the pusher's path.
+        #[unit = "px"]
+        pub travel: f64,
+        /// Length of the block's path: root mean square displacement of its points, summed over the frames.
+        #[unit = "px"]
+        pub pushed: f64,
+    }
 }
 
 /// All chunks of a set of demonstrations, searchable by outcome.
@@ -143,13 +154,13 @@ impl ChunkLibrary {
     ///
     /// # Errors
     /// When there are none, or the tree cannot be built.
-    pub fn build(chunks: Vec<Chunk>) -> Result<Self, PolicyError> {
+    pub fn build(chunks: Vec<Chunk>) -> Result<Self, LookupError> {
         if chunks.is_empty() {
-            return Err(PolicyError::NoChunks);
+            return Err(LookupError::NoChunks);
         }
         let body = Body::tee();
         let points: Vec<[f64; 4]> = chunks.iter().map(|c| body.embed(c.motion)).collect();
-        let tree = ImmutableKdTree::new_from_slice(&points).map_err(|error| PolicyError::Chunks {
+        let tree = ImmutableKdTree::new_from_slice(&points).map_err(|error| LookupError::Chunks {
             reason: error.to_string(),
         })?;
         Ok(Self { body, chunks, tree })

@@ -8,8 +8,10 @@ use rand_pcg::Pcg64;
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
+use re4_rollout::{Act, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses};
 use re4_sim::{GOAL, coverage, depth_in_walls};
 
+use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
 use crate::names::DemoNames;
@@ -18,7 +20,6 @@ use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
-use crate::{Act, Observation, Policy, PolicyError};
 
 /// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
 const PLANS_TRIED: usize = 8;
@@ -43,25 +44,6 @@ pub struct Knowledge {
     pub index: RetrievalIndex,
     /// Chunks by outcome, where the selector needs them.
     pub chunks: Option<ChunkLibrary>,
-}
-
-/// Which part of the loop an action belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phase {
-    /// On the way to the start of the chunk.
-    Plan,
-    /// Replaying the chunk.
-    Replay,
-}
-
-impl Phase {
-    /// The word used in tables.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Plan => "plan",
-            Self::Replay => "replay",
-        }
-    }
 }
 
 /// Why the policy does what it does: one record for every Retrieve.
@@ -186,12 +168,12 @@ struct Selected {
 }
 
 /// The frames of a demonstration from `frame` on; at least one.
-fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame], PolicyError> {
+fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame], LookupError> {
     demos
         .demo(demo)
         .and_then(|frames| frames.get(frame as usize..))
         .filter(|frames| !frames.is_empty())
-        .ok_or_else(|| PolicyError::UnknownDemo {
+        .ok_or_else(|| LookupError::UnknownDemo {
             demo: demos.names().of(demo),
             frame,
         })
@@ -228,23 +210,42 @@ impl Re4 {
     }
 }
 
-impl Policy for Re4 {
-    fn act(&mut self, observation: &Observation) -> Result<Act, PolicyError> {
+/// Starts [`Re4`].
+pub struct Re4Factory {
+    /// Its settings.
+    pub config: PolicyConfig,
+    /// What it knows.
+    pub knowledge: Arc<Knowledge>,
+}
+
+impl PolicyFactory<Plane> for Re4Factory {
+    type Policy = Re4;
+
+    fn start(&self, seed: u32, _: &Point2) -> Re4 {
+        Re4::new(self.config.clone(), Arc::clone(&self.knowledge), u64::from(seed))
+    }
+}
+
+impl Policy<Plane> for Re4 {
+    type Decision = Decision;
+
+    fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
+        let (eef, object) = (senses.proprio(), senses.object()?);
         // The pusher's velocity is not observed; it follows from the commands sent.
         let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
         let pusher = PusherState {
-            position: observation.eef,
+            position: eef,
             velocity,
         };
-        if self.strayed(observation.object) {
+        if self.strayed(object) {
             self.queue.clear();
         }
         let decision = if self.queue.is_empty() {
-            Some(self.decide(pusher, observation.object)?)
+            Some(self.decide(pusher, object)?)
         } else {
             None
         };
-        let (phase, command) = self.queue.pop_front().ok_or(PolicyError::NothingToDo)?;
+        let (phase, command) = self.queue.pop_front().ok_or(LookupError::NothingToDo)?;
         let target = match command {
             Command::Target(target) => target,
             Command::Follow { leg, left } => {
@@ -255,9 +256,10 @@ impl Policy for Re4 {
         self.pusher = Some(self.model.predict(pusher, target));
         self.step += 1;
         Ok(Act {
-            target,
+            action: target,
             phase,
             decision,
+            object: Some(object),
         })
     }
 }
@@ -273,7 +275,7 @@ impl Re4 {
             .all(|&pose| self.body.distance(pose, block) > limit)
     }
 
-    fn decide(&mut self, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
+    fn decide(&mut self, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
         // A planar pusher never grasps: every query is transit (paper, appendix "Push-T").
         let mode = Mode::Transit;
         self.judge(block);
@@ -294,7 +296,7 @@ impl Re4 {
         }
     }
 
-    fn decide_two_stage(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
+    fn decide_two_stage(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let query = Query {
             mode,
@@ -304,7 +306,7 @@ impl Re4 {
         let found = knowledge
             .index
             .retrieve(&query, self.config.retrieve.epsilon)?
-            .ok_or(PolicyError::NoFrameOfMode { mode })?;
+            .ok_or(LookupError::NoFrameOfMode { mode })?;
         let frames = demo_frames(&knowledge.demos, found.episode, found.frame)?;
         let end = found.frame + self.frames_within_horizon(frames) as u32 - 1;
         let (reframed, connection) = self.connect(mode, &frames[0], pusher, block);
@@ -320,9 +322,9 @@ impl Re4 {
         self.carry_out(selected, mode, pusher, block)
     }
 
-    fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, PolicyError> {
+    fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
-        let chunks = knowledge.chunks.as_ref().ok_or(PolicyError::NoChunks)?;
+        let chunks = knowledge.chunks.as_ref().ok_or(LookupError::NoChunks)?;
         let wanted = block.inverse().compose(GOAL);
         let mut count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
         let mut candidates = chunks.nearest(wanted, count);
@@ -341,7 +343,7 @@ impl Re4 {
             found = self.cheapest(&candidates[compared..], PLANS_TRIED_FARTHER, mode, pusher, block)?;
             compared = candidates.len();
         }
-        let (chosen, _) = found.or(fallback).ok_or(PolicyError::NoChunks)?;
+        let (chosen, _) = found.or(fallback).ok_or(LookupError::NoChunks)?;
         let Choice {
             chunk,
             reframed,
@@ -368,7 +370,7 @@ impl Re4 {
         mode: Mode,
         pusher: PusherState,
         block: Pose2,
-    ) -> Result<Option<(Choice, bool)>, PolicyError> {
+    ) -> Result<Option<(Choice, bool)>, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let mut ranked: Vec<(f64, Chunk)> = Vec::with_capacity(candidates.len());
         for (misalignment, chunk) in candidates {
@@ -450,7 +452,7 @@ impl Re4 {
         mode: Mode,
         pusher: PusherState,
         block: Pose2,
-    ) -> Result<Decision, PolicyError> {
+    ) -> Result<Decision, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let Selected {
             demo,
@@ -464,7 +466,7 @@ impl Re4 {
         let rest = demo_frames(&knowledge.demos, demo, start)?;
         let frames = rest
             .get(..=(end - start) as usize)
-            .ok_or_else(|| PolicyError::UnknownDemo {
+            .ok_or_else(|| LookupError::UnknownDemo {
                 demo: knowledge.demos.names().of(demo),
                 frame: end,
             })?;
@@ -497,7 +499,7 @@ impl Re4 {
     }
 
     /// Expected misalignment after the chunk, plus the price of getting there and of carrying it out.
-    fn cost(&self, misalignment: f64, chunk: &Chunk, pusher: PusherState, block: Pose2) -> Result<f64, PolicyError> {
+    fn cost(&self, misalignment: f64, chunk: &Chunk, pusher: PusherState, block: Pose2) -> Result<f64, LookupError> {
         let rest = demo_frames(&self.knowledge.demos, chunk.demo, chunk.start)?;
         let carry = block.delta_from(rest[0].object);
         let near = carry.transform_point(rest[0].eef);

@@ -7,7 +7,7 @@ use std::num::NonZeroUsize;
 use common::{LONGEST, OUTLINE, Random, distance_to_tee, scripted};
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
-use re4_policy::{Body, Chunk, ChunkLibrary, DemoSet, PolicyError, collect_chunks, reframe};
+use re4_policy::{Body, Chunk, ChunkLibrary, DemoSet, LookupError, collect_chunks, reframe};
 use re4_sim::{PushT, ResetOrder, Scene, Simulator as _};
 
 fn chunks() -> (DemoSet, Vec<Chunk>) {
@@ -211,6 +211,6 @@ fn demonstrations_without_a_push_hold_no_chunks() {
         .collect();
     let chunks = collect_chunks(&DemoSet::new([(0, resting)]), LONGEST);
     assert!(chunks.is_empty());
-    assert!(matches!(ChunkLibrary::build(chunks), Err(PolicyError::NoChunks)));
+    assert!(matches!(ChunkLibrary::build(chunks), Err(LookupError::NoChunks)));
     assert!(collect_chunks(&DemoSet::default(), LONGEST).is_empty());
 }

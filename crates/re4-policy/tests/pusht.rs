@@ -6,9 +6,9 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Demos, knowledge, pusht, starts};
+use common::{Demos, knowledge, pusht, rollouts, starts};
 use re4_index::AngleMetric;
-use re4_policy::{Knowledge, Perception, PolicyConfig, Selector, Tracking, rollouts};
+use re4_policy::{Knowledge, PolicyConfig, Selector, Tracking};
 
 const PAPER_GATE: f64 = 0.8;
 const RE4_GATE: f64 = 0.95;
@@ -16,8 +16,8 @@ const RE4_GATE: f64 = 0.95;
 /// Mean over the scenes of the greatest score in an episode.
 fn score(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> f64 {
     let seeds: Vec<u32> = (200_000..200_020).collect();
-    let episodes = rollouts(config, knowledge, &Perception::State, &starts(&seeds), 200, &|| true)
-        .unwrap_or_else(|error| panic!("{error}"));
+    let episodes =
+        rollouts(config, knowledge, &starts(&seeds), 200, &|| true).unwrap_or_else(|error| panic!("{error}"));
     episodes.iter().map(|e| e.maximum(|step| step.score)).sum::<f64>() / seeds.len() as f64
 }
 

@@ -1,19 +1,24 @@
 //! What the loop does when the block does not do what the demonstration says.
 
 mod common;
+mod shown;
 
 use std::collections::BTreeSet;
 
 use common::{Random, knowledge, scripted};
 use re4_geometry::{Point2, Pose2};
 use re4_index::AngleMetric;
-use re4_policy::{Observation, Phase, Policy as _, PolicyConfig, Re4};
+use re4_policy::{Decision, PolicyConfig, Re4};
+use re4_rollout::{Act, Phase, Plane, Policy as _};
+use shown::Shown;
 
-fn seen(agent: Point2, block: Pose2) -> Observation {
-    Observation {
-        eef: agent,
-        object: block,
-    }
+fn act(policy: &mut Re4, agent: Point2, block: Pose2) -> Act<Plane, Decision> {
+    let mut shown = Shown {
+        proprio: agent,
+        tells: true,
+        object: &mut || Ok(block),
+    };
+    policy.act(&mut shown).unwrap()
 }
 
 #[test]
@@ -25,8 +30,8 @@ fn a_push_that_moved_nothing_is_not_tried_again() {
     let mut tried = BTreeSet::new();
     for _ in 0..400 {
         // The pusher goes where it is sent; the block stands as if glued to the table.
-        let act = policy.act(&seen(agent, block)).unwrap();
-        agent = act.target;
+        let act = self::act(&mut policy, agent, block);
+        agent = act.action;
         if let Some(decision) = act.decision {
             let chunk = (decision.demo, decision.demo_frame);
             assert!(tried.insert(chunk), "{chunk:?} was tried before: {decision:?}");
@@ -54,15 +59,15 @@ fn a_chunk_is_given_up_when_the_block_leaves_its_path_and_only_then() {
             let mut replayed = 0;
             let mut length = 0;
             while replayed < 2 {
-                let act = policy.act(&seen(agent, block)).unwrap();
-                agent = act.target;
+                let act = self::act(&mut policy, agent, block);
+                agent = act.action;
                 length = act.decision.map_or(length, |decision| decision.replay_steps);
                 replayed = if act.phase == Phase::Replay { replayed + 1 } else { 0 };
             }
             if length < 4 {
                 continue;
             }
-            let next = policy.act(&seen(agent, if moved { jump } else { block })).unwrap();
+            let next = act(&mut policy, agent, if moved { jump } else { block });
             let expected = divergence.is_some() && moved;
             assert_eq!(
                 next.decision.is_some(),

@@ -1,6 +1,7 @@
 //! A policy that is not told where the object is, and looks.
 #![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
 
+mod shown;
 mod toy;
 
 use std::sync::Arc;
@@ -8,18 +9,21 @@ use std::sync::Arc;
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{Symmetry, pose_distance};
-use re4_policy::PolicyError;
-use re4_policy::spatial::{
-    ObjectEstimate, SpatialAct, SpatialBody, SpatialDecisionKind, SpatialObservation, SpatialPolicy as _,
-    SpatialPolicyConfig, SpatialRe4,
-};
-use toy::{World, block, demonstrations, episode, knowledge};
+use re4_policy::spatial::{ObjectEstimate, SpatialDecisionKind, SpatialPolicyConfig, SpatialRe4};
+use re4_rollout::{ArmState, Policy as _, PolicyError};
+use shown::Shown;
+use toy::{SpatialAct, World, block, demonstrations, episode, knowledge};
 
-fn body(seen: &SpatialObservation) -> SpatialBody {
-    SpatialBody {
-        eef: seen.eef,
-        fingers: seen.fingers,
-    }
+fn look(
+    policy: &mut SpatialRe4,
+    proprio: ArmState,
+    object: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
+) -> Result<SpatialAct, PolicyError> {
+    policy.act(&mut Shown {
+        proprio,
+        tells: false,
+        object,
+    })
 }
 
 /// What became of an episode: its acts, at which of them the policy looked, and whether it succeeded.
@@ -43,14 +47,12 @@ fn looking(
     let (mut acts, mut at) = (Vec::new(), Vec::new());
     while acts.len() < 400 && !world.success() {
         meddle(&mut world);
-        let seen = world.observe();
         let mut looks = 0;
-        let act = policy
-            .act_looking(&body(&seen), &mut || {
-                looks += 1;
-                Ok(eye(&seen.object))
-            })
-            .unwrap();
+        let act = look(&mut policy, world.feel(), &mut || {
+            looks += 1;
+            Ok(eye(&world.object))
+        })
+        .unwrap();
         assert!(looks <= 1);
         if looks == 1 {
             at.push(acts.len());
@@ -157,9 +159,9 @@ fn what_cannot_be_seen_is_an_error() {
     let config = SpatialPolicyConfig::re4();
     let known = knowledge(demonstrations(5, 0.6, 1), &config, Symmetry::None);
     let world = World::new(block(0.0, 0.0, 0.0));
-    let seen = body(&world.observe());
+    let seen = world.feel();
     let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&known), world.eef);
-    let blind = policy.act_looking(&seen, &mut || {
+    let blind = look(&mut policy, seen, &mut || {
         Err(PolicyError::Look {
             reason: "it is dark".to_owned(),
         })
@@ -169,9 +171,11 @@ fn what_cannot_be_seen_is_an_error() {
         "cannot retrieve: the object's pose is not known, since it is dark"
     );
     let mut policy = SpatialRe4::new(config, known, world.eef);
-    let nowhere = policy.act_looking(&seen, &mut || Ok(Isometry3::translation(f64::NAN, 0.0, 0.0)));
-    assert!(matches!(nowhere.unwrap_err(), PolicyError::Retrieve(_)));
+    let nowhere = look(&mut policy, seen, &mut || {
+        Ok(Isometry3::translation(f64::NAN, 0.0, 0.0))
+    });
+    assert!(matches!(nowhere.unwrap_err(), PolicyError::Own(_)));
     let mut broken = seen;
     broken.fingers[0] = f64::NAN;
-    assert!(policy.act_looking(&broken, &mut || unreachable!()).is_err());
+    assert!(look(&mut policy, broken, &mut || unreachable!()).is_err());
 }

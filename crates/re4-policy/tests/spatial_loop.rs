@@ -1,13 +1,13 @@
 //! The whole loop in a kinematic world.
 #![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
 
+mod shown;
 mod toy;
 
 use re4_geometry::spatial::Symmetry;
 use re4_policy::DemoNames;
-use re4_policy::spatial::{
-    EndOfDemo, PoseNoise, SpatialDecisionKind, SpatialDemoSet, SpatialPhase, SpatialPolicyConfig,
-};
+use re4_policy::spatial::{EndOfDemo, SpatialDecisionKind, SpatialDemoSet, SpatialPolicyConfig};
+use re4_rollout::{Phase, PoseNoise};
 use toy::{Episode, Random, block, demonstrate, demonstrations, episode, knowledge};
 
 /// Successes over 40 perturbed placements, and grasps lost in them. `noise` is in mm and degrees; `catch` in metres, see
@@ -83,8 +83,8 @@ fn every_step_can_be_switched_off_alone() {
         let run = episode(&config, &knowledge, block(0.0, -0.1, 0.2), None, |_, _| {});
         let decisions = run.decisions();
         let all = config.replan.enabled && config.reframe.enabled;
-        assert!(!all || run.steps(SpatialPhase::Bridge) > 0);
-        assert!(config.replan.enabled || run.steps(SpatialPhase::Bridge) == 0);
+        assert!(!all || run.steps(Phase::Bridge) > 0);
+        assert!(config.replan.enabled || run.steps(Phase::Bridge) == 0);
         let moved = decisions
             .iter()
             .filter_map(|d| d.choice)
@@ -120,7 +120,7 @@ fn a_missed_grasp_leads_home_and_to_another_demonstration() {
         .iter()
         .position(|d| d.kind == SpatialDecisionKind::GraspLost)
         .unwrap();
-    assert!(run.steps(SpatialPhase::Home) > 3);
+    assert!(run.steps(Phase::Home) > 3);
     assert_eq!(decisions[lost].newly_banned, [first_demo(&run)]);
     assert_eq!(run.banned, [first_demo(&run)]);
     let names = DemoNames::new((0..8).map(|number| format!("demo_{}", 3 * number + 1)).collect());
@@ -136,7 +136,7 @@ fn a_missed_grasp_leads_home_and_to_another_demonstration() {
     assert_eq!(next.kind, SpatialDecisionKind::Retrieve);
     assert_ne!(next.choice.unwrap().demo, first_demo(&run));
     // Home is where the episode began, with the gripper open.
-    let home: Vec<_> = run.acts.iter().filter(|a| a.phase == SpatialPhase::Home).collect();
+    let home: Vec<_> = run.acts.iter().filter(|a| a.phase == Phase::Home).collect();
     assert!(home.iter().all(|a| a.action.gripper < 0.0));
     assert!((next.eef.translation.vector - toy::home().translation.vector).norm() < 0.011);
 }

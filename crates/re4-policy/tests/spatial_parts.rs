@@ -1,6 +1,7 @@
 //! Reframe, the bridge, averaged poses, noise and settings in space, each alone.
-#![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests may end where they fail")]
 
+mod shown;
 mod toy;
 
 use std::sync::Arc;
@@ -10,11 +11,12 @@ use proptest::prelude::*;
 use re4_episode::Mode;
 use re4_geometry::spatial::{Symmetry, pose_distance, rotation_vector};
 use re4_policy::spatial::{
-    ObjectEstimate, PoseFilterConfig, PoseNoise, SPATIAL_PRESETS, SpatialDemoSet, SpatialKnowledge, SpatialObservation,
-    SpatialPhase, SpatialPolicy as _, SpatialPolicyConfig, SpatialRe4, TransferReplay, reframe_spatial,
+    ObjectEstimate, PoseFilterConfig, SPATIAL_PRESETS, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig,
+    SpatialRe4, TransferReplay, reframe_spatial,
 };
-use re4_policy::{DemoNames, PolicyError};
-use toy::{Random, World, block, demonstrate, demonstrations, knowledge, yaw};
+use re4_policy::{DemoNames, LookupError};
+use re4_rollout::{ArmState, Phase, PolicyError, PoseNoise};
+use toy::{Random, World, block, demonstrate, demonstrations, knowledge, told, yaw};
 
 fn pose() -> impl Strategy<Value = Isometry3<f64>> {
     any::<u64>().prop_map(|seed| Random::new(seed).pose())
@@ -88,7 +90,7 @@ fn the_bridge_arrives_whatever_the_way() {
         let mut goal = None;
         let mut left = f64::INFINITY;
         for step in 0.. {
-            let act = policy.act(&world.observe()).unwrap();
+            let act = told(&mut policy, world.feel(), world.object).unwrap();
             if let Some(decision) = &act.decision {
                 if goal.is_some() {
                     break;
@@ -96,7 +98,7 @@ fn the_bridge_arrives_whatever_the_way() {
                 goal = Some(decision.set_point);
             }
             let (distance, angle) = pose_distance(&world.eef, &goal.unwrap());
-            if act.phase == SpatialPhase::Replay {
+            if act.phase == Phase::Replay {
                 let arrived =
                     distance <= config.replan.tolerance_translation && angle <= config.replan.tolerance_rotation;
                 assert!(arrived || step >= 40, "{distance} {angle} after {step}");
@@ -122,13 +124,15 @@ fn a_bridge_that_does_not_arrive_ends() {
     let config = SpatialPolicyConfig::paper();
     let knowledge = knowledge(demonstrations(6, 0.6, 8), &config, Symmetry::None);
     let world = World::new(block(0.1, 0.1, 0.0));
-    let mut observation = world.observe();
-    observation.eef.translation.x += 0.4;
+    let mut felt = world.feel();
+    felt.eef.translation.x += 0.4;
     let mut policy = SpatialRe4::new(config.clone(), knowledge, world.eef);
-    let phases: Vec<SpatialPhase> = (0..57).map(|_| policy.act(&observation).unwrap().phase).collect();
-    assert!(phases[..40].iter().all(|p| *p == SpatialPhase::Bridge));
-    assert!(phases[40..56].iter().all(|p| *p == SpatialPhase::Replay));
-    assert_eq!(phases[56], SpatialPhase::Bridge);
+    let phases: Vec<Phase> = (0..57)
+        .map(|_| told(&mut policy, felt, world.object).unwrap().phase)
+        .collect();
+    assert!(phases[..40].iter().all(|p| *p == Phase::Bridge));
+    assert!(phases[40..56].iter().all(|p| *p == Phase::Replay));
+    assert_eq!(phases[56], Phase::Bridge);
 }
 
 #[test]
@@ -149,9 +153,9 @@ fn a_held_can_is_carried_however_it_was_turned_in_the_hand() {
         let mut policy = SpatialRe4::new(config.clone(), knowledge, world.eef);
         let mut goals = Vec::new();
         while !world.success() && goals.len() < 200 {
-            let mut observation = world.observe();
-            observation.object.rotation *= yaw(turn);
-            let act = policy.act(&observation).unwrap();
+            let mut object = world.object;
+            object.rotation *= yaw(turn);
+            let act = told(&mut policy, world.feel(), object).unwrap();
             world.step(&act.action);
             goals.push(act.action.goal);
         }
@@ -330,17 +334,17 @@ fn presets_are_sound_and_bad_settings_are_named() {
 fn observations_and_demonstrations_that_are_not_finite_are_refused() {
     let config = SpatialPolicyConfig::re4();
     let knowledge = knowledge(demonstrations(2, 0.6, 8), &config, Symmetry::None);
-    let good = World::new(block(0.0, 0.0, 0.0)).observe();
-    let broken: [fn(&mut SpatialObservation); 3] = [
-        |o| o.eef.translation.x = f64::NAN,
-        |o| o.object.translation.y = f64::INFINITY,
-        |o| o.fingers[1] = f64::NAN,
+    let good = World::new(block(0.0, 0.0, 0.0));
+    let broken: [fn(&mut ArmState, &mut Isometry3<f64>); 3] = [
+        |felt, _| felt.eef.translation.x = f64::NAN,
+        |_, object| object.translation.y = f64::INFINITY,
+        |felt, _| felt.fingers[1] = f64::NAN,
     ];
     for spoil in broken {
         let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&knowledge), good.eef);
-        let mut observation = good;
-        spoil(&mut observation);
-        let refused = policy.act(&observation).unwrap_err();
+        let (mut felt, mut object) = (good.feel(), good.object);
+        spoil(&mut felt, &mut object);
+        let refused = told(&mut policy, felt, object).unwrap_err();
         assert!(refused.to_string().contains("not finite"), "{refused}");
     }
     let mut frames = demonstrate(block(0.0, 0.0, 0.0), 0);
@@ -375,7 +379,7 @@ fn excluded_frames_and_tails_are_not_retrieved_but_replayed() {
     let mut world = World::new(block(0.0, 0.0, 0.0));
     let mut policy = SpatialRe4::new(config, Arc::new(only_transit.unwrap()), world.eef);
     let refused = (0..200)
-        .find_map(|_| match policy.act(&world.observe()) {
+        .find_map(|_| match told(&mut policy, world.feel(), world.object) {
             Ok(act) => {
                 world.step(&act.action);
                 None
@@ -383,8 +387,12 @@ fn excluded_frames_and_tails_are_not_retrieved_but_replayed() {
             Err(error) => Some(error),
         })
         .unwrap();
+    let PolicyError::Own(refused) = refused else {
+        panic!("{refused}");
+    };
+    let refused = *refused.downcast::<LookupError>().unwrap();
     assert!(
-        matches!(refused, PolicyError::NoFrameOfMode { mode: Mode::Transfer }),
+        matches!(refused, LookupError::NoFrameOfMode { mode: Mode::Transfer }),
         "{refused}"
     );
 }

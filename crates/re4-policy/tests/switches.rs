@@ -7,26 +7,28 @@
 )]
 
 mod common;
+mod shown;
 
 use std::sync::Arc;
 
-use common::{knowledge, scripted, starts};
+use common::{knowledge, rollouts, scripted, starts};
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_policy::{
-    DemoNames, DemoSet, EpisodeRollout, Knowledge, Observation, PRESETS, Perception, Phase, PlanKind, Planner,
-    Policy as _, PolicyConfig, PolicyError, Re4, RolloutError, Selector, Tracking, rollouts,
+    Decision, DemoNames, DemoSet, Knowledge, LookupError, PRESETS, PlanKind, Planner, PolicyConfig, Re4, Selector,
+    Tracking,
 };
+use re4_rollout::{Phase, Plane, Policy as _, PolicyError, Rollout, RolloutError};
+use shown::Shown;
 
 const SEEDS: [u32; 4] = [810_000, 810_001, 810_002, 810_003];
 
-fn rolled(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> Vec<EpisodeRollout> {
-    rollouts(config, knowledge, &Perception::State, &starts(&SEEDS), 60, &|| true)
-        .unwrap_or_else(|error| panic!("{config:?}: {error}"))
+fn rolled(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> Vec<Rollout<Plane, Decision>> {
+    rollouts(config, knowledge, &starts(&SEEDS), 60, &|| true).unwrap_or_else(|error| panic!("{config:?}: {error}"))
 }
 
-fn actions(episodes: &[EpisodeRollout]) -> Vec<Point2> {
+fn actions(episodes: &[Rollout<Plane, Decision>]) -> Vec<Point2> {
     episodes.iter().flat_map(|e| e.steps.iter().map(|s| s.action)).collect()
 }
 
@@ -148,6 +150,10 @@ fn decisions_and_steps_fit_together() {
     for name in PRESETS {
         let config = base(name);
         for episode in rolled(&config, &knowledge) {
+            let felt = |i: usize| {
+                let before = i.checked_sub(1).map_or(&episode.first, |i| &episode.steps[i].after);
+                before.observation.agent
+            };
             for (i, step) in episode.steps.iter().enumerate() {
                 let decision = &episode.decisions[step.decision as usize];
                 assert!(decision.step as usize <= i);
@@ -161,12 +167,16 @@ fn decisions_and_steps_fit_together() {
                 if since == 0 {
                     assert_eq!(
                         (decision.eef, decision.object),
-                        (step.sight.observation.eef, step.sight.observation.object)
+                        (felt(i), step.asked.object.unwrap().pose)
                     );
                 }
                 if i > 0 {
-                    let before = Observation::from(&episode.steps[i - 1].after.observation);
-                    assert_eq!((step.sight.observation, step.sight.estimate), (before, None));
+                    let told = step.asked.object.unwrap();
+                    assert_eq!(told.pose, episode.steps[i - 1].after.observation.block);
+                    assert_eq!(
+                        (step.seen, told.confidence, step.asked.images),
+                        (Some(told.pose), None, 0)
+                    );
                 }
             }
         }
@@ -181,22 +191,14 @@ fn one_thread_and_two_give_the_same_rollouts() {
         let config = base(name);
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| rollouts(&config, &knowledge, &Perception::State, &starts(&seeds), 50, &|| true))
+            pool.install(|| rollouts(&config, &knowledge, &starts(&seeds), 50, &|| true))
                 .unwrap()
         };
         let one = run(1);
-        assert_eq!(one.iter().map(|e| e.start.number).collect::<Vec<_>>(), seeds);
+        assert_eq!(one.iter().map(|e| e.start.seed).collect::<Vec<_>>(), seeds);
         assert_eq!(one, run(2), "{name}");
         // Nor do they depend on the company of other seeds.
-        let alone = rollouts(
-            &config,
-            &knowledge,
-            &Perception::State,
-            &starts(&seeds[5..6]),
-            50,
-            &|| true,
-        )
-        .unwrap();
+        let alone = rollouts(&config, &knowledge, &starts(&seeds[5..6]), 50, &|| true).unwrap();
         assert_eq!(one[5..6], alone[..]);
     }
 }
@@ -204,14 +206,7 @@ fn one_thread_and_two_give_the_same_rollouts() {
 #[test]
 fn a_caller_can_stop_the_rollouts() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
-    let stopped = rollouts(
-        &base("paper"),
-        &knowledge,
-        &Perception::State,
-        &starts(&SEEDS),
-        5,
-        &|| false,
-    );
+    let stopped = rollouts(&base("paper"), &knowledge, &starts(&SEEDS), 5, &|| false);
     assert!(matches!(stopped, Err(RolloutError::Interrupted)));
 }
 
@@ -239,10 +234,6 @@ fn without_a_push(mode: Mode) -> (DemoSet, RetrievalIndex) {
 
 #[test]
 fn what_cannot_be_followed_is_refused_in_one_sentence() {
-    let seen = Observation {
-        eef: Point2::new(100.0, 100.0),
-        object: Pose2::new(250.0, 250.0, 0.5),
-    };
     let refusal = |name: &str, mode: Mode, demos: Option<DemoSet>| {
         let (own, index) = without_a_push(mode);
         let knowledge = Arc::new(Knowledge {
@@ -250,23 +241,32 @@ fn what_cannot_be_followed_is_refused_in_one_sentence() {
             index,
             chunks: None,
         });
-        Re4::new(base(name), knowledge, 1).act(&seen)
+        let mut seen = Shown::<Plane> {
+            proprio: Point2::new(100.0, 100.0),
+            tells: true,
+            object: &mut || Ok(Pose2::new(250.0, 250.0, 0.5)),
+        };
+        match Re4::new(base(name), knowledge, 1).act(&mut seen) {
+            Ok(_) => None,
+            Err(PolicyError::Own(error)) => Some(error.downcast::<LookupError>().unwrap()),
+            Err(error) => panic!("{error}"),
+        }
     };
-    let error = refusal("re4", Mode::Transit, None).unwrap_err();
-    assert!(matches!(error, PolicyError::NoChunks), "{error}");
+    let error = refusal("re4", Mode::Transit, None).unwrap();
+    assert!(matches!(*error, LookupError::NoChunks), "{error}");
     assert!(error.to_string().contains("no demonstration holds a push"), "{error}");
-    let error = refusal("paper", Mode::Transfer, None).unwrap_err();
+    let error = refusal("paper", Mode::Transfer, None).unwrap();
     assert!(
-        matches!(error, PolicyError::NoFrameOfMode { mode: Mode::Transit }),
+        matches!(*error, LookupError::NoFrameOfMode { mode: Mode::Transit }),
         "{error}"
     );
     let names = (0..5).map(|number| format!("episode {}", 10 * number)).collect();
     let nothing = DemoSet::default().with_names(DemoNames::new(names));
-    let error = refusal("paper", Mode::Transit, Some(nothing)).unwrap_err();
+    let error = refusal("paper", Mode::Transit, Some(nothing)).unwrap();
     assert!(
-        matches!(&error, PolicyError::UnknownDemo { demo, .. } if demo == "episode 40"),
+        matches!(&*error, LookupError::UnknownDemo { demo, .. } if demo == "episode 40"),
         "{error}"
     );
     // The two-stage selector needs no push.
-    assert!(refusal("paper", Mode::Transit, None).is_ok());
+    assert!(refusal("paper", Mode::Transit, None).is_none());
 }

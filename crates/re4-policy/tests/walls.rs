@@ -2,14 +2,15 @@
 
 mod common;
 
-use common::{Random, distance_to_tee, knowledge, pusht};
+use common::{Random, distance_to_tee, knowledge, pusht, rollouts};
 use re4_geometry::{Point2, Pose2};
 use re4_index::AngleMetric;
-use re4_policy::{Perception, PolicyConfig, Start, rollouts};
+use re4_policy::PolicyConfig;
+use re4_rollout::{Plane, PlaneScene, Start};
 use re4_sim::{ResetOrder, Scene, tee_vertices};
 
 /// Scenes whose block lies close to two walls.
-fn cornered(count: u32) -> Vec<Start> {
+fn cornered(count: u32) -> Vec<Start<Plane>> {
     let mut random = Random::new(200_000);
     let mut starts = Vec::new();
     while starts.len() < count as usize {
@@ -29,9 +30,11 @@ fn cornered(count: u32) -> Vec<Start> {
         let agent = random.point(25.0, 487.0);
         if distance_to_tee(block, agent) >= 22.0 {
             starts.push(Start {
-                number: 200_000 + starts.len() as u32,
-                scene: Scene { agent, block },
-                order: ResetOrder::PoseIsPose,
+                seed: 200_000 + starts.len() as u32,
+                scene: PlaneScene {
+                    state: Scene { agent, block },
+                    order: ResetOrder::PoseIsPose,
+                },
             });
         }
     }
@@ -45,19 +48,12 @@ fn a_block_in_a_corner_is_brought_out_of_it() {
     // Scenes among the first 600 in which the block was driven through a wall as long as the cheapest chunk was taken even
     // where no way led to it.
     let hard = [94, 128, 300, 359, 412, 435, 476, 485, 501];
-    let starts: Vec<Start> = cornered(600)
+    let starts: Vec<Start<Plane>> = cornered(600)
         .into_iter()
-        .filter(|start| hard.contains(&(start.number - 200_000)))
+        .filter(|start| hard.contains(&(start.seed - 200_000)))
         .collect();
-    let episodes = rollouts(
-        &PolicyConfig::re4(),
-        &knowledge,
-        &Perception::State,
-        &starts,
-        500,
-        &|| true,
-    )
-    .unwrap_or_else(|error| panic!("{error}"));
+    let episodes =
+        rollouts(&PolicyConfig::re4(), &knowledge, &starts, 500, &|| true).unwrap_or_else(|error| panic!("{error}"));
     let solved = episodes.iter().filter(|episode| episode.success()).count();
     assert_eq!(solved, hard.len());
 }
@@ -69,15 +65,8 @@ fn few_blocks_stay_in_corners() {
     let knowledge = knowledge(demos, AngleMetric::Periodic);
     let count = std::env::var("CORNERS").map_or(60, |text| text.parse().unwrap());
     let starts = cornered(count);
-    let episodes = rollouts(
-        &PolicyConfig::re4(),
-        &knowledge,
-        &Perception::State,
-        &starts,
-        500,
-        &|| true,
-    )
-    .unwrap_or_else(|error| panic!("{error}"));
+    let episodes =
+        rollouts(&PolicyConfig::re4(), &knowledge, &starts, 500, &|| true).unwrap_or_else(|error| panic!("{error}"));
     let unsolved = episodes.iter().filter(|episode| !episode.success()).count();
     println!("{unsolved} of {count} scenes stay unsolved");
     assert!(unsolved * 20 <= count as usize, "{unsolved} of {count}");

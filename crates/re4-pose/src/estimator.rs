@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use re4_artifact::columns;
 use re4_geometry::{Point2, Pose2};
 
 use crate::anchor::Anchor;
@@ -66,17 +67,22 @@ impl Flag {
     }
 }
 
-/// An estimated pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
-    /// Pose of the block's frame, world frame, px and radians in `[0, 2π)`; none where no block is seen.
-    pub pose: Option<Pose2>,
-    /// Intersection over union of the block's outline at the pose with the block-coloured pixels, over what neither the
-    /// pusher nor a contact mark hides, times the share of the outline in sight: 0 (nothing agrees) to 1. Pictures being
-    /// coarse, an exact pose in full view has 0.9 to 0.97.
-    pub confidence: f64,
-    /// What to think of it.
-    pub flag: Flag,
+columns! {
+    /// An estimated pose.
+    #[derive(Copy)]
+    pub struct Estimate {
+        /// Estimated pose of the block's frame, its angle in [0, 2 pi); null where no block is seen.
+        #[frame = "world"]
+        #[prefix = "object"]
+        pub pose: Option<Pose2>,
+        /// Intersection over union of the block's outline at the pose with the block-coloured pixels, over what neither the pusher nor
+        /// a contact mark hides, times the share of the outline in sight: 0 (nothing agrees) to 1. Images being coarse, an exact
+        /// pose in full view has 0.9 to 0.97.
+        pub confidence: f64,
+        /// What to think of the pose: clear; or occluded, poor_fit or second_block, when it is a guess; or no_block, when there is
+        /// none.
+        pub flag: Flag,
+    }
 }
 
 impl Estimate {

@@ -14,9 +14,13 @@ mod log_polar;
 mod outline;
 mod picture;
 mod refine;
+mod smooth;
 pub mod spatial;
+mod tables;
 
 pub use anchor::{Anchor, AnchorBuilder, AnchorError};
 pub use estimator::{Estimate, Flag, LogPolarEstimator};
 pub use outline::Outline;
 pub use picture::{Picture, PictureError, SIDE};
+pub use smooth::{between_clear, by_mode};
+pub use tables::{AnchorRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};

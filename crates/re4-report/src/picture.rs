@@ -2,6 +2,7 @@
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use re4_stats::{quantile, sorted};
 use thiserror::Error;
 
 /// Why a picture could not be drawn.
@@ -164,15 +165,12 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Pict
     for (&frame, &distance) in frames.iter().zip(distances) {
         columns[frame as usize].push(distance);
     }
-    for column in &mut columns {
-        column.sort_unstable_by(f64::total_cmp);
-    }
+    let columns: Vec<Vec<f64>> = columns.into_iter().map(sorted).collect();
     let curve = |share: f64| -> Vec<(f64, f64)> {
         columns
             .iter()
             .enumerate()
-            .filter(|(_, column)| !column.is_empty())
-            .map(|(frame, column)| (frame as f64, crate::quantile(column, share).max(FLOOR)))
+            .filter_map(|(frame, column)| Some((frame as f64, quantile(column, share)?.max(FLOOR))))
             .collect()
     };
     let top = distances.iter().copied().fold(1.0, f64::max) * 1.5;

@@ -62,11 +62,15 @@ pub fn without_pictures(mjcf: &str) -> Result<String, String> {
 ///
 /// # Errors
 /// When the text is not XML, with the parser's words.
-pub fn without_contacts(mjcf: &str, bodies: &[&str]) -> Result<String, String> {
+pub fn without_contacts(mjcf: &str, bodies: &[impl AsRef<str>]) -> Result<String, String> {
     let document = Document::parse(mjcf).map_err(|error| error.to_string())?;
     let mut edits: Vec<(Range<usize>, &str)> = Vec::new();
-    let named =
-        |node: &Node| node.has_tag_name("body") && node.attribute("name").is_some_and(|name| bodies.contains(&name));
+    let named = |node: &Node| {
+        node.has_tag_name("body")
+            && node
+                .attribute("name")
+                .is_some_and(|name| bodies.iter().any(|body| body.as_ref() == name))
+    };
     for body in document.descendants().filter(named) {
         for geom in body.descendants().filter(|node| node.has_tag_name("geom")) {
             for name in ["contype", "conaffinity"] {

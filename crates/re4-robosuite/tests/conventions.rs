@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_robosuite::conventions::{
     ActionKind, ActionReading, Basis, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, InitialGoal,
-    ObjectLayout, QuaternionOrder, RelativeLag, Rows, Settings, Task, Unproven,
+    ObjectLayout, QuaternionOrder, RelativeLag, RobosuiteTask, Rows, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::hand_to_site;
@@ -117,7 +117,7 @@ impl Demo {
 
 fn standard() -> Conventions {
     Conventions {
-        task: Task::Can,
+        task: RobosuiteTask::named("can"),
         object_layout: Some(ObjectLayout::PoseFirst),
         relative_lag: RelativeLag::Current,
         eef_orientation: EefOrientation::HandBody,
@@ -232,7 +232,7 @@ fn lift_differs_in_the_sign_alone() {
         (ObjectLayout::LiftCubeMinusEef, "1.5.0"),
     ] {
         let conventions = Conventions {
-            task: Task::Lift,
+            task: RobosuiteTask::named("lift"),
             object_layout: Some(layout),
             ..standard()
         };

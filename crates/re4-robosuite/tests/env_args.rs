@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
 
 use re4_robosuite::actions::Osc;
-use re4_robosuite::conventions::{ActionKind, Task};
+use re4_robosuite::conventions::{ActionKind, RobosuiteTask};
 use re4_robosuite::env_args::EnvArgs;
 
 #[test]
@@ -131,25 +131,28 @@ fn environments_of_other_kinds_are_foreign() {
 #[test]
 fn mimicgen_s_names_are_of_the_scene_that_they_name() {
     let tasks = [
-        ("Lift", Task::Lift, None),
-        ("PickPlaceCan", Task::Can, None),
-        ("NutAssemblySquare", Task::Square, None),
-        ("Square_D0", Task::Square, Some(0)),
-        ("Square_D2", Task::Square, Some(2)),
-        ("Can_D1", Task::Can, Some(1)),
-        ("Lift_D0", Task::Lift, Some(0)),
-        ("NutAssembly_D0", Task::Other, Some(0)),
-        ("Stack_D1", Task::Other, Some(1)),
-        ("Square", Task::Other, None),
-        ("Square_D", Task::Other, None),
-        ("Square_Dx", Task::Other, None),
-        ("Square_D+1", Task::Other, None),
-        ("SquareNut_D0", Task::Other, Some(0)),
-        ("_D0", Task::Other, Some(0)),
+        ("Lift", Some("lift"), None),
+        ("PickPlaceCan", Some("can"), None),
+        ("NutAssemblySquare", Some("square"), None),
+        ("Square_D0", Some("square"), Some(0)),
+        ("Square_D2", Some("square"), Some(2)),
+        ("Can_D1", Some("can"), Some(1)),
+        ("Lift_D0", Some("lift"), Some(0)),
+        ("NutAssembly_D0", None, Some(0)),
+        ("Stack_D1", None, Some(1)),
+        ("Square", None, None),
+        ("Square_D", None, None),
+        ("Square_Dx", None, None),
+        ("Square_D+1", None, None),
+        ("SquareNut_D0", None, Some(0)),
+        ("_D0", None, Some(0)),
     ];
     for (name, task, distribution) in tasks {
         assert_eq!(
-            (Task::of(name), Task::distribution(name)),
+            (
+                RobosuiteTask::of_environment(name).map(|task| task.name),
+                RobosuiteTask::distribution(name)
+            ),
             (task, distribution),
             "{name}"
         );

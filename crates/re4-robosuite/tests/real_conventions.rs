@@ -46,7 +46,7 @@ fn as_written_by_1_5(demo: &Demo) -> Demo {
         return new;
     }
     let standard = Conventions {
-        task: re4_robosuite::conventions::Task::Can,
+        task: re4_robosuite::conventions::RobosuiteTask::named("can"),
         object_layout: Some(ObjectLayout::PoseFirst),
         relative_lag: RelativeLag::Current,
         eef_orientation: EefOrientation::HandBody,
@@ -187,9 +187,10 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
             for demo in &demos {
                 conventions.check(&demo.arrays()).unwrap();
                 let row = conventions.decompose(demo.arrays().object.unwrap().row(7)).unwrap();
-                let known = demo
-                    .model
-                    .observe(demo.arrays().states.unwrap().rows(), conventions.task.object());
+                let known = demo.model.observe(
+                    demo.arrays().states.unwrap().rows(),
+                    conventions.task.map(|task| task.object),
+                );
                 let known = known.unwrap()[7].object.unwrap();
                 assert!((row.pose.translation.vector - known.translation.vector).norm() < 1e-12);
                 assert!(row.pose.rotation.angle_to(&known.rotation) < 1e-9);

@@ -24,6 +24,7 @@ mod sweep;
 pub use config::{SceneKind, ScenesConfig};
 pub use error::ScenesError;
 
+use re4_artifact::{columns, table};
 use re4_geometry::{Point2, Pose2};
 
 /// A frame of a demonstration, as far as scenes need it: pixels and radians, world frame.
@@ -37,23 +38,40 @@ pub struct ObjectFrame {
     pub object: Pose2,
 }
 
-/// A scene, and why it was chosen.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SparseScene {
-    /// Number of the block's pose: 0 is the one farthest from the demonstrations.
-    pub pose: u32,
-    /// Number of the pusher's position at this pose.
-    pub pusher: u32,
-    /// Centre of the pusher, in pixels.
-    pub agent: Point2,
-    /// Pose of the block, in pixels and radians, with the angle in `[0, 2π)`.
-    pub block: Pose2,
-    /// Normalised distance to the nearest frame of a demonstration.
-    pub rho: f64,
-    /// Demonstration of that frame.
-    pub nearest_demo: u32,
-    /// That frame inside its demonstration.
-    pub nearest_frame: u32,
+columns! {
+    /// A scene, and why it was chosen.
+    #[derive(Copy)]
+    pub struct SparseScene {
+        /// Number of the block's pose, from 0 for the one farthest from the demonstrations.
+        pub pose: u32,
+        /// Number of the pusher's position at this pose, from 0.
+        pub pusher: u32,
+        /// Position of the pusher's centre.
+        #[frame = "world"]
+        pub agent: Point2,
+        /// Pose of the block, its angle in [0, 2 pi).
+        #[frame = "world"]
+        pub block: Pose2,
+        /// Distance of the block's pose to that of the nearest frame of a demonstration, in normalised coordinates.
+        pub rho: f64,
+        /// Demonstration of that frame: its episode in the episodes artifact.
+        pub nearest_demo: u32,
+        /// That frame, in its demonstration.
+        pub nearest_frame: u32,
+    }
+}
+
+table! {
+    /// One row a scene that rollouts start from: a pose of the block far from those of all demonstrations, and a place for the
+    /// pusher. Sorted by pose and pusher; poses come in falling order of rho.
+    #[table("scenes", version = 1)]
+    pub struct SceneRow {
+        /// Number of the scene in this artifact, from 0.
+        pub scene: u32,
+        /// The scene.
+        #[prefix = ""]
+        pub chosen: SparseScene,
+    }
 }
 
 /// The scenes that `config` asks for, pose after pose.

@@ -1,67 +1,76 @@
 //! Segmentation of planar demonstrations.
 
+use re4_artifact::columns;
 use re4_episode::{Mode, PlanarEpisode, PlanarFrame, Segment, segments};
 use re4_geometry::Point2;
 
+use crate::Segmented;
 use crate::config::{Rule, SegmentConfig};
 use crate::error::SegmentError;
 use crate::motion::{Pair, StepMotion, rigid_motion_modes};
 
-/// Modes, evidence and segments of one demonstration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SegmentedEpisode {
-    /// Mode of every frame.
-    pub modes: Vec<Mode>,
-    /// Evidence for or against it, one a frame, whichever rule gave the modes.
-    pub evidence: Vec<Evidence>,
-    /// Maximal runs of one mode, in the order of time.
-    pub segments: Vec<SegmentFacts>,
-    /// The grasp frame g(d): the first transfer frame, if there is one (paper, appendix, "Anchors").
-    pub grasp_frame: Option<usize>,
+/// Modes, evidence and segments of one demonstration in the plane.
+pub type SegmentedEpisode = Segmented<Evidence, SegmentFacts>;
+
+columns! {
+    /// What can be measured at one frame. Steps and rotations lead from the frame to the next one of its episode and are null at
+    /// the last.
+    #[domain = "plane"]
+    #[derive(Copy)]
+    pub struct Evidence {
+        /// Contact points between pusher and block counted during the control step that led to this frame; null where they were not
+        /// recorded.
+        pub contacts: Option<f64>,
+        /// Whether any contact was counted; null where contacts were not recorded.
+        pub contact: Option<bool>,
+        /// Distance that the pusher moves.
+        #[unit = "px"]
+        pub eef_step: Option<f64>,
+        /// Distance that the origin of the block's frame moves.
+        #[unit = "px"]
+        pub object_step: Option<f64>,
+        /// Angle that the block rotates, the short way round, in [-pi, pi).
+        #[unit = "rad"]
+        pub object_turn: Option<f64>,
+        /// Distance that the pusher moves as seen from the block: |o'^-1 x' - o^-1 x|.
+        #[unit = "px"]
+        pub relative_translation: Option<f64>,
+        /// Angle that the end effector rotates as seen from the object; null where it is a point, as the pusher is.
+        #[unit = "rad"]
+        pub relative_rotation: Option<f64>,
+        /// Distance from the pusher's centre to the origin of the block's frame.
+        #[unit = "px"]
+        pub eef_object_distance: f64,
+        /// Whether the object moves or rotates further than the configured thresholds.
+        pub object_moving: Option<bool>,
+    }
 }
 
-/// What can be measured at one frame. Steps and turns lead to the next frame; they are absent at the last one.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Evidence {
-    /// Contact points counted during the control step that led to this frame; absent where they were not recorded.
-    pub contacts: Option<f64>,
-    /// Whether any was counted.
-    pub contact: Option<bool>,
-    /// Distance that the end effector moves.
-    pub eef_step: Option<f64>,
-    /// Distance that the object's origin moves.
-    pub object_step: Option<f64>,
-    /// Angle that the object turns, the short way round, in [-π, π).
-    pub object_turn: Option<f64>,
-    /// Distance that the end effector moves as seen from the object.
-    pub relative_translation: Option<f64>,
-    /// Angle that the end effector turns as seen from the object; absent where it is a point.
-    pub relative_rotation: Option<f64>,
-    /// Distance from the end effector to the object's origin.
-    pub eef_object_distance: f64,
-    /// Whether the object moves or turns further than the configured thresholds.
-    pub object_moving: Option<bool>,
-}
-
-/// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
-/// one, or to the last of the episode.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SegmentFacts {
-    /// Mode and frames.
-    pub segment: Segment,
-    /// Anchor p*_d of the demonstration, world frame: the end effector at the grasp frame. Absent in segments after the
-    /// first transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
-    pub anchor: Option<Point2>,
-    /// End effector in the object's frame at the first frame of a transfer segment, the transform that the segment
-    /// preserves; absent in transit.
-    pub grasp: Option<Point2>,
-    /// Largest distance, over a transfer segment, of the end effector in the object's frame from the grasp; absent in
-    /// transit.
-    pub rigidity_residual: Option<f64>,
-    /// Distance from where the object's origin was at the start of the segment to where it is at its end.
-    pub object_displacement: f64,
-    /// Sum of the object's turns over the segment, in radians; more than half a turn is not wrapped.
-    pub object_rotation: f64,
+columns! {
+    /// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
+    /// one, or to the last of the episode.
+    pub struct SegmentFacts {
+        /// Mode and frames.
+        #[prefix = ""]
+        pub segment: Segment,
+        /// Anchor of the demonstration (p*_d): the end effector's position at the grasp frame. Null in segments after the first
+        /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
+        #[frame = "world"]
+        pub anchor: Option<Point2>,
+        /// End effector in the object's frame at the first frame of a transfer segment, the transform that the segment
+        /// preserves; null in transit.
+        #[frame = "object"]
+        pub grasp: Option<Point2>,
+        /// Largest distance, over a transfer segment, of the end effector in the object's frame from the grasp; null in transit.
+        #[unit = "px"]
+        pub rigidity_residual: Option<f64>,
+        /// Distance of the object's origin at the end of the segment from where it was at its start.
+        #[unit = "px"]
+        pub object_displacement: f64,
+        /// Sum of the object's rotations over the segment; more than half a rotation is not wrapped.
+        #[unit = "rad"]
+        pub object_rotation: f64,
+    }
 }
 
 /// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the facts of every segment.

@@ -1,89 +1,111 @@
 //! Segmentation of demonstrations of an arm with a two-finger gripper.
 
 use nalgebra::Isometry3;
+use re4_artifact::columns;
 use re4_episode::{Mode, Segment, SpatialEpisode, SpatialFrame, segments};
 
+use crate::Segmented;
 use crate::config::{Command, GripperConfig, Rule, SegmentConfig};
 use crate::error::SegmentError;
 use crate::motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
 
-/// Modes, evidence and segments of one demonstration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SegmentedSpatial {
-    /// Mode of every frame.
-    pub modes: Vec<Mode>,
-    /// Evidence for or against it, one a frame, whichever rule gave the modes.
-    pub evidence: Vec<SpatialEvidence>,
-    /// Maximal runs of one mode, in the order of time.
-    pub segments: Vec<SpatialSegment>,
-    /// The grasp frame g(d): the first transfer frame, if there is one (paper, appendix, "Anchors").
-    pub grasp_frame: Option<usize>,
+/// Modes, evidence and segments of one demonstration with a gripper.
+pub type SegmentedSpatial = Segmented<SpatialEvidence, SpatialSegment>;
+
+columns! {
+    /// What can be measured at one frame. Steps, rotations and speeds lead from the frame to the next one of its episode and are
+    /// null at the last.
+    #[domain = "space"]
+    #[derive(Copy)]
+    pub struct SpatialEvidence {
+        /// Whether the gripper command of the action at this frame closes.
+        pub command_closes: bool,
+        /// Distance between the fingers, |finger_0 - finger_1|.
+        #[unit = "m"]
+        pub finger_separation: f64,
+        /// Change of the finger separation to the next frame; below 0 while closing.
+        #[unit = "m/frame"]
+        pub finger_speed: Option<f64>,
+        /// Distance that the end effector moves.
+        #[unit = "m"]
+        pub eef_step: Option<f64>,
+        /// Angle that the end effector rotates, geodesic.
+        #[unit = "rad"]
+        pub eef_turn: Option<f64>,
+        /// Distance that the object's origin moves.
+        #[unit = "m"]
+        pub object_step: Option<f64>,
+        /// Angle that the object rotates, geodesic.
+        #[unit = "rad"]
+        pub object_turn: Option<f64>,
+        /// Distance that the end effector moves as seen from the object: |o'^-1 x' - o^-1 x|.
+        #[unit = "m"]
+        pub relative_translation: Option<f64>,
+        /// Angle that the end effector rotates as seen from the object.
+        #[unit = "rad"]
+        pub relative_rotation: Option<f64>,
+        /// Distance from the grip site to the object's origin.
+        #[unit = "m"]
+        pub eef_object_distance: f64,
+        /// Whether the object moves or rotates further than the configured thresholds.
+        pub object_moving: Option<bool>,
+        /// Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is
+        /// fixed to the end effector.
+        pub holds: bool,
+    }
 }
 
-/// What can be measured at one frame. Steps, turns and speeds lead to the next frame; they are absent at the last one.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpatialEvidence {
-    /// Whether the gripper command of the action at this frame closes.
-    pub command_closes: bool,
-    /// Distance between the fingers, in m.
-    pub finger_separation: f64,
-    /// Change of that distance, below 0 while closing.
-    pub finger_speed: Option<f64>,
-    /// Distance that the end effector moves.
-    pub eef_step: Option<f64>,
-    /// Angle that the end effector turns, geodesic.
-    pub eef_turn: Option<f64>,
-    /// Distance that the object's origin moves.
-    pub object_step: Option<f64>,
-    /// Angle that the object turns, geodesic.
-    pub object_turn: Option<f64>,
-    /// Distance that the end effector moves as seen from the object.
-    pub relative_translation: Option<f64>,
-    /// Angle that the end effector turns as seen from the object.
-    pub relative_rotation: Option<f64>,
-    /// Distance from the grip site to the object's origin.
-    pub eef_object_distance: f64,
-    /// Whether the object moves or turns further than the configured thresholds.
-    pub object_moving: Option<bool>,
-    /// Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is
-    /// fixed to the end effector.
-    pub holds: bool,
+columns! {
+    /// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
+    /// one, or to the last of the episode.
+    pub struct SpatialSegment {
+        /// Mode and frames.
+        #[prefix = ""]
+        pub segment: Segment,
+        /// Anchor of the demonstration (p*_d): the end effector's pose at the grasp frame. Null in segments after the first transfer
+        /// segment, where the object is no longer at the anchor, and in demonstrations without transfer.
+        #[frame = "world"]
+        pub anchor: Option<Isometry3<f64>>,
+        /// First frame of a transfer segment at which the fingers have stopped closing; null in transit and where they never stop.
+        pub settled_frame: Option<usize>,
+        /// What a transfer segment should preserve; null in transit.
+        #[prefix = ""]
+        pub grasp: Option<Grasp>,
+        /// Distance of the object's origin at the end of the segment from where it was at its start.
+        #[unit = "m"]
+        pub object_displacement: f64,
+        /// Height of the object's origin at the end of the segment over that at its start.
+        #[unit = "m"]
+        pub object_rise: f64,
+        /// Angle between the object's orientations at the start and at the end, in [0, pi].
+        #[unit = "rad"]
+        pub object_rotation: f64,
+        /// Sum of the object's steps over the segment.
+        #[unit = "m"]
+        pub object_path: f64,
+    }
 }
 
-/// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
-/// one, or to the last of the episode.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SpatialSegment {
-    /// Mode and frames.
-    pub segment: Segment,
-    /// Anchor p*_d of the demonstration, world frame: the end effector at the grasp frame. Absent in segments after the first
-    /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
-    pub anchor: Option<Isometry3<f64>>,
-    /// First frame of a transfer segment at which the fingers have stopped closing.
-    pub settled_frame: Option<usize>,
-    /// What a transfer segment should preserve; absent in transit.
-    pub grasp: Option<Grasp>,
-    /// Distance from where the object's origin was at the start of the segment to where it is at its end.
-    pub object_displacement: f64,
-    /// Height of the object's origin at the end of the segment over that at its start.
-    pub object_rise: f64,
-    /// Angle between the object's orientations at the start and at the end, in [0, pi].
-    pub object_rotation: f64,
-    /// Sum of the object's steps over the segment.
-    pub object_path: f64,
-}
-
-/// The end effector in the object's frame, and how far it strays from there within a transfer segment.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Grasp {
-    /// The end effector in the object's frame at the settled frame, or at the first one where the fingers never stop.
-    pub transform: Isometry3<f64>,
-    /// Distance between the fingers there.
-    pub finger_separation: f64,
-    /// Largest distance from the transform, from there to the end of the segment.
-    pub residual: f64,
-    /// Largest angle, likewise.
-    pub residual_rotation: f64,
+columns! {
+    /// The end effector in the object's frame, and how far it strays from there within a transfer segment.
+    #[derive(Copy)]
+    pub struct Grasp {
+        /// The end effector in the object's frame at the settled frame, or at the first one where the fingers never stop.
+        #[frame = "object"]
+        #[prefix = "grasp"]
+        pub transform: Isometry3<f64>,
+        /// Distance between the fingers there.
+        #[unit = "m"]
+        pub finger_separation: f64,
+        /// Largest distance from the transform, from there to the end of the segment.
+        #[unit = "m"]
+        #[prefix = "rigidity_residual"]
+        pub residual: f64,
+        /// Largest angle, likewise.
+        #[unit = "rad"]
+        #[prefix = "rigidity_residual_rotation"]
+        pub residual_rotation: f64,
+    }
 }
 
 /// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the facts of every segment.
@@ -141,7 +163,7 @@ fn pair(frame: &SpatialFrame) -> SpatialPair {
 }
 
 fn command_modes(frames: &[SpatialFrame], command: Command) -> Vec<Mode> {
-    let closes = frames.iter().map(|frame| frame.closes);
+    let closes = frames.iter().map(SpatialFrame::closes);
     let commands: Vec<bool> = match command {
         Command::Current => closes.collect(),
         Command::Last => std::iter::once(false).chain(closes).take(frames.len()).collect(),
@@ -202,7 +224,7 @@ fn evidence(
                         .is_none_or(|angle| angle < config.rotation_epsilon)
             });
             SpatialEvidence {
-                command_closes: frame.closes,
+                command_closes: frame.closes(),
                 finger_separation: separations[i],
                 finger_speed: speeds.get(i).copied(),
                 eef_step: steps.get(i).map(|step| step.eef_translation),

@@ -29,7 +29,6 @@ impl Scene {
             delta: [0.0; 6],
             goal: [0.0; 6],
             gripper: -1.0,
-            closes: false,
             reward: None,
         };
         Self {
@@ -41,7 +40,6 @@ impl Scene {
     /// The command at the last frame, and the frame that it leads to.
     fn step(&mut self, closes: bool, motion: Isometry3<f64>, separation: f64) -> &mut Self {
         let last = self.frames.last_mut().unwrap();
-        last.closes = closes;
         last.gripper = if closes { 1.0 } else { -1.0 };
         let mut next = *last;
         next.eef = motion * last.eef;

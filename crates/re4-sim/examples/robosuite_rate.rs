@@ -27,10 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let name = arguments.next().ok_or("usage: robosuite_rate TRACE [EPISODES]")?;
     let episodes: u32 = arguments.next().map_or(Ok(5), |text| text.parse())?;
     let trace = Reference::open(Path::new(&name));
-    let task = RobosuiteTask::ALL
-        .into_iter()
-        .find(|task| task.environment() == trace.text("task"))
-        .ok_or("the trace is of another task")?;
+    let task = RobosuiteTask::of_environment(trace.text("task")).ok_or("the trace is of another task")?;
     let profile = Profile::of(trace.text("robosuite")).ok_or("the trace is of another version of robosuite")?;
 
     let simulators = std::env::var_os("RE4_SIMULATORS").map_or_else(|| PathBuf::from("data/simulators"), PathBuf::from);
@@ -40,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     )?;
     // As demonstrations are simulated: without what is only drawn.
     let mjcf = without_pictures(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
-    let apart = without_contacts(&mjcf, task.put_away())?;
+    let apart = without_contacts(&mjcf, &task.put_away())?;
 
     let numbers = trace.f64s("actions");
     let actions: Vec<RobosuiteAction> = (0..numbers.shape[0])

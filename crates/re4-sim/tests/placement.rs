@@ -5,17 +5,39 @@
 #[path = "reference/mod.rs"]
 mod reference;
 
-use re4_sim::robosuite::{Placement, RobosuiteTask, with_cube_size};
+use re4_sim::robosuite::{Placement, RobosuiteTask};
+use std::borrow::Cow;
 use std::f64::consts::PI;
 
-use reference::Reference;
+use re4_sim::SimError;
+use reference::{Reference, names};
 use sha2::{Digest, Sha256};
 
-const TASKS: [(RobosuiteTask, &str); 3] = [
-    (RobosuiteTask::Lift, "lift"),
-    (RobosuiteTask::Can, "can"),
-    (RobosuiteTask::Square, "square"),
-];
+fn task(name: &str) -> RobosuiteTask {
+    RobosuiteTask::named(name).unwrap()
+}
+
+/// Files with initial states of seeds: those of their own, and traces that hold them, too.
+fn placements() -> Vec<Reference> {
+    let of_traces = names("trace_").into_iter().map(|name| format!("trace_{name}.bin.gz"));
+    let own = names("placement_")
+        .into_iter()
+        .map(|name| format!("placement_{name}.bin.gz"));
+    let files = of_traces.chain(own).map(|file| Reference::read(&file));
+    files.filter(|file| file.has("seeds")).collect()
+}
+
+/// Half sizes of the boxes that a seed draws.
+fn boxes(placement: &Placement) -> Vec<f64> {
+    let sizes = placement.objects.iter().filter_map(|object| object.half_sizes);
+    sizes.flatten().collect()
+}
+
+/// MJCF with a cube of these half sizes.
+fn with_cube(mut placement: Placement, mjcf: &str, half_sizes: [f64; 3]) -> Result<String, SimError> {
+    placement.objects[0].half_sizes = Some(half_sizes);
+    placement.in_model(mjcf).map(Cow::into_owned)
+}
 
 fn bits(numbers: &[f64]) -> Vec<u64> {
     numbers.iter().map(|number| number.to_bits()).collect()
@@ -34,52 +56,60 @@ fn as_computed_with(version: &str, mut placement: Placement) -> Vec<f64> {
 
 #[test]
 fn states_after_a_reset_are_those_of_robosuite() {
-    for (task, name) in TASKS {
-        for version in ["1.4.1", "1.5.1"] {
-            let file = Reference::read(&format!("placement_{name}_{version}.bin.gz"));
-            assert_eq!(
-                (file.text("task"), file.text("robosuite")),
-                (task.environment(), version)
-            );
-            let (seeds, qpos) = (file.u32s("seeds"), file.f64s("qpos"));
-            assert!(seeds.numbers.len() >= 200);
-            for (index, &seed) in seeds.numbers.iter().enumerate() {
-                let placement = Placement::draw(task, seed);
-                if let Some(cube) = placement.cube {
-                    assert_eq!(bits(&cube), bits(file.f64s("cube_size").row(index)), "seed {seed}");
-                }
-                let coordinates = as_computed_with(version, placement);
-                assert_eq!(
-                    bits(&coordinates),
-                    bits(qpos.row(index)),
-                    "{name} {version}, seed {seed}"
-                );
+    for file in placements() {
+        let task = RobosuiteTask::of_environment(file.text("task")).unwrap();
+        let version = file.text("robosuite");
+        // A trace has coordinates of its own.
+        let qpos = file.f64s(if file.has("placed") { "placed" } else { "qpos" });
+        let seeds = file.u32s("seeds").numbers;
+        assert!(seeds.len() >= 200);
+        for (index, &seed) in seeds.iter().enumerate() {
+            let placement = Placement::draw(task, seed);
+            let cube = boxes(&placement);
+            if !cube.is_empty() {
+                assert_eq!(bits(&cube), bits(file.f64s("cube_size").row(index)), "seed {seed}");
             }
+            let coordinates = as_computed_with(version, placement);
+            assert_eq!(
+                bits(&coordinates),
+                bits(qpos.row(index)),
+                "{task:?} {version}, seed {seed}"
+            );
         }
+    }
+}
+
+/// Every task that there is has its files.
+#[test]
+fn all_tasks_are_tested() {
+    let placed: Vec<_> = placements().iter().map(|file| file.text("task").to_owned()).collect();
+    let traces = names("trace_");
+    let traces = traces
+        .iter()
+        .map(|name| Reference::read(&format!("trace_{name}.bin.gz")));
+    let traced: Vec<_> = traces.map(|file| file.text("task").to_owned()).collect();
+    for task in RobosuiteTask::all() {
+        let there = |files: &[String]| files.iter().any(|file| file == task.environment);
+        assert!(there(&placed) && there(&traced), "{task:?}");
     }
 }
 
 #[test]
 fn scenes_of_traces_are_those_of_their_seed() {
-    for name in [
-        "lift_1.4.1",
-        "lift_1.5.1",
-        "can_1.4.1",
-        "can_1.5.1",
-        "square_1.4.1",
-        "square_1.5.1",
-    ] {
-        let file = Reference::read(&format!("trace_{name}_absolute.bin.gz"));
-        let (task, _) = TASKS.into_iter().find(|(_, task)| name.starts_with(task)).unwrap();
+    for name in names("trace_") {
+        let file = Reference::read(&format!("trace_{name}.bin.gz"));
+        let task = RobosuiteTask::of_environment(file.text("task")).unwrap();
         let placement = Placement::draw(task, 11);
         let coordinates = as_computed_with(file.text("robosuite"), placement.clone());
         let state = file.f64s("initial_state").numbers;
         assert_eq!(bits(&state[1..=coordinates.len()]), bits(&coordinates), "{name}");
-        if let Some(cube) = placement.cube {
-            let robosuites = file.text("xml");
-            let other = with_cube_size(robosuites, [0.02, 0.0215, 0.022]).unwrap();
+        let robosuites = file.text("xml");
+        if task.draws_models() {
+            let other = with_cube(placement.clone(), robosuites, [0.02, 0.0215, 0.022]).unwrap();
             assert!(other.contains(r#"name="cube_g0" size="0.02 0.0215 0.022" "#), "{other}");
-            assert_eq!(with_cube_size(&other, cube).unwrap(), robosuites, "{name}");
+            assert_eq!(placement.in_model(&other).unwrap(), robosuites, "{name}");
+        } else {
+            assert!(matches!(placement.in_model(robosuites), Ok(Cow::Borrowed(same)) if same == robosuites));
         }
     }
 }
@@ -93,7 +123,7 @@ fn a_model_without_a_cube_is_refused() {
         ),
         ("<mujoco><worldbody>", "its MJCF is not XML"),
     ] {
-        let error = with_cube_size(mjcf, [0.02; 3]).unwrap_err().to_string();
+        let error = Placement::draw(task("lift"), 0).in_model(mjcf).unwrap_err().to_string();
         assert!(
             error.starts_with("cannot simulate Lift: ") && error.contains(expected),
             "{error}"
@@ -101,18 +131,19 @@ fn a_model_without_a_cube_is_refused() {
     }
 }
 
-/// Ten thousand draws: in the ranges of the rules, spread evenly over them, and bit for bit those of robosuite's samplers.
+/// Ten thousand draws: in the ranges of the rules, and spread evenly over them.
 #[test]
 fn ten_thousand_draws_follow_the_rules() {
-    for (task, name) in TASKS {
+    for name in ["lift", "can", "square"] {
+        let task = task(name);
         let draws: Vec<Placement> = (0..10_000).map(|seed| Placement::draw(task, seed)).collect();
         let object = |index: usize, axis: usize| -> Vec<f64> {
             draws.iter().map(|draw| draw.objects[index].position[axis]).collect()
         };
-        let (used, x, y) = match task {
-            RobosuiteTask::Lift => (0, -0.03..0.03, -0.03..0.03),
-            RobosuiteTask::Can => (3, -0.02..0.22, -0.42..-0.08),
-            RobosuiteTask::Square => (0, -0.115..-0.11, 0.11..0.225),
+        let (used, x, y) = match name {
+            "lift" => (0, -0.03..0.03, -0.03..0.03),
+            "can" => (3, -0.02..0.22, -0.42..-0.08),
+            _ => (0, -0.115..-0.11, 0.11..0.225),
         };
         let yaw: Vec<f64> = draws
             .iter()
@@ -128,16 +159,16 @@ fn ten_thousand_draws_follow_the_rules() {
         };
         // 0.0195 is the distance that one uniform sample of 10,000 in a thousand exceeds. The can, placed last, keeps clear of
         // what lies in the bin already, which makes the middle of the bin rarer.
-        let allowed = if task == RobosuiteTask::Can { 0.03 } else { 0.0195 };
+        let allowed = if name == "can" { 0.03 } else { 0.0195 };
         even("x", object(used, 0), x, allowed);
         even("y", object(used, 1), y, allowed);
         even("yaw", yaw, 0.0..std::f64::consts::TAU, 0.0195);
         for draw in &draws {
             let height = draw.objects[used].position[2];
-            let expected = match draw.cube {
-                Some(cube) => 0.81 + cube[2],
-                None if task == RobosuiteTask::Can => 0.86,
-                None => 0.89,
+            let expected = match (name, draw.objects[used].half_sizes) {
+                (_, Some(cube)) => 0.81 + cube[2],
+                ("can", None) => 0.86,
+                (_, None) => 0.89,
             };
             assert!((height - expected).abs() < 1e-12, "{name}: {height}");
             let away = draw.objects.iter().enumerate().filter(|(index, _)| *index != used);
@@ -146,9 +177,9 @@ fn ten_thousand_draws_follow_the_rules() {
                     .all(|position| position == [10.0; 3])
             );
         }
-        if task == RobosuiteTask::Lift {
+        if name == "lift" {
             for axis in 0..3 {
-                let sizes = draws.iter().map(|draw| draw.cube.unwrap()[axis]).collect();
+                let sizes = draws.iter().map(|draw| boxes(draw)[axis]).collect();
                 even("half size", sizes, 0.020..0.022, 0.0195);
             }
         }
@@ -168,25 +199,26 @@ fn ten_thousand_draws_follow_the_rules() {
                 "{name}, joint {joint}: {variance}"
             );
         }
+    }
+}
+
+#[test]
+fn ten_thousand_draws_are_those_of_robosuite() {
+    let files = placements();
+    for task in RobosuiteTask::all() {
+        let used = task.placement.iter().position(|rule| rule.used).unwrap();
         let mut hash = Sha256::new();
-        for draw in &draws {
+        for seed in 0..10_000 {
+            let draw = Placement::draw(task, seed);
             let object = &draw.objects[used];
-            let numbers = draw.cube.into_iter().flatten().chain(draw.arm);
+            let numbers = boxes(&draw).into_iter().chain(draw.arm);
             for number in numbers.chain(object.position).chain(object.quaternion) {
                 hash.update(number.to_le_bytes());
             }
         }
-        let drawn = hash.finalize();
-        for version in ["1.4.1", "1.5.1"] {
-            let file = Reference::read(&format!("placement_{name}_{version}.bin.gz"));
-            let expected = file.text("sha256_of_10000");
-            for (index, byte) in drawn.iter().enumerate() {
-                assert_eq!(
-                    expected[2 * index..2 * index + 2],
-                    format!("{byte:02x}"),
-                    "{name}: {expected}"
-                );
-            }
+        let drawn: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        for file in files.iter().filter(|file| file.text("task") == task.environment) {
+            assert_eq!(file.text("sha256_of_10000"), drawn, "{task:?}");
         }
     }
 }

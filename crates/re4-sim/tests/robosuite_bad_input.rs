@@ -166,17 +166,17 @@ fn a_model_of_another_task_or_version() {
         let mjcf = trace.mjcf(&simulators);
         told(RobosuiteModel::compile(
             &trace.library(&simulators),
-            task,
+            RobosuiteTask::named(task).unwrap(),
             trace.profile,
             &mjcf,
         ))
     };
     assert_eq!(
-        compile("can_1.4.1_absolute", RobosuiteTask::Lift),
+        compile("can_1.4.1_absolute", "lift"),
         "cannot simulate Lift: the model has no joint cube_joint0; take the model_file of a demonstration of Lift"
     );
     assert_eq!(
-        compile("lift_1.5.1_absolute", RobosuiteTask::Square),
+        compile("lift_1.5.1_absolute", "square"),
         "cannot simulate NutAssemblySquare: the model has no joint SquareNut_joint0; take the model_file of a demonstration of NutAssemblySquare"
     );
     let (old, new) = (of("lift_1.4.1_absolute"), of("lift_1.5.1_absolute"));

@@ -12,7 +12,9 @@ mod reference;
 mod simulators;
 
 use re4_sim::Simulator as _;
-use re4_sim::robosuite::{Fidelity, INITIAL_JOINTS, Profile, RobosuiteObservation, RobosuiteTask, SIMULATION_STEPS};
+use re4_sim::robosuite::{
+    Fidelity, FirstTorques, INITIAL_JOINTS, Profile, RobosuiteObservation, RobosuiteScene, simulation_steps,
+};
 use simulators::{Form, Trace, apart, apart_as_rotations, apart_without, simulators};
 
 const CONTROLS: usize = 9;
@@ -23,7 +25,7 @@ fn traces_are_as_the_simulation_assumes() {
         let file = &trace.file;
         assert_eq!(
             file.f64s("ctrl").shape,
-            [60, SIMULATION_STEPS, CONTROLS],
+            [60, simulation_steps(trace.task), CONTROLS],
             "{}",
             trace.name
         );
@@ -127,6 +129,36 @@ fn closed_loop_stays_with_robosuite_until_contact() {
     }
 }
 
+/// Newer traces hold the environment's verdicts about every edge of its rule.
+#[test]
+fn verdicts_at_every_edge_are_equal() {
+    let Some(folder) = simulators() else { return };
+    for trace in Trace::all().filter(|trace| trace.file.has("hands")) {
+        let (hands, places) = (trace.file.f64s("hands"), trace.file.f64s("moved_to"));
+        let (of_hand, theirs) = (
+            trace.file.u32s("moved_hand").numbers,
+            trace.file.u8s("moved_success").numbers,
+        );
+        let mut simulation = trace.start(&folder, Form::Physics, Fidelity::Robosuite);
+        let joint = simulation.model().mujoco().joint(&trace.task.joint()).unwrap();
+        for (row, (&hand, &verdict)) in of_hand.iter().zip(&theirs).enumerate() {
+            let mut state = hands.row(hand as usize).to_vec();
+            state[1 + joint.0..][..3].copy_from_slice(places.row(row));
+            simulation
+                .reset(&RobosuiteScene::Recorded(state), FirstTorques::Fresh)
+                .unwrap();
+            assert_eq!(u8::from(simulation.success()), verdict, "{} row {row}", trace.name);
+        }
+        let successes = theirs.iter().filter(|&&verdict| verdict == 1).count();
+        println!(
+            "{:22} {successes} successes among {} equal verdicts",
+            trace.name,
+            theirs.len()
+        );
+        assert!(successes > 0 && successes < theirs.len(), "{}", trace.name);
+    }
+}
+
 /// What was seen in a row of a trace: poses and finger positions are of different simulation steps.
 struct Seen {
     poses: RobosuiteObservation,
@@ -206,7 +238,7 @@ fn compare(trace: &Trace, rows: &[Seen]) {
         assert_eq!(ours.len(), theirs.len());
         // robosuite 1.5 relates the hand to the object's pose of the sample before; before row 0 that is one of the reset, which
         // no trace holds.
-        let is_late = trace.profile == Profile::V1_5 && trace.task != RobosuiteTask::Lift;
+        let is_late = trace.profile == Profile::V1_5 && trace.task.layouts[1].relates_rotations();
         let late = RobosuiteObservation {
             object: rows[row.saturating_sub(1)].poses.object,
             ..observed
@@ -229,7 +261,7 @@ fn compare(trace: &Trace, rows: &[Seen]) {
                 &ours[relative_from..relative_from + 3],
                 &theirs[relative_from..relative_from + 3],
             ));
-            if trace.task != RobosuiteTask::Lift {
+            if trace.task.layouts[0].relates_rotations() {
                 let rotation = relative_from + 3..relative_from + 7;
                 turn = turn.max(apart_as_rotations(&ours[rotation.clone()], &theirs[rotation]));
             }

@@ -11,6 +11,7 @@ mod notes;
 mod pipeline;
 mod runner;
 mod stages;
+pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
@@ -19,10 +20,13 @@ pub use inputs::poses::from_numbers;
 pub use inputs::simulators::Scenes;
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
-pub use notes::{Notes, print_error, sentence};
+pub use notes::{Notes, print_error, told};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
-    Seeds, SpatialRolloutSection, TaskName, Variant, schema,
+    Seeds, SpatialRolloutSection, Task, Variant, schema,
 };
 pub use runner::{Built, Runner, Settings};
-pub use stages::{BUDGET_MEASURES, INGEST_WORKER, metrics, read_rollouts, serve_ingest};
+pub use stages::{
+    BUDGET_MEASURES, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
+    SpatialReplay, metrics, read_rollouts, serve_ingest,
+};

@@ -1,5 +1,6 @@
 //! Stages with an invented encoder in the place of a trained one: what tests of image variants call.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,17 +8,25 @@ use std::time::Duration;
 use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
-use re4_policy::PolicyError;
-use re4_policy::spatial::{MakeObserver, Observer};
-use re4_sim::robosuite::Robosuite;
+use re4_fault::Remedy as _;
+use re4_rollout::{
+    ArmAction, ArmState, Env, Estimator, Image, PolicyError, Space, SpaceFirst, Told, put_renderer_away,
+};
+use re4_sim::SimError;
+use re4_sim::robosuite::{Placement, RobosuiteStep};
 
 use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
 use crate::runner::{Built, Runner, Settings};
-use crate::stages::{Lens, Studio, put_renderer_away, unseen};
+use crate::stages::{Watching, studio};
 
-/// What an invented encoder says: of a picture, and, as no real one can, of the simulation that the picture is of.
-pub type Estimate = Arc<dyn Fn(&[u8], &Robosuite) -> Isometry3<f64> + Send + Sync>;
+/// What an invented encoder says: of an image, and, as no real one can, of the object's true pose in it.
+pub type Estimate = Arc<dyn Fn(&[u8], &Isometry3<f64>) -> Isometry3<f64> + Send + Sync>;
+
+thread_local! {
+    /// Where the object was in the last image that was rendered in this thread.
+    static RENDERED: Cell<Isometry3<f64>> = Cell::new(Isometry3::identity());
+}
 
 /// A pipeline whose stages up to `segment` were run, and a `poses` artifact.
 pub struct Invented<'a> {
@@ -31,15 +40,41 @@ pub struct Invented<'a> {
     pub poses: &'a Path,
 }
 
-struct InventedEye {
-    lens: Lens,
-    estimate: Estimate,
+/// A simulation that says where the object is in its images.
+struct Betraying<'a>(Box<dyn Env<Space> + 'a>);
+
+impl Env<Space> for Betraying<'_> {
+    fn reset(&mut self, scene: &Placement) -> Result<SpaceFirst, SimError> {
+        self.0.reset(scene)
+    }
+
+    fn step(&mut self, action: &ArmAction) -> Result<RobosuiteStep, SimError> {
+        self.0.step(action)
+    }
+
+    fn proprio(&self) -> ArmState {
+        self.0.proprio()
+    }
+
+    fn object(&self) -> Isometry3<f64> {
+        self.0.object()
+    }
+
+    fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError> {
+        RENDERED.set(self.0.object());
+        self.0.render(camera, into)
+    }
 }
 
-impl Observer for InventedEye {
-    fn object(&mut self, simulation: &Robosuite) -> Result<Isometry3<f64>, PolicyError> {
-        let picture = self.lens.draw(&simulation.state()).map_err(unseen)?;
-        Ok((self.estimate)(picture, simulation))
+struct InventedEncoder(Estimate);
+
+impl Estimator<Space> for InventedEncoder {
+    fn estimate(&mut self, image: &Image) -> Result<Told<Space>, PolicyError> {
+        Ok(Told {
+            pose: (self.0)(&image.pixels, &RENDERED.get()),
+            confidence: None,
+            flag: None,
+        })
     }
 }
 
@@ -76,14 +111,9 @@ impl Invented<'_> {
     /// # Errors
     /// The sentence that the program would print.
     pub fn roll_out(&self, estimate: &Estimate) -> Result<PathBuf, String> {
-        let open = |studio: Studio| -> Result<Box<MakeObserver<'static>>> {
+        let open = || -> Result<Box<dyn Fn() -> Box<dyn Estimator<Space>> + Sync>> {
             let estimate = Arc::clone(estimate);
-            Ok(Box::new(move |start| {
-                Ok(Box::new(InventedEye {
-                    lens: studio.lens(start.seed).map_err(unseen)?,
-                    estimate: Arc::clone(&estimate),
-                }))
-            }))
+            Ok(Box::new(move || Box::new(InventedEncoder(Arc::clone(&estimate)))))
         };
         let made = || {
             let runner = self.runner()?;
@@ -91,7 +121,12 @@ impl Invented<'_> {
             let modes = runner.segment(&episodes)?;
             let poses = self.poses()?;
             let index = runner.index_spatial(&episodes, &modes, Some(&poses))?;
-            runner.rollout_watching(&episodes, Some((&poses, &open)), &index)
+            let watching = Watching {
+                poses: &poses,
+                open: &open,
+                through: |env| Box::new(Betraying(env)),
+            };
+            runner.rollout_watching(&episodes, Some(&watching), &index)
         };
         made().map(|built| built.artifact.path().to_owned()).map_err(told)
     }
@@ -105,18 +140,23 @@ impl Invented<'_> {
 pub fn pictures(
     pipeline: &Path,
     artifacts: &Path,
-    cube: Option<[f64; 3]>,
+    boxes: &[(String, [f64; 3])],
     states: &[Vec<f64>],
 ) -> Result<Vec<Vec<u8>>, String> {
     let drawn = || -> Result<Vec<Vec<u8>>> {
         let runner = runner(pipeline, &[], artifacts)?;
-        let task = runner.pipeline.task.simulated().context("no simulator for this task")?;
+        let task = runner.pipeline.task.robosuite().context("no simulator for this task")?;
         let fidelity = runner.pipeline.spatial_rollout()?.fidelity;
         let episodes = runner.ingest()?.artifact;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
-        let studio = Studio::open(&scenes, &episodes, task, &runner.pipeline.pose()?.encoder().camera)?;
-        let mut lens = studio.lens_of(cube)?;
-        states.iter().map(|state| Ok(lens.draw(state)?.to_vec())).collect()
+        let camera = runner.pipeline.pose()?.encoder().camera.clone();
+        let mut lens = studio(&scenes, &episodes, &camera)?.lens_of(boxes)?;
+        let mut image = Image::default();
+        let mut draw = |state: &Vec<f64>| {
+            lens.draw(&camera, state, &mut image)?;
+            Ok(image.pixels.clone())
+        };
+        states.iter().map(&mut draw).collect()
     };
     let pictures = drawn().map_err(told);
     put_renderer_away();
@@ -135,5 +175,5 @@ fn runner(pipeline: &Path, overrides: &[String], artifacts: &Path) -> Result<Run
 
 #[expect(clippy::needless_pass_by_value, reason = "errors are mapped by it")]
 fn told(error: anyhow::Error) -> String {
-    crate::notes::sentence(&error)
+    crate::notes::told(&error).sentence()
 }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 use std::sync::Arc;
 
 use arrow::array::{
@@ -11,9 +11,10 @@ use arrow::array::{
     StringDictionaryBuilder,
 };
 use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
-use re4_episode::Mode;
+use re4_episode::{Mode, Segment};
 
 use super::{Cell, ColumnSource, Place};
+use crate::columns;
 use crate::columns::{first_null, table_name};
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, ColumnSpec};
@@ -52,6 +53,97 @@ numbers! {
     u64: UInt64Type, U64;
     i64: Int64Type, I64;
     f64: Float64Type, F64;
+}
+
+/// Cells that are stored as another type.
+macro_rules! stored_as {
+    ($type:ty, $stored:ty, $to:expr, $from:expr) => {
+        impl Cell for $type {
+            type Buffers = <$stored as Cell>::Buffers;
+            type View = <$stored as Cell>::View;
+
+            fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
+                <$stored>::describe(at, columns);
+            }
+
+            fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
+                let to: fn(&Self) -> $stored = $to;
+                <$stored>::push(value.map(to).as_ref(), buffers);
+            }
+
+            fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
+                <$stored>::finish(buffers, arrays);
+            }
+
+            fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
+                <$stored>::view(source, required)
+            }
+
+            fn get(view: &Self::View, row: usize) -> Option<Self> {
+                let from: fn($stored) -> Self = $from;
+                <$stored>::get(view, row).map(from)
+            }
+        }
+    };
+}
+
+// Numbers of frames, rows and demonstrations; none comes near the greatest number of 32 bits.
+stored_as!(
+    usize,
+    u32,
+    |number| u32::try_from(*number).unwrap_or(u32::MAX),
+    |number| number as usize
+);
+stored_as!(
+    Range<usize>,
+    Frames,
+    |range| Frames {
+        first_frame: range.start,
+        end_frame: range.end
+    },
+    |frames| frames.first_frame..frames.end_frame
+);
+stored_as!(
+    Range<u32>,
+    Frames,
+    |range| Frames {
+        first_frame: range.start as usize,
+        end_frame: range.end as usize
+    },
+    |frames| frames.first_frame as u32..frames.end_frame as u32
+);
+stored_as!(
+    Segment,
+    ModeAndFrames,
+    |segment| ModeAndFrames {
+        mode: segment.mode,
+        frames: segment.frames.clone()
+    },
+    |row| Segment {
+        mode: row.mode,
+        frames: row.frames
+    }
+);
+
+columns! {
+    /// A run of frames.
+    pub struct Frames {
+        /// First frame.
+        pub first_frame: usize,
+        /// Frame after the last one.
+        pub end_frame: usize,
+    }
+}
+
+columns! {
+    /// A run of frames of one mode.
+    pub struct ModeAndFrames {
+        /// Manipulation mode: transit or transfer.
+        pub mode: Mode,
+        /// Its frames.
+        #[prefix = ""]
+        pub frames: Range<usize>,
+    }
 }
 
 impl Cell for bool {
@@ -346,6 +438,8 @@ impl<T: Cell> Cell for Option<T> {
     type Buffers = T::Buffers;
     type View = T::View;
 
+    const DOMAIN: &'static str = T::DOMAIN;
+
     fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
         let nullable = true;
         T::describe(&Place { nullable, ..at.clone() }, columns);
@@ -380,6 +474,8 @@ impl<B: Default, const N: usize> Default for Numbered<B, N> {
 impl<T: Cell, const N: usize> Cell for [T; N] {
     type Buffers = Numbered<T::Buffers, N>;
     type View = Vec<T::View>;
+
+    const DOMAIN: &'static str = T::DOMAIN;
 
     fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
         for i in 0..N {

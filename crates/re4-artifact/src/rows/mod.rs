@@ -82,6 +82,9 @@ pub trait Cell: Sized + 'static {
     /// Columns of a batch.
     type View;
 
+    /// Domain whose columns these are: `plane` or `space`; "" for those that all domains share.
+    const DOMAIN: &'static str = "";
+
     /// Adds the descriptions of the columns.
     fn describe(at: &Place, columns: &mut Vec<ColumnSpec>);
 
@@ -108,8 +111,6 @@ pub trait Row: Cell {
     const NAME: &'static str;
     /// Version of its schema.
     const VERSION: u32;
-    /// Domain whose columns it has beside those that all domains share: `plane`, `space`; "" for a table of all domains.
-    const DOMAIN: &'static str;
     /// Name of the table before this version; "" where it always had its own.
     const FORMERLY: &'static str;
 
@@ -210,6 +211,12 @@ fn below(prefix: &str, name: &str) -> String {
     }
 }
 
+/// The domain of columns that may be of one.
+#[must_use]
+pub const fn either(domain: &'static str, other: &'static str) -> &'static str {
+    if domain.is_empty() { other } else { domain }
+}
+
 /// The text of documentation comments, one line after the other.
 #[must_use]
 pub fn trimmed(lines: &str) -> String {
@@ -257,7 +264,8 @@ impl<'a> ColumnSource<'a> {
     }
 }
 
-/// Declares a struct whose fields are columns. Between documentation and name, a field may have, in this order,
+/// Declares a struct whose fields are columns. Poses and points say whether the columns are those of the plane or of space; a
+/// struct without any may say so by `#[domain = "plane"]` below its documentation. Between documentation and name, a field may have, in this order,
 /// `#[unit = "m"]`, `#[frame = "world"]`, `#[since = 2]` (version of the table that first had it, whose older rows are null),
 /// `#[formerly = "name"]` (its name in versions before), `#[prefix = "name"]` (what the names of its columns begin with in
 /// place of its own; "" for a struct whose columns have their own names).
@@ -265,6 +273,7 @@ impl<'a> ColumnSource<'a> {
 macro_rules! columns {
     (
         $(#[doc = $about:literal])*
+        $(#[domain = $domain:literal])?
         $(#[derive($($derived:ident),*)])?
         pub struct $name:ident $(<$($generic:ident),+>)? {
             $(
@@ -307,6 +316,13 @@ macro_rules! columns {
                 type Buffers = Buffers $(<$($generic),+>)?;
                 type View = View $(<$($generic),+>)?;
 
+                const DOMAIN: &'static str = {
+                    #[allow(unused_mut)]
+                    let mut domain = concat!("" $(, $domain)?);
+                    $(domain = $crate::either(domain, <$type as $crate::Cell>::DOMAIN);)*
+                    domain
+                };
+
                 fn describe(at: &$crate::Place, columns: &mut Vec<$crate::ColumnSpec>) {
                     $({
                         #[allow(unused_mut, unused_assignments)]
@@ -342,18 +358,20 @@ macro_rules! columns {
     };
 }
 
-/// Declares a table: a struct as [`columns!`] does, after its documentation `#[table("name", version = 1)]`, where a domain has
-/// columns of its own with `domain = "plane"`, and where the table had another name with `formerly = "name"`.
+/// Declares a table: a struct as [`columns!`] does, after its documentation `#[table("name", version = 1)]`, with
+/// `formerly = "name"` where the table of a domain had another name in versions before.
 #[macro_export]
 macro_rules! table {
     (
         $(#[doc = $about:literal])*
-        #[table($table:literal, version = $version:literal $(, domain = $domain:literal)? $(, formerly = $formerly:literal)?)]
+        #[table($table:literal, version = $version:literal $(, formerly = $formerly:literal)?)]
+        $(#[domain = $domain:literal])?
         $(#[derive($($derived:ident),*)])?
         pub struct $name:ident $(<$($generic:ident),+>)? { $($fields:tt)* }
     ) => {
         $crate::columns! {
             $(#[doc = $about])*
+            $(#[domain = $domain])?
             $(#[derive($($derived),*)])?
             pub struct $name $(<$($generic),+>)? { $($fields)* }
         }
@@ -361,7 +379,6 @@ macro_rules! table {
         impl $(<$($generic: $crate::Cell),+>)? $crate::Row for $name $(<$($generic),+>)? {
             const NAME: &'static str = $table;
             const VERSION: u32 = $version;
-            const DOMAIN: &'static str = concat!("" $(, $domain)?);
             const FORMERLY: &'static str = concat!("" $(, $formerly)?);
 
             fn description() -> String {

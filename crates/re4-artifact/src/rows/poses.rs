@@ -34,12 +34,14 @@ impl From<SixAxis> for Isometry3<f64> {
     }
 }
 
-/// Cells that are stored as a fixed number of floats. `$parts` are name, description and unit of each.
+/// Cells that are stored as a fixed number of floats. `$domain` is where such a value lies; `$parts` are name, description and unit of each.
 macro_rules! floats {
-    ($type:ty, $count:literal, $parts:expr, $to:expr, $from:expr) => {
+    ($type:ty, $domain:literal, $count:literal, $parts:expr, $to:expr, $from:expr) => {
         impl Cell for $type {
             type Buffers = [<f64 as Cell>::Buffers; $count];
             type View = Vec<<f64 as Cell>::View>;
+
+            const DOMAIN: &'static str = $domain;
 
             fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
                 let parts: [(&str, &str, &'static str); $count] = $parts;
@@ -87,6 +89,7 @@ macro_rules! floats {
 
 floats!(
     Point2,
+    "plane",
     2,
     [("x", "x", "px"), ("y", "y", "px")],
     |point| [point.x, point.y],
@@ -95,6 +98,7 @@ floats!(
 
 floats!(
     Pose2,
+    "plane",
     3,
     [("x", "x", "px"), ("y", "y", "px"), ("theta", "angle", "rad")],
     |pose| [pose.x, pose.y, pose.theta],
@@ -103,6 +107,7 @@ floats!(
 
 floats!(
     Vector3<f64>,
+    "space",
     3,
     [("x", "x", "m"), ("y", "y", "m"), ("z", "z", "m")],
     |point| [point.x, point.y, point.z],
@@ -111,6 +116,7 @@ floats!(
 
 floats!(
     SixAxis,
+    "space",
     6,
     [
         ("x", "translation x", "m"),
@@ -127,6 +133,7 @@ floats!(
 // The quaternion is stored and taken as it is, sign and all.
 floats!(
     Isometry3<f64>,
+    "space",
     7,
     [
         ("x", "position x", "m"),

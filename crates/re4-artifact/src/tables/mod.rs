@@ -3,24 +3,16 @@
 //! Push-T: the world frame is the simulator's 512 x 512 plane, x to the right and y downwards in pictures, in pixels; a
 //! growing angle turns clockwise on the screen. Angles are radians. Frames are control steps of 0.1 s.
 
-mod audit;
 mod left_out;
 mod spatial;
 mod spatial_rollouts;
 
-use crate::key::Stage;
 use crate::spec::ColumnKind::{Binary, Bool, Category, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
-pub use audit::{AUDITED_EPISODES, CHECKS, FINDINGS, GRASPS};
 pub use left_out::LEFT_OUT;
-pub use spatial::{
-    CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, POSE_ERRORS, SPATIAL_FRAMES, SPATIAL_MODES, SPATIAL_POSES,
-    SPATIAL_SEGMENTS, STATES, TRAINING,
-};
-pub use spatial_rollouts::{
-    SPATIAL_DECISIONS, SPATIAL_DIVERGENCE, SPATIAL_INDEX, SPATIAL_REPLAYS, SPATIAL_RESULTS, SPATIAL_STEPS,
-};
+pub use spatial::{CAMERA_IMAGES, CONVENTIONS, DEMOS, MODELS, SPATIAL_FRAMES, STATES};
+pub use spatial_rollouts::{SPATIAL_DECISIONS, SPATIAL_RESULTS, SPATIAL_STEPS};
 
 const fn id(name: &'static str, description: &'static str) -> ColumnSpec {
     ColumnSpec::new(name, U32, description)
@@ -34,16 +26,6 @@ const fn number(name: &'static str, description: &'static str) -> ColumnSpec {
 /// A coordinate in the world frame.
 const fn world(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).unit("px").frame("world")
-}
-
-/// A coordinate in the frame of the manipulated object.
-const fn in_object(name: &'static str, description: &'static str) -> ColumnSpec {
-    number(name, description).unit("px").frame("object")
-}
-
-/// A length, the same in every frame of reference.
-const fn length(name: &'static str, description: &'static str) -> ColumnSpec {
-    number(name, description).unit("px")
 }
 
 /// An angle, the same in every frame of reference.
@@ -148,280 +130,24 @@ pub const EPISODES: TableSpec = TableSpec {
     ],
 };
 
-/// The recorded pictures.
+/// The pictures.
 pub const IMAGES: TableSpec = TableSpec {
     name: "images",
-    version: 1,
+    version: 2,
     domain: "",
-    formerly: "",
-    description: "One row a frame, in the order of the frames table: the recorded picture, lossless. Row groups are small, so that a picture can be read alone.",
+    formerly: "camera_images",
+    description: "One row a picture, sorted by camera, episode and frame: the recorded picture, or the one rendered from the recorded state where the summary of the artifact says so, lossless. Row groups are small, so that a picture can be read alone.",
     columns: &[
         EPISODE,
         FRAME,
         ColumnSpec::new(
             "image",
             Binary,
-            "The picture as the bytes of a PNG file, 8 bits a channel, RGB.",
+            "The picture as the bytes of a PNG file, 8 bits a channel, RGB, first row at the top.",
         ),
-    ],
-};
-
-/// Modes and the evidence for them.
-pub const MODES: TableSpec = TableSpec {
-    name: "modes",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame: its manipulation mode and the evidence for it. Steps and turns lead from the frame to the next one of its episode and are null at the last.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        CONTACTS,
-        flag(
-            "contact",
-            "Whether any contact was counted; null where contacts were not recorded.",
-        )
-        .nullable(),
-        length("eef_step", "Distance that the pusher moves.").nullable(),
-        length("object_step", "Distance that the origin of the block's frame moves.").nullable(),
-        turn(
-            "object_turn",
-            "Angle that the block turns, the short way round, in [-pi, pi).",
-        )
-        .nullable(),
-        length(
-            "relative_translation",
-            "Distance that the pusher moves as seen from the block: |o'^-1 x' - o^-1 x|.",
-        )
-        .nullable(),
-        turn(
-            "relative_rotation",
-            "Angle that the end effector turns as seen from the object; null where it is a point, as the pusher is.",
-        )
-        .nullable(),
-        length(
-            "eef_object_distance",
-            "Distance from the pusher's centre to the origin of the block's frame.",
-        ),
-        flag(
-            "object_moving",
-            "Whether the object moves further, or turns further, than the configured motion thresholds.",
-        )
-        .nullable(),
-    ],
-};
-
-/// Maximal runs of one mode.
-pub const SEGMENTS: TableSpec = TableSpec {
-    name: "segments",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
-    columns: &[
-        EPISODE,
-        id("segment", "Number of the segment in its episode, from 0."),
-        MODE,
-        id("first_frame", "First frame of the segment."),
-        id("end_frame", "Frame after the last one of the segment."),
-        world(
-            "anchor_x",
-            "Anchor of the demonstration, x: the end effector's position at g(d). Null in segments after the first transfer segment and in demonstrations without one.",
-        )
-        .nullable(),
-        world("anchor_y", "Anchor of the demonstration, y; null as anchor_x is.").nullable(),
-        in_object("grasp_x", "End effector in the object's frame at the first frame of a transfer segment, x; null in transit.")
-            .nullable(),
-        in_object("grasp_y", "End effector in the object's frame at the first frame of a transfer segment, y; null in transit.")
-            .nullable(),
-        length(
-            "rigidity_residual",
-            "Largest distance, over a transfer segment, of the end effector in the object's frame from where it was at the segment's first frame; null in transit.",
-        )
-        .nullable(),
-        length("object_displacement", "Distance of the object's frame at the end of the segment from where it was at its start."),
-        turn("object_rotation", "Sum of the object's turns over the segment."),
-    ],
-};
-
-/// Poses estimated from pictures.
-pub const POSES: TableSpec = TableSpec {
-    name: "poses",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every demonstration: the object's pose as estimated from the frame's picture, and what to think of it. No recorded pose enters. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        world(
-            "object_x",
-            "Estimated origin of the block's frame, x; null where no block is seen.",
-        )
-        .nullable(),
-        world(
-            "object_y",
-            "Estimated origin of the block's frame, y; null where no block is seen.",
-        )
-        .nullable(),
-        heading(
-            "object_theta",
-            "Estimated angle of the block; null where no block is seen.",
-        )
-        .nullable(),
-        number(
-            "confidence",
-            "Intersection over union of the block's outline at the pose with the block-coloured pixels that neither pusher nor contact marks hide, times the share of the outline in sight: 0 to 1.",
-        ),
-        category(
-            "flag",
-            "What to think of the pose: clear; or occluded, poor_fit or second_block, when it is a guess; or no_block, when there is none.",
-        ),
-    ],
-};
-
-/// The anchor of the log-polar pose estimator.
-pub const ANCHOR: TableSpec = TableSpec {
-    name: "anchor",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a pixel of the 96 x 96 pictures: how much of it the goal covers, as seen over the pictures. The goal pose is the pose of this mask; angles are measured from it. Sorted by row and column.",
-    columns: &[
-        id("row", "Row of the picture, from 0 at the top."),
-        id("column", "Column of the picture, from 0 at the left."),
-        number("goal_share", "Share of the pixel that has the goal's colour, 0 to 1."),
-    ],
-};
-
-/// States that Retrieve searches.
-pub const INDEX: TableSpec = TableSpec {
-    name: "index",
-    version: 2,
-    domain: "",
-    formerly: "",
-    description: "One row a retrievable frame: its object-augmented state, its action and its normalised coordinates. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        EEF_X,
-        EEF_Y,
-        OBJECT_X,
-        OBJECT_Y,
-        OBJECT_THETA,
-        ACTION_X,
-        ACTION_Y,
-        number("q_0", "Normalised eef_x."),
-        number("q_1", "Normalised eef_y."),
-        number("q_2", "Normalised object_x."),
-        number("q_3", "Normalised object_y."),
-        number("q_4", "Normalised object_theta."),
-        flag(
-            "retrievable",
-            "Whether the frame may be retrieved. Where its pose was not clear it may not, and has a pose between those of the clear frames round it. Null in older artifacts, whose frames all may.",
-        )
-        .nullable()
-        .since(2),
-    ],
-};
-
-/// Ranges that the index is normalised by.
-pub const SCALES: TableSpec = TableSpec {
-    name: "scales",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a dimension of the object-augmented state: the range that it is normalised by.",
-    columns: &[
-        ColumnSpec::new("dimension", Text, "Name of the dimension, a column of the index table."),
-        number("minimum", "Least value, in the dimension's own unit."),
-        number("maximum", "Greatest value, in the dimension's own unit."),
-    ],
-};
-
-/// Parts of demonstrations that can be retrieved by what they do to the object.
-pub const CHUNKS: TableSpec = TableSpec {
-    name: "chunks",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a chunk: a part of a demonstration that starts with the pusher clear of the block and ends anywhere after the block began to move. The motion is o_j^-1 o_e, the pose of the block at the last frame in its own frame at the first. Sorted by episode, first and last frame.",
-    columns: &[
-        EPISODE,
-        id("first_frame", "First frame of the chunk."),
-        id("last_frame", "Last frame of the chunk, included."),
-        in_object("motion_x", "Translation of the block's motion, x."),
-        in_object("motion_y", "Translation of the block's motion, y."),
-        turn("motion_theta", "Rotation of the block's motion.").frame("object"),
-        length("travel", "Length of the pusher's path."),
-        length(
-            "pushed",
-            "Length of the block's path: root mean square displacement of its points, summed over the frames.",
-        ),
-    ],
-};
-
-/// Open-loop replays of demonstrations.
-pub const REPLAYS: TableSpec = TableSpec {
-    name: "replays",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a demonstration whose actions were replayed open-loop from its own first state: how far the simulator strays from the recording. The distance between two poses of the block is the root mean square displacement of its points.",
-    columns: &[
-        EPISODE,
-        id(
-            "source_episode",
-            "Number of the demonstration in the raw dataset, from 0.",
-        ),
-        id("frames", "Frames compared."),
-        length(
-            "pusher_max",
-            "Greatest distance between the replayed and the recorded pusher.",
-        ),
-        length(
-            "block_median",
-            "Median distance between the replayed and the recorded block.",
-        ),
-        length(
-            "block_max",
-            "Greatest distance between the replayed and the recorded block.",
-        ),
-        length(
-            "block_final",
-            "Distance between the replayed and the recorded block at the last frame.",
-        ),
-        number("coverage_recorded", "Coverage of the goal at the last recorded frame."),
-        number(
-            "coverage_replayed",
-            "Coverage of the goal at the same frame of the replay.",
-        ),
-        number(
-            "coverage_after",
-            "Coverage of the goal after the last action, which no recorded frame shows.",
-        ),
-    ],
-};
-
-/// Divergence of open-loop replays, frame by frame.
-pub const DIVERGENCE: TableSpec = TableSpec {
-    name: "divergence",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every replayed demonstration: the distance between the replay and the recording. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        length("pusher", "Distance between the replayed and the recorded pusher."),
-        length("block_position", "Distance between the origins of the block's frame."),
-        turn(
-            "block_angle",
-            "Difference of the block's angles, the short way round, at least 0.",
-        ),
-        length("block", "Root mean square displacement of the block's points."),
+        category("camera", "Name of the camera: agentview, robot0_eye_in_hand, ..., or img, the one of Push-T. Null in older artifacts of Push-T.")
+            .nullable()
+            .since(2),
     ],
 };
 
@@ -634,120 +360,3 @@ pub const BUDGETS: TableSpec = TableSpec {
         number("success_high", "Upper end of its interval."),
     ],
 };
-
-/// Scenes to evaluate a policy on, chosen by where the demonstrations are not.
-pub const SCENES: TableSpec = TableSpec {
-    name: "scenes",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a scene that rollouts start from: a pose of the block far from those of all demonstrations, and a place for the pusher. Sorted by pose and pusher; poses come in falling order of rho.",
-    columns: &[
-        id("scene", "Number of the scene in this artifact, from 0."),
-        id(
-            "pose",
-            "Number of the block's pose, from 0 for the one farthest from the demonstrations.",
-        ),
-        id("pusher", "Number of the pusher's position at this pose, from 0."),
-        world("agent_x", "Position of the pusher's centre, x."),
-        world("agent_y", "Position of the pusher's centre, y."),
-        world("block_x", "Origin of the block's frame, x."),
-        world("block_y", "Origin of the block's frame, y."),
-        heading("block_theta", "Angle of the block."),
-        number(
-            "rho",
-            "Distance of the block's pose to that of the nearest frame of a demonstration, in normalised coordinates.",
-        ),
-        id(
-            "nearest_demo",
-            "Demonstration of that frame: its episode in the episodes artifact.",
-        ),
-        id("nearest_frame", "That frame, in its demonstration."),
-    ],
-};
-
-/// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
-pub const fn of(stage: Stage) -> &'static [&'static TableSpec] {
-    match stage {
-        Stage::Ingest => &[
-            &EPISODES,
-            &FRAMES,
-            &IMAGES,
-            &SPATIAL_FRAMES,
-            &DEMOS,
-            &CONVENTIONS,
-            &LEFT_OUT,
-            &STATES,
-            &MODELS,
-            &CAMERA_IMAGES,
-        ],
-        Stage::Segment => &[&MODES, &SEGMENTS, &SPATIAL_MODES, &SPATIAL_SEGMENTS],
-        Stage::Audit => &[&FINDINGS, &CHECKS, &AUDITED_EPISODES, &GRASPS],
-        Stage::Index => &[&INDEX, &SCALES, &CHUNKS, &SPATIAL_INDEX],
-        Stage::Scenes => &[&SCENES],
-        Stage::Rollout => &[
-            &RESULTS,
-            &STEPS,
-            &DECISIONS,
-            &BUDGETS,
-            &SPATIAL_RESULTS,
-            &SPATIAL_STEPS,
-            &SPATIAL_DECISIONS,
-        ],
-        Stage::Replay => &[&REPLAYS, &DIVERGENCE, &SPATIAL_REPLAYS, &SPATIAL_DIVERGENCE],
-        Stage::TrainPose => &[&POSES, &ANCHOR, &SPATIAL_POSES, &TRAINING, &POSE_ERRORS],
-    }
-}
-
-/// Every table there is, with the stage that makes it.
-pub fn all() -> impl Iterator<Item = (Stage, &'static TableSpec)> {
-    Stage::ALL
-        .into_iter()
-        .flat_map(|stage| of(stage).iter().map(move |&spec| (stage, spec)))
-}
-
-/// The newest version of the table of this name that this build knows.
-pub(crate) fn newest(name: &str) -> Option<u32> {
-    all()
-        .filter(|(_, spec)| spec.name == name)
-        .map(|(_, spec)| spec.version)
-        .max()
-}
-
-/// The table of this name.
-pub fn find(name: &str) -> Option<&'static TableSpec> {
-    all().map(|(_, spec)| spec).find(|spec| spec.name == name)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::collections::BTreeSet;
-
-    #[test]
-    fn declarations_hold_together() {
-        let mut names = BTreeSet::new();
-        for (_, table) in all() {
-            assert!(names.insert(table.name), "{} twice", table.name);
-            let columns: BTreeSet<_> = table.columns.iter().map(|c| c.name).collect();
-            assert_eq!(columns.len(), table.columns.len(), "{} repeats a column", table.name);
-            assert!(table.description.ends_with('.'), "{}", table.name);
-            for column in table.columns {
-                assert!(column.description.ends_with('.'), "{}.{}", table.name, column.name);
-                assert!(
-                    (1..=table.version).contains(&column.since),
-                    "{}.{}",
-                    table.name,
-                    column.name
-                );
-                assert!(
-                    column.since == 1 || column.nullable,
-                    "{}.{} was added later, and has to be nullable to be read from older tables",
-                    table.name,
-                    column.name
-                );
-            }
-        }
-        assert_eq!(names.len(), 39);
-    }
-}

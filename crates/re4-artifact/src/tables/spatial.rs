@@ -4,8 +4,8 @@
 //! the order x, y, z, w. The end effector's position is that of the grip site; what its orientation is that of (the hand
 //! body, as robosuite's `robot0_eef_quat`, or the grip site) says row `eef_orientation` of table `conventions`.
 
-use super::{EPISODE, MODE, category, flag, id, number};
-use crate::spec::ColumnKind::{Binary, Bool, F32List, F64, F64List, Text, U32};
+use super::{EPISODE, category, flag, id, number};
+use crate::spec::ColumnKind::{Binary, F64, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
 
 /// A coordinate in the world frame, in metres.
@@ -16,11 +16,6 @@ pub(super) const fn world(name: &'static str, description: &'static str) -> Colu
 /// A part of a quaternion that leads to the world frame.
 pub(super) const fn attitude(name: &'static str, description: &'static str) -> ColumnSpec {
     number(name, description).frame("world")
-}
-
-/// A coordinate in the frame of the manipulated object.
-const fn in_object(name: &'static str, description: &'static str) -> ColumnSpec {
-    number(name, description).unit("m").frame("object")
 }
 
 /// A length, the same in every frame of reference.
@@ -213,188 +208,5 @@ pub const CAMERA_IMAGES: TableSpec = TableSpec {
             Binary,
             "The picture as the bytes of a PNG file, 8 bits a channel, RGB, first row at the top.",
         ),
-    ],
-};
-
-/// Poses of robosuite's objects, estimated from pictures.
-pub const SPATIAL_POSES: TableSpec = TableSpec {
-    name: "spatial_poses",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every demonstration: the object's pose as the encoder estimates it from the frame's picture alone, and the embedding behind it. No recorded object pose enters. The estimated frame is that of the gripper as it holds the object, a constant rigid offset away from the recorded frame at best. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        flag(
-            "trained_on",
-            "Whether pictures of this demonstration were trained on; the others were held out.",
-        ),
-        world("object_x", "Estimated position, x."),
-        world("object_y", "Estimated position, y."),
-        world("object_z", "Estimated position, z."),
-        attitude("object_qx", "Estimated orientation, quaternion part x."),
-        attitude("object_qy", "Estimated orientation, quaternion part y."),
-        attitude("object_qz", "Estimated orientation, quaternion part z."),
-        attitude("object_qw", "Estimated orientation, quaternion part w."),
-        ColumnSpec::new(
-            "embedding",
-            F32List,
-            "The encoder's embedding of the picture, 256 numbers.",
-        ),
-    ],
-};
-
-/// Course of a training.
-pub const TRAINING: TableSpec = TableSpec {
-    name: "training",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row an epoch of the encoder's training: the losses as trained (means over the epoch's steps), and the same on demonstrations that were held out, which nothing is chosen by.",
-    columns: &[
-        id("epoch", "Number of the epoch, from 1."),
-        id("steps", "Steps of the optimiser until its end."),
-        number("learning_rate", "Learning rate in its last step."),
-        number("loss", "Weighted sum of the losses."),
-        number(
-            "absolute",
-            "L_abs, before its weight: weighted sum of 10 per metre and 1 per rad.",
-        ),
-        number("relative", "L_rel, likewise."),
-        number("cross", "L_cross, likewise."),
-        number(
-            "held_out_absolute",
-            "L_abs over frames of the demonstrations that were held out, without random crops; null where none was.",
-        )
-        .nullable(),
-    ],
-};
-
-/// Errors of an estimator.
-pub const POSE_ERRORS: TableSpec = TableSpec {
-    name: "pose_errors",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every demonstration, made after training from the recorded object poses, which nothing before it has read: error of the estimated pose after one constant rigid offset is removed, which is fitted on frames before the grasp of the demonstrations trained on. Turns of the object that do not show are no error; of an object without such turns neither is half a turn of the two-finger gripper about its axis of approach. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        flag("trained_on", "Whether pictures of this demonstration were trained on."),
-        category(
-            "phase",
-            "before_grasp: transit that transfer follows, or no transfer at all; held: transfer; after_release: transit after the last transfer.",
-        ),
-        length(
-            "translation",
-            "Distance between estimated and recorded position, at the origin of the recorded frame.",
-        ),
-        length(
-            "translation_at_grasp",
-            "The same at the origin of the estimated frame, which is where the gripper grasps.",
-        ),
-        turn(
-            "rotation",
-            "Angle between estimated and recorded orientation, up to those turns.",
-        ),
-        flag(
-            "half_turn",
-            "Whether the estimated frame was taken to be turned by half a turn about the axis of approach.",
-        ),
-    ],
-};
-
-/// Modes of robosuite demonstrations and the evidence for them.
-pub const SPATIAL_MODES: TableSpec = TableSpec {
-    name: "spatial_modes",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame: its manipulation mode and the evidence for it. Steps, turns and speeds lead from the frame to the next one of its episode and are null at the last.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        ColumnSpec::new(
-            "command_closes",
-            Bool,
-            "Whether the gripper command of the action at this frame closes.",
-        ),
-        length(
-            "finger_separation",
-            "Distance between the fingers, |finger_0 - finger_1|.",
-        ),
-        number(
-            "finger_speed",
-            "Change of the finger separation to the next frame; below 0 while closing.",
-        )
-        .unit("m/frame")
-        .nullable(),
-        length("eef_step", "Distance that the end effector moves.").nullable(),
-        turn("eef_turn", "Angle that the end effector turns, geodesic.").nullable(),
-        length("object_step", "Distance that the object's origin moves.").nullable(),
-        turn("object_turn", "Angle that the object turns, geodesic.").nullable(),
-        length(
-            "relative_translation",
-            "Distance that the end effector moves as seen from the object: |o'^-1 x' - o^-1 x|.",
-        )
-        .nullable(),
-        turn(
-            "relative_rotation",
-            "Angle that the end effector turns as seen from the object.",
-        )
-        .nullable(),
-        length(
-            "eef_object_distance",
-            "Distance from the grip site to the object's origin.",
-        ),
-        flag(
-            "object_moving",
-            "Whether the object moves further, or turns further, than the configured motion thresholds.",
-        )
-        .nullable(),
-        flag(
-            "holds",
-            "Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is fixed to the end effector.",
-        ),
-    ],
-};
-
-/// Maximal runs of one mode of robosuite demonstrations.
-pub const SPATIAL_SEGMENTS: TableSpec = TableSpec {
-    name: "spatial_segments",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame.",
-    columns: &[
-        EPISODE,
-        id("segment", "Number of the segment in its episode, from 0."),
-        MODE,
-        id("first_frame", "First frame of the segment."),
-        id("end_frame", "Frame after the last one of the segment."),
-        world("anchor_x", "Anchor of the demonstration, x: the end effector's pose at g(d). Null in segments after the first transfer segment and in demonstrations without one; so are the other parts.").nullable(),
-        world("anchor_y", "Anchor, y.").nullable(),
-        world("anchor_z", "Anchor, z.").nullable(),
-        attitude("anchor_qx", "Anchor, quaternion part x.").nullable(),
-        attitude("anchor_qy", "Anchor, quaternion part y.").nullable(),
-        attitude("anchor_qz", "Anchor, quaternion part z.").nullable(),
-        attitude("anchor_qw", "Anchor, quaternion part w.").nullable(),
-        id("settled_frame", "First frame of a transfer segment at which the fingers have stopped closing; null in transit and where they never stop.").nullable(),
-        in_object("grasp_x", "Grasp transform: the end effector in the object's frame at the settled frame (at the first frame, where there is none), x; null in transit, as the other parts.").nullable(),
-        in_object("grasp_y", "Grasp transform, y.").nullable(),
-        in_object("grasp_z", "Grasp transform, z.").nullable(),
-        number("grasp_qx", "Grasp transform, quaternion part x.").frame("object").nullable(),
-        number("grasp_qy", "Grasp transform, quaternion part y.").frame("object").nullable(),
-        number("grasp_qz", "Grasp transform, quaternion part z.").frame("object").nullable(),
-        number("grasp_qw", "Grasp transform, quaternion part w.").frame("object").nullable(),
-        length("finger_separation", "Distance between the fingers at the settled frame; null as grasp_x is.").nullable(),
-        length("rigidity_residual", "Largest distance, from the settled frame to the end of a transfer segment, of the end effector in the object's frame from the grasp transform; null in transit.").nullable(),
-        turn("rigidity_residual_rotation", "Largest angle, likewise.").nullable(),
-        length("object_displacement", "Distance of the object's origin at the end of the segment from where it was at its start."),
-        length("object_rise", "Height of the object's origin at the end of the segment over that at its start."),
-        turn("object_rotation", "Angle between the object's orientations at the end and at the start of the segment."),
-        length("object_path", "Sum of the object's steps over the segment."),
     ],
 };

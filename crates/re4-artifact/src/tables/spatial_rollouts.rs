@@ -4,54 +4,9 @@
 //! orientation. A control step is 0.05 s.
 
 use super::spatial::{attitude, length, turn, world};
-use super::{EPISODE, MODE, NAME_IN_SOURCE, SEED, category, flag, id, number};
+use super::{MODE, NAME_IN_SOURCE, SEED, category, flag, id, number};
 use crate::spec::ColumnKind::{Bool, F64List, Text, U32};
 use crate::spec::{ColumnSpec, TableSpec};
-
-const FRAME: ColumnSpec = id("frame", "Number of the frame in its episode, from 0.");
-
-/// Object-augmented states that Retrieve searches, and what is replayed from them.
-pub const SPATIAL_INDEX: TableSpec = TableSpec {
-    name: "spatial_index",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every indexed demonstration: its object-augmented state and the absolute action taken there. Scales and weights of the distances, and the object's symmetry, are settings of the policy. Sorted by episode and frame.",
-    columns: &[
-        EPISODE,
-        FRAME,
-        MODE,
-        world("eef_x", "Position of the grip site, x."),
-        world("eef_y", "Position of the grip site, y."),
-        world("eef_z", "Position of the grip site, z."),
-        attitude("eef_qx", "Orientation of the grip site, quaternion part x."),
-        attitude("eef_qy", "Orientation of the grip site, quaternion part y."),
-        attitude("eef_qz", "Orientation of the grip site, quaternion part z."),
-        attitude("eef_qw", "Orientation of the grip site, quaternion part w."),
-        world("object_x", "Position of the manipulated object, x."),
-        world("object_y", "Position of the manipulated object, y."),
-        world("object_z", "Position of the manipulated object, z."),
-        attitude("object_qx", "Orientation of the manipulated object, quaternion part x."),
-        attitude("object_qy", "Orientation of the manipulated object, quaternion part y."),
-        attitude("object_qz", "Orientation of the manipulated object, quaternion part z."),
-        attitude("object_qw", "Orientation of the manipulated object, quaternion part w."),
-        world("goal_x", "Goal position of the grip site commanded here, x."),
-        world("goal_y", "Goal position, y."),
-        world("goal_z", "Goal position, z."),
-        turn("goal_rx", "Goal orientation as a rotation vector, x.").frame("world"),
-        turn("goal_ry", "Goal orientation as a rotation vector, y.").frame("world"),
-        turn("goal_rz", "Goal orientation as a rotation vector, z.").frame("world"),
-        number(
-            "gripper",
-            "Gripper command: below 0 opens, above 0 closes, whatever sign the dataset uses.",
-        ),
-        ColumnSpec::new(
-            "retrievable",
-            Bool,
-            "Whether Retrieve may choose the frame; frames that the pipeline leaves out for what the audit found may still be replayed.",
-        ),
-    ],
-};
 
 /// Outcomes of rollouts.
 pub const SPATIAL_RESULTS: TableSpec = TableSpec {
@@ -279,68 +234,5 @@ pub const SPATIAL_DECISIONS: TableSpec = TableSpec {
         id("banned", "Demonstrations that are not followed again by now."),
         ColumnSpec::new("reason", Text, "The decision in words."),
         NAME_IN_SOURCE,
-    ],
-};
-
-/// Open-loop replays of demonstrations.
-pub const SPATIAL_REPLAYS: TableSpec = TableSpec {
-    name: "spatial_replays",
-    version: 2,
-    domain: "",
-    formerly: "",
-    description: "One row a replay: a demonstration's actions, played open-loop in the simulator from its first recorded state. Distances are between the simulator's state and the recorded one before the same action. Sorted by episode and actions.",
-    columns: &[
-        EPISODE,
-        id(
-            "source_episode",
-            "Number that the name of the demonstration ends in, as in table episodes.",
-        )
-        .nullable(),
-        category("actions", "Which actions were played: delta or absolute."),
-        category(
-            "origin",
-            "Where they come from: recorded, or converted from the other kind.",
-        ),
-        id("frames", "Actions played."),
-        flag("success", "Whether the task's success rule held after some action."),
-        ColumnSpec::new(
-            "first_success",
-            U32,
-            "First action after which it held; null where it never did.",
-        )
-        .nullable(),
-        flag("success_at_end", "Whether it held after the last one."),
-        length(
-            "object_max",
-            "Largest distance of the object's origin from the recorded one.",
-        ),
-        length("object_final", "The same before the last action."),
-        turn(
-            "object_turn_max",
-            "Largest angle between the object's orientation and the recorded one.",
-        ),
-        length("eef_max", "Largest distance of the grip site from the recorded one."),
-        number("arm_max", "Largest difference of a joint position of the arm.").unit("rad"),
-        NAME_IN_SOURCE,
-    ],
-};
-
-/// Divergence of replays, frame by frame.
-pub const SPATIAL_DIVERGENCE: TableSpec = TableSpec {
-    name: "spatial_divergence",
-    version: 1,
-    domain: "",
-    formerly: "",
-    description: "One row a frame of every replay: how far the simulator is from the recording. Sorted by episode, actions and frame.",
-    columns: &[
-        EPISODE,
-        category("actions", "Which actions were played: delta or absolute."),
-        FRAME,
-        length("object", "Distance of the object's origin from the recorded one."),
-        turn(
-            "object_turn",
-            "Angle between the object's orientation and the recorded one.",
-        ),
-        length("eef", "Distance of the grip site from the recorded one."),
     ],
 };

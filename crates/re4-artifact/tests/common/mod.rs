@@ -37,6 +37,20 @@ pub const EVERY_KIND: TableSpec = TableSpec {
     ],
 };
 
+/// A small table.
+pub const SCALES: TableSpec = TableSpec {
+    name: "scales",
+    version: 1,
+    domain: "",
+    formerly: "",
+    description: "One row a dimension.",
+    columns: &[
+        ColumnSpec::new("dimension", ColumnKind::Text, "A name."),
+        ColumnSpec::new("minimum", ColumnKind::F64, "A number."),
+        ColumnSpec::new("maximum", ColumnKind::F64, "A number."),
+    ],
+};
+
 /// A row of [`EVERY_KIND`].
 #[derive(Debug, Clone)]
 pub struct Row {

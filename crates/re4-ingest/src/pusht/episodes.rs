@@ -5,8 +5,7 @@ use std::ops::Range;
 use re4_episode::{PlanarEpisode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 
-/// Number of keypoints of the block in `data/keypoint`.
-pub const KEYPOINTS: usize = 9;
+use crate::demos::KEYPOINTS;
 
 /// The selected episodes, validated, as columns with one entry a frame. Episodes follow each other in dataset order.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use crate::bitplanes::{self, Scratch};
 use crate::error::{Fault, IngestError};
 use crate::source::Stop;
-use crate::zarr::{Absent, CHUNK_LIMIT, Element, Lost, ZarrArray, float};
+use crate::zarr::{Absent, CHUNK_LIMIT, Element, Lost, ZarrArray};
 
 /// Bytes that blocks in the making may hold together, unless a single block needs more (a block needs at most three
 /// times 128 MiB: its chunk file, the decoded chunk, its pictures).
@@ -147,7 +147,7 @@ impl ImageSource {
                 if whole {
                     return Ok(());
                 }
-                let values = || run.chunks_exact(size).map(|bytes| float(self.element, bytes));
+                let values = || run.chunks_exact(size).map(|bytes| self.element.float(bytes));
                 let mut in_unit_range = None;
                 for (offset, (value, byte)) in values().zip(target).enumerate() {
                     *byte = value as u8;

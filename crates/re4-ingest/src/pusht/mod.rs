@@ -10,12 +10,16 @@ mod episodes;
 mod follow;
 mod images;
 mod reader;
+mod settle;
+mod source;
 mod validate;
 mod writer;
 
+pub use crate::demos::KEYPOINTS;
 pub use conventions::{ActionKind, AngleUnit, PushtConventions};
-pub use episodes::{KEYPOINTS, PushtEpisodes};
+pub use episodes::PushtEpisodes;
 pub use images::{IMAGE_BUDGET, ImageBlock, ImageBlocks};
 pub use reader::{PushtOptions, PushtReader, PushtReading};
+pub use source::PushtSource;
 pub use validate::{ANGLE_TOLERANCE, POSITION_HIGH, POSITION_LOW, SHORT_EPISODE, WINDOW};
 pub use writer::{KEYPOINTS_IN_BLOCK, PushtWriter, RecordError, RecordedEpisode};

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::conventions::PushtConventions;
-use super::episodes::{KEYPOINTS, PushtEpisodes};
+use super::episodes::PushtEpisodes;
 use super::follow;
 use super::images::{ImageBlocks, ImageSource};
+use super::settle::{covers, lost_episodes, of_episodes, settle};
 use super::validate::{self, Notes};
+use crate::demos::{Info, KEYPOINTS};
 use crate::error::{Fault, IngestError};
 use crate::left_out::{LeftOut, OnBad};
 use crate::selection::Selection;
@@ -25,6 +27,9 @@ const NUMBERS: &str = "a float type or an integer type of 16 bits or more";
 /// Most frames of a dataset, more than eleven days of recording at 10 Hz. Its numbers are read into memory as a whole, and a few bytes of
 /// compressed zeros can claim any number of them.
 const FRAME_LIMIT: u64 = 10_000_000;
+
+/// Control steps a second of the original dataset, which its numbers are held against.
+const RATE: f64 = 10.0;
 
 /// Columns of a state, and of one with the agent's velocity behind it.
 const STATE: u64 = 5;
@@ -222,6 +227,28 @@ impl PushtReader {
         self.has_images
     }
 
+    /// What the dataset holds.
+    pub fn info(&self) -> Info {
+        let recorded = [
+            (true, "data/state"),
+            (true, "data/action"),
+            (self.contacts.is_some(), "data/n_contacts"),
+            (self.keypoint.is_some(), "data/keypoint"),
+            (self.has_images, "data/img"),
+        ];
+        Info {
+            format: format!("zarr v{}, Push-T replay buffer", self.zarr_format()),
+            rate: Some(RATE),
+            features: recorded
+                .into_iter()
+                .filter_map(|(there, name)| there.then(|| name.to_owned()))
+                .collect(),
+            object_poses: true,
+            demonstrations: self.ranges.len(),
+            ..Info::default()
+        }
+    }
+
     /// Reads and validates the numeric arrays of the selected episodes, whose numbers mean what those of the original dataset do;
     /// refuses the dataset for any that cannot be used. See [`Self::read`].
     ///
@@ -398,7 +425,7 @@ impl PushtReader {
         };
         if self.state.shape().get(1) == Some(&STATE_WITH_VELOCITY) {
             let wide: Vec<[f64; 7]> = table(&state);
-            check_velocity(&wide, &episodes.frames)?;
+            validate::velocity(&wide, &episodes.frames)?;
             notes.velocity = true;
             episodes.state = wide
                 .iter()
@@ -447,70 +474,6 @@ impl PushtReader {
     fn error(&self, fault: Fault) -> IngestError {
         self.store.explain(fault).of(&self.dataset)
     }
-}
-
-/// Refuses what cannot be used, or leaves it out.
-fn settle(
-    episodes: PushtEpisodes,
-    notes: &Notes,
-    lost: Vec<Lost>,
-    bad: Vec<(usize, Fault)>,
-    options: &PushtOptions<'_>,
-) -> Result<PushtReading, Fault> {
-    let count = episodes.episode_count();
-    let spread = |lost: &Lost| {
-        let overlaps = |rows: &Range<usize>| {
-            lost.rows
-                .iter()
-                .any(|lost| lost.start < rows.end as u64 && (rows.start as u64) < lost.end)
-        };
-        (0..count)
-            .filter(|number| overlaps(&episodes.rows[*number]))
-            .collect::<Vec<_>>()
-    };
-    let mut why: Vec<Option<String>> = vec![None; count];
-    for lost in &lost {
-        for number in spread(lost) {
-            why[number].get_or_insert_with(|| lost.fault.to_string());
-        }
-    }
-    for (number, fault) in &bad {
-        why[*number].get_or_insert_with(|| fault.to_string());
-    }
-    let left = why.iter().filter(|why| why.is_none()).count();
-    if left == count {
-        let warnings = validate::warnings(&episodes, notes);
-        return Ok(PushtReading {
-            episodes,
-            warnings,
-            left_out: Vec::new(),
-            explained: notes.explained,
-        });
-    }
-    if options.on_bad == OnBad::LeaveOut && left > 0 {
-        let (good, left_out) = without(&episodes, why);
-        let warnings = validate::warnings(&good, notes);
-        return Ok(PushtReading {
-            episodes: good,
-            warnings,
-            left_out,
-            explained: notes.explained,
-        });
-    }
-    let mut faults: Vec<Fault> = lost.into_iter().map(|lost| lost.fault).collect();
-    faults.extend(of_episodes(bad, count, left == 0));
-    Err(Fault::of_all(faults).unwrap_or(Fault::NoEpisodes))
-}
-
-/// What is wrong with single episodes, given by their positions in ascending order; `None` if nothing is.
-fn of_episodes(mut bad: Vec<(usize, Fault)>, episodes: usize, all: bool) -> Option<Fault> {
-    if bad.len() < 2 {
-        return bad.pop().map(|(_, fault)| fault);
-    }
-    let mut numbers: Vec<usize> = bad.iter().map(|(number, _)| *number).collect();
-    numbers.dedup();
-    let faults: Vec<Fault> = bad.into_iter().map(|(_, fault)| fault).collect();
-    Some(Fault::of_episodes(&faults, numbers.len(), episodes, all))
 }
 
 fn missing_array(store: &Store, name: &str) -> Fault {
@@ -623,105 +586,7 @@ fn read_ranges(ends: &ZarrArray, frames: u64, stop: Stop<'_>) -> Result<Vec<Rang
     }
 }
 
-/// Whether no row of some runs can be read.
-fn covers(lost: &Lost, runs: &[Range<u64>]) -> bool {
-    runs.iter().all(|run| {
-        let next = lost.rows.partition_point(|rows| rows.end <= run.start);
-        lost.rows
-            .get(next)
-            .is_some_and(|rows| rows.start <= run.start && run.end <= rows.end)
-    })
-}
-
-/// Which episodes have rows that cannot be read.
-fn lost_episodes(episodes: &PushtEpisodes, lost: &[Lost]) -> Vec<bool> {
-    let rows: Vec<&Range<u64>> = lost.iter().flat_map(|lost| &lost.rows).collect();
-    episodes
-        .rows
-        .iter()
-        .map(|here| {
-            rows.iter()
-                .any(|rows| rows.start < here.end as u64 && (here.start as u64) < rows.end)
-        })
-        .collect()
-}
-
 /// The rows of a flat array of `WIDTH` columns.
 fn table<const WIDTH: usize>(values: &[f64]) -> Vec<[f64; WIDTH]> {
     values.as_chunks::<WIDTH>().0.to_vec()
-}
-
-/// The episodes without those for which there is a reason, and these.
-fn without(episodes: &PushtEpisodes, why: Vec<Option<String>>) -> (PushtEpisodes, Vec<LeftOut>) {
-    let mut good = PushtEpisodes {
-        contacts: episodes.contacts.as_ref().map(|_| Vec::new()),
-        keypoint: episodes.keypoint.as_ref().map(|_| Vec::new()),
-        ..PushtEpisodes::default()
-    };
-    let mut left_out = Vec::new();
-    for (number, why) in why.into_iter().enumerate() {
-        if let Some(why) = why {
-            left_out.push(LeftOut {
-                demo: re4_episode::episode_name(episodes.sources[number]),
-                why,
-            });
-            continue;
-        }
-        let frames = episodes.frames[number].clone();
-        let start = good.state.len();
-        good.sources.push(episodes.sources[number]);
-        good.rows.push(episodes.rows[number].clone());
-        good.frames.push(start..start + frames.len());
-        good.state.extend_from_slice(&episodes.state[frames.clone()]);
-        good.action.extend_from_slice(&episodes.action[frames.clone()]);
-        if let (Some(good), Some(contacts)) = (&mut good.contacts, &episodes.contacts) {
-            good.extend_from_slice(&contacts[frames.clone()]);
-        }
-        if let (Some(good), Some(keypoint)) = (&mut good.keypoint, &episodes.keypoint) {
-            good.extend_from_slice(&keypoint[frames]);
-        }
-    }
-    (good, left_out)
-}
-
-/// Steps that say whether two columns are a velocity.
-const ENOUGH_STEPS: usize = 20;
-
-/// Cosine between steps and velocities from which these are velocities; it is above 0.95 for those of the simulator and for
-/// differences of positions.
-const VELOCITY: f64 = 0.8;
-
-/// Accepts the last two of seven columns if they are the agent's velocity, in whatever unit: they go along with its steps.
-fn check_velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(), Fault> {
-    let columns = |why: String| Fault::StateColumns { why };
-    let (mut steps, mut velocities, mut products, mut moving) = (0.0, 0.0, 0.0, 0);
-    // Not at the ends of episodes, where differences over the whole array are none of the agent's.
-    for frame in frames
-        .iter()
-        .flat_map(|frames| frames.start + 1..frames.end.saturating_sub(1))
-    {
-        let [before, here, after] = [frame - 1, frame, frame + 1].map(|frame| states[frame]);
-        for (position, velocity) in [(0, 5), (1, 6)] {
-            let (step, velocity) = (after[position] - before[position], here[velocity]);
-            if step.is_finite() && velocity.is_finite() {
-                steps += step * step;
-                velocities += velocity * velocity;
-                products += step * velocity;
-                moving += usize::from(step != 0.0);
-            }
-        }
-    }
-    if moving < ENOUGH_STEPS {
-        return Err(columns(format!(
-            "the agent moves in {moving} steps only, too few to tell"
-        )));
-    }
-    let likeness = products / (steps * velocities).sqrt();
-    if likeness >= VELOCITY {
-        return Ok(());
-    }
-    let likeness = if likeness.is_finite() { likeness } else { 0.0 };
-    Err(columns(format!(
-        "their likeness with the agent's steps is {likeness:.2}, and that of a velocity is near 1"
-    )))
 }

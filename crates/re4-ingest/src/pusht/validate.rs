@@ -3,7 +3,8 @@
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
-use super::episodes::{KEYPOINTS, PushtEpisodes};
+use super::episodes::PushtEpisodes;
+use crate::demos::KEYPOINTS;
 use crate::error::Fault;
 use crate::warning::{Warning, WarningCode};
 
@@ -123,21 +124,7 @@ pub(super) fn values(episodes: &PushtEpisodes) -> Result<(), Fault> {
 
 /// Every episode's first value in each array that no recording can have, array by array, with the position of the episode.
 pub(super) fn faults(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
-    let mut faults = Vec::new();
-    first_of_each(&mut faults, episodes, &episodes.state, |place, row| {
-        check_row("data/state", place, row, state_bounds, |column| {
-            STATE_COLUMNS[column].to_owned()
-        })
-    });
-    first_of_each(&mut faults, episodes, &episodes.action, |place, row| {
-        check_row(
-            "data/action",
-            place,
-            row,
-            |_| PIXELS,
-            |column| ACTION_COLUMNS[column].to_owned(),
-        )
-    });
+    let mut faults = states_and_actions(episodes, state_bounds, PIXELS);
     first_of_each(
         &mut faults,
         episodes,
@@ -178,24 +165,23 @@ pub(super) fn not_finite(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
         high: f64::MAX,
         unit: "",
     };
+    states_and_actions(episodes, |_| any, any)
+}
+
+/// The same of values that are beyond these bounds, of states column by column.
+fn states_and_actions(
+    episodes: &PushtEpisodes,
+    state: impl Fn(usize) -> Bounds,
+    action: Bounds,
+) -> Vec<(usize, Fault)> {
     let mut faults = Vec::new();
     first_of_each(&mut faults, episodes, &episodes.state, |place, row| {
-        check_row(
-            "data/state",
-            place,
-            row,
-            |_| any,
-            |column| STATE_COLUMNS[column].to_owned(),
-        )
+        let name = |column: usize| STATE_COLUMNS[column].to_owned();
+        check_row("data/state", place, row, &state, name)
     });
     first_of_each(&mut faults, episodes, &episodes.action, |place, row| {
-        check_row(
-            "data/action",
-            place,
-            row,
-            |_| any,
-            |column| ACTION_COLUMNS[column].to_owned(),
-        )
+        let name = |column: usize| ACTION_COLUMNS[column].to_owned();
+        check_row("data/action", place, row, |_| action, name)
     });
     faults
 }
@@ -249,11 +235,9 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
     let mut found = |code, at: Option<&(u32, u64)>, count: usize, message: String| {
         if count > 0 {
             warnings.push(Warning {
-                code,
-                message,
                 episode: at.map(|at| at.0),
                 frame: at.map(|at| at.1),
-                count: count as u64,
+                ..Warning::new(code, message, count)
             });
         }
     };
@@ -313,20 +297,14 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
 /// Warnings of what was noted while reading.
 fn noted(notes: &Notes) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    let mut found = |code, count: u64, message: String| {
+    let mut found = |code, count: usize, message: String| {
         if count > 0 {
-            warnings.push(Warning {
-                code,
-                message,
-                episode: None,
-                frame: None,
-                count,
-            });
+            warnings.push(Warning::new(code, message, count));
         }
     };
     found(
         WarningCode::AngleWrapped,
-        notes.wrapped as u64,
+        notes.wrapped,
         format!(
             "{} block angles lie outside 0 to 2π and were put into it by whole turns",
             notes.wrapped
@@ -334,7 +312,7 @@ fn noted(notes: &Notes) -> Vec<Warning> {
     );
     found(
         WarningCode::AbsentChunks,
-        notes.absent_chunks,
+        notes.absent_chunks as usize,
         format!(
             "chunks that are not stored, {} in all, were read as the fill value, as zarr's rule has it: newer writers leave such chunks out, and so does a copy that lost files",
             notes.absent_chunks
@@ -342,13 +320,13 @@ fn noted(notes: &Notes) -> Vec<Warning> {
     );
     found(
         WarningCode::SkippedColumns,
-        2 * u64::from(notes.velocity),
+        2 * usize::from(notes.velocity),
         "data/state has the agent's velocity in two more columns, which are left out".to_owned(),
     );
     let weak = notes.explained.filter(|explained| *explained < super::follow::USUAL);
     found(
         WarningCode::Convention,
-        u64::from(weak.is_some()),
+        usize::from(weak.is_some()),
         format!(
             "the targets explain {:.0} % of how the agent's step changes, and 99.6 % in the original dataset: another controller, another rate or noise",
             100.0 * weak.unwrap_or_default()
@@ -387,4 +365,46 @@ fn in_episodes(episodes: &PushtEpisodes, odd: impl Fn(usize, usize) -> bool) -> 
                 .collect::<Vec<_>>()
         })
         .collect()
+}
+
+/// Steps that say whether two columns are a velocity.
+const ENOUGH_STEPS: usize = 20;
+
+/// Cosine between steps and velocities from which these are velocities; it is above 0.95 for those of the simulator and for
+/// differences of positions.
+const VELOCITY: f64 = 0.8;
+
+/// Accepts the last two of seven columns if they are the agent's velocity, in whatever unit: they go along with its steps.
+pub(super) fn velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(), Fault> {
+    let columns = |why: String| Fault::StateColumns { why };
+    let (mut steps, mut velocities, mut products, mut moving) = (0.0, 0.0, 0.0, 0);
+    // Not at the ends of episodes, where differences over the whole array are none of the agent's.
+    for frame in frames
+        .iter()
+        .flat_map(|frames| frames.start + 1..frames.end.saturating_sub(1))
+    {
+        let [before, here, after] = [frame - 1, frame, frame + 1].map(|frame| states[frame]);
+        for (position, velocity) in [(0, 5), (1, 6)] {
+            let (step, velocity) = (after[position] - before[position], here[velocity]);
+            if step.is_finite() && velocity.is_finite() {
+                steps += step * step;
+                velocities += velocity * velocity;
+                products += step * velocity;
+                moving += usize::from(step != 0.0);
+            }
+        }
+    }
+    if moving < ENOUGH_STEPS {
+        return Err(columns(format!(
+            "the agent moves in {moving} steps only, too few to tell"
+        )));
+    }
+    let likeness = products / (steps * velocities).sqrt();
+    if likeness >= VELOCITY {
+        return Ok(());
+    }
+    let likeness = if likeness.is_finite() { likeness } else { 0.0 };
+    Err(columns(format!(
+        "their likeness with the agent's steps is {likeness:.2}, and that of a velocity is near 1"
+    )))
 }

@@ -14,9 +14,11 @@ use thiserror::Error;
 use zarrs::array::{Array, ArrayBytes, ArrayMetadata, ArrayMetadataV2, ArrayToBytesCodecTraits, CodecOptions};
 use zarrs::storage::store::MemoryStore;
 
-use super::episodes::{KEYPOINTS, PushtEpisodes};
+use super::episodes::PushtEpisodes;
 use super::validate;
-use crate::error::{Fault, io_mend};
+use crate::demos::KEYPOINTS;
+use crate::error::Fault;
+use crate::source::io_mend;
 
 /// Rows of a chunk, as in the original dataset.
 const CHUNK: usize = 161;

@@ -5,22 +5,7 @@ use std::sync::Arc;
 
 use super::fault::Hdf5Fault;
 use super::file::{Element, File, Located};
-
-/// Rows of numbers, one after the other.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Matrix {
-    /// Numbers of a row.
-    pub columns: usize,
-    /// All numbers.
-    pub values: Vec<f64>,
-}
-
-impl Matrix {
-    /// Number of rows.
-    pub fn rows(&self) -> usize {
-        self.values.len().checked_div(self.columns).unwrap_or(0)
-    }
-}
+use crate::demos::Matrix;
 
 /// What a file holds of one demonstration, bit for bit (single precision widened), every dataset with one row a frame and
 /// without NaN or infinity. Rows of `obs` are the observations before the action of the same row.

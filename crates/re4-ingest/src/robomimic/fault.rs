@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use crate::left_out::parts;
+
 /// What is wrong with an HDF5 file, the object that it is about, and the mend.
 #[derive(Debug, Error)]
 pub enum Hdf5Fault {
@@ -182,10 +184,7 @@ pub enum Hdf5Fault {
 impl Hdf5Fault {
     /// What is wrong, without what to do about it.
     pub(crate) fn what(&self) -> String {
-        let sentence = self.to_string();
-        sentence
-            .split_once("; ")
-            .map_or(sentence.clone(), |(what, _)| what.to_owned())
+        parts(&self.to_string()).0.to_owned()
     }
 
     /// All faults as one; none of none.
@@ -233,7 +232,7 @@ fn several(faults: &[Hdf5Fault]) -> String {
     let sentences: Vec<String> = faults.iter().map(ToString::to_string).collect();
     let (mut whats, mut remedies) = (Vec::new(), Vec::new());
     for sentence in &sentences {
-        let (what, remedy) = sentence.split_once("; ").unwrap_or((sentence, ""));
+        let (what, remedy) = parts(sentence);
         whats.push(what);
         if !remedy.is_empty() && !remedies.contains(&remedy) {
             remedies.push(remedy);

@@ -13,21 +13,18 @@ use std::os::unix::fs::FileExt as _;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use hdf5::dataset::Layout;
-use hdf5::datatype::ByteOrder;
-use hdf5::types::{FixedAscii, FixedUnicode, FloatSize, IntSize, TypeDescriptor, VarLenAscii, VarLenUnicode};
-use hdf5::{Container, Dataset, Datatype, Hyperslab, SliceOrIndex};
+use hdf5::types::TypeDescriptor;
+use hdf5::{Dataset, Hyperslab, SliceOrIndex};
 
 use super::direct::{Direct, Header, Members, Number};
 use super::fault::Hdf5Fault;
+use super::library::{damaged, element, internal, texts, words};
 use super::look::{look, unreadable};
 use crate::error::Fault;
 use crate::source::SourceFile;
 
 /// Most bytes that one dataset of numbers may have: a day of control steps of a wide state.
 const MOST_BYTES: u64 = 1 << 30;
-
-/// Names in `/mask` and the attributes' fixed-length texts are at most this long.
-const LONGEST_NAME: usize = 256;
 
 /// How a file may be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -491,120 +488,6 @@ impl File {
                 })
             }
         }
-    }
-}
-
-/// All texts of an attribute or dataset, of whatever kind.
-fn texts(container: &Container, object: &str) -> Result<Vec<String>, Hdf5Fault> {
-    let damaged = damaged(object);
-    let read = || -> hdf5::Result<Option<Vec<String>>> {
-        fn all<T: hdf5::H5Type + Bytes>(container: &Container) -> hdf5::Result<Option<Vec<String>>> {
-            let texts = container.read_raw::<T>()?;
-            let texts: Result<Vec<_>, _> = texts
-                .iter()
-                .map(|text| String::from_utf8(text.bytes().to_vec()))
-                .collect();
-            texts
-                .map(Some)
-                .map_err(|error| hdf5::Error::Internal(format!("it is no text: {error}")))
-        }
-        match container.dtype()?.to_descriptor()? {
-            TypeDescriptor::VarLenUnicode => all::<VarLenUnicode>(container),
-            TypeDescriptor::VarLenAscii => all::<VarLenAscii>(container),
-            TypeDescriptor::FixedAscii(length) if length <= LONGEST_NAME => all::<FixedAscii<LONGEST_NAME>>(container),
-            TypeDescriptor::FixedUnicode(length) if length <= LONGEST_NAME => {
-                all::<FixedUnicode<LONGEST_NAME>>(container)
-            }
-            TypeDescriptor::FixedAscii(_) => all::<FixedAscii<{ 1 << 20 }>>(container),
-            TypeDescriptor::FixedUnicode(_) => all::<FixedUnicode<{ 1 << 20 }>>(container),
-            _ => Ok(None),
-        }
-    };
-    match read() {
-        Ok(Some(texts)) => Ok(texts),
-        Ok(None) => Err(Hdf5Fault::Dtype {
-            object: object.to_owned(),
-            found: "no text".to_owned(),
-            expected: "text",
-        }),
-        Err(error) => Err(damaged(error)),
-    }
-}
-
-/// Bytes of a text of the library, which trusts the file that they are UTF-8.
-trait Bytes {
-    fn bytes(&self) -> &[u8];
-}
-
-impl Bytes for VarLenUnicode {
-    fn bytes(&self) -> &[u8] {
-        self.as_bytes()
-    }
-}
-
-impl Bytes for VarLenAscii {
-    fn bytes(&self) -> &[u8] {
-        self.as_bytes()
-    }
-}
-
-impl<const N: usize> Bytes for FixedAscii<N> {
-    fn bytes(&self) -> &[u8] {
-        self.as_bytes()
-    }
-}
-
-impl<const N: usize> Bytes for FixedUnicode<N> {
-    fn bytes(&self) -> &[u8] {
-        self.as_bytes()
-    }
-}
-
-fn element(dtype: &Datatype, path: &str) -> Result<Element, Hdf5Fault> {
-    let descriptor = dtype.to_descriptor().map_err(damaged(path))?;
-    match descriptor {
-        TypeDescriptor::Float(FloatSize::U8) if dtype.byte_order() == ByteOrder::LittleEndian => Ok(Element::F64),
-        TypeDescriptor::Float(FloatSize::U4) => Ok(Element::F32),
-        TypeDescriptor::Unsigned(IntSize::U1) => Ok(Element::U8),
-        TypeDescriptor::Integer(IntSize::U1 | IntSize::U2 | IntSize::U4 | IntSize::U8)
-        | TypeDescriptor::Unsigned(_)
-        | TypeDescriptor::Boolean
-        | TypeDescriptor::Float(FloatSize::U8) => Ok(Element::Whole),
-        other => Err(Hdf5Fault::Dtype {
-            object: path.to_owned(),
-            found: match other {
-                TypeDescriptor::FixedAscii(_)
-                | TypeDescriptor::FixedUnicode(_)
-                | TypeDescriptor::VarLenAscii
-                | TypeDescriptor::VarLenUnicode => "text".to_owned(),
-                other => other.to_string(),
-            },
-            expected: "float64 or float32",
-        }),
-    }
-}
-
-fn internal(text: String) -> hdf5::Error {
-    hdf5::Error::Internal(text)
-}
-
-fn damaged(object: &str) -> impl Fn(hdf5::Error) -> Hdf5Fault + use<> {
-    let object = object.to_owned();
-    move |error| Hdf5Fault::Damaged {
-        object: object.clone(),
-        why: words(&error),
-        others: 0,
-    }
-}
-
-/// The library's words: those of the innermost call, which says what it met.
-fn words(error: &hdf5::Error) -> String {
-    match error {
-        hdf5::Error::Internal(text) => text.clone(),
-        hdf5::Error::HDF5(_) => error
-            .stack()
-            .and_then(|stack| stack.iter().last().map(|frame| frame.desc().to_owned()))
-            .unwrap_or_else(|| "the HDF5 library gives no reason".to_owned()),
     }
 }
 

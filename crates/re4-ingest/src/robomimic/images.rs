@@ -1,13 +1,13 @@
 //! Pictures of cameras, streamed: a few rows of chunks at a time, each decoded once.
 
 use std::collections::BTreeSet;
-use std::ops::Range;
 use std::sync::mpsc::sync_channel;
 
 use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::file::{Element, File, Located};
 use super::reader::RobomimicReader;
+use crate::demos::{DemoName, ImageBlock};
 use crate::error::{Fault, IngestError};
 use crate::left_out::LeftOut;
 
@@ -19,21 +19,6 @@ const BLOCK_LIMIT: usize = 128 << 20;
 
 /// Ending of the datasets that hold pictures.
 const ENDING: &str = "_image";
-
-/// Consecutive pictures of a camera, within one demonstration.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct CameraBlock {
-    /// Place of the demonstration among those that were given.
-    pub episode: usize,
-    /// Frames of the demonstration.
-    pub frames: Range<usize>,
-    /// Rows of pixels.
-    pub height: usize,
-    /// Pixels of a row.
-    pub width: usize,
-    /// Red, green and blue, pixel by pixel, first row at the top, picture by picture.
-    pub bytes: Vec<u8>,
-}
 
 impl RobomimicReader {
     /// Cameras of the demonstrations, in alphabetical order; those that are `asked` for, where any are.
@@ -78,7 +63,7 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// What is wrong with them, as of a demonstration that cannot be used; a file that cannot be read without the library.
-    pub fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
+    pub(super) fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
         let mut faults = Vec::new();
         for camera in cameras {
             let path = format!("data/{}/obs/{camera}{ENDING}", demo.name);
@@ -95,49 +80,36 @@ impl RobomimicReader {
             });
             faults.extend(checked.err());
         }
-        match Hdf5Fault::all(faults) {
-            None => Ok(Ok(())),
-            Some(fault) if self.file.ends_with(&fault) => Err(Fault::from(fault).of(&self.path)),
-            Some(fault) => Ok(Err(LeftOut {
-                demo: demo.name.clone(),
-                why: fault.to_string(),
-            })),
-        }
+        self.left_out(&demo.name, Hdf5Fault::all(faults).map_or(Ok(()), Err))
     }
 
-    /// Hands on all images of a camera, in the order of demonstrations and frames; `demos` are names and lengths of
-    /// demonstrations. One whose images cannot be decoded is handed on as left out, and the next one follows.
+    /// Hands on all images of a camera, in the order of demonstrations and frames; `demos` are demonstrations with their lengths.
+    /// One whose images cannot be decoded is handed on as left out, and the next one follows.
     ///
     /// # Errors
     /// A file that cannot be read without the HDF5 library, or whatever `take` refuses.
-    pub fn for_each_block<E: From<IngestError>>(
+    pub(super) fn for_each_block<E: From<IngestError>>(
         &self,
         camera: &str,
-        demos: &[(String, usize)],
-        mut take: impl FnMut(Result<CameraBlock, LeftOut>) -> Result<(), E>,
+        demos: &[(DemoName, usize)],
+        mut take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         std::thread::scope(|scope| {
             // One block ahead: one is decoded while another one is encoded.
             let (sender, receiver) = sync_channel(1);
             scope.spawn(move || {
-                for (episode, (demo, frames)) in demos.iter().enumerate() {
+                for (episode, (demo, frames)) in (0..).zip(demos) {
                     let mut heard = true;
-                    let sent = self.send_blocks(camera, episode, (demo, *frames), |block| {
+                    let sent = self.send_blocks(camera, episode, (&demo.name, *frames), |block| {
                         heard = sender.send(Ok(Ok(block))).is_ok();
                         heard
                     });
                     let last = match sent {
                         Ok(()) => !heard,
-                        Err(fault) if self.file.ends_with(&fault) => {
-                            let _ = sender.send(Err(Fault::from(fault).of(&self.path)));
-                            true
-                        }
                         Err(fault) => {
-                            let left = LeftOut {
-                                demo: demo.clone(),
-                                why: fault.to_string(),
-                            };
-                            sender.send(Ok(Err(left))).is_err()
+                            let left = self.left_out(&demo.name, Err(fault));
+                            let ends = left.is_err();
+                            sender.send(left).is_err() || ends
                         }
                     };
                     if last {
@@ -155,28 +127,24 @@ impl RobomimicReader {
     fn send_blocks(
         &self,
         camera: &str,
-        episode: usize,
+        episode: u32,
         (demo, frames): (&str, usize),
-        mut send: impl FnMut(CameraBlock) -> bool,
+        mut send: impl FnMut(ImageBlock) -> bool,
     ) -> Result<(), Hdf5Fault> {
         let located = self.file.locate(&format!("data/{demo}/obs/{camera}{ENDING}"))?;
         let [height, width] = picture_shape(&located, frames)?;
         let rows = rows_at_once(&located, height * width * 3)?;
-        let mut first = 0;
-        while first < frames {
+        for first in (0..frames).step_by(rows) {
             let end = frames.min(first + rows);
-            let bytes = self.file.read_bytes(&located, first..end)?;
-            let block = CameraBlock {
-                episode,
-                frames: first..end,
+            let block = ImageBlock {
+                places: (first..end).map(|frame| (episode, frame as u32)).collect(),
                 height,
                 width,
-                bytes,
+                bytes: self.file.read_bytes(&located, first..end)?,
             };
             if !send(block) {
                 break;
             }
-            first = end;
         }
         Ok(())
     }

@@ -1,21 +1,24 @@
 //! What the rows of a file mean: conventions proven on its first demonstrations, held against every one, and the columns that
 //! follow from them.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
 use rayon::prelude::*;
-use re4_robosuite::actions::{Action, Osc, distance};
+use re4_robosuite::actions::{Action, ActionError, Osc, distance};
 use re4_robosuite::conventions::{
-    ActionKind, Basis, Contradiction, Conventions, DemoArrays, InitialGoal, Learned, Proof, QuaternionOrder, Rows,
-    Settings, Task, Unproven, zero_rows,
+    ActionKind, Basis, Conventions, DemoArrays, EefOrientation, GripperRange, GripperSign, InitialGoal, Learned, Proof,
+    QuaternionOrder, RobosuiteTask, Rows, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
-use re4_robosuite::kinematics::{Model, Observed, PANDA_RESET};
+use re4_robosuite::kinematics::{Model, PANDA_RESET};
 
 use super::demo::Demo;
 use super::fault::Hdf5Fault;
+use super::from_states::{FromStates, Poses};
 use super::reader::{Layout, RobomimicReader};
+use crate::demos::{Matrix, SpatialFrames};
 use crate::error::{Fault, IngestError};
 use crate::left_out::{LeftOut, refusal};
 
@@ -25,8 +28,8 @@ const PROVEN_ON: usize = 10;
 /// What the user says of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// The task; [`Task::Other`] for any environment of one arm.
-    pub task: Task,
+    /// The task; none for any environment of one arm.
+    pub task: Option<RobosuiteTask>,
     /// The manipulated object's body, where the task does not say it.
     pub object: Option<String>,
     /// Text that stands for the attribute `env_args`.
@@ -56,21 +59,11 @@ pub struct Convention {
     pub frames: usize,
 }
 
-/// Columns of a demonstration that follow from its arrays and the conventions.
-#[derive(Debug, Clone, Default, PartialEq)]
+/// A demonstration as the conventions read it.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Interpreted {
-    /// Position of the grip site.
-    pub eef_position: Vec<[f64; 3]>,
-    /// Orientation of the end effector, x, y, z, w.
-    pub eef_quaternion: Vec<[f64; 4]>,
-    /// Joint positions of the fingers.
-    pub fingers: Vec<[f64; 2]>,
-    /// Position of the object, then its quaternion x, y, z, w.
-    pub object: Vec<[f64; 7]>,
-    /// Delta actions, the gripper's command last.
-    pub delta: Vec<Action>,
-    /// Absolute actions, the gripper's command last.
-    pub goal: Vec<Action>,
+    /// Its frames.
+    pub frames: SpatialFrames,
     /// Distances (metres, radians) of recorded absolute actions from those that follow from recorded delta actions, beyond
     /// the first step; none where only one kind is recorded.
     pub goal_errors: Option<Vec<(f64, f64)>>,
@@ -87,16 +80,6 @@ pub struct Interpreter {
     from_states: FromStates,
     /// The last model that was parsed: demonstrations of one scene share it.
     model: Mutex<Option<(Arc<str>, Arc<Model>)>>,
-}
-
-/// What is computed from states and model instead of read.
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum FromStates {
-    Nothing,
-    /// The pose of this object.
-    Object(String),
-    /// Everything that observations would hold, with the pose of this object.
-    All(String),
 }
 
 impl Interpreter {
@@ -116,7 +99,7 @@ impl Interpreter {
         let (first, from_states, mut left_out) = Prepared::gather(reader, reading, &env)?;
         let complete: Vec<DemoArrays<'_>> = first
             .iter()
-            .map(|first| arrays(&first.demo, &first.columns, first.model.as_deref()))
+            .map(|first| arrays(&first.demo, &first.poses, first.model.as_deref()))
             .collect();
         let unproven = |error: Unproven| {
             Hdf5Fault::Other(match error {
@@ -147,9 +130,8 @@ impl Interpreter {
         let mut rows: Vec<Convention> = proofs.iter().map(convention).collect();
         rows.extend(stated(reader.layout(), reading, &env, &from_states));
         let mut warnings: Vec<String> = proofs.into_iter().filter_map(|proof| proof.warning).collect();
-        if let (Some(distribution @ 1..), Some(own)) =
-            (Task::distribution(&env.env_name), conventions.task.environment())
-        {
+        if let (Some(distribution @ 1..), Some(own)) = (RobosuiteTask::distribution(&env.env_name), conventions.task) {
+            let own = own.environment;
             warnings.push(format!(
                 "environment {} is {own} with initial distribution {distribution} of MimicGen; rollouts start from the placement of {own} itself",
                 env.env_name
@@ -188,28 +170,29 @@ impl Interpreter {
         &self.warnings
     }
 
-    /// The columns of a demonstration. `other` are actions of the other kind, recorded in another file.
+    /// The frames of a demonstration, whose arrays are taken out of it. `other` are actions of the other kind, recorded in another
+    /// file.
     ///
     /// # Errors
     /// A demonstration that does not follow the conventions.
     pub fn interpret(
         &self,
         reader: &RobomimicReader,
-        demo: &Demo,
+        demo: &mut Demo,
         other: Option<&[Action]>,
     ) -> Result<Interpreted, IngestError> {
         self.interpret_checked(demo, other)
             .map_err(|fault| Fault::from(fault).of(&reader.path))
     }
 
-    fn interpret_checked(&self, demo: &Demo, other: Option<&[Action]>) -> Result<Interpreted, Hdf5Fault> {
+    fn interpret_checked(&self, demo: &mut Demo, other: Option<&[Action]>) -> Result<Interpreted, Hdf5Fault> {
         check_object_columns(demo, self.conventions.task)?;
         let model = match self.from_states {
             FromStates::Nothing => None,
             _ => self.model(demo)?,
         };
-        let mut columns = self.from_states.complete(demo, model.as_deref())?;
-        let plain = arrays(demo, &columns, None);
+        let poses = self.from_states.complete(demo, model.as_deref())?;
+        let plain = arrays(demo, &poses, None);
         self.conventions.check(&plain).map_err(|contradiction| {
             let why = contradiction.to_string().replace(
                 "allow_actions_beyond_range accepts it",
@@ -218,42 +201,84 @@ impl Interpreter {
             Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}"))
         })?;
         let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
-        let sites = columns
+        let sites = poses
             .eef_position
             .iter()
-            .zip(&columns.eef_quaternion)
+            .zip(&poses.eef_quaternion)
             .map(|(position, quaternion)| self.conventions.site_pose(*position, *quaternion))
             .collect::<Option<Vec<_>>>()
             .ok_or_else(|| unknown("obs/robot0_eef_quat holds a quaternion without direction; repair that row"))?;
-        if columns.object.is_empty() {
-            columns.object = self.objects(demo).ok_or_else(|| no_object(demo))?;
-        }
-        let initial = self.initial.as_ref();
-        // Commands of the controller, or goals in the world.
-        let read: Vec<Action>;
-        let actions = if self.conventions.actions.is_plain() {
-            &demo.actions
-        } else {
-            read = demo
-                .actions
-                .iter()
-                .map(|action| self.conventions.actions.read(action))
-                .collect();
-            &read
+        let object = match poses.object {
+            Some(object) => object,
+            None => self.objects(demo).ok_or_else(|| no_object(demo))?,
         };
-        let refuse = |error: re4_robosuite::actions::ActionError| unknown(&error.to_string());
+        // Commands of the controller, or goals in the world.
+        let actions: Cow<'_, [Action]> = if self.conventions.actions.is_plain() {
+            Cow::Borrowed(&demo.actions)
+        } else {
+            let read = demo.actions.iter().map(|action| self.conventions.actions.read(action));
+            read.collect()
+        };
+        let (delta, goal, goal_errors) = self.both_kinds(demo, &actions, &sites, other)?;
+        let opens = self.conventions.gripper_sign == GripperSign::PositiveOpens;
+        // Not negated: what is zero stays a positive zero.
+        let canonical = |action: &Action| if opens { 0.0 - action[6] } else { action[6] };
+        let gripper: Vec<f64> = actions.iter().map(canonical).collect();
+        let recorded = demo.actions.iter().map(|action| action[6]);
+        let raw_gripper =
+            (opens || self.conventions.actions.gripper == GripperRange::ZeroOne).then(|| recorded.collect());
+        let (eef_quaternion, raw_eef_quaternion) = self.site_orientations(poses.eef_quaternion);
+        let frames = SpatialFrames {
+            eef_position: poses.eef_position,
+            eef_quaternion,
+            raw_eef_quaternion,
+            fingers: poses.fingers,
+            object: Some(object),
+            delta: delta.iter().map(arm).collect(),
+            goal: goal.iter().map(arm).collect(),
+            gripper,
+            raw_gripper,
+            rewards: demo.rewards.take(),
+            dones: demo.dones.take(),
+        };
+        Ok(Interpreted { frames, goal_errors })
+    }
+
+    /// Orientations of the grip site, x, y, z, w, and the recorded ones, where they are those of the hand body.
+    fn site_orientations(&self, mut recorded: Vec<[f64; 4]>) -> (Vec<[f64; 4]>, Option<Vec<[f64; 4]>>) {
+        if self.conventions.eef_quaternion == QuaternionOrder::Wxyz {
+            for quaternion in &mut recorded {
+                quaternion.rotate_left(1);
+            }
+        }
+        if self.conventions.eef_orientation == EefOrientation::GripSite {
+            return (recorded, None);
+        }
+        // The recorded quaternion is taken as it is: that its norm is near 1 was checked.
+        let site = |quaternion: &[f64; 4]| {
+            let hand = UnitQuaternion::new_unchecked(Quaternion::from(*quaternion));
+            self.conventions.eef_orientation.site(hand).coords.into()
+        };
+        (recorded.iter().map(site).collect(), Some(recorded))
+    }
+
+    /// Delta actions, absolute ones, and the distances between those of both kinds that are known.
+    fn both_kinds(
+        &self,
+        demo: &Demo,
+        actions: &[Action],
+        sites: &[Isometry3<f64>],
+        other: Option<&[Action]>,
+    ) -> Result<BothKinds, Hdf5Fault> {
+        let initial = self.initial.as_ref();
+        let refuse = |error: ActionError| Hdf5Fault::Other(format!("{}: {error}", demo.name));
         let pairs = |goals: &[Action], known: &[Action]| -> Vec<(f64, f64)> {
-            goals
-                .iter()
-                .zip(known)
-                .skip(1)
-                .map(|(goal, known)| distance(goal, known))
-                .collect()
+            let pairs = goals.iter().zip(known).skip(1);
+            pairs.map(|(goal, known)| distance(goal, known)).collect()
         };
         match self.conventions.action_kind {
             ActionKind::Delta => {
-                columns.goal = self.osc.to_absolute(actions, &sites, initial).map_err(refuse)?;
-                columns.delta.clone_from(actions);
+                let goal = self.osc.to_absolute(actions, sites, initial).map_err(refuse)?;
                 let beside = demo.other_goals.as_ref().map(|goals| {
                     let join = |(goal, action): (&[f64; 6], &Action)| {
                         let [x, y, z, rx, ry, rz] = *goal;
@@ -262,24 +287,18 @@ impl Interpreter {
                     goals.iter().zip(actions).map(join).collect::<Vec<Action>>()
                 });
                 let known = other.map(<[Action]>::to_vec).or(beside);
-                columns.goal_errors = known.map(|known| pairs(&columns.goal, &known));
+                let errors = known.map(|known| pairs(&goal, &known));
+                Ok((actions.to_vec(), goal, errors))
             }
             ActionKind::Absolute => {
-                columns.delta = self.osc.to_delta(actions, &sites, initial).map_err(refuse)?;
-                columns.goal.clone_from(actions);
+                let delta = self.osc.to_delta(actions, sites, initial).map_err(refuse)?;
                 let goals = other
-                    .map(|deltas| self.osc.to_absolute(deltas, &sites, initial))
+                    .map(|deltas| self.osc.to_absolute(deltas, sites, initial))
                     .transpose();
-                columns.goal_errors = goals.map_err(refuse)?.map(|goals| pairs(&goals, actions));
+                let errors = goals.map_err(refuse)?.map(|goals| pairs(&goals, actions));
+                Ok((delta, actions.to_vec(), errors))
             }
         }
-        // What is handed on has the scalar part last, whatever the file has.
-        if self.conventions.eef_quaternion == QuaternionOrder::Wxyz {
-            for quaternion in &mut columns.eef_quaternion {
-                quaternion.rotate_left(1);
-            }
-        }
-        Ok(columns)
     }
 
     /// Object poses from `obs/object`, bit for bit.
@@ -311,14 +330,22 @@ impl Interpreter {
     }
 }
 
+/// Delta actions, absolute ones, and distances between the two.
+type BothKinds = (Vec<Action>, Vec<Action>, Option<Vec<(f64, f64)>>);
+
+/// An action without the gripper's command.
+fn arm(&[a, b, c, d, e, f, _]: &Action) -> [f64; 6] {
+    [a, b, c, d, e, f]
+}
+
 /// What helps against a demonstration that cannot be used.
-const LEAVE_OUT: &str = "repair that demonstration, or leave it out by a filter key or ingest.select";
+pub(super) const LEAVE_OUT: &str = "repair that demonstration, or leave it out by a filter key or ingest.select";
 
 /// A demonstration that conventions are proven on.
 struct Prepared {
     demo: Demo,
     model: Option<Arc<Model>>,
-    columns: Interpreted,
+    poses: Poses,
 }
 
 impl Prepared {
@@ -346,23 +373,23 @@ impl Prepared {
                 }
             }
             let models = parse_models(&read);
-            let some = models.iter().find_map(|model| model.as_ref().ok()?.as_ref());
+            let some = models.iter().find_map(|model| model.as_ref().ok()?.as_deref());
             let from_states = match from {
                 Some(known) => known,
                 // A file of which nothing could be read says why below.
                 None if read.iter().all(Result::is_err) => FromStates::Nothing,
-                None => from_states(reader, reading, env, some)?,
+                None => FromStates::of(reader, reading, env, some)?,
             };
             let demos = read.into_iter().zip(models).zip(&batch);
             for ((demo, model), name) in demos {
-                let ready = demo.and_then(|demo| {
+                let ready = demo.and_then(|mut demo| {
                     let model = model?;
                     check_object_columns(&demo, reading.task)?;
                     if from_states == FromStates::Nothing && demo.object.is_none() {
                         return Err(no_object(&demo));
                     }
-                    let columns = from_states.complete(&demo, model.as_deref())?;
-                    Ok(Self { demo, model, columns })
+                    let poses = from_states.complete(&mut demo, model.as_deref())?;
+                    Ok(Self { demo, model, poses })
                 });
                 match ready {
                     Ok(ready) => prepared.push(ready),
@@ -417,7 +444,7 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
 }
 
 /// The file has to be of the task that the pipeline names.
-fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
+fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Fault> {
     if env.is_foreign() {
         let by = if env.env_name.starts_with("Isaac") {
             "Isaac Lab's"
@@ -437,9 +464,8 @@ fn check_task(env: &EnvArgs, task: Task) -> Result<(), Hdf5Fault> {
             env.robots.len()
         )));
     }
-    let own = Task::of(&env.env_name);
-    if task != Task::Other && own != task {
-        let wanted = task.environment().unwrap_or_default();
+    if let Some(task) = task.filter(|task| RobosuiteTask::of_environment(&env.env_name) != Some(*task)) {
+        let wanted = task.environment;
         return Err(Hdf5Fault::Other(format!(
             "it is of environment {}, and the pipeline's task needs {wanted}; give the task of the file, or task = \"robosuite\" and ingest.object",
             env.env_name
@@ -455,8 +481,8 @@ fn no_object(demo: &Demo) -> Hdf5Fault {
     }
 }
 
-fn check_object_columns(demo: &Demo, task: Task) -> Result<(), Hdf5Fault> {
-    match (&demo.object, task.object_columns()) {
+fn check_object_columns(demo: &Demo, task: Option<RobosuiteTask>) -> Result<(), Hdf5Fault> {
+    match (&demo.object, task.map(|task| task.object_columns())) {
         (Some(object), Some(columns)) if object.columns != columns => Err(Hdf5Fault::Shape {
             object: format!("data/{}/obs/object", demo.name),
             found: vec![object.rows(), object.columns],
@@ -467,120 +493,14 @@ fn check_object_columns(demo: &Demo, task: Task) -> Result<(), Hdf5Fault> {
     }
 }
 
-/// What has to come from states, and which body the object is.
-fn from_states(
-    reader: &RobomimicReader,
-    reading: &Reading,
-    env: &EnvArgs,
-    model: Option<&Arc<Model>>,
-) -> Result<FromStates, Hdf5Fault> {
-    let layout = reader.layout();
-    if layout == Layout::Observed && reading.task != Task::Other && !reader.object_from_states {
-        return Ok(FromStates::Nothing);
-    }
-    let environment = &env.env_name;
-    let Some(model) = model else {
-        return Err(Hdf5Fault::Other(format!(
-            "poses of environment {environment} have to come from the states, and the demonstrations have no attribute model_file; give a file with models"
-        )));
-    };
-    let robot = model
-        .robot(0)
-        .map_err(|error| Hdf5Fault::Other(format!("{error}; give a file of one arm with a two-finger gripper")))?;
-    if robot.fingers.is_none() {
-        return Err(Hdf5Fault::Other(format!(
-            "the robot of environment {environment} has no gripper of two sliding fingers, and this version reads no other; give such a file"
-        )));
-    }
-    let named = reading
-        .object
-        .clone()
-        .or_else(|| reading.task.object().map(str::to_owned));
-    let candidates: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
-    let object = named.ok_or_else(|| {
-        Hdf5Fault::Other(if candidates.is_empty() {
-            format!("the model of environment {environment} has no free body that could be the manipulated object; give a file of a task that has one")
-        } else {
-            format!(
-                "nothing says which body of environment {environment} is the manipulated object; set ingest.object to one of {}",
-                candidates.join(", ")
-            )
-        })
-    })?;
-    model.object(&object).map_err(|error| {
-        Hdf5Fault::Other(if candidates.is_empty() {
-            format!("the model of environment {environment} has no free body, so none is the object {object:?}; give a file of a task that has one")
-        } else {
-            format!("{error}; correct ingest.object")
-        })
-    })?;
-    Ok(match layout {
-        Layout::Observed => FromStates::Object(object),
-        Layout::Raw => FromStates::All(object),
-    })
-}
-
-impl FromStates {
-    /// The observations of a demonstration, with the poses of its object where they come from the states.
-    fn complete(&self, demo: &Demo, model: Option<&Model>) -> Result<Interpreted, Hdf5Fault> {
-        let mut columns = Interpreted {
-            eef_position: demo.eef_position.clone(),
-            eef_quaternion: demo.eef_quaternion.clone(),
-            fingers: demo.fingers.clone(),
-            ..Interpreted::default()
-        };
-        let name = match self {
-            Self::Nothing => return Ok(columns),
-            Self::Object(name) | Self::All(name) => name,
-        };
-        let refuse =
-            |why: String| Hdf5Fault::Other(format!("{}: no poses from states and model_file: {why}", demo.name));
-        let (Some(model), Some(states)) = (model, &demo.states) else {
-            return Err(refuse(
-                "one of the two is missing; restore it, or leave the demonstration out".to_owned(),
-            ));
-        };
-        let rows = || states.values.chunks_exact(states.columns);
-        if let Some(zeros) = zero_rows(&demo.actions, &rows().collect::<Vec<_>>()) {
-            let why = Contradiction::zeros(&demo.name, &zeros);
-            return Err(Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}")));
-        }
-        let observed: Vec<Observed> = model.observe(rows(), Some(name)).map_err(|error| {
-            refuse(format!(
-                "{error}; restore what is wrong, or leave the demonstration out"
-            ))
-        })?;
-        if *self == Self::All(name.clone()) {
-            columns.eef_position = observed
-                .iter()
-                .map(|seen| seen.site.translation.vector.into())
-                .collect();
-            columns.eef_quaternion = observed.iter().map(|seen| seen.hand.rotation.coords.into()).collect();
-            let fingers = observed
-                .iter()
-                .map(|seen| seen.gripper_qpos)
-                .collect::<Option<Vec<_>>>();
-            columns.fingers = fingers.ok_or_else(|| refuse("the gripper has not two sliding fingers".to_owned()))?;
-        }
-        let pose = |seen: &Observed| {
-            let pose = seen.object?;
-            let [x, y, z]: [f64; 3] = pose.translation.vector.into();
-            let [qx, qy, qz, qw]: [f64; 4] = pose.rotation.coords.into();
-            Some([x, y, z, qx, qy, qz, qw])
-        };
-        columns.object = observed.iter().filter_map(pose).collect();
-        Ok(columns)
-    }
-}
-
-fn arrays<'a>(demo: &'a Demo, columns: &'a Interpreted, model: Option<&'a Model>) -> DemoArrays<'a> {
-    let rows = |matrix: &'a super::demo::Matrix| Rows::new(&matrix.values, matrix.columns);
+fn arrays<'a>(demo: &'a Demo, poses: &'a Poses, model: Option<&'a Model>) -> DemoArrays<'a> {
+    let rows = |matrix: &'a Matrix| Rows::new(&matrix.values, matrix.columns);
     DemoArrays {
         name: &demo.name,
-        eef_pos: &columns.eef_position,
-        eef_quat: &columns.eef_quaternion,
+        eef_pos: &poses.eef_position,
+        eef_quat: &poses.eef_quaternion,
         object: demo.object.as_ref().and_then(rows),
-        gripper_qpos: &columns.fingers,
+        gripper_qpos: &poses.fingers,
         actions: &demo.actions,
         eef_vel_ang: demo.angular_velocity.as_deref(),
         states: demo.states.as_ref().and_then(rows),

@@ -8,7 +8,7 @@ use crate::error::Fault;
 use crate::source::SourceFile;
 
 /// First bytes of an HDF5 superblock, which stands at byte 0, 512, 1024, 2048, ... of the file.
-const SIGNATURE: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
+pub(super) const SIGNATURE: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
 
 /// Bytes at the start of a file that tell its format.
 const START: usize = 512;

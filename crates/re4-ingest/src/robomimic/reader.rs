@@ -10,12 +10,14 @@ use re4_robosuite::env_args::EnvArgs;
 
 use super::demo::{Demo, FoundDemo, Wanted};
 use super::fault::Hdf5Fault;
-use super::file::{Access, File, Kind};
+use super::file::{Access, File};
+use super::names::{chosen, demonstrations, mark_filter_keys, numbered};
 use super::sources::{MODELS_FOLDER, Sources};
 use super::survey::Survey;
+use crate::demos::{DemoName, Info};
 use crate::error::{Fault, IngestError};
 use crate::left_out::LeftOut;
-use crate::selection::{Selection, SelectionError, SourceName};
+use crate::selection::Selection;
 use crate::warning::{Warning, WarningCode};
 
 /// Demonstrations that are found ahead of reading.
@@ -50,25 +52,13 @@ pub struct RobomimicReader {
     /// Whether the pose of the object has to come from the states.
     pub(super) object_from_states: bool,
     demos: Vec<DemoName>,
-    all: bool,
+    /// Demonstrations of the whole file.
+    found: usize,
+    /// Names below `/mask` that list any of them.
+    filter_keys: BTreeSet<String>,
     warnings: Vec<Warning>,
     sidecars: Mutex<BTreeMap<String, Arc<str>>>,
 }
-
-/// A demonstration that is to be read. What it is called in the file is what it is called everywhere.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct DemoName {
-    /// Its group below `/data`.
-    pub name: String,
-    /// The number that its name ends in; none where the name has none, it exceeds 32 bits, or another demonstration of the file
-    /// has the same.
-    pub number: Option<u32>,
-    /// Filter keys that list it, in alphabetical order.
-    pub filter_keys: Vec<String>,
-}
-
-/// Names go into tables, pages and sentences.
-const LONGEST_NAME: usize = 200;
 
 impl RobomimicReader {
     /// Opens a file and finds its demonstrations, in the order of the numbers that their names end in (`demo_2` before
@@ -100,6 +90,7 @@ impl RobomimicReader {
         {
             return Err(Hdf5Fault::EmptyFilter { filter: filter.clone() }.into());
         }
+        let filter_keys = demos.iter().flat_map(|demo| demo.filter_keys.iter().cloned()).collect();
         let demos = chosen(&demos, choice)?;
         let survey = Survey::of(&file, &demos)?;
         warnings.extend(survey.warning());
@@ -114,8 +105,9 @@ impl RobomimicReader {
             object_from_states: survey.object_from_states(),
             sources: sources.with_models(models),
             file,
-            all: demos.len() == found,
             demos,
+            found,
+            filter_keys,
             warnings,
             sidecars: Mutex::default(),
         })
@@ -260,7 +252,7 @@ impl RobomimicReader {
                     .into_par_iter()
                     .map(|(episode, demo, found)| {
                         let read = found.and_then(|found| found.read(&self.file));
-                        Ok((episode, work(episode, self.left_out(demo, read)?)?))
+                        Ok((episode, work(episode, self.left_out(&demo.name, read)?)?))
                     })
                     .collect();
                 for done in done {
@@ -273,19 +265,42 @@ impl RobomimicReader {
     }
 
     /// A demonstration that cannot be read as one that is left out. What the library is needed for is no fault of it.
-    pub(super) fn left_out(
+    pub(super) fn left_out<T>(
         &self,
-        demo: &DemoName,
-        read: Result<Demo, Hdf5Fault>,
-    ) -> Result<Result<Demo, LeftOut>, IngestError> {
+        demo: &str,
+        read: Result<T, Hdf5Fault>,
+    ) -> Result<Result<T, LeftOut>, IngestError> {
         match read {
             Ok(read) => Ok(Ok(read)),
             Err(fault) if self.file.ends_with(&fault) => Err(Fault::from(fault).of(&self.path)),
             Err(fault) => Ok(Err(LeftOut {
-                demo: demo.name.clone(),
+                demo: demo.to_owned(),
                 why: fault.to_string(),
             })),
         }
+    }
+
+    /// Adds what there is to say of the file to what is known of it.
+    ///
+    /// # Errors
+    /// A file that cannot be read without the HDF5 library.
+    pub(super) fn describe(&self, info: Info) -> Result<Info, IngestError> {
+        let features = match self.skipped(|_| false) {
+            Err(fault @ Hdf5Fault::NeedsLibrary) => return Err(Fault::from(fault).of(&self.path)),
+            // What is wrong with a demonstration is told when it is read.
+            features => features.unwrap_or_default(),
+        };
+        Ok(Info {
+            format: match self.layout {
+                Layout::Observed => "hdf5, robomimic",
+                Layout::Raw => "hdf5, robosuite raw",
+            }
+            .to_owned(),
+            features,
+            demonstrations: self.found,
+            filter_keys: self.filter_keys.iter().cloned().collect(),
+            ..info
+        })
     }
 
     /// A warning where the attribute `total` of `/data` is not the number of frames of all demonstrations. Nothing reads it,
@@ -293,8 +308,8 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// A file that cannot be read without the HDF5 library.
-    pub fn total_warning(&self, frames: u64) -> Result<Option<Warning>, IngestError> {
-        if !self.all {
+    pub(super) fn total_warning(&self, frames: u64) -> Result<Option<Warning>, IngestError> {
+        if self.demos.len() < self.found {
             return Ok(None);
         }
         let total = match self.file.count("data", "total") {
@@ -311,7 +326,7 @@ impl RobomimicReader {
             Ok(_) => return Ok(None),
             Err(why) => format!("{why}; it is not used"),
         };
-        Ok(Some(warning(WarningCode::StaleTotal, message, 1)))
+        Ok(Some(Warning::new(WarningCode::StaleTotal, message, 1)))
     }
 
     /// Datasets of the first demonstration that are not ingested, groups with the number of their members.
@@ -368,237 +383,4 @@ fn models_of(file: &File, demos: &[DemoName]) -> Result<BTreeSet<String>, Hdf5Fa
         }
     }
     Ok(names)
-}
-
-pub(super) fn warning(code: WarningCode, message: String, count: usize) -> Warning {
-    Warning {
-        code,
-        message,
-        episode: None,
-        frame: None,
-        count: count as u64,
-    }
-}
-
-/// Names of the groups below `/data` that are demonstrations, and a warning of what stands beside them.
-fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>), Hdf5Fault> {
-    let names = file.members_or_none("data")?;
-    if let Some(name) = names
-        .iter()
-        .find(|name| name.len() > LONGEST_NAME || name.chars().any(char::is_control))
-    {
-        let start: String = name.chars().take(40).collect();
-        return Err(Hdf5Fault::Other(format!(
-            "a group below /data has the name {start:?}, {} bytes long; rename it to one of at most {LONGEST_NAME} bytes without control characters, such as demo_0",
-            name.len()
-        )));
-    }
-    let mut demos = Vec::new();
-    let mut others = Vec::new();
-    for name in names {
-        let path = format!("data/{name}");
-        // What the others look like is not asked before the first one is read.
-        if file.is_cautious() && is_numbered(&name) {
-            demos.push(name);
-            continue;
-        }
-        let is_group = match file.kind(&path)? {
-            Kind::Group => true,
-            Kind::Dataset => false,
-            // A link that leads nowhere is a demonstration that is lost, where it has the name of one.
-            Kind::Other => is_numbered(&name),
-        };
-        // A group that holds nothing of a demonstration is one all the same where it has the name of one: its data is lost.
-        let has_actions = || Ok::<_, Hdf5Fault>(is_numbered(&name) || file.exists(&format!("{path}/actions"))?);
-        if is_group && has_actions()? {
-            demos.push(name);
-        } else {
-            others.push(name);
-        }
-    }
-    if demos.is_empty() {
-        return Err(Hdf5Fault::NoData);
-    }
-    let mut warnings = Vec::new();
-    if !others.is_empty() {
-        let message = format!(
-            "not read, since they are no demonstrations: {}",
-            listed(&others, "/data/")
-        );
-        warnings.push(warning(WarningCode::SkippedMembers, message, others.len()));
-    }
-    Ok((demos, warnings))
-}
-
-/// Whether a name ends in a number, as those of demonstrations do.
-fn is_numbered(name: &str) -> bool {
-    name.ends_with(|last: char| last.is_ascii_digit())
-}
-
-/// Some of many names.
-pub(super) fn listed(names: &[String], prefix: &str) -> String {
-    const SHOWN: usize = 8;
-    let shown: Vec<String> = names.iter().take(SHOWN).map(|name| format!("{prefix}{name}")).collect();
-    match names.len().checked_sub(SHOWN) {
-        Some(more) if more > 0 => format!("{} and {more} more", shown.join(", ")),
-        _ => shown.join(", "),
-    }
-}
-
-/// Notes with each demonstration which filter keys list it. What is wrong with a filter key that is not asked for is a warning.
-fn mark_filter_keys(
-    file: &File,
-    choice: &DemoChoice,
-    demos: &mut [DemoName],
-    warnings: &mut Vec<Warning>,
-) -> Result<(), Hdf5Fault> {
-    let keys = match (file.members_or_none("mask"), &choice.filter) {
-        (Ok(keys), _) => keys,
-        (Err(fault), None) if !file.ends_with(&fault) => {
-            let message = format!("{fault}; no filter key is read");
-            warnings.push(warning(WarningCode::SkippedFilterKeys, message, 1));
-            return Ok(());
-        }
-        (Err(fault), _) => return Err(fault),
-    };
-    let mut unread = Vec::new();
-    for key in &keys {
-        let asked_for = choice.filter.as_ref() == Some(key);
-        let listed = match file.names(&format!("mask/{key}")) {
-            Ok(listed) => listed,
-            Err(fault) if asked_for || file.ends_with(&fault) => return Err(fault),
-            Err(_) => {
-                unread.push(key.clone());
-                continue;
-            }
-        };
-        if let Some(name) = listed
-            .iter()
-            .find(|name| asked_for && demos.iter().all(|demo| demo.name != **name))
-        {
-            return Err(Hdf5Fault::FilterNames {
-                filter: key.clone(),
-                demo: name.clone(),
-            });
-        }
-        let listed: BTreeSet<String> = listed.into_iter().collect();
-        for demo in demos.iter_mut().filter(|demo| listed.contains(&demo.name)) {
-            demo.filter_keys.push(key.clone());
-        }
-    }
-    if !unread.is_empty() {
-        let message = format!(
-            "not read, since they hold no list of demonstrations: {}; correct them before you use one as ingest.filter",
-            listed(&unread, "/mask/")
-        );
-        warnings.push(warning(WarningCode::SkippedFilterKeys, message, unread.len()));
-    }
-    match &choice.filter {
-        Some(filter) if !keys.contains(filter) => Err(Hdf5Fault::UnknownFilter {
-            filter: filter.clone(),
-            known: keys,
-        }),
-        _ => Ok(()),
-    }
-}
-
-/// The demonstrations that a choice takes.
-fn chosen(demos: &[DemoName], choice: &DemoChoice) -> Result<Vec<DemoName>, SelectionError> {
-    let names: Vec<SourceName> = demos.iter().map(|demo| SourceName::new(&demo.name)).collect();
-    let listed = |place: usize| match &choice.filter {
-        Some(filter) => demos[place].filter_keys.contains(filter),
-        None => true,
-    };
-    let places = choice.select.resolve_among(&names, &listed)?;
-    Ok(places.into_iter().map(|place| demos[place].clone()).collect())
-}
-
-/// Demonstrations in the order of [`SourceName`].
-fn numbered(names: Vec<String>) -> Vec<DemoName> {
-    let mut names: Vec<SourceName> = names.into_iter().map(SourceName::new).collect();
-    names.sort_unstable();
-    let own = |place: usize| Some(names.get(place)?.number()).flatten();
-    // In this order, those of the same number are neighbours.
-    let shared = |place: usize, number: u64| {
-        let before = place.checked_sub(1).and_then(own);
-        before == Some(number) || own(place + 1) == Some(number)
-    };
-    let numbers: Vec<Option<u32>> = (0..names.len())
-        .map(|place| {
-            let number = own(place).filter(|number| !shared(place, *number))?;
-            u32::try_from(number).ok()
-        })
-        .collect();
-    names
-        .iter()
-        .zip(numbers)
-        .map(|(name, number)| DemoName {
-            name: name.to_string(),
-            number,
-            filter_keys: Vec::new(),
-        })
-        .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn demonstrations_come_in_the_order_of_their_own_numbers() {
-        let names = [
-            "demo_0",
-            "demo_1",
-            "demo_10",
-            "demo_2",
-            "extra",
-            "demo_03",
-            "b_1",
-            "demo4294967296",
-            "demo11",
-        ];
-        let numbered = numbered(names.map(str::to_owned).to_vec());
-        let names: Vec<(&str, Option<u32>)> = numbered.iter().map(|demo| (demo.name.as_str(), demo.number)).collect();
-        let expected = [
-            ("demo_0", Some(0)),
-            ("b_1", None),
-            ("demo_1", None),
-            ("demo_2", Some(2)),
-            ("demo_03", Some(3)),
-            ("demo_10", Some(10)),
-            ("demo11", Some(11)),
-            ("demo4294967296", None),
-            ("extra", None),
-        ];
-        assert_eq!(names, expected);
-    }
-
-    #[test]
-    fn a_selection_is_by_own_numbers_among_what_the_filter_lists() {
-        let mut demos = numbered([0, 1, 3, 4, 6].map(|number| format!("demo_{number}")).to_vec());
-        for demo in demos.iter_mut().filter(|demo| demo.number != Some(4)) {
-            demo.filter_keys.push("train".to_owned());
-        }
-        let take = |filter: Option<&str>, select: Selection| {
-            let filter = filter.map(str::to_owned);
-            let chosen = chosen(
-                &demos,
-                &DemoChoice {
-                    filter,
-                    select,
-                    cautious: false,
-                },
-            )
-            .map_err(|error| error.to_string())?;
-            Ok(chosen.into_iter().map(|demo| demo.name).collect::<Vec<_>>().join(" "))
-        };
-        let three = || Selection::List(vec![3.into()]);
-        let four = || Selection::List(vec![4.into()]);
-        assert_eq!(take(None, three()), Ok("demo_3".to_owned()));
-        assert_eq!(take(Some("train"), three()), Ok("demo_3".to_owned()));
-        assert_eq!(take(Some("train"), Selection::Last(2)), Ok("demo_3 demo_6".to_owned()));
-        assert_eq!(take(None, four()), Ok("demo_4".to_owned()));
-        let refused: Result<String, String> = take(Some("train"), four());
-        assert!(refused.unwrap_err().contains("the filter key does not list demo_4"));
-    }
 }

@@ -1,5 +1,6 @@
 //! What is said of a file as a whole: warnings, errors of converted actions.
 
+use re4_stats::{nearest_rank, sorted};
 use serde::Serialize;
 
 use super::fault::Hdf5Fault;
@@ -37,6 +38,14 @@ impl Comparison {
         RobomimicReader::open(sources, &DemoChoice::default(), access).map(|reader| Self { reader })
     }
 
+    /// Whether its files are still what they were when they were opened.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub(super) fn unchanged(&self) -> Result<(), IngestError> {
+        self.reader.sources().unchanged()
+    }
+
     /// Actions of the demonstration of this name and length; none where there is no such demonstration.
     ///
     /// # Errors
@@ -72,10 +81,8 @@ impl GoalErrors {
     /// The distribution; none of no steps.
     pub fn of(errors: &[(f64, f64)]) -> Option<Self> {
         let quantiles = |value: fn(&(f64, f64)) -> f64| {
-            let mut values: Vec<f64> = errors.iter().map(value).collect();
-            values.sort_unstable_by(f64::total_cmp);
-            let rank = |share: f64| ((share * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1;
-            [0.5, 0.9, 0.99, 1.0].map(|share| values[rank(share)])
+            let values = sorted(errors.iter().map(value));
+            [0.5, 0.9, 0.99, 1.0].map(|share| nearest_rank(&values, share).unwrap_or(f64::NAN))
         };
         (!errors.is_empty()).then(|| Self {
             steps: errors.len() as u64,
@@ -90,19 +97,14 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// Groups that cannot be read.
-    pub fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
+    pub(super) fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
         let taken = |name: &str| {
             let camera = name.strip_prefix("obs/").and_then(|name| name.strip_suffix("_image"));
             TAKEN.contains(&name) || camera.is_some_and(|camera| cameras.iter().any(|taken| taken == camera))
         };
         let skipped = self.skipped(taken).map_err(|fault| Fault::from(fault).of(&self.path))?;
-        Ok((!skipped.is_empty()).then(|| Warning {
-            code: WarningCode::SkippedDatasets,
-            message: format!("not ingested: {}", skipped.join(", ")),
-            episode: None,
-            frame: None,
-            count: skipped.len() as u64,
-        }))
+        let message = format!("not ingested: {}", skipped.join(", "));
+        Ok((!skipped.is_empty()).then(|| Warning::new(WarningCode::SkippedDatasets, message, skipped.len())))
     }
 }
 

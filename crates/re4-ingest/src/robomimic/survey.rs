@@ -3,7 +3,9 @@
 use super::demo::OBSERVATIONS;
 use super::fault::Hdf5Fault;
 use super::file::File;
-use super::reader::{DemoName, Layout, listed, warning};
+use super::names::listed;
+use super::reader::Layout;
+use crate::demos::DemoName;
 use crate::warning::{Warning, WarningCode};
 
 /// What a demonstration has of observations.
@@ -109,7 +111,7 @@ impl Survey {
             listed(&unused, ""),
             lacking.unwrap_or_default()
         );
-        Some(warning(WarningCode::UnusedObservations, message, unused.len()))
+        Some(Warning::new(WarningCode::UnusedObservations, message, unused.len()))
     }
 }
 

@@ -2,18 +2,21 @@
 
 use anyhow::{Context as _, Result, ensure};
 use arrow::record_batch::RecordBatch;
+use re4_artifact::Row as _;
 use re4_artifact::{
     Artifact, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
 };
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_geometry::{Point2, Pose2};
 use re4_report::html::audit::{
     Audit, Check, Contacts, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
 };
+use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
 use crate::arguments::StageArguments;
 use crate::console::Console;
 use crate::output::Output;
-use re4_stages::TaskName;
+use re4_stages::Task;
 use re4_stages::{Built, Runner};
 
 /// A page beyond this many bytes takes a while to open, which is said.
@@ -22,7 +25,7 @@ const LARGE_PAGE: usize = 12_000_000;
 /// The artifacts that a page is made of.
 pub(crate) struct Sources<'a> {
     /// Task of the pipeline.
-    pub(crate) task: TaskName,
+    pub(crate) task: Task,
     /// The dataset as the pipeline names it.
     pub(crate) dataset: String,
     /// The command that makes the page, without the page's own place.
@@ -100,12 +103,12 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
     Ok(Audit {
         tool_version: env!("CARGO_PKG_VERSION").to_owned(),
         dataset: sources.dataset.clone(),
-        task: task_words(sources.task).to_owned(),
+        task: sources.task.environment().to_owned(),
         command: sources.command.clone(),
         artifacts: [sources.audit, sources.modes, sources.episodes]
             .map(|artifact| (artifact.manifest().artifact.clone(), artifact.key().to_string()))
             .to_vec(),
-        frame_seconds: if planar { 0.1 } else { 0.05 },
+        frame_seconds: 1.0 / sources.task.control_rate() as f64,
         length: if planar {
             measure("px", 1.0)
         } else {
@@ -132,16 +135,6 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
     })
 }
 
-fn task_words(task: TaskName) -> &'static str {
-    match task {
-        TaskName::PushT => "Push-T",
-        TaskName::Lift => "Lift",
-        TaskName::Can => "PickPlaceCan",
-        TaskName::Square => "NutAssemblySquare",
-        TaskName::Robosuite => "robosuite",
-    }
-}
-
 fn measure(unit: &str, factor: f64) -> Measure {
     Measure {
         unit: unit.to_owned(),
@@ -165,7 +158,7 @@ impl Places {
                 "cannot make a page of {}: table {} names episode {episode}, which table {} lacks; run the audit again",
                 artifact.path().display(),
                 table.name,
-                tables::AUDITED_EPISODES.name
+                AuditedEpisodeRow::table().name
             )
         })
     }
@@ -189,7 +182,7 @@ fn severity(word: &str, artifact: &Artifact) -> Result<Severity> {
 }
 
 fn demos(audit: &Artifact) -> Result<Vec<Demo>> {
-    let rows = audit.table(&tables::AUDITED_EPISODES)?.read_all()?;
+    let rows = audit.table(AuditedEpisodeRow::table())?.read_all()?;
     let names = texts(&rows, "demo")?;
     let count = |name| col_u32(&rows, name);
     let (number, frames) = (count("episode")?, count("frames")?);
@@ -219,7 +212,7 @@ fn demos(audit: &Artifact) -> Result<Vec<Demo>> {
 }
 
 fn checks(audit: &Artifact) -> Result<Vec<Check>> {
-    let rows = audit.table(&tables::CHECKS)?.read_all()?;
+    let rows = audit.table(CheckRow::table())?.read_all()?;
     let (code, word) = (texts(&rows, "code")?, texts(&rows, "severity")?);
     let (meaning, measure) = (texts(&rows, "meaning")?, texts(&rows, "measure")?);
     let (unit, origin, derivation) = (
@@ -248,7 +241,7 @@ fn checks(audit: &Artifact) -> Result<Vec<Check>> {
 }
 
 fn findings(audit: &Artifact, places: &Places) -> Result<Vec<Finding>> {
-    let rows = audit.table(&tables::FINDINGS)?.read_all()?;
+    let rows = audit.table(FindingRow::table())?.read_all()?;
     let (word, code) = (texts(&rows, "severity")?, texts(&rows, "code")?);
     let (unit, message) = (texts(&rows, "unit")?, texts(&rows, "message")?);
     let (value, threshold) = (col_f64_or_null(&rows, "value")?, col_f64_or_null(&rows, "threshold")?);
@@ -260,7 +253,7 @@ fn findings(audit: &Artifact, places: &Places) -> Result<Vec<Finding>> {
             Ok(Finding {
                 severity: severity(&word[i], audit)?,
                 code: code[i].clone(),
-                demo: places.of(audit, &tables::FINDINGS, episode)?,
+                demo: places.of(audit, FindingRow::table(), episode)?,
                 first_frame: first[i],
                 end_frame: end[i],
                 value: value[i],
@@ -274,9 +267,9 @@ fn findings(audit: &Artifact, places: &Places) -> Result<Vec<Finding>> {
 
 fn segments(modes: &Artifact, planar: bool, places: &Places) -> Result<Vec<Segment>> {
     let spec = if planar {
-        &tables::SEGMENTS
+        SegmentRow::<SegmentFacts>::table()
     } else {
-        &tables::SPATIAL_SEGMENTS
+        SegmentRow::<SpatialSegment>::table()
     };
     let rows = modes.table(spec)?.read_all()?;
     let mode = texts(&rows, "mode")?;
@@ -323,7 +316,7 @@ fn segments(modes: &Artifact, planar: bool, places: &Places) -> Result<Vec<Segme
 }
 
 fn grasps(audit: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
-    let rows = audit.table(&tables::GRASPS)?.read_all()?;
+    let rows = audit.table(GraspRow::table())?.read_all()?;
     let outcome = texts(&rows, "outcome")?;
     let (segment, first, end) = (
         col_u32(&rows, "segment")?,
@@ -340,7 +333,7 @@ fn grasps(audit: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
         .enumerate()
         .map(|(i, &episode)| {
             Ok(Grasp {
-                demo: places.of(audit, &tables::GRASPS, episode)?,
+                demo: places.of(audit, GraspRow::table(), episode)?,
                 segment: segment[i],
                 first_frame: first[i],
                 end_frame: end[i],
@@ -360,7 +353,7 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], p
         values.push(col_f64(&rows, column)?);
     }
     let listed = modes
-        .table(&tables::MODES)?
+        .table(ModeRow::<Evidence>::table())?
         .read_columns(&["episode", "frame", "contact"])?;
     let (episode, frame) = (col_u32(&listed, "episode")?, col_u32(&listed, "frame")?);
     let contact: Vec<Option<bool>> = col_bool(&listed, "contact")?.iter().collect();
@@ -373,7 +366,7 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], p
         let length = (row..listed.num_rows())
             .take_while(|&later| episode[later] == episode[row] && touching(later))
             .count() as u32;
-        let demo = places.of(modes, &tables::MODES, episode[row])?;
+        let demo = places.of(modes, ModeRow::<Evidence>::table(), episode[row])?;
         let [x, y, object_x, object_y, theta] = std::array::from_fn(|column| values[column][row]);
         let seen = Pose2::new(object_x, object_y, theta).inverse_transform_point(Point2::new(x, y));
         begins.push(Grasp {
@@ -466,7 +459,7 @@ fn degrees() -> f64 {
 }
 
 fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>, Vec<Panel>)> {
-    let rows = modes.table(&tables::SPATIAL_MODES)?.read_all()?;
+    let rows = modes.table(ModeRow::<SpatialEvidence>::table())?.read_all()?;
     let recorded = episodes
         .table(&tables::SPATIAL_FRAMES)?
         .read_columns(&["eef_z", "object_z"])?;
@@ -511,7 +504,7 @@ fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>,
 }
 
 fn planar_evidence(modes: &Artifact) -> Result<(Vec<Flag>, Vec<Panel>)> {
-    let rows = modes.table(&tables::MODES)?.read_all()?;
+    let rows = modes.table(ModeRow::<Evidence>::table())?.read_all()?;
     let flags = vec![
         flag(&rows, "contact", "in contact")?,
         flag(&rows, "object_moving", "object moves")?,

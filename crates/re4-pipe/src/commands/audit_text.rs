@@ -3,7 +3,9 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, col_f64_or_null, col_text, col_u32};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow};
 use serde_json::{Value, json};
 
 /// Findings of one kind that are printed one by one.
@@ -48,9 +50,9 @@ const SEVERITIES: [&str; 3] = ["error", "warning", "note"];
 impl Told {
     /// Reads an `audit` artifact.
     pub(crate) fn read(artifact: &Artifact) -> Result<Self> {
-        let rows = artifact.table(&tables::AUDITED_EPISODES)?.read_all()?;
+        let rows = artifact.table(AuditedEpisodeRow::table())?.read_all()?;
         let demos: Vec<String> = words(col_text(&rows, "demo")?);
-        let rows = artifact.table(&tables::CHECKS)?.read_all()?;
+        let rows = artifact.table(CheckRow::table())?.read_all()?;
         let text = |name| Ok::<_, anyhow::Error>(words(col_text(&rows, name)?));
         let (codes, severities) = (text("code")?, text("severity")?);
         let (meanings, measures) = (text("meaning")?, text("measure")?);
@@ -71,7 +73,7 @@ impl Told {
                 episodes: episodes[i],
             })
             .collect();
-        let rows = artifact.table(&tables::FINDINGS)?.read_all()?;
+        let rows = artifact.table(FindingRow::table())?.read_all()?;
         let text = |name| Ok::<_, anyhow::Error>(words(col_text(&rows, name)?));
         let (codes, severities) = (text("code")?, text("severity")?);
         let (units, messages) = (text("unit")?, text("message")?);

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use arrow::array::RecordBatch;
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, ArtifactError, Stage, col_f64, col_f64_list, col_text, col_u32, tables};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
@@ -230,7 +231,7 @@ impl Demos {
         let index = Artifact::open(&folder)?;
         index.verify_bytes()?;
         let table = index
-            .table(&tables::INDEX)?
+            .table(re4_index::IndexRow::<re4_index::PlanarState>::table())?
             .read_columns(&["episode", "frame", "eef_x", "eef_y"])?;
         let read = || -> Result<Self, ArtifactError> {
             let (episodes, frames) = (col_u32(&table, "episode")?, col_u32(&table, "frame")?);

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use anyhow::{Context as _, Result};
 use arrow::util::pretty::pretty_format_batches;
 use re4_artifact::{Artifact, Table, json_description, tables};
+use re4_fault::{ensure, fault};
 use re4_report::{RolloutPicture, rollout_picture};
 use serde_json::{Value, json};
 
@@ -39,7 +40,9 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
             "\ntable {name} (version {}): {} rows, {} bytes",
             facts.schema_version, facts.rows, facts.bytes
         )?;
-        let Some(spec) = tables::find(name) else { continue };
+        let Some(spec) = re4_stages::tables::described(&artifact, name) else {
+            continue;
+        };
         writeln!(text, "  {}", spec.description)?;
         for column in spec.columns_at(facts.schema_version) {
             let unit = match (column.unit, column.frame) {
@@ -80,14 +83,15 @@ fn first_rows(table: &Table, count: usize) -> Result<String> {
 fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
     use re4_artifact::{col_f64, col_f64_list, col_text, col_u32};
     let missing = || {
-        format!(
-            "cannot draw seed {seed}: the artifact {} has no such rollout; give one of its seeds",
-            artifact.path().display()
+        fault!(
+            "cannot draw seed {seed}: the artifact {} has no such rollout", artifact.path().display();
+            "give one of its seeds"
         )
     };
-    anyhow::ensure!(
+    ensure!(
         !artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name),
-        "cannot draw seed {seed}: --picture draws Push-T's rollouts; for those of robosuite's tasks use re4-pipe report or re4-pipe film"
+        "cannot draw seed {seed}: --picture draws Push-T's rollouts";
+        "for those of robosuite's tasks use re4-pipe report or re4-pipe film"
     );
     let results = artifact.table(&tables::RESULTS)?.read_all()?;
     let row = col_u32(&results, "seed")?

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use re4_artifact::{Artifact, Key, MANIFEST_NAME, Stage, col_f64, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, Key, MANIFEST_NAME, Stage, col_f64, col_u32};
 use re4_report::html::spatial::{SpatialReport, SpatialRollouts, spatial_page};
 use re4_report::html::{Demonstration, Report, Rollouts, World, page};
 use serde_json::json;
@@ -332,7 +333,7 @@ fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
 /// The frames of the demonstrations that are referred to.
 fn read_demonstrations(index: &Artifact, needed: &BTreeSet<u32>) -> Result<BTreeMap<u32, Demonstration>> {
     let columns = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
-    let table = index.table(&tables::INDEX)?;
+    let table = index.table(re4_index::IndexRow::<re4_index::PlanarState>::table())?;
     let rows = table.read_columns(&[&["episode"], &columns[..]].concat())?;
     let mut values = Vec::with_capacity(columns.len());
     for column in columns {

@@ -24,8 +24,7 @@ pub struct SpatialDemoFrame {
 }
 
 impl SpatialDemoFrame {
-    /// Takes a recorded frame, whose end effector must be the grip site, in orientation, too, and whose absolute action is
-    /// position and rotation vector of the grip site's goal.
+    /// Takes a recorded frame, whose absolute action is position and rotation vector of the grip site's goal.
     pub fn new(frame: &SpatialFrame, mode: Mode) -> Self {
         let [x, y, z, rx, ry, rz] = frame.goal;
         let rotation = rotation_from_vector(Vector3::new(rx, ry, rz));
@@ -33,11 +32,7 @@ impl SpatialDemoFrame {
             eef: frame.eef,
             object: frame.object,
             goal: Isometry3::from_parts(Translation3::new(x, y, z), rotation),
-            gripper: if frame.closes {
-                frame.gripper.abs()
-            } else {
-                -frame.gripper.abs()
-            },
+            gripper: frame.gripper,
             mode,
         }
     }

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{SymmetryGroup, pose_between, pose_distance};
+use re4_stats::upper_median;
 
 use crate::spatial::config::PoseFilterConfig;
 
@@ -137,10 +138,9 @@ impl ObjectEstimate {
             return None;
         }
         let deviation = |of: fn(&(f64, f64)) -> f64| {
-            let mut squares: Vec<f64> = self.differences.iter().map(of).collect();
-            squares.sort_by(f64::total_cmp);
-            (squares[squares.len() / 2] / (2.0 * MEDIAN_CHI_SQUARED_3)).sqrt()
+            let square = upper_median(self.differences.iter().map(of))?;
+            Some((square / (2.0 * MEDIAN_CHI_SQUARED_3)).sqrt())
         };
-        Some((deviation(|d| d.0), deviation(|d| d.1)))
+        Some((deviation(|d| d.0)?, deviation(|d| d.1)?))
     }
 }

@@ -6,15 +6,15 @@ use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{is_sound, pose_distance, step_toward};
 use re4_index::{IndexError, SpatialDistances, SpatialQuery};
+use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space};
 
-use crate::PolicyError;
+use crate::LookupError;
 use crate::spatial::bans::Bans;
 use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConfig, WhileHeld};
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
 use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
-use crate::spatial::{SpatialAct, SpatialAction, SpatialBody, SpatialObservation, SpatialPhase, SpatialPolicy};
 
 /// Command that opens the gripper.
 const OPEN: f64 = -1.0;
@@ -85,13 +85,8 @@ struct Followed {
     next: Option<u32>,
 }
 
-/// Where the object's pose of a step comes from.
-enum Sight<'a> {
-    /// It was asked for.
-    Look(&'a mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>),
-    /// It is known.
-    Done,
-}
+/// Who can still be asked for the object's pose at a step; nobody once it is known.
+type Sight<'a> = Option<&'a mut dyn Senses<Space>>;
 
 /// What is seen at a step, with the estimate of the object's pose.
 #[derive(Clone, Copy)]
@@ -109,13 +104,12 @@ impl Seen {
 
     /// Looks, unless the object's pose was told.
     fn look(&mut self, sight: &mut Sight<'_>, estimate: &mut ObjectEstimate) -> Result<(), PolicyError> {
-        if let Sight::Look(look) = sight {
-            let object = look()?;
+        if let Some(senses) = sight.take() {
+            let object = senses.object()?;
             if !is_sound(&object) {
-                return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
+                return Err(nowhere());
             }
             self.object = estimate.observe(self.mode, &self.eef, &object);
-            *sight = Sight::Done;
         }
         Ok(())
     }
@@ -160,44 +154,58 @@ impl SpatialRe4 {
     }
 }
 
-impl SpatialPolicy for SpatialRe4 {
-    fn act(&mut self, observation: &SpatialObservation) -> Result<SpatialAct, PolicyError> {
-        let (eef, fingers) = (observation.eef, observation.fingers);
-        Self::feel(&SpatialBody { eef, fingers })?;
-        if !is_sound(&observation.object) {
-            return Err(PolicyError::Retrieve(IndexError::QueryNotFinite));
+/// Starts [`SpatialRe4`].
+pub struct SpatialRe4Factory {
+    /// Its settings.
+    pub config: SpatialPolicyConfig,
+    /// What it knows.
+    pub knowledge: Arc<SpatialKnowledge>,
+}
+
+impl PolicyFactory<Space> for SpatialRe4Factory {
+    type Policy = SpatialRe4;
+
+    fn start(&self, _: u32, first: &ArmState) -> SpatialRe4 {
+        SpatialRe4::new(self.config.clone(), Arc::clone(&self.knowledge), first.eef)
+    }
+}
+
+/// A pose that is nowhere.
+fn nowhere() -> PolicyError {
+    LookupError::Retrieve(IndexError::QueryNotFinite).into()
+}
+
+impl Policy<Space> for SpatialRe4 {
+    type Decision = SpatialDecision;
+
+    /// Where the object's pose is told at every step, every one is taken; else it is asked for where the policy chooses what to
+    /// do next, once a step at the most, and not at other steps.
+    fn act(&mut self, senses: &mut dyn Senses<Space>) -> Result<Act<Space, SpatialDecision>, PolicyError> {
+        let body = senses.proprio();
+        if !is_sound(&body.eef) || body.fingers.iter().any(|f| !f.is_finite()) {
+            return Err(nowhere());
         }
         let mode = self.mode();
-        let seen = Seen {
-            mode,
-            eef,
-            object: self.estimate.observe(mode, &eef, &observation.object),
-            fingers,
-        };
-        self.step(seen, Sight::Done)
-    }
-
-    fn act_looking(
-        &mut self,
-        body: &SpatialBody,
-        look: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
-    ) -> Result<SpatialAct, PolicyError> {
-        Self::feel(body)?;
-        let mode = self.mode();
-        let carried = self.estimate.carry(mode, &body.eef);
-        let mut sight = if mode == Mode::Transfer && carried.is_some() && self.config.reframe.held == WhileHeld::Carried
-        {
-            Sight::Done
-        } else {
-            Sight::Look(look)
-        };
         let mut seen = Seen {
             mode,
             eef: body.eef,
-            object: carried.unwrap_or_default(),
+            object: Isometry3::identity(),
             fingers: body.fingers,
         };
-        if carried.is_none() {
+        let mut at_once = senses.tells_object();
+        let mut sight: Sight<'_> = Some(senses);
+        if !at_once {
+            match self.estimate.carry(mode, &body.eef) {
+                Some(carried) => {
+                    seen.object = carried;
+                    if mode == Mode::Transfer && self.config.reframe.held == WhileHeld::Carried {
+                        sight = None;
+                    }
+                }
+                None => at_once = true,
+            }
+        }
+        if at_once {
             seen.look(&mut sight, &mut self.estimate)?;
         }
         self.step(seen, sight)
@@ -205,15 +213,6 @@ impl SpatialPolicy for SpatialRe4 {
 }
 
 impl SpatialRe4 {
-    /// Refuses a body that is nowhere.
-    fn feel(body: &SpatialBody) -> Result<(), PolicyError> {
-        if is_sound(&body.eef) && body.fingers.iter().all(|f| f.is_finite()) {
-            Ok(())
-        } else {
-            Err(PolicyError::Retrieve(IndexError::QueryNotFinite))
-        }
-    }
-
     fn mode(&self) -> Mode {
         if self.gripper > 0.0 {
             Mode::Transfer
@@ -223,7 +222,7 @@ impl SpatialRe4 {
     }
 
     /// One control step.
-    fn step(&mut self, mut seen: Seen, mut sight: Sight<'_>) -> Result<SpatialAct, PolicyError> {
+    fn step(&mut self, mut seen: Seen, mut sight: Sight<'_>) -> Result<Act<Space, SpatialDecision>, PolicyError> {
         let mut decision = None;
         if self.config.recovery.check == GraspCheck::Step && self.grasp_is_lost(&seen) {
             decision = Some(self.give_the_grasp_up(&seen));
@@ -237,7 +236,7 @@ impl SpatialRe4 {
                     let arrived = taken > 0 && self.is_at(&seen.eef, &self.home);
                     if !arrived && taken < self.config.recovery.home_steps.max(1) {
                         self.doing = Doing::Home { taken: taken + 1 };
-                        break (self.toward(&seen.eef, &self.home, OPEN), SpatialPhase::Home);
+                        break (self.toward(&seen.eef, &self.home, OPEN), Phase::Home);
                     }
                 }
                 Doing::Chunk(chunk) => {
@@ -258,11 +257,11 @@ impl SpatialRe4 {
         self.gripper = action.gripper;
         self.separation = Some(seen.separation());
         self.step += 1;
-        Ok(SpatialAct {
+        Ok(Act {
             action,
             phase,
             decision,
-            object: seen.object,
+            object: Some(seen.object),
         })
     }
 
@@ -272,7 +271,7 @@ impl SpatialRe4 {
         &mut self,
         mut chunk: Box<Chunk>,
         seen: &Seen,
-    ) -> Result<(Option<(SpatialAction, SpatialPhase)>, Option<SpatialDecision>), PolicyError> {
+    ) -> Result<(Option<(ArmAction, Phase)>, Option<SpatialDecision>), LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let frames = frames_of(&knowledge, chunk.demo, chunk.start)?;
         chunk.measured |= chunk.mode != seen.mode;
@@ -286,7 +285,7 @@ impl SpatialRe4 {
                 let gripper = if chunk.mode == Mode::Transfer { CLOSE } else { OPEN };
                 let action = self.toward(&seen.eef, &chunk.carry.near, gripper);
                 self.doing = Doing::Chunk(chunk);
-                return Ok((Some((action, SpatialPhase::Bridge)), None));
+                return Ok((Some((action, Phase::Bridge)), None));
             }
             chunk.bridge = None;
             if self.grasp_is_lost(seen) {
@@ -305,7 +304,7 @@ impl SpatialRe4 {
             return Ok((None, None));
         }
         let frame = &frames[chunk.next];
-        let action = SpatialAction {
+        let action = ArmAction {
             goal: chunk.carry.goal(&frame.goal),
             gripper: frame.gripper,
         };
@@ -314,7 +313,7 @@ impl SpatialRe4 {
         }
         chunk.next += 1;
         self.doing = Doing::Chunk(chunk);
-        Ok((Some((action, SpatialPhase::Replay)), None))
+        Ok((Some((action, Phase::Replay)), None))
     }
 
     /// Measures anew how the chunk is carried. The object's pose is taken in that of its like ones that is nearest to the one
@@ -351,9 +350,9 @@ impl SpatialRe4 {
     }
 
     /// One step of the servo that bridges and goes home.
-    fn toward(&self, eef: &Isometry3<f64>, goal: &Isometry3<f64>, gripper: f64) -> SpatialAction {
+    fn toward(&self, eef: &Isometry3<f64>, goal: &Isometry3<f64>, gripper: f64) -> ArmAction {
         let replan = &self.config.replan;
-        SpatialAction {
+        ArmAction {
             goal: step_toward(eef, goal, replan.lead_translation, replan.lead_rotation),
             gripper,
         }
@@ -440,17 +439,17 @@ impl SpatialRe4 {
             self.ban(demo);
         };
         self.followed = None;
-        self.start(seen, kind, (demo, frame as usize), distances)
+        Ok(self.start(seen, kind, (demo, frame as usize), distances)?)
     }
 
     /// The frame to go on from: the retrieved one, or the next of the demonstration followed, where that is nearly as near.
-    fn retrieve(&self, seen: &Seen) -> Result<(SpatialDecisionKind, u32, u32, SpatialDistances), PolicyError> {
+    fn retrieve(&self, seen: &Seen) -> Result<(SpatialDecisionKind, u32, u32, SpatialDistances), LookupError> {
         let knowledge = &self.knowledge;
         let (query, stage2) = (seen.query(), self.config.retrieve.stage2);
         let found = knowledge
             .index()
             .retrieve(&query, stage2, self.bans.set())?
-            .ok_or(PolicyError::NoFrameOfMode { mode: seen.mode })?;
+            .ok_or(LookupError::NoFrameOfMode { mode: seen.mode })?;
         if let (Some(margin), Some(Followed { demo, next: Some(next) })) =
             (self.config.retrieve.commit_margin, self.followed)
             && !self.bans.set().contains(&demo)
@@ -477,7 +476,7 @@ impl SpatialRe4 {
         kind: SpatialDecisionKind,
         (demo, start): (u32, usize),
         distances: SpatialDistances,
-    ) -> Result<SpatialDecision, PolicyError> {
+    ) -> Result<SpatialDecision, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let frames = frames_of(&knowledge, demo, start)?;
         let first = &frames[start];
@@ -534,12 +533,12 @@ fn frame_of_rest(seen: &Seen) -> Isometry3<f64> {
 }
 
 /// The frames of a demonstration, which hold `frame`.
-fn frames_of(knowledge: &SpatialKnowledge, demo: u32, frame: usize) -> Result<&[SpatialDemoFrame], PolicyError> {
+fn frames_of(knowledge: &SpatialKnowledge, demo: u32, frame: usize) -> Result<&[SpatialDemoFrame], LookupError> {
     knowledge
         .demos()
         .demo(demo)
         .filter(|frames| frame < frames.len())
-        .ok_or_else(|| PolicyError::UnknownDemo {
+        .ok_or_else(|| LookupError::UnknownDemo {
             demo: knowledge.demos().names().of(demo),
             frame: frame as u32,
         })

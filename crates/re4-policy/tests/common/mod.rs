@@ -16,7 +16,8 @@ use re4_geometry::{Point2, Pose2};
 use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
-use re4_policy::{ChunkLibrary, DemoSet, Knowledge, Start, collect_chunks};
+use re4_policy::{ChunkLibrary, Decision, DemoSet, Knowledge, PolicyConfig, Re4Factory, collect_chunks};
+use re4_rollout::{Harness, Plane, PushTEnv, Rollout, RolloutError, Source, Start};
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 
 /// Chunks are at most this many frames long, as in the pipelines.
@@ -141,9 +142,30 @@ pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
 }
 
 /// The benchmark's starts of these seeds.
-pub(crate) fn starts(seeds: &[u32]) -> Vec<Start> {
+pub(crate) fn starts(seeds: &[u32]) -> Vec<Start<Plane>> {
     let start = |&seed| Start::from_seed(SeedScheme::DiffusionPolicy, ResetOrder::Legacy, seed);
     seeds.iter().map(start).collect()
+}
+
+/// Rolls RE4 out with recorded poses.
+pub(crate) fn rollouts(
+    config: &PolicyConfig,
+    knowledge: &Arc<Knowledge>,
+    starts: &[Start<Plane>],
+    max_steps: u32,
+    progress: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<Rollout<Plane, Decision>>, RolloutError> {
+    let factory = Re4Factory {
+        config: config.clone(),
+        knowledge: Arc::clone(knowledge),
+    };
+    let harness = Harness {
+        env: &|_| Ok(Box::new(PushTEnv::new()?)),
+        source: &|_| Source::Recorded,
+        max_steps,
+        progress,
+    };
+    re4_rollout::rollouts(&factory, &harness, starts)
 }
 
 /// The Push-T replay dataset, or `None` with a printed line where it is not there.

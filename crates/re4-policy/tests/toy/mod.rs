@@ -14,9 +14,13 @@ use rand_pcg::rand_core::Rng as _;
 use re4_episode::{Mode, SpatialFrame};
 use re4_geometry::spatial::{Symmetry, pose_between, pose_distance, rotation_vector, step_toward};
 use re4_policy::spatial::{
-    PoseNoise, SpatialAct, SpatialAction, SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge,
-    SpatialObservation, SpatialPhase, SpatialPolicy as _, SpatialPolicyConfig, SpatialRe4,
+    SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4,
 };
+use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy as _, PolicyError, PoseNoise, Space};
+
+use crate::shown::Shown;
+
+pub(crate) type SpatialAct = Act<Space, SpatialDecision>;
 
 pub(crate) struct Random(Pcg64);
 
@@ -95,15 +99,14 @@ impl World {
         }
     }
 
-    pub(crate) fn observe(&self) -> SpatialObservation {
-        SpatialObservation {
+    pub(crate) fn feel(&self) -> ArmState {
+        ArmState {
             eef: self.eef,
-            object: self.object,
             fingers: [0.5 * self.separation, -0.5 * self.separation],
         }
     }
 
-    pub(crate) fn step(&mut self, action: &SpatialAction) {
+    pub(crate) fn step(&mut self, action: &ArmAction) {
         // A third of the way, at most 2.5 cm and 0.25 rad a step.
         let part = pose_between(&self.eef, &action.goal, 0.33);
         self.eef = step_toward(&self.eef, &part, 0.025, 0.25);
@@ -164,7 +167,7 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
             let frame = SpatialFrame {
                 eef: world.eef,
                 object: world.object,
-                fingers: world.observe().fingers,
+                fingers: world.feel().fingers,
                 delta: [0.0; 6],
                 goal: [
                     goal.translation.x,
@@ -175,13 +178,12 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
                     v.z,
                 ],
                 gripper,
-                closes: gripper > 0.0,
                 reward: None,
             };
             let mode = if closed { Mode::Transfer } else { Mode::Transit };
             frames.push(SpatialDemoFrame::new(&frame, mode));
             closed = gripper > 0.0;
-            world.step(&SpatialAction { goal, gripper });
+            world.step(&ArmAction { goal, gripper });
         }
     };
     let w = &mut world;
@@ -231,9 +233,22 @@ impl Episode {
         self.acts.iter().filter_map(|act| act.decision.as_ref()).collect()
     }
 
-    pub(crate) fn steps(&self, phase: SpatialPhase) -> usize {
+    pub(crate) fn steps(&self, phase: Phase) -> usize {
         self.acts.iter().filter(|act| act.phase == phase).count()
     }
+}
+
+/// What a policy does that is told a pose of the object.
+pub(crate) fn told(
+    policy: &mut SpatialRe4,
+    proprio: ArmState,
+    object: Isometry3<f64>,
+) -> Result<SpatialAct, PolicyError> {
+    policy.act(&mut Shown {
+        proprio,
+        tells: true,
+        object: &mut || Ok(object),
+    })
 }
 
 /// Runs a policy until success or 400 steps; `meddle` may change the world before each.
@@ -249,11 +264,10 @@ pub(crate) fn episode(
     let mut acts: Vec<SpatialAct> = Vec::new();
     while acts.len() < 400 && !world.success() {
         meddle(acts.len(), &mut world);
-        let mut observation = world.observe();
-        if let Some(noise) = &mut noise {
-            observation.object = noise.perturb(&observation.object);
-        }
-        let act = policy.act(&observation).unwrap();
+        let object = noise
+            .as_mut()
+            .map_or(world.object, |noise| noise.perturb(&world.object));
+        let act = told(&mut policy, world.feel(), object).unwrap();
         world.step(&act.action);
         acts.push(act);
     }

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use re4_artifact::columns;
 use re4_geometry::spatial::{Symmetry, SymmetryError, SymmetryGroup, rotation_from_vector, rotation_vector};
 
 /// First guesses of the rotation; the one that most frames agree with is improved.
@@ -39,18 +40,23 @@ pub struct Offset {
     half_turns: bool,
 }
 
-/// How far an estimate is from the recorded pose, the offset taken away.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FrameError {
-    /// Distance in metres between `estimated Z C` and the recorded pose, at the origin of the recorded frame.
-    pub translation: f64,
-    /// The same at the origin of the estimated frame, that is where the gripper grasps: `recorded S C⁻¹` against `estimated`.
-    /// It differs from the other by what an error of the rotation does along the lever between the two.
-    pub translation_at_grasp: f64,
-    /// Angle in rad between the orientations, up to S and Z.
-    pub rotation: f64,
-    /// Whether Z was half a turn.
-    pub half_turn: bool,
+columns! {
+    /// How far an estimate is from the recorded pose, the offset taken away.
+    #[derive(Copy)]
+    pub struct FrameError {
+        /// Distance between estimated (estimated Z C) and recorded position, at the origin of the recorded frame.
+        #[unit = "m"]
+        pub translation: f64,
+        /// The same at the origin of the estimated frame, which is where the gripper grasps (recorded S C^-1 against estimated). It
+        /// differs from the other by what an error of the rotation does along the lever between the two.
+        #[unit = "m"]
+        pub translation_at_grasp: f64,
+        /// Angle between estimated and recorded orientation, up to S and Z.
+        #[unit = "rad"]
+        pub rotation: f64,
+        /// Whether Z was half a rotation about the axis of approach.
+        pub half_turn: bool,
+    }
 }
 
 /// Half a turn about the axis of approach.

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 
 use super::{Report, Rollouts};
-use crate::{Interval, budgets, mean, mean_interval, running_maxima};
+use re4_stats::{Interval, budgets, mean, mean_interval, running_maxima};
 
 /// Seed of the bootstrap; the same as that of the artifacts' own summaries, so that the last budget has their interval.
 const BOOTSTRAP_SEED: u64 = 0;

@@ -18,7 +18,7 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use self::common::Document;
-use crate::Interval;
+use re4_stats::Interval;
 
 /// What the page shows.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,7 +6,7 @@ use super::common::{choice, exact, plural, short};
 use super::facts::{Curve, Facts, Row};
 use super::paper::{self, Demonstrations};
 use super::{Report, Rollouts, Starts, Taken};
-use crate::Interval;
+use re4_stats::Interval;
 
 /// Distinct marks for this many artifacts; further ones repeat them.
 const MARKS: usize = 8;

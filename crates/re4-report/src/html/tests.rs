@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
 use super::*;
-use crate::mean;
+use re4_stats::mean;
 
 fn step(coverage: f64, decision: u32, replay: bool) -> StepTrace {
     StepTrace {

@@ -2,19 +2,17 @@
 
 use std::collections::HashMap;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::demo::Sound;
 use super::evidence::{Basis, Candidate, Declared, Evidence, Fit, Proof, Test, Verdict, name};
-use super::reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, GripperRange};
-use super::residuals;
+use super::reading::{ActionReading, ActionRotation, ActionScale};
 use super::response::{Line, ROTATION, Response, Sums, TRANSLATION};
-use super::{ActionKind, EefOrientation, QuaternionOrder, Settings, Unproven};
-use crate::actions::{self, Action, Osc};
+use super::{EefOrientation, QuaternionOrder, Settings, Unproven};
+use crate::actions::{Action, Osc};
 use crate::env_args::EnvArgs;
-use crate::hand_to_site;
 
 /// The controller that actions go to.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -40,7 +38,7 @@ const BEYOND: f64 = 10.0;
 /// A unit fits this many times better than another one, or the data does not tell the two apart.
 const BETTER: f64 = 2.0;
 /// Rows that a line needs.
-const ROWS: usize = 20;
+pub(super) const ROWS: usize = 20;
 /// A hand goes at most this many times as far as robosuite's controller takes it: 1.01 is the most that was seen.
 pub(super) const FURTHER: f64 = 1.6;
 /// It may be held back: 0.41 is the least that was seen, of a hand that opens a door.
@@ -63,11 +61,6 @@ const AXIS_TOLD: f64 = 0.5;
 const AXIS_GAIN: f64 = 0.05;
 /// Frames at rest under one and the same command that tell a shift.
 const RESTS: usize = 10;
-/// Goals that are on average further from where the hand goes (metres) are in another frame: friction, weight and contacts make
-/// up to 0.008.
-pub(super) const FRAME: f64 = 0.02;
-/// A frame that is clearly another one.
-const OTHER_FRAME: f64 = 3.0 * FRAME;
 
 /// Steps of the hand: translations, and rotation vectors in world axes.
 pub(super) fn steps(demo: &Sound<'_>, order: QuaternionOrder) -> Vec<[f64; 6]> {
@@ -92,19 +85,6 @@ pub(super) fn steps(demo: &Sound<'_>, order: QuaternionOrder) -> Vec<[f64; 6]> {
 /// What these actions ask for as deltas of the controller.
 pub(super) fn deltas(controls: &Controls, steps: &[[f64; 6]], actions: &[Action]) -> Sums {
     Sums::of(&controls.response, steps, |t| controls.osc.motion(&actions[t]))
-}
-
-/// What these actions ask for as goals: translations alone.
-pub(super) fn goals(response: &Response, steps: &[[f64; 6]], actions: &[Action], positions: &[[f64; 3]]) -> Sums {
-    Sums::of(response, steps, |t| {
-        let ask = actions::position(&actions[t]) - Vector3::from(positions[t]);
-        [ask.x, ask.y, ask.z, 0.0, 0.0, 0.0]
-    })
-}
-
-/// How far goals are on average beyond where the hand goes, in metres.
-pub(super) fn goal_offset(response: &Response, sums: &Sums) -> Vector3<f64> {
-    Vector3::from(TRANSLATION.map(|axis| sums.at_rest(response, axis, 1.0)))
 }
 
 /// The line that tells about rotations, over all three axes or over the one that tells most; none where none tells.
@@ -212,6 +192,15 @@ pub(super) fn proof(
     }
 }
 
+/// Candidates with their residuals, as a sentence lists them.
+pub(super) fn listed(candidates: &[(String, f64)], digits: usize) -> String {
+    let each: Vec<String> = candidates
+        .iter()
+        .map(|(value, residual)| format!("{value} {residual:.digits$}"))
+        .collect();
+    each.join(", ")
+}
+
 /// What is known when actions are judged.
 pub(super) struct Judge<'a, 'd> {
     pub(super) demos: &'a [Sound<'d>],
@@ -225,7 +214,7 @@ pub(super) struct Judge<'a, 'd> {
 }
 
 impl Judge<'_, '_> {
-    fn total(&self, sums: impl Fn(&Sound<'_>, &[[f64; 6]]) -> Sums) -> Sums {
+    pub(super) fn total(&self, sums: impl Fn(&Sound<'_>, &[[f64; 6]]) -> Sums) -> Sums {
         let mut total = Sums::default();
         for demo in self.demos {
             total.add(&sums(demo, &steps(demo, self.order)));
@@ -234,7 +223,7 @@ impl Judge<'_, '_> {
     }
 
     /// Recorded actions under another reading than that of the settings.
-    fn as_read(demo: &Sound<'_>, reading: &ActionReading) -> Vec<Action> {
+    pub(super) fn as_read(demo: &Sound<'_>, reading: &ActionReading) -> Vec<Action> {
         demo.arrays.actions.iter().map(|action| reading.read(action)).collect()
     }
 
@@ -306,13 +295,7 @@ impl Judge<'_, '_> {
         candidates.push((name(ActionScale::Metres), metres.factor()));
         candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
         let frames = own.frames;
-        let numbers = || {
-            let each: Vec<String> = candidates
-                .iter()
-                .map(|(value, factor)| format!("{value} {factor:.2}"))
-                .collect();
-            format!("{SCALE}: {} times, over {frames} frames", each.join(", "))
-        };
+        let numbers = || format!("{SCALE}: {} times, over {frames} frames", listed(&candidates, 2));
         let says = own.says();
         if matches!(says, Says::NotTranslation | Says::NotRotation) {
             let others = [(ActionScale::Controller, &plain), (ActionScale::Metres, &metres)];
@@ -545,150 +528,6 @@ impl Judge<'_, '_> {
         };
         verdict.settle_or_declared("action_rotation", self.settings.action_rotation, &declared)
     }
-
-    /// Frame of goals, and what their last three arm columns are.
-    pub(super) fn goals(
-        &self,
-        base: Option<&nalgebra::Isometry3<f64>>,
-    ) -> Result<(ActionReading, Vec<Proof>), Unproven> {
-        let response = self
-            .controls
-            .map_or_else(|| Response::of(self.env), |controls| controls.response);
-        let sums = |reading: &ActionReading| {
-            self.total(|demo, steps| goals(&response, steps, &Self::as_read(demo, reading), demo.arrays.eef_pos))
-        };
-        let world = ActionReading {
-            frame: ActionFrame::World,
-            ..self.reading
-        };
-        let total = sums(&world);
-        let offset = goal_offset(&response, &total);
-        let frames = total.frames();
-        let in_base = base.map(|base| goal_offset(&response, &sums(&world.in_base(base))).norm());
-        let mut candidates = vec![(name(ActionFrame::World), offset.norm())];
-        candidates.extend(in_base.map(|distance| (name(ActionFrame::Base), distance)));
-        candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let evidence = format!(
-            "{}: {} m, over {frames} frames",
-            FRAME_TEST.name,
-            candidates
-                .iter()
-                .map(|(value, distance)| format!("{value} {distance:.3}"))
-                .collect::<Vec<_>>()
-                .join(", ")
-        );
-        let fits = |distance: f64| distance <= FRAME;
-        let declares_base = self.env.controller.as_ref().is_some_and(|controller| {
-            controller.declared == Some(ActionKind::Absolute) && controller.input_ref_frame.as_deref() == Some("base")
-        });
-        let world_fits = fits(offset.norm());
-        let base_fits = in_base.is_some_and(fits);
-        let (value, basis, warning) = match (frames >= ROWS, self.settings.action_frame) {
-            (false, None) => (ActionFrame::World, Basis::Declared, None),
-            (false, Some(frame)) => {
-                let text = "taken from the setting action_frame: the hand moves too little for a proof".to_owned();
-                (frame, Basis::Setting, Some(text))
-            }
-            (true, None) if world_fits => {
-                let alone = in_base.is_none_or(|distance| distance >= OTHER_FRAME);
-                (
-                    ActionFrame::World,
-                    if alone { Basis::Data } else { Basis::Declared },
-                    None,
-                )
-            }
-            (true, None) if base_fits && declares_base => (ActionFrame::Base, Basis::Data, None),
-            (true, Some(ActionFrame::World)) if world_fits => (ActionFrame::World, Basis::Data, None),
-            (true, Some(ActionFrame::Base)) if base_fits => (ActionFrame::Base, Basis::Data, None),
-            (true, set) => return Err(another_frame(offset, base_fits, world_fits, set, evidence)),
-        };
-        let mut reading = world;
-        if let (ActionFrame::Base, Some(base)) = (value, base) {
-            reading = reading.in_base(base);
-        }
-        let row = proof(
-            "action_frame",
-            name(value),
-            basis,
-            FRAME_TEST,
-            &candidates,
-            frames,
-            warning,
-        );
-        let rotation = self.goal_rotation(&reading)?;
-        Ok((reading, vec![row, rotation]))
-    }
-
-    /// Refuses goals whose orientation is written in another way.
-    fn goal_rotation(&self, reading: &ActionReading) -> Result<Proof, Unproven> {
-        type Way = fn(&Action) -> UnitQuaternion<f64>;
-        let ways: [(&str, &str, Way); 4] = [
-            ("rotation_vector", "rotation vectors of the grip site", |action| {
-                actions::rotation(action)
-            }),
-            (
-                "hand_rotation_vector",
-                "rotation vectors of the hand body, a quarter turn from the grip site",
-                |action| actions::rotation(action) * hand_to_site(),
-            ),
-            ("roll_pitch_yaw", "roll, pitch and yaw", |action| {
-                UnitQuaternion::from_euler_angles(action[3], action[4], action[5])
-            }),
-            (
-                "hand_roll_pitch_yaw",
-                "roll, pitch and yaw of the hand body",
-                |action| UnitQuaternion::from_euler_angles(action[3], action[4], action[5]) * hand_to_site(),
-            ),
-        ];
-        let median = |way: Way| {
-            let angles = self.demos.iter().flat_map(|demo| {
-                let poses = demo.arrays.eef_quat.iter().zip(demo.arrays.actions);
-                poses.filter_map(|(quaternion, action)| {
-                    let stored = self.order.rotation(*quaternion)?;
-                    Some(way(&reading.read(action)).angle_to(&self.orientation.site(stored)))
-                })
-            });
-            Fit::of(angles.collect())
-        };
-        let fits = ways.map(|(value, words, way)| (value, words, median(way)));
-        let frames = fits[0].2.frames;
-        let mut candidates: Vec<(String, f64)> = fits
-            .iter()
-            .map(|(value, _, fit)| ((*value).to_owned(), fit.median))
-            .collect();
-        let own = fits[0].2.median;
-        candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
-        if frames >= ROWS && own > ROTATION_TEST.threshold {
-            let shown: Vec<String> = candidates
-                .iter()
-                .map(|(value, angle)| format!("{value} {angle:.2}"))
-                .collect();
-            let better = fits[1..]
-                .iter()
-                .find(|(_, _, fit)| fit.median <= ROTATION_TEST.threshold);
-            let are = better.map_or_else(
-                || "their last three arm columns are no rotation vectors of the grip site".to_owned(),
-                |(_, words, _)| format!("their orientations are {words}"),
-            );
-            return Err(Unproven::Actions {
-                convention: "goal_rotation",
-                what: format!("the orientations of absolute actions are {own:.2} rad from the hand's in the median: {are}"),
-                evidence: format!("{}: {} rad, over {frames} frames", ROTATION_TEST.name, shown.join(", ")),
-                mend: "convert them to rotation vectors of the grip site in the world, as robosuite's controller takes them".to_owned(),
-            });
-        }
-        let basis = if frames >= ROWS { Basis::Data } else { Basis::Declared };
-        let value = "rotation_vector".to_owned();
-        Ok(proof(
-            "goal_rotation",
-            value,
-            basis,
-            ROTATION_TEST,
-            &candidates,
-            frames,
-            None,
-        ))
-    }
 }
 
 const SCALE_TEST: Test = Test {
@@ -698,189 +537,3 @@ const SCALE_TEST: Test = Test {
     rival: LESS,
     frames: ROWS,
 };
-const FRAME_TEST: Test = Test {
-    name: "the mean distance of absolute goals from where the hand goes",
-    unit: "m",
-    threshold: FRAME,
-    rival: OTHER_FRAME,
-    frames: ROWS,
-};
-const ROTATION_TEST: Test = Test {
-    name: "the median angle of absolute goals to the grip site",
-    unit: "rad",
-    threshold: 0.4,
-    rival: 0.4,
-    frames: ROWS,
-};
-
-/// The sentence for goals that are in another frame than they were read in.
-fn another_frame(
-    offset: Vector3<f64>,
-    base_fits: bool,
-    world_fits: bool,
-    set: Option<ActionFrame>,
-    evidence: String,
-) -> Unproven {
-    let beside = format!(
-        "absolute actions lie ({:.3}, {:.3}, {:.3}) m beside where the hand goes",
-        offset.x, offset.y, offset.z
-    );
-    let (what, mend) = match set {
-        None if base_fits => (
-            format!("{beside}, and fit in the frame of the robot's base"),
-            "set action_kind = \"absolute\" and action_frame = \"base\"",
-        ),
-        None => (
-            format!("{beside}: they are in another frame than the world's"),
-            "convert them to the world's frame; those of the robot's base are read with action_frame = \"base\"",
-        ),
-        Some(ActionFrame::Base) if world_fits => (
-            "the setting action_frame = \"base\" is contradicted by the data: absolute actions fit in the world"
-                .to_owned(),
-            "remove the setting",
-        ),
-        Some(ActionFrame::World) if base_fits => (
-            format!(
-                "the setting action_frame = \"world\" is contradicted by the data: {beside}, and fit in the frame of the robot's base"
-            ),
-            "correct the setting",
-        ),
-        Some(frame) => (
-            format!(
-                "{beside}, and do not fit under the setting action_frame = \"{}\"",
-                name(frame)
-            ),
-            "convert them to the world's frame",
-        ),
-    };
-    Unproven::Actions {
-        convention: "action_frame",
-        what,
-        evidence,
-        mend: mend.to_owned(),
-    }
-}
-
-/// Frames after a command other than 0 in which the fingers may still move.
-const SETTLES: usize = 4;
-
-/// Whether commands have held the fingers for so long that they should rest.
-fn held_at(actions: &[Action], t: usize) -> bool {
-    (t.saturating_sub(SETTLES)..=t).all(|t| actions[t][6] == 0.0)
-}
-
-/// How far the fingers travel (metres) under commands that hold them, and in how many frames.
-pub(super) fn held_travel(demo: &Sound<'_>) -> (f64, usize) {
-    let (mut travel, mut frames) = (0.0, 0);
-    for (t, pair) in demo.arrays.gripper_qpos.windows(2).enumerate() {
-        if demo.actions[t][6] != 0.0 {
-            continue;
-        }
-        let opening = ((pair[1][0] - pair[1][1]) - (pair[0][0] - pair[0][1])).abs();
-        if opening >= residuals::FINGER_MOVES && held_at(&demo.actions, t) {
-            travel += opening;
-            frames += 1;
-        }
-    }
-    (travel, frames)
-}
-
-/// Range of the gripper's command, from what is recorded.
-pub(super) fn gripper_range(demos: &[Sound<'_>], settings: &Settings) -> Result<(GripperRange, Proof), Unproven> {
-    let test = Test {
-        name: "the fingers' travel against the gripper command, where 0 holds them (-1 to 1) or moves them the other way than 1 does (0 to 1)",
-        unit: "of the travel",
-        threshold: 0.1,
-        rival: 0.2,
-        frames: 5,
-    };
-    let [mut all, mut held, mut with, mut below, mut commands] = [0.0_f64; 5];
-    let mut frames = 0;
-    for demo in demos {
-        let command = |t: usize| demo.arrays.actions[t][6];
-        for t in 0..demo.arrays.actions.len() {
-            commands += 1.0;
-            if !(-1e-6..=1.0 + 1e-6).contains(&command(t)) {
-                below += 1.0;
-            }
-        }
-        for (t, pair) in demo.arrays.gripper_qpos.windows(2).enumerate() {
-            let opening = (pair[1][0] - pair[1][1]) - (pair[0][0] - pair[0][1]);
-            if opening.abs() < residuals::FINGER_MOVES {
-                continue;
-            }
-            frames += 1;
-            all += opening.abs();
-            if held_at(demo.arrays.actions, t) {
-                held += opening.abs();
-            }
-            if (opening > 0.0) == (command(t) > 0.5) {
-                with += opening.abs();
-            }
-        }
-    }
-    if all < 0.01 {
-        frames = 0;
-    }
-    let share = |part: f64| if all > 0.0 { part / all } else { f64::INFINITY };
-    // Which way it moves the fingers is another question.
-    let zero_one = if below > 0.01 * commands {
-        1.0
-    } else {
-        share(with.min(all - with))
-    };
-    let verdict = Verdict::new(
-        test,
-        [
-            (GripperRange::MinusOneOne, Fit::whole(share(held), frames)),
-            (GripperRange::ZeroOne, Fit::whole(zero_one, frames)),
-        ],
-    );
-    let set = settings.gripper_range;
-    if verdict.proven() == Some(GripperRange::ZeroOne) && set.is_none() {
-        let opens = with > all - with;
-        let (does, also) = if opens {
-            (
-                "open under command 1 and close under 0",
-                " and gripper_sign = \"positive_opens\"",
-            )
-        } else {
-            ("open under command 0 and close under 1", "")
-        };
-        return Err(Unproven::Actions {
-            convention: "gripper_range",
-            what: format!(
-                "the fingers {does}, and robosuite's hold where they are under 0: gripper commands go from 0 to 1"
-            ),
-            evidence: format!(
-                "{:.2} of the fingers' travel is under a command of 0 that lasts, over {frames} frames",
-                share(held)
-            ),
-            mend: format!("set gripper_range = \"zero_one\"{also}"),
-        });
-    }
-    if share(held) > test.threshold && frames >= test.frames && set.is_none() {
-        return Err(Unproven::Actions {
-            convention: "gripper_range",
-            what: "the fingers move under a gripper command of 0, which holds robosuite's where they are".to_owned(),
-            evidence: format!("{:.2} of their travel, over {frames} frames", share(held)),
-            mend: "repair the last column of actions: -1 opens, 1 closes".to_owned(),
-        });
-    }
-    let declared = Declared {
-        value: GripperRange::MinusOneOne,
-        by: "robosuite".to_owned(),
-        strict: true,
-    };
-    let (range, mut proof) = verdict.settle_or_declared("gripper_range", set, &declared)?;
-    let within = commands > 0.0 && below == 0.0;
-    if proof.basis == Basis::Declared
-        && within
-        && demos.iter().any(|demo| demo.arrays.actions.iter().any(|a| a[6] == 0.0))
-    {
-        proof.warning = Some(
-            "gripper commands are from 0 to 1 and the fingers hardly move, so that 0 is taken to hold them, as in robosuite; if it opens them, set gripper_range = \"zero_one\"".to_owned(),
-        );
-    }
-    Ok((range, proof))
-}

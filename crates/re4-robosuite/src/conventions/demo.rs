@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 
-use super::{ActionReading, Contradiction, Task};
+use super::{ActionReading, Contradiction, RobosuiteTask};
 use crate::actions::Action;
 use crate::kinematics::{Model, Observed};
 
@@ -85,7 +85,11 @@ pub(super) struct Sound<'a> {
 }
 
 impl<'a> Sound<'a> {
-    pub(super) fn new(arrays: &DemoArrays<'a>, task: Task, reading: &ActionReading) -> Result<Self, Contradiction> {
+    pub(super) fn new(
+        arrays: &DemoArrays<'a>,
+        task: Option<RobosuiteTask>,
+        reading: &ActionReading,
+    ) -> Result<Self, Contradiction> {
         let need = arrays.actions.len();
         let length = |dataset: &'static str, rows: usize| {
             if rows == need {
@@ -112,7 +116,8 @@ impl<'a> Sound<'a> {
         if let Some(object) = arrays.object {
             length("obs/object", object.len())?;
             finite(arrays.name, "obs/object", object.rows())?;
-            if let Some(need) = task.object_columns().filter(|need| *need != object.columns()) {
+            let columns = task.map(|task| task.object_columns());
+            if let Some(need) = columns.filter(|need| *need != object.columns()) {
                 return Err(Contradiction::Columns {
                     demo: arrays.name.to_owned(),
                     dataset: "obs/object",
@@ -127,7 +132,7 @@ impl<'a> Sound<'a> {
             length("states", states.len())?;
             finite(arrays.name, "states", states.rows())?;
             observed = model
-                .observe(states.rows(), task.object())
+                .observe(states.rows(), task.map(|task| task.object))
                 .map_err(|source| Contradiction::Kinematics {
                     demo: arrays.name.to_owned(),
                     source,

@@ -2,80 +2,25 @@
 
 use nalgebra::Isometry3;
 
-use super::commands::{self, Controls, Judge};
+use super::commands::{Controls, Judge};
 use super::demo::Sound;
-use super::evidence::{Basis, Declared, Fit, MARGIN, Test, Verdict};
+use super::eef::{OBJECT, at_rest, eef, relations};
+use super::evidence::{Basis, Declared, Fit, Test, Verdict};
+use super::gripper;
 use super::opening::initial_goal;
-use super::reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, InitialGoal};
-use super::residuals::{self, Kinds, Relation, Share};
+use super::reading::{ActionReading, InitialGoal};
+use super::residuals::{self, Kinds};
 use super::{
-    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, ObjectLayout, Proof,
-    QuaternionOrder, RelativeLag, Settings, Task, Unproven,
+    ActionKind, Contradiction, Conventions, DemoArrays, EefOrientation, GripperSign, Proof, QuaternionOrder,
+    RelativeLag, RobosuiteTask, Settings, Unproven,
 };
 use crate::env_args::EnvArgs;
 
-const ORDERS: [QuaternionOrder; 2] = [QuaternionOrder::Xyzw, QuaternionOrder::Wxyz];
-const FRAMES: [EefOrientation; 2] = [EefOrientation::HandBody, EefOrientation::GripSite];
-const LAGS: [RelativeLag; 3] = [
-    RelativeLag::Current,
-    RelativeLag::ObjectOneLate,
-    RelativeLag::BothOneLate,
-];
-
-/// Residuals of exact relations: rounding of models saved with six digits and of 32-bit columns is far below.
-pub(super) const EXACT: f64 = 1e-3;
-/// Share of finger travel against the command that play and contacts may cause.
-const FINGERS_AGAINST: f64 = 0.1;
-/// Finger travel (metres) that tells the command's sign.
-pub(super) const FINGER_TRAVEL: f64 = 0.01;
 /// Share of the hand's motion that inertia and contacts leave unexplained by the action.
 pub(super) const UNEXPLAINED: f64 = 0.6;
 /// The same for the wrong kind of action.
 pub(super) const NOT_EXPLAINED: f64 = 0.8;
 
-const fn exact(name: &'static str) -> Test {
-    Test {
-        name,
-        unit: "m or rad",
-        threshold: EXACT,
-        rival: MARGIN * EXACT,
-        frames: 10,
-    }
-}
-
-const EEF_KINEMATICS: Test =
-    exact("robot0_eef_pos and robot0_eef_quat against the poses that states and model_file give");
-const EEF_RELATION: Test = exact("the relative part of obs/object against object and end-effector pose");
-const OBJECT: Test =
-    exact("the parts of obs/object against each other, and against states and model_file where they are there");
-const ANGULAR_VELOCITY: Test = Test {
-    name: "the change of robot0_eef_quat against robot0_eef_vel_ang",
-    unit: "of the velocity",
-    threshold: 0.25,
-    rival: 0.6,
-    frames: 20,
-};
-const GOALS: Test = Test {
-    name: "the median angle between robot0_eef_quat and absolute goals",
-    unit: "rad",
-    threshold: 0.4,
-    rival: 1.0,
-    frames: 20,
-};
-const REST: Test = Test {
-    name: "the tilt of the cube where it rests at the start of demos",
-    unit: "rad",
-    threshold: 0.03,
-    rival: 0.1,
-    frames: 5,
-};
-const FINGERS: Test = Test {
-    name: "the gripper command against the fingers' motion in the next frame",
-    unit: "of the travel",
-    threshold: FINGERS_AGAINST,
-    rival: 1.0 - FINGERS_AGAINST,
-    frames: 5,
-};
 const MOTION: Test = Test {
     name: "the hand's motion over four frames left unexplained by their actions, as deltas and as goals",
     unit: "of the motion",
@@ -83,9 +28,6 @@ const MOTION: Test = Test {
     rival: NOT_EXPLAINED,
     frames: 20,
 };
-
-/// A hypothesis about the object vector and the end effector with its fit.
-type Related = (Relation, Fit);
 
 /// A demo that cannot be used beside the others.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -185,7 +127,7 @@ impl Odd {
 
 /// What is known of a file beside its demos.
 struct File<'a> {
-    task: Task,
+    task: Option<RobosuiteTask>,
     env: &'a EnvArgs,
     settings: &'a Settings,
     controls: Option<Controls>,
@@ -200,10 +142,10 @@ impl<'a> File<'a> {
         let controls = Controls::of(env);
         let base = demos.iter().find_map(|demo| demo.model?.base());
         Ok(Self {
-            task: Task::of(&env.env_name),
+            task: RobosuiteTask::of_environment(&env.env_name),
             env,
             settings,
-            reading: reading(settings, controls.as_ref(), base.as_ref())?,
+            reading: ActionReading::of(settings, controls.as_ref(), base.as_ref())?,
             controls,
             base,
         })
@@ -277,16 +219,17 @@ impl<'a> File<'a> {
         let mut proofs = Vec::new();
         let (kind, proof) = self.action_kind(demos)?;
         proofs.push(proof);
-        let (gripper, range) = commands::gripper_range(demos, settings)?;
-        let (gripper_sign, proof) = gripper_sign(demos).settle(
+        let (gripper, range) = gripper::gripper_range(demos, settings)?;
+        let (gripper_sign, proof) = gripper::gripper_sign(demos).settle(
             "gripper_sign",
             settings.gripper_sign,
             Some(&robosuite(env, GripperSign::PositiveCloses)),
         )?;
         proofs.push(proof);
 
-        let has_object = task != Task::Other && demos.iter().any(|demo| demo.arrays.object.is_some());
-        let eef = eef(demos, task, has_object, kind, env);
+        let has_object = |demo: &Sound<'_>| demo.arrays.object.is_some();
+        let object_task = task.filter(|_| demos.iter().any(has_object));
+        let eef = eef(demos, object_task, kind, env);
         let (eef_quaternion, proof) = eef.order.settle(
             "eef_quaternion",
             settings.eef_quaternion,
@@ -318,18 +261,20 @@ impl<'a> File<'a> {
             initial_goal: InitialGoal::FirstPose,
             controls: self.controls,
         };
-        if has_object {
+        if let Some(task) = object_task {
             let related = relations(demos, task, &[eef_quaternion], &[eef_orientation], true);
             let (layout, proof) = Verdict::new(OBJECT, related.iter().map(|(relation, fit)| (relation.layout, *fit)))
                 .settle(
                 "object_layout",
                 settings.object_layout,
-                declared_layout(env, task).as_ref(),
+                env.version()
+                    .map(|version| robosuite(env, task.layout(version)))
+                    .as_ref(),
             )?;
             proofs.push(proof);
             let of_layout = || related.iter().filter(|(relation, _)| relation.layout == layout);
             let mut order = Verdict::new(OBJECT, of_layout().map(|(relation, fit)| (relation.object, *fit)));
-            if task == Task::Lift && order.proven().is_none() {
+            if !layout.relates_rotations() && order.proven().is_none() {
                 order = at_rest(demos);
             }
             let (object_quaternion, proof) = order.settle(
@@ -454,74 +399,6 @@ impl<'a> File<'a> {
     }
 }
 
-/// How the settings say that actions are to be read.
-fn reading(
-    settings: &Settings,
-    controls: Option<&Controls>,
-    base: Option<&Isometry3<f64>>,
-) -> Result<ActionReading, Unproven> {
-    let refuse = |why: &str| Err(Unproven::Settings(why.to_owned()));
-    let mut reading = ActionReading {
-        rotation: settings.action_rotation.unwrap_or_default(),
-        gripper: settings.gripper_range.unwrap_or_default(),
-        ..ActionReading::default()
-    };
-    let numbers = settings.action_gain.is_some() || settings.action_offset.is_some();
-    let of_deltas = settings.states_scale() || settings.action_rotation == Some(ActionRotation::Reversed);
-    if of_deltas && settings.action_kind == Some(ActionKind::Absolute) {
-        return refuse(
-            "action_scale, action_gain, action_offset and action_rotation are about deltas, and action_kind is \"absolute\"; remove one of them",
-        );
-    }
-    let of_goals = settings.action_frame == Some(ActionFrame::Base);
-    if of_goals && (of_deltas || settings.action_kind == Some(ActionKind::Delta)) {
-        return refuse(
-            "action_frame is about absolute actions, and other settings are about deltas; remove one of them",
-        );
-    }
-    let all = settings.action_gain.iter().chain(&settings.action_offset).flatten();
-    if all.into_iter().any(|value| !value.is_finite()) || settings.action_gain.is_some_and(|gain| gain.contains(&0.0)) {
-        return refuse("action_gain and action_offset hold six finite numbers, and gains are not 0; correct them");
-    }
-    match (settings.action_scale, numbers) {
-        (Some(ActionScale::Controller | ActionScale::Metres), true) => {
-            return refuse(
-                "action_gain and action_offset say how actions are scaled, and action_scale names another scale; remove one of them, or set action_scale = \"numbers\"",
-            );
-        }
-        (Some(ActionScale::Numbers), false) => {
-            return refuse(
-                "action_scale = \"numbers\" needs action_gain or action_offset, six numbers each; give them",
-            );
-        }
-        (Some(ActionScale::Metres), false) => match controls {
-            Some(controls) => reading = reading.metres(&controls.osc),
-            None => {
-                return refuse(
-                    "action_scale = \"metres\" needs the controller's output_max, which env_args does not declare; restore it",
-                );
-            }
-        },
-        (_, true) => {
-            reading.scale = ActionScale::Numbers;
-            reading.gain = settings.action_gain.unwrap_or(reading.gain);
-            reading.offset = settings.action_offset.unwrap_or(reading.offset);
-        }
-        (Some(ActionScale::Controller) | None, false) => {}
-    }
-    if of_goals {
-        match base {
-            Some(base) => reading = reading.in_base(base),
-            None => {
-                return refuse(
-                    "action_frame = \"base\" needs the pose of the robot's base, body robot0_base of the attribute model_file, which is not there; restore it",
-                );
-            }
-        }
-    }
-    Ok(reading)
-}
-
 /// What robosuite writes in every version.
 fn robosuite<V>(env: &EnvArgs, value: V) -> Declared<V> {
     let version = env.env_version.as_deref().unwrap_or("of an undeclared version");
@@ -539,183 +416,6 @@ fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
         by: "env_args declares the controller's input (control_delta or input_type)".to_owned(),
         strict: false,
     })
-}
-
-fn declared_layout(env: &EnvArgs, task: Task) -> Option<Declared<ObjectLayout>> {
-    let relative_first = env.version()? >= (1, 5);
-    let value = match (task, relative_first) {
-        (Task::Lift, false) => ObjectLayout::LiftEefMinusCube,
-        (Task::Lift, true) => ObjectLayout::LiftCubeMinusEef,
-        (Task::Can | Task::Square, false) => ObjectLayout::PoseFirst,
-        (Task::Can | Task::Square, true) => ObjectLayout::RelativeFirst,
-        (Task::Other, _) => return None,
-    };
-    Some(robosuite(env, value))
-}
-
-fn layouts(task: Task) -> &'static [ObjectLayout] {
-    match task {
-        Task::Lift => &[ObjectLayout::LiftEefMinusCube, ObjectLayout::LiftCubeMinusEef],
-        Task::Can | Task::Square => &[ObjectLayout::PoseFirst, ObjectLayout::RelativeFirst],
-        Task::Other => &[],
-    }
-}
-
-/// Order and frame of the end effector's quaternion.
-struct Eef {
-    order: Verdict<QuaternionOrder>,
-    test: Test,
-    fits: Vec<(QuaternionOrder, EefOrientation, Fit)>,
-}
-
-impl Eef {
-    /// From hypotheses that are of both at once.
-    fn joint(test: Test, fits: impl Iterator<Item = (QuaternionOrder, EefOrientation, Fit)>) -> Self {
-        let fits: Vec<_> = fits.collect();
-        Self {
-            order: Verdict::new(test, fits.iter().map(|(order, _, fit)| (*order, *fit))),
-            test,
-            fits,
-        }
-    }
-
-    /// The frame, given the order.
-    fn frame(&self, order: QuaternionOrder) -> Verdict<EefOrientation> {
-        let fits = self.fits.iter().filter(|(given, _, _)| *given == order);
-        Verdict::new(self.test, fits.map(|(_, frame, fit)| (*frame, *fit)))
-    }
-}
-
-/// All pairs of order and frame.
-fn eef_hypotheses() -> impl Iterator<Item = (QuaternionOrder, EefOrientation)> {
-    ORDERS
-        .into_iter()
-        .flat_map(|order| FRAMES.into_iter().map(move |frame| (order, frame)))
-}
-
-fn eef(demos: &[Sound<'_>], task: Task, has_object: bool, kind: ActionKind, env: &EnvArgs) -> Eef {
-    if demos.iter().any(|demo| !demo.observed.is_empty()) {
-        let fits = eef_hypotheses().map(|(order, frame)| {
-            let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
-            (order, frame, Fit::of(residuals))
-        });
-        return Eef::joint(EEF_KINEMATICS, fits);
-    }
-    if has_object && task != Task::Lift {
-        let related = relations(demos, task, &ORDERS, &FRAMES, false);
-        let fits = related
-            .iter()
-            .map(|(relation, fit)| (relation.eef, relation.frame, *fit));
-        return Eef::joint(EEF_RELATION, fits);
-    }
-    let freq = env.control_freq.unwrap_or(20.0);
-    let order = Verdict::new(
-        ANGULAR_VELOCITY,
-        ORDERS.map(|order| {
-            let mut share = Share::default();
-            for demo in demos {
-                share.add(residuals::angular_velocity(demo, order, freq));
-            }
-            (order, Fit::whole(share.value(), share.frames))
-        }),
-    );
-    let fits = eef_hypotheses().map(|(order, frame)| {
-        if kind == ActionKind::Delta {
-            // Deltas turn the goal in world axes: they do not tell which frame is turned.
-            return (order, frame, Fit::of(Vec::new()));
-        }
-        let fit = Fit::of(every(demos, |demo, t| residuals::goal_angle(demo, t, order, frame)));
-        (order, frame, Fit::whole(fit.median, fit.frames))
-    });
-    Eef {
-        order,
-        test: GOALS,
-        fits: fits.collect(),
-    }
-}
-
-/// A residual of every frame that has one.
-fn every(demos: &[Sound<'_>], residual: impl Fn(&Sound<'_>, usize) -> Option<f64>) -> Vec<f64> {
-    let residual = &residual;
-    demos
-        .iter()
-        .flat_map(|demo| (0..demo.arrays.actions.len()).filter_map(move |t| residual(demo, t)))
-        .collect()
-}
-
-/// All hypotheses about the object vector under the given ones about the end effector.
-fn relations(
-    demos: &[Sound<'_>],
-    task: Task,
-    eefs: &[QuaternionOrder],
-    frames: &[EefOrientation],
-    with_states: bool,
-) -> Vec<Related> {
-    let mut related = Vec::new();
-    for &layout in layouts(task) {
-        for object in ORDERS {
-            for &eef in eefs {
-                for &frame in frames {
-                    let fits = LAGS.map(|lag| {
-                        let relation = Relation {
-                            layout,
-                            object,
-                            eef,
-                            frame,
-                            lag,
-                        };
-                        let fit = Fit::of(every(demos, |demo, t| {
-                            let relative = residuals::relative(demo, t, relation)?;
-                            let known = with_states.then(|| residuals::object_kinematics(demo, t, layout, object));
-                            Some(relative.max(known.flatten().unwrap_or(0.0)))
-                        }));
-                        (relation, fit)
-                    });
-                    // A later one only where the current row does not fit.
-                    related.extend(fits.into_iter().reduce(|best, next| {
-                        if best.1.high <= EXACT || best.1.high <= next.1.high {
-                            best
-                        } else {
-                            next
-                        }
-                    }));
-                }
-            }
-        }
-    }
-    related
-}
-
-/// Lift without states: a cube that rests stands upright, under the right order, whatever its yaw.
-fn at_rest(demos: &[Sound<'_>]) -> Verdict<QuaternionOrder> {
-    let fits = ORDERS.map(|order| {
-        let rows = demos
-            .iter()
-            .filter_map(|demo| demo.arrays.object.filter(|rows| !rows.is_empty()));
-        let tilts: Vec<f64> = rows.filter_map(|rows| residuals::tilt(rows.row(0), order)).collect();
-        (order, Fit::of(tilts))
-    });
-    Verdict::new(REST, fits)
-}
-
-fn gripper_sign(demos: &[Sound<'_>]) -> Verdict<GripperSign> {
-    let mut share = Share::default();
-    for demo in demos {
-        share.add(residuals::finger_travel(demo));
-    }
-    let frames = if share.total() >= FINGER_TRAVEL {
-        share.frames
-    } else {
-        0
-    };
-    let fit = |share: Share| Fit::whole(share.value(), frames);
-    Verdict::new(
-        FINGERS,
-        [
-            (GripperSign::PositiveCloses, fit(share)),
-            (GripperSign::PositiveOpens, fit(share.complement())),
-        ],
-    )
 }
 
 fn kinds(demos: &[Sound<'_>]) -> Kinds {

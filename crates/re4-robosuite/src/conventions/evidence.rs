@@ -1,5 +1,6 @@
 //! From residuals to a verdict.
 
+use re4_stats::{nearest_rank, sorted};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -95,13 +96,10 @@ impl Fit {
     }
 
     /// Residuals of single frames.
-    pub(super) fn of(mut residuals: Vec<f64>) -> Self {
-        residuals.sort_by(f64::total_cmp);
+    pub(super) fn of(residuals: Vec<f64>) -> Self {
+        let residuals = sorted(residuals);
         let quantile = |share: f64| {
-            let rank = (share * residuals.len() as f64).ceil() as usize;
-            residuals
-                .get(rank.max(1) - 1)
-                .copied()
+            nearest_rank(&residuals, share)
                 .filter(|residual| !residual.is_nan())
                 .unwrap_or(f64::INFINITY)
         };

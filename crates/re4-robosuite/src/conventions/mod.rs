@@ -12,7 +12,10 @@
 mod commands;
 mod demo;
 mod detect;
+mod eef;
 mod evidence;
+mod goals;
+mod gripper;
 mod monitor;
 mod opening;
 mod reading;
@@ -29,96 +32,11 @@ pub use demo::{DemoArrays, Rows, zero_rows};
 pub use detect::{Learned, Odd};
 pub use evidence::{Basis, Candidate, Evidence, MARGIN, Proof};
 pub use monitor::{Contradiction, DemoResiduals, QUATERNION_TOLERANCE};
+pub use re4_task::{ObjectLayout, RobosuiteTask};
 pub use reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, GripperRange, InitialGoal};
 pub use response::Response;
 
 use crate::hand_to_site;
-
-/// A task whose object vector is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Task {
-    /// Lift: a cube.
-    Lift,
-    /// `PickPlaceCan`: a can.
-    Can,
-    /// `NutAssemblySquare`: a square nut.
-    Square,
-    /// Any other: its object vector is not interpreted.
-    Other,
-}
-
-impl Task {
-    /// The task of an environment's name: robosuite's, or `MimicGen`'s for the same scene, object vector and success rule with
-    /// one of its initial distributions (`Square_D0`, `Square_D1`, ...).
-    #[must_use]
-    pub fn of(env_name: &str) -> Self {
-        let scene =
-            Self::distribution(env_name).map_or(env_name, |_| env_name.rsplit_once('_').map_or("", |parts| parts.0));
-        match (scene, Self::distribution(env_name).is_some()) {
-            ("Lift", _) => Self::Lift,
-            ("PickPlaceCan", _) | ("Can", true) => Self::Can,
-            ("NutAssemblySquare", _) | ("Square", true) => Self::Square,
-            _ => Self::Other,
-        }
-    }
-
-    /// Number of `MimicGen`'s initial distribution in an environment's name, 0 for robosuite's own: that of `Square_D1` is 1.
-    /// None in robosuite's names.
-    #[must_use]
-    pub fn distribution(env_name: &str) -> Option<u32> {
-        let (_, ending) = env_name.rsplit_once('_')?;
-        let digits = ending.strip_prefix('D')?;
-        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        digits.parse().ok().filter(|_| plain)
-    }
-
-    /// robosuite's name of the environment that the task is rolled out in.
-    #[must_use]
-    pub fn environment(self) -> Option<&'static str> {
-        match self {
-            Self::Lift => Some("Lift"),
-            Self::Can => Some("PickPlaceCan"),
-            Self::Square => Some("NutAssemblySquare"),
-            Self::Other => None,
-        }
-    }
-
-    /// Name of the object in robosuite's models and observations.
-    #[must_use]
-    pub fn object(self) -> Option<&'static str> {
-        match self {
-            Self::Lift => Some("cube"),
-            Self::Can => Some("Can"),
-            Self::Square => Some("SquareNut"),
-            Self::Other => None,
-        }
-    }
-
-    /// Columns of `obs/object`.
-    #[must_use]
-    pub fn object_columns(self) -> Option<usize> {
-        match self {
-            Self::Lift => Some(10),
-            Self::Can | Self::Square => Some(14),
-            Self::Other => None,
-        }
-    }
-}
-
-/// Order of the parts of `obs/object`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ObjectLayout {
-    /// Lift, robosuite 1.4 and before: position, quaternion, gripper minus cube position.
-    LiftEefMinusCube,
-    /// Lift, robosuite 1.5: position, quaternion, cube minus gripper position.
-    LiftCubeMinusEef,
-    /// Can and Square, robosuite 1.4 and before: object pose, then object pose in the hand's frame.
-    PoseFirst,
-    /// Can and Square, robosuite 1.5: object pose in the hand's frame, then object pose.
-    RelativeFirst,
-}
 
 /// Whose orientation `obs/robot0_eef_quat` is. The two differ by [`hand_to_site`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -223,10 +141,10 @@ impl Settings {
 }
 
 /// The conventions of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Conventions {
-    /// The task.
-    pub task: Task,
+    /// The task; none for environments whose object vector is not known.
+    pub task: Option<RobosuiteTask>,
     /// Order of the parts of `obs/object`; none for other tasks and files without it.
     pub object_layout: Option<ObjectLayout>,
     /// How late the relative part of `obs/object` is.
@@ -342,36 +260,6 @@ pub struct ObjectRow {
     pub relative_position: [f64; 3],
     /// Relative quaternion as stored, in the file's order; none for Lift.
     pub relative_quaternion: Option<[f64; 4]>,
-}
-
-impl ObjectLayout {
-    /// Columns of `obs/object`.
-    #[must_use]
-    pub fn columns(self) -> usize {
-        match self {
-            Self::LiftEefMinusCube | Self::LiftCubeMinusEef => 10,
-            Self::PoseFirst | Self::RelativeFirst => 14,
-        }
-    }
-
-    /// First column of the object pose (position, then quaternion).
-    #[must_use]
-    pub fn pose_start(self) -> usize {
-        if self == Self::RelativeFirst { 7 } else { 0 }
-    }
-
-    /// Whether a row's relative part is not yet there: robosuite 1.5 leaves zeros in the first row of a demo.
-    fn pending(self, row: &[f64], frame: usize) -> bool {
-        let late = matches!(self, Self::RelativeFirst | Self::LiftCubeMinusEef);
-        let relative = row.iter().skip(self.relative_start()).take(self.columns() - 7);
-        late && frame == 0 && relative.into_iter().all(|value| *value == 0.0)
-    }
-
-    /// First column of the relative part.
-    #[must_use]
-    pub fn relative_start(self) -> usize {
-        if self == Self::RelativeFirst { 0 } else { 7 }
-    }
 }
 
 impl QuaternionOrder {

@@ -4,9 +4,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::commands::{self, FRAME, FURTHER, LESS, TRANSLATION_TOLD, TURNS_FURTHER};
+use super::commands::{self, FURTHER, LESS, TRANSLATION_TOLD, TURNS_FURTHER};
 use super::demo::Sound;
-use super::detect::{EXACT, FINGER_TRAVEL, NOT_EXPLAINED, UNEXPLAINED};
+use super::detect::{NOT_EXPLAINED, UNEXPLAINED};
+use super::eef::EXACT;
+use super::goals::{self, FRAME};
+use super::gripper::{self, FINGER_TRAVEL};
 use super::residuals::{self, Relation};
 use super::response::TRANSLATION;
 use super::{ActionKind, Conventions, DemoArrays, GripperRange, GripperSign, RelativeLag, part};
@@ -269,7 +272,7 @@ impl Conventions {
     fn check_commands(&self, demo: &Sound<'_>) -> Result<(), Contradiction> {
         let refuse = refuse_whole(demo.arrays.name);
         if self.actions.gripper == GripperRange::MinusOneOne {
-            let (held, frames) = commands::held_travel(demo);
+            let (held, frames) = gripper::held_travel(demo);
             if held > MOVED_WHILE_HELD && frames >= 5 {
                 let what = "the fingers move under gripper commands of 0, which hold them, as in a demonstration with commands from 0 to 1; metres of their travel";
                 return refuse("actions[:, 6]", what, held, MOVED_WHILE_HELD, frames);
@@ -278,8 +281,8 @@ impl Conventions {
         let Some(controls) = &self.controls else { return Ok(()) };
         let steps = commands::steps(demo, self.eef_quaternion);
         if self.action_kind == ActionKind::Absolute {
-            let sums = commands::goals(&controls.response, &steps, &demo.actions, demo.arrays.eef_pos);
-            let beside = commands::goal_offset(&controls.response, &sums).norm();
+            let sums = goals::goals(&controls.response, &steps, &demo.actions, demo.arrays.eef_pos);
+            let beside = goals::goal_offset(&controls.response, &sums).norm();
             if beside > OTHER_PLACE && sums.frames() >= ROWS {
                 let what = "absolute actions lie beside where the hand goes, as in a demonstration of another frame; metres in the mean";
                 return refuse("actions[:, 0:3]", what, beside, OTHER_PLACE, sums.frames());

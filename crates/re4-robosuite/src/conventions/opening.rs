@@ -6,6 +6,7 @@
 //! towards that of its first frame.
 
 use nalgebra::Isometry3;
+use re4_stats::upper_median;
 
 use super::commands::{Controls, proof, steps};
 use super::demo::Sound;
@@ -199,9 +200,5 @@ fn goal_angles(known: &[(&Sound<'_>, Isometry3<f64>, Isometry3<f64>)]) -> [f64; 
         Some([reset, first].map(|pose| goal.angle_to(&pose.rotation)))
     });
     let angles: Vec<[f64; 2]> = angles.collect();
-    [0, 1].map(|pose| {
-        let mut angles: Vec<f64> = angles.iter().map(|pair| pair[pose]).collect();
-        angles.sort_by(f64::total_cmp);
-        angles.get(angles.len() / 2).copied().unwrap_or(f64::INFINITY)
-    })
+    [0, 1].map(|pose| upper_median(angles.iter().map(|pair| pair[pose])).unwrap_or(f64::INFINITY))
 }

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{ActionKind, Controls, Settings, Unproven};
 use crate::actions::{self, Action, Osc};
 
 /// Unit of the first six columns of delta actions.
@@ -99,6 +100,76 @@ impl Default for ActionReading {
 }
 
 impl ActionReading {
+    /// How the settings say that actions are to be read.
+    pub(super) fn of(
+        settings: &Settings,
+        controls: Option<&Controls>,
+        base: Option<&Isometry3<f64>>,
+    ) -> Result<Self, Unproven> {
+        let refuse = |why: &str| Err(Unproven::Settings(why.to_owned()));
+        let mut reading = Self {
+            rotation: settings.action_rotation.unwrap_or_default(),
+            gripper: settings.gripper_range.unwrap_or_default(),
+            ..Self::default()
+        };
+        let numbers = settings.action_gain.is_some() || settings.action_offset.is_some();
+        let of_deltas = settings.states_scale() || settings.action_rotation == Some(ActionRotation::Reversed);
+        if of_deltas && settings.action_kind == Some(ActionKind::Absolute) {
+            return refuse(
+                "action_scale, action_gain, action_offset and action_rotation are about deltas, and action_kind is \"absolute\"; remove one of them",
+            );
+        }
+        let of_goals = settings.action_frame == Some(ActionFrame::Base);
+        if of_goals && (of_deltas || settings.action_kind == Some(ActionKind::Delta)) {
+            return refuse(
+                "action_frame is about absolute actions, and other settings are about deltas; remove one of them",
+            );
+        }
+        let all = settings.action_gain.iter().chain(&settings.action_offset).flatten();
+        if all.into_iter().any(|value| !value.is_finite())
+            || settings.action_gain.is_some_and(|gain| gain.contains(&0.0))
+        {
+            return refuse("action_gain and action_offset hold six finite numbers, and gains are not 0; correct them");
+        }
+        match (settings.action_scale, numbers) {
+            (Some(ActionScale::Controller | ActionScale::Metres), true) => {
+                return refuse(
+                    "action_gain and action_offset say how actions are scaled, and action_scale names another scale; remove one of them, or set action_scale = \"numbers\"",
+                );
+            }
+            (Some(ActionScale::Numbers), false) => {
+                return refuse(
+                    "action_scale = \"numbers\" needs action_gain or action_offset, six numbers each; give them",
+                );
+            }
+            (Some(ActionScale::Metres), false) => match controls {
+                Some(controls) => reading = reading.metres(&controls.osc),
+                None => {
+                    return refuse(
+                        "action_scale = \"metres\" needs the controller's output_max, which env_args does not declare; restore it",
+                    );
+                }
+            },
+            (_, true) => {
+                reading.scale = ActionScale::Numbers;
+                reading.gain = settings.action_gain.unwrap_or(reading.gain);
+                reading.offset = settings.action_offset.unwrap_or(reading.offset);
+            }
+            (Some(ActionScale::Controller) | None, false) => {}
+        }
+        if of_goals {
+            match base {
+                Some(base) => reading = reading.in_base(base),
+                None => {
+                    return refuse(
+                        "action_frame = \"base\" needs the pose of the robot's base, body robot0_base of the attribute model_file, which is not there; restore it",
+                    );
+                }
+            }
+        }
+        Ok(reading)
+    }
+
     /// Deltas in metres and radians a step.
     #[must_use]
     pub fn metres(self, osc: &Osc) -> Self {

@@ -1,4 +1,4 @@
-//! robosuite's Lift, `PickPlaceCan` and `NutAssemblySquare` over MuJoCo's own library.
+//! robosuite's tasks, those that have a record in `re4-task`, over MuJoCo's own library.
 //!
 //! [`Robosuite`] computes what the Python package computes, in the order of its calls: one Panda, `OSC_POSE` control at 20 Hz
 //! over simulation steps of 2 ms, delta or absolute actions, the environments' own success rules and observations. What
@@ -12,24 +12,31 @@ mod controller;
 mod model;
 mod placement;
 mod profile;
-mod task;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use re4_mujoco::Data;
 
 pub use controller::{ArmAction, RobosuiteAction};
 pub use model::RobosuiteModel;
-pub use placement::{ObjectPlacement, Placement, with_cube_size};
+pub use placement::{ObjectPlacement, Placement};
 pub use profile::{Fidelity, Profile};
-pub use task::RobosuiteTask;
+pub use re4_task::RobosuiteTask;
 
 use crate::{SimError, Simulator};
 use controller::{Controller, JOINTS};
 use model::{ACTUATORS, Robot};
 use re4_robosuite::hand_to_site;
+use re4_task::{ObjectLayout, Positions};
 
-/// Simulation steps in a control step.
-pub const SIMULATION_STEPS: usize = 25;
+/// Simulation steps a second.
+const SIMULATION_RATE: usize = 500;
+
+/// Simulation steps in a control step of a task.
+#[must_use]
+pub fn simulation_steps(task: RobosuiteTask) -> usize {
+    SIMULATION_RATE / task.control_rate
+}
+
 /// Numbers beyond which MuJoCo takes a simulation for unstable (`mjMAXVAL`).
 const GREATEST: f64 = 1e10;
 
@@ -75,23 +82,14 @@ impl RobosuiteObservation {
     #[must_use]
     pub fn object_state(&self, task: RobosuiteTask, profile: Profile) -> Vec<f64> {
         let object = pose_numbers(&self.object);
-        match task {
-            RobosuiteTask::Lift => {
-                let apart = self.grip_site.translation.vector - self.object.translation.vector;
-                let apart = match profile {
-                    Profile::V1_4 => apart,
-                    Profile::V1_5 => -apart,
-                };
-                object.into_iter().chain(apart.iter().copied()).collect()
-            }
-            RobosuiteTask::Can | RobosuiteTask::Square => {
-                let hand = Isometry3::from_parts(self.grip_site.translation, self.hand);
-                let relative = pose_numbers(&(hand.inverse() * self.object));
-                match profile {
-                    Profile::V1_4 => object.into_iter().chain(relative).collect(),
-                    Profile::V1_5 => relative.into_iter().chain(object).collect(),
-                }
-            }
+        let apart = self.grip_site.translation.vector - self.object.translation.vector;
+        let hand = Isometry3::from_parts(self.grip_site.translation, self.hand);
+        let relative = || pose_numbers(&(hand.inverse() * self.object));
+        match task.layout(profile.version()) {
+            ObjectLayout::LiftEefMinusCube => object.into_iter().chain(apart.iter().copied()).collect(),
+            ObjectLayout::LiftCubeMinusEef => object.into_iter().chain((-apart).iter().copied()).collect(),
+            ObjectLayout::PoseFirst => object.into_iter().chain(relative()).collect(),
+            ObjectLayout::RelativeFirst => relative().into_iter().chain(object).collect(),
         }
     }
 }
@@ -127,7 +125,7 @@ impl Robosuite {
     /// When there is no memory.
     pub fn new(model: &RobosuiteModel) -> Result<Self, SimError> {
         let mut data = Data::new(&model.model).map_err(|source| SimError::Mujoco {
-            task: model.task.environment(),
+            task: model.task.environment,
             source,
         })?;
         data.forward();
@@ -181,11 +179,12 @@ impl Robosuite {
     pub fn success(&self) -> bool {
         let robot = &self.model.robot;
         let position = |body| Robot::body_position(&self.data, body);
-        self.model.task.success(
-            &position(robot.object),
-            &robot.site_position(&self.data),
-            robot.landmark.map(position).as_ref(),
-        )
+        let landmarks: Vec<_> = robot.landmarks.iter().map(|&body| position(body)).collect();
+        (self.model.task.success)(&Positions {
+            object: position(robot.object),
+            grip_site: robot.site_position(&self.data),
+            landmarks: &landmarks,
+        })
     }
 
     /// Puts the state in place and computes what follows from it.
@@ -197,7 +196,8 @@ impl Robosuite {
         self.data.forward();
     }
 
-    /// Takes recorded torques and finger targets for one control step, in place of an action: 25 rows of nine.
+    /// Takes recorded torques and finger targets for one control step, in place of an action: a row of nine for every
+    /// simulation step.
     ///
     /// # Errors
     /// As [`Simulator::step`].
@@ -231,13 +231,13 @@ impl Robosuite {
         if let Some(index) = numbers().position(|number| number.is_nan() || number.abs() >= GREATEST) {
             return Err(SimError::NotFinite {
                 operation: "step",
-                task: self.model.task.environment(),
+                task: self.model.task.environment,
                 what: "action",
                 index,
                 value: numbers().nth(index).copied().unwrap_or(f64::NAN),
             });
         }
-        for substep in 0..SIMULATION_STEPS {
+        for substep in 0..simulation_steps(self.model.task) {
             self.stages_before_controls();
             if substep == 0 {
                 self.controller.set_goal(&action.arm, &self.model.robot, &self.data);
@@ -300,7 +300,7 @@ impl Robosuite {
             })
         } else {
             Err(SimError::Unstable {
-                task: self.model.task.environment(),
+                task: self.model.task.environment,
                 reason: "coordinates that are not finite or too large".to_owned(),
             })
         }
@@ -315,7 +315,7 @@ impl Simulator for Robosuite {
     type Step = RobosuiteStep;
 
     fn reset(&mut self, scene: &RobosuiteScene, first: FirstTorques) -> Result<RobosuiteObservation, SimError> {
-        let task = self.model.task.environment();
+        let task = self.model.task.environment;
         let (nq, nv) = (self.model.model.nq(), self.model.model.nv());
         let (RobosuiteScene::Recorded(numbers) | RobosuiteScene::Placed(numbers)) = scene;
         if let Some(index) = numbers

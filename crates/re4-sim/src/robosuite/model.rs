@@ -23,7 +23,7 @@ pub(super) struct Robot {
     pub(super) grip_site: usize,
     pub(super) hand: usize,
     pub(super) object: usize,
-    pub(super) landmark: Option<usize>,
+    pub(super) landmarks: Vec<usize>,
 }
 
 /// A compiled scene of a task. Cheap to clone, shared between simulations in several threads.
@@ -55,7 +55,7 @@ impl RobosuiteModel {
     /// When MuJoCo refuses the model, or it is not a scene of the task with one Panda of this profile.
     pub fn compile(library: &Library, task: RobosuiteTask, profile: Profile, mjcf: &str) -> Result<Self, SimError> {
         let model = Model::compile(library, mjcf).map_err(|source| SimError::Mujoco {
-            task: task.environment(),
+            task: task.environment,
             source,
         })?;
         let robot = Robot::find(&model, task, profile)?;
@@ -96,12 +96,12 @@ impl RobosuiteModel {
 impl Robot {
     fn find(model: &Model, task: RobosuiteTask, profile: Profile) -> Result<Self, SimError> {
         let lacks = |error: MujocoError| SimError::Model {
-            task: task.environment(),
+            task: task.environment,
             reason: error.to_string(),
         };
         if model.nu() != ACTUATORS {
             return Err(SimError::Model {
-                task: task.environment(),
+                task: task.environment,
                 reason: format!(
                     "the model has {} actuators, a Panda with its gripper has {ACTUATORS}",
                     model.nu()
@@ -110,13 +110,13 @@ impl Robot {
         }
         if model.timestep() != TIMESTEP {
             return Err(SimError::Model {
-                task: task.environment(),
+                task: task.environment,
                 reason: format!("the model's time step is {} s, not {TIMESTEP} s", model.timestep()),
             });
         }
         if model.na() != 0 {
             return Err(SimError::Model {
-                task: task.environment(),
+                task: task.environment,
                 reason: "the model has actuators with a state of their own".to_owned(),
             });
         }
@@ -126,10 +126,10 @@ impl Robot {
             (arm_coordinates[i], arm_freedoms[i]) = model.joint(&format!("robot0_joint{}", i + 1)).map_err(lacks)?;
         }
         let [first, second] = profile.finger_joints();
-        let object_joint = format!("{}_joint0", task.object());
+        let object_joint = task.joint();
         if !model.joint_is_free(&object_joint).map_err(lacks)? {
             return Err(SimError::Model {
-                task: task.environment(),
+                task: task.environment,
                 reason: format!("the joint {object_joint} is not a free one"),
             });
         }
@@ -144,13 +144,12 @@ impl Robot {
             finger_range: std::array::from_fn(|i| model.control_range(JOINTS + i)),
             grip_site: model.id(Kind::Site, profile.grip_site()).map_err(lacks)?,
             hand: model.id(Kind::Body, "robot0_right_hand").map_err(lacks)?,
-            object: model
-                .id(Kind::Body, &format!("{}_main", task.object()))
-                .map_err(lacks)?,
-            landmark: task
-                .landmark()
+            object: model.id(Kind::Body, &task.body()).map_err(lacks)?,
+            landmarks: task
+                .landmarks
+                .iter()
                 .map(|name| model.id(Kind::Body, name))
-                .transpose()
+                .collect::<Result<_, _>>()
                 .map_err(lacks)?,
         })
     }

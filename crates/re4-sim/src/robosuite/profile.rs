@@ -30,6 +30,14 @@ impl Profile {
         }
     }
 
+    /// Its major and minor number.
+    pub(super) fn version(self) -> (u32, u32) {
+        match self {
+            Self::V1_4 => (1, 4),
+            Self::V1_5 => (1, 5),
+        }
+    }
+
     /// The MuJoCo that this robosuite runs on here.
     #[must_use]
     pub fn mujoco(self) -> Version {

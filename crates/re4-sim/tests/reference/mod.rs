@@ -32,6 +32,19 @@ impl<T> Array<T> {
     }
 }
 
+/// Names of the files of a kind, without their ending: `lift_1.4.1_absolute` of `trace_`. In order.
+pub(crate) fn names(kind: &str) -> Vec<String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/robosuite");
+    let files = std::fs::read_dir(folder).unwrap();
+    let files = files.map(|file| file.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<String> = files
+        .filter_map(|file| Some(file.strip_prefix(kind)?.strip_suffix(".bin.gz")?.to_owned()))
+        .collect();
+    names.sort();
+    assert!(!names.is_empty(), "no files {kind}*");
+    names
+}
+
 impl Reference {
     pub(crate) fn read(name: &str) -> Self {
         Self::open(
@@ -55,6 +68,15 @@ impl Reference {
 
     pub(crate) fn text(&self, field: &str) -> &str {
         self.header[field].as_str().unwrap()
+    }
+
+    /// Whether there is an array of this name.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.header["arrays"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|entry| entry["name"] == name)
     }
 
     pub(crate) fn f64s(&self, name: &str) -> Array<f64> {

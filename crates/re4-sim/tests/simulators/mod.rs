@@ -19,7 +19,7 @@ use re4_sim::robosuite::{
     RobosuiteTask,
 };
 
-use crate::reference::Reference;
+use crate::reference::{self, Reference};
 
 /// The folder that scripts/setup-simulators.sh made: `RE4_SIMULATORS`, else data/simulators.
 pub(crate) fn simulators() -> Option<PathBuf> {
@@ -46,27 +46,15 @@ pub(crate) enum Form {
 }
 
 pub(crate) struct Trace {
-    pub(crate) name: &'static str,
+    pub(crate) name: String,
     pub(crate) task: RobosuiteTask,
     pub(crate) profile: Profile,
     pub(crate) file: Reference,
     pub(crate) actions: Vec<RobosuiteAction>,
 }
 
-/// All traces: task, version of robosuite, control.
-pub(crate) const TRACES: [&str; 8] = [
-    "lift_1.4.1_absolute",
-    "lift_1.4.1_delta",
-    "can_1.4.1_absolute",
-    "square_1.4.1_absolute",
-    "lift_1.5.1_absolute",
-    "lift_1.5.1_delta",
-    "can_1.5.1_absolute",
-    "square_1.5.1_absolute",
-];
-
 impl Trace {
-    pub(crate) fn read(name: &'static str) -> Self {
+    pub(crate) fn read(name: &str) -> Self {
         let file = Reference::read(&format!("trace_{name}.bin.gz"));
         let numbers = file.f64s("actions");
         let actions = (0..numbers.shape[0])
@@ -83,10 +71,9 @@ impl Trace {
                 }
             })
             .collect();
-        let task = |task: &RobosuiteTask| task.environment() == file.text("task");
         Self {
-            name,
-            task: RobosuiteTask::ALL.into_iter().find(task).unwrap(),
+            name: name.to_owned(),
+            task: RobosuiteTask::of_environment(file.text("task")).unwrap(),
             profile: Profile::of(file.text("robosuite")).unwrap(),
             actions,
             file,
@@ -94,7 +81,7 @@ impl Trace {
     }
 
     pub(crate) fn all() -> impl Iterator<Item = Self> {
-        TRACES.into_iter().map(Self::read)
+        reference::names("trace_").into_iter().map(|name| Self::read(&name))
     }
 
     pub(crate) fn library(&self, simulators: &Path) -> Library {
@@ -107,19 +94,19 @@ impl Trace {
     }
 
     pub(crate) fn model(&self, simulators: &Path, form: Form) -> RobosuiteModel {
-        static COMPILED: Mutex<Vec<(&str, Form, RobosuiteModel)>> = Mutex::new(Vec::new());
+        static COMPILED: Mutex<Vec<(String, Form, RobosuiteModel)>> = Mutex::new(Vec::new());
         let mut compiled = COMPILED.lock().unwrap();
-        if let Some((_, _, model)) = compiled.iter().find(|(name, of, _)| (*name, *of) == (self.name, form)) {
+        if let Some((_, _, model)) = compiled.iter().find(|(name, of, _)| (name, *of) == (&self.name, form)) {
             return model.clone();
         }
         let whole = self.mjcf(simulators);
         let text = match form {
             Form::Whole => whole,
             Form::Physics => without_pictures(&whole).unwrap(),
-            Form::Apart => without_contacts(&without_pictures(&whole).unwrap(), self.task.put_away()).unwrap(),
+            Form::Apart => without_contacts(&without_pictures(&whole).unwrap(), &self.task.put_away()).unwrap(),
         };
         let model = RobosuiteModel::compile(&self.library(simulators), self.task, self.profile, &text).unwrap();
-        compiled.push((self.name, form, model.clone()));
+        compiled.push((self.name.clone(), form, model.clone()));
         model
     }
 
@@ -137,29 +124,31 @@ impl Trace {
     }
 
     /// Whole policy steps before a part of the robot first touches something: in the step after them MuJoCo's list of contacts,
-    /// with the recorded controls, has the first one of a body of the robot. It is the same in both versions.
+    /// with the recorded controls, has the first one of a body of the robot. It is the same in both versions. Newer traces say it.
     pub(crate) fn steps_before_contact(&self) -> usize {
-        match (self.task, self.file.text("control")) {
-            (RobosuiteTask::Lift, "absolute") => 45,
-            (RobosuiteTask::Lift, _) => 49,
-            (RobosuiteTask::Can, _) => 40,
-            (RobosuiteTask::Square, _) => 38,
+        match (self.task.name, self.file.text("control")) {
+            ("lift", "absolute") => 45,
+            ("lift", _) => 49,
+            ("can", _) => 40,
+            ("square", _) => 38,
+            _ => self.file.header["steps_before_contact"].as_u64().unwrap() as usize,
         }
     }
 
     /// Coordinates of the objects that the task has put away.
     pub(crate) fn coordinates_put_away(&self, model: &RobosuiteModel) -> Vec<usize> {
-        let joint = |body: &&str| model.mujoco().joint(&body.replace("_main", "_joint0")).unwrap().0;
-        let all = self.task.put_away().iter();
-        all.map(joint).flat_map(|at| at..at + 7).collect()
+        let away = self.task.placement.iter().filter(|rule| !rule.used);
+        away.map(|rule| model.mujoco().joint(&rule.joint()).unwrap().0)
+            .flat_map(|at| at..at + 7)
+            .collect()
     }
 
     /// Those that push each other from the first step on, which magnifies any last bit: Can puts three objects away to one
     /// place. The round nut of Square lies alone.
     pub(crate) fn coordinates_in_contact_from_the_start(&self, simulation: &Robosuite) -> Vec<usize> {
-        match self.task {
-            RobosuiteTask::Can => self.coordinates_put_away(simulation.model()),
-            RobosuiteTask::Lift | RobosuiteTask::Square => Vec::new(),
+        match self.task.put_away().len() {
+            0 | 1 => Vec::new(),
+            _ => self.coordinates_put_away(simulation.model()),
         }
     }
 }

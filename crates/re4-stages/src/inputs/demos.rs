@@ -1,28 +1,29 @@
 //! Spatial demonstrations out of artifacts, one after the other, so that a dataset need not fit in memory.
 
-use anyhow::{Context as _, Result, bail, ensure};
-use arrow::array::{Array as _, BooleanArray, RecordBatch};
+use anyhow::{Context as _, Result};
+use arrow::array::RecordBatch;
 use arrow::compute::concat_batches;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use re4_artifact::{
-    Artifact, Batches, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
-};
+use re4_artifact::{Artifact, Batches, TableSpec, col_f64, col_f64_or_null, col_text, col_u32, tables};
 use re4_audit::SpatialDemo;
-use re4_episode::{Mode, Segment, SpatialEpisode, SpatialFrame, episode_name};
+use re4_episode::{SpatialEpisode, SpatialFrame, episode_name};
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_policy::DemoNames;
-use re4_segment::{Grasp, SegmentedSpatial, SpatialEvidence, SpatialSegment};
+use re4_segment::{ModeRow, SegmentRow, SegmentedSpatial, SpatialEvidence, SpatialSegment};
+
+use super::by_episode::ByEpisode;
 
 /// Demonstrations that are worked on at a time.
 const AT_A_TIME: usize = 64;
 
 /// The rows of one demonstration after those of the other, of a table that is sorted by episode.
-pub(crate) struct ByEpisode {
+pub(crate) struct BatchesByEpisode {
     batches: Batches,
     /// Rows that were read and not yet given.
     rest: Option<RecordBatch>,
 }
 
-impl ByEpisode {
+impl BatchesByEpisode {
     /// The table of this artifact.
     pub(crate) fn open(artifact: &Artifact, spec: &'static TableSpec) -> Result<Self> {
         Ok(Self {
@@ -64,7 +65,7 @@ impl ByEpisode {
     }
 }
 
-impl Iterator for ByEpisode {
+impl Iterator for BatchesByEpisode {
     type Item = Result<(u32, RecordBatch)>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -94,21 +95,6 @@ fn group_names(episodes: &Artifact) -> Result<Vec<String>> {
         .collect())
 }
 
-/// Whether a command above 0 closes the gripper, by table `conventions`.
-fn positive_closes(artifact: &Artifact) -> Result<bool> {
-    let conventions = artifact.table(&tables::CONVENTIONS)?.read_all()?;
-    let (names, values) = (col_text(&conventions, "convention")?, col_text(&conventions, "value")?);
-    let row = names.iter().position(|name| *name == Some("gripper_sign"));
-    match row.and_then(|row| values.get(row).copied().flatten()) {
-        Some("positive_closes") => Ok(true),
-        Some("positive_opens") => Ok(false),
-        _ => bail!(
-            "cannot tell what a gripper command means: table conventions of {} does not say it; ingest the dataset anew",
-            artifact.path().display()
-        ),
-    }
-}
-
 fn pose(batch: &RecordBatch, prefix: &str) -> Result<Vec<Isometry3<f64>>> {
     let part = |name: &str| col_f64(batch, &format!("{prefix}_{name}"));
     let (x, y, z) = (part("x")?, part("y")?, part("z")?);
@@ -127,7 +113,7 @@ fn isometry([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Isometry3<f64> {
 }
 
 /// A demonstration from its rows of table `spatial_frames`.
-fn spatial_episode(name: String, rows: &RecordBatch, positive_closes: bool) -> Result<SpatialEpisode> {
+fn spatial_episode(name: String, rows: &RecordBatch) -> Result<SpatialEpisode> {
     let column = |name: &str| col_f64(rows, name);
     let six = |prefix: &str| -> Result<Vec<[f64; 6]>> {
         let parts = ["x", "y", "z", "rx", "ry", "rz"]
@@ -151,142 +137,24 @@ fn spatial_episode(name: String, rows: &RecordBatch, positive_closes: bool) -> R
             delta: delta[i],
             goal: goal[i],
             gripper: gripper[i],
-            closes: if positive_closes {
-                gripper[i] > 0.0
-            } else {
-                gripper[i] < 0.0
-            },
             reward: reward[i],
         })
         .collect();
     Ok(SpatialEpisode { name, frames })
 }
 
-fn flag(array: &BooleanArray, row: usize) -> Option<bool> {
-    array.is_valid(row).then(|| array.value(row))
-}
-
-/// A segmentation from its rows of tables `spatial_modes` and `spatial_segments`.
-fn segmented(modes: &RecordBatch, segments: &RecordBatch) -> Result<SegmentedSpatial> {
-    let evidence = evidence(modes)?;
-    let modes = read_modes(modes)?;
-    let segments = read_segments(segments)?;
-    ensure!(
-        segments
-            .last()
-            .is_some_and(|last| last.segment.frames.end == modes.len()),
-        "table spatial_segments does not end where spatial_modes does; segment the dataset anew"
-    );
-    Ok(SegmentedSpatial {
-        grasp_frame: modes.iter().position(|mode| *mode == Mode::Transfer),
-        modes,
-        evidence,
-        segments,
-    })
-}
-
-fn read_modes(rows: &RecordBatch) -> Result<Vec<Mode>> {
-    col_text(rows, "mode")?
-        .into_iter()
-        .map(|name| {
-            name.and_then(Mode::from_name)
-                .with_context(|| format!("{} is no mode", name.unwrap_or("null")))
-        })
-        .collect()
-}
-
-fn evidence(rows: &RecordBatch) -> Result<Vec<SpatialEvidence>> {
-    let optional = |name: &str| col_f64_or_null(rows, name);
-    let closes = col_bool(rows, "command_closes")?;
-    let separation = col_f64(rows, "finger_separation")?;
-    let speed = optional("finger_speed")?;
-    let (eef_step, eef_turn) = (optional("eef_step")?, optional("eef_turn")?);
-    let (object_step, object_turn) = (optional("object_step")?, optional("object_turn")?);
-    let (translation, rotation) = (optional("relative_translation")?, optional("relative_rotation")?);
-    let distance = col_f64(rows, "eef_object_distance")?;
-    let (moving, holds) = (col_bool(rows, "object_moving")?, col_bool(rows, "holds")?);
-    Ok((0..rows.num_rows())
-        .map(|i| SpatialEvidence {
-            command_closes: flag(closes, i) == Some(true),
-            finger_separation: separation[i],
-            finger_speed: speed[i],
-            eef_step: eef_step[i],
-            eef_turn: eef_turn[i],
-            object_step: object_step[i],
-            object_turn: object_turn[i],
-            relative_translation: translation[i],
-            relative_rotation: rotation[i],
-            eef_object_distance: distance[i],
-            object_moving: flag(moving, i),
-            holds: flag(holds, i) == Some(true),
-        })
-        .collect())
-}
-
-fn read_segments(rows: &RecordBatch) -> Result<Vec<SpatialSegment>> {
-    let optional = |name: &str| col_f64_or_null(rows, name);
-    let poses = |prefix: &str| -> Result<Vec<Option<Isometry3<f64>>>> {
-        let parts = ["x", "y", "z", "qx", "qy", "qz", "qw"]
-            .iter()
-            .map(|part| optional(&format!("{prefix}_{part}")))
-            .collect::<Result<Vec<_>, _>>()?;
-        Ok((0..rows.num_rows())
-            .map(|i| {
-                let part = |k: usize| parts[k][i];
-                Some(isometry(
-                    [part(0)?, part(1)?, part(2)?],
-                    [part(3)?, part(4)?, part(5)?, part(6)?],
-                ))
-            })
-            .collect())
-    };
-    let (first, end) = (col_u32(rows, "first_frame")?, col_u32(rows, "end_frame")?);
-    let modes = read_modes(rows)?;
-    let (anchors, grasps) = (poses("anchor")?, poses("grasp")?);
-    let settled = col_u32_or_null(rows, "settled_frame")?;
-    let separation = optional("finger_separation")?;
-    let (residual, residual_rotation) = (optional("rigidity_residual")?, optional("rigidity_residual_rotation")?);
-    let column = |name: &str| col_f64(rows, name);
-    let (displacement, rise) = (column("object_displacement")?, column("object_rise")?);
-    let (rotation, path) = (column("object_rotation")?, column("object_path")?);
-    Ok((0..rows.num_rows())
-        .map(|i| SpatialSegment {
-            segment: Segment {
-                mode: modes[i],
-                frames: first[i] as usize..end[i] as usize,
-            },
-            anchor: anchors[i],
-            settled_frame: settled[i].map(|frame| frame as usize),
-            grasp: grasps[i].and_then(|transform| {
-                Some(Grasp {
-                    transform,
-                    finger_separation: separation[i]?,
-                    residual: residual[i]?,
-                    residual_rotation: residual_rotation[i]?,
-                })
-            }),
-            object_displacement: displacement[i],
-            object_rise: rise[i],
-            object_rotation: rotation[i],
-            object_path: path[i],
-        })
-        .collect())
-}
-
 /// The demonstrations of an `episodes` artifact, in order.
 pub(crate) struct SpatialEpisodes {
-    rows: ByEpisode,
+    rows: BatchesByEpisode,
     names: Vec<String>,
-    positive_closes: bool,
 }
 
 impl SpatialEpisodes {
     /// Those of this artifact.
     pub(crate) fn open(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
-            rows: ByEpisode::open(artifact, &tables::SPATIAL_FRAMES)?,
+            rows: BatchesByEpisode::open(artifact, &tables::SPATIAL_FRAMES)?,
             names: group_names(artifact)?,
-            positive_closes: positive_closes(artifact)?,
         })
     }
 
@@ -296,12 +164,13 @@ impl SpatialEpisodes {
     }
 
     fn read(&self, number: u32, rows: &RecordBatch) -> Result<(u32, SpatialEpisode)> {
-        let name = self.names.get(number as usize).cloned().with_context(|| {
-            format!(
-                "table spatial_frames names demonstration {number} of the artifact, which table demos lacks; ingest the dataset anew"
+        let name = self.names.get(number as usize).cloned().or_fault(|| {
+            fault!(
+                "table spatial_frames names demonstration {number} of the artifact, which table demos lacks";
+                "ingest the dataset anew"
             )
         })?;
-        Ok((number, spatial_episode(name, rows, self.positive_closes)?))
+        Ok((number, spatial_episode(name, rows)?))
     }
 }
 
@@ -317,8 +186,8 @@ impl Iterator for SpatialEpisodes {
 /// The demonstrations of an `episodes` artifact with their segmentation from a `modes` artifact, in order.
 pub(crate) struct SegmentedEpisodes {
     episodes: SpatialEpisodes,
-    modes: ByEpisode,
-    segments: ByEpisode,
+    modes: ByEpisode<ModeRow<SpatialEvidence>>,
+    segments: ByEpisode<SegmentRow<SpatialSegment>>,
 }
 
 impl SegmentedEpisodes {
@@ -326,19 +195,28 @@ impl SegmentedEpisodes {
     pub(crate) fn open(episodes: &Artifact, modes: &Artifact) -> Result<Self> {
         Ok(Self {
             episodes: SpatialEpisodes::open(episodes)?,
-            modes: ByEpisode::open(modes, &tables::SPATIAL_MODES)?,
-            segments: ByEpisode::open(modes, &tables::SPATIAL_SEGMENTS)?,
+            modes: ByEpisode::open(modes, |row: &ModeRow<_>| row.episode)?,
+            segments: ByEpisode::open(modes, |row: &SegmentRow<_>| row.episode)?,
         })
     }
 
     fn join(&mut self, number: u32, episode: SpatialEpisode) -> Result<SpatialDemo> {
         let name = episode.name.clone();
-        let missing = || format!("{name} is not segmented; segment the dataset anew");
+        let missing = || fault!("{name} is not segmented"; "segment the dataset anew");
         let (modes_of, modes) = self.modes.next().with_context(missing)??;
         let (segments_of, segments) = self.segments.next().with_context(missing)??;
-        let segmented = segmented(&modes, &segments)?;
+        let segmented = SegmentedSpatial::from_rows(modes, segments);
+        let frames = segmented.modes.len();
         ensure!(
-            modes_of == number && segments_of == number && segmented.modes.len() == episode.frames.len(),
+            segmented
+                .segments
+                .last()
+                .is_some_and(|last| last.segment.frames.end == frames),
+            "table segments does not end where modes does";
+            "segment the dataset anew"
+        );
+        ensure!(
+            modes_of == number && segments_of == number && frames == episode.frames.len(),
             "{}",
             missing()
         );

@@ -1,7 +1,8 @@
 //! Pose estimators out of a `poses` artifact.
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, col_f64, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, col_f64};
 use re4_pose::{Anchor, LogPolarEstimator, Outline};
 use re4_sim::{OUTLINE_RADIUS, tee_rectangles};
 
@@ -12,7 +13,9 @@ pub(crate) const WEIGHTS: &str = "encoder.safetensors";
 
 /// The estimator that a `poses` artifact was made with.
 pub(crate) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<LogPolarEstimator> {
-    let table = artifact.table(&tables::ANCHOR)?.read_columns(&["goal_share"])?;
+    let table = artifact
+        .table(re4_pose::AnchorRow::table())?
+        .read_columns(&["goal_share"])?;
     let share: Vec<f32> = col_f64(&table, "goal_share")?
         .iter()
         .map(|share| *share as f32)

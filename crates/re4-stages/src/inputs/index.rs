@@ -1,9 +1,11 @@
 //! What Push-T's policy searches, out of an `index` artifact.
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use arrow::array::Array as _;
-use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32};
 use re4_episode::{Mode, PlanarFrame};
+use re4_fault::{OrFault as _, bail, fault};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{IndexedFrame, Normalization, Range, RetrievalIndex};
 use re4_policy::{Chunk, ChunkLibrary, DemoNames, DemoSet, Knowledge, PolicyConfig, Selector};
@@ -29,19 +31,21 @@ pub(crate) fn open_index(artifact: &Artifact, policy: &PolicyConfig, names: Demo
 
 fn open_states(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> Result<(DemoSet, RetrievalIndex)> {
     // The normalised coordinates are in the table for other readers; they follow from the states and the scales.
-    let table = artifact.table(&tables::INDEX)?.read_columns(&[
-        "episode",
-        "frame",
-        "mode",
-        "eef_x",
-        "eef_y",
-        "object_x",
-        "object_y",
-        "object_theta",
-        "action_x",
-        "action_y",
-        "retrievable",
-    ])?;
+    let table = artifact
+        .table(re4_index::IndexRow::<re4_index::PlanarState>::table())?
+        .read_columns(&[
+            "episode",
+            "frame",
+            "mode",
+            "eef_x",
+            "eef_y",
+            "object_x",
+            "object_y",
+            "object_theta",
+            "action_x",
+            "action_y",
+            "retrievable",
+        ])?;
     let retrievable = col_bool(&table, "retrievable")?;
     let column = |name| col_f64(&table, name);
     let (eef_x, eef_y) = (column("eef_x")?, column("eef_y")?);
@@ -52,10 +56,10 @@ fn open_states(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> 
     let mut indexed = Vec::with_capacity(episode.len());
     let mut demos: Vec<(u32, Vec<(PlanarFrame, Mode)>)> = Vec::new();
     for i in 0..episode.len() {
-        let mode = modes[i].and_then(Mode::from_name).with_context(|| {
-            format!(
-                "cannot read {}: table index has an unknown mode in row {i}; build it again",
-                artifact.path().display()
+        let mode = modes[i].and_then(Mode::from_name).or_fault(|| {
+            fault!(
+                "cannot read {}: table index has an unknown mode in row {i}", artifact.path().display();
+                "build it again"
             )
         })?;
         let (eef, object) = (Point2::new(eef_x[i], eef_y[i]), Pose2::new(x[i], y[i], theta[i]));
@@ -90,13 +94,14 @@ fn open_states(artifact: &Artifact, policy: &PolicyConfig, names: DemoNames) -> 
 }
 
 fn read_scales(artifact: &Artifact) -> Result<[Range; 5]> {
-    let table = artifact.table(&tables::SCALES)?.read_all()?;
+    let table = artifact.table(re4_index::ScaleRow::table())?.read_all()?;
     let names = col_text(&table, "dimension")?;
     if !names.iter().copied().eq(Normalization::DIMENSIONS.map(Some)) {
-        anyhow::bail!(
-            "cannot read {}: table scales names other dimensions than {}; build it again",
+        bail!(
+            "cannot read {}: table scales names other dimensions than {}",
             artifact.path().display(),
-            Normalization::DIMENSIONS.join(", ")
+            Normalization::DIMENSIONS.join(", ");
+            "build it again"
         );
     }
     let (minimum, maximum) = (col_f64(&table, "minimum")?, col_f64(&table, "maximum")?);
@@ -107,7 +112,7 @@ fn read_scales(artifact: &Artifact) -> Result<[Range; 5]> {
 }
 
 fn read_chunks(artifact: &Artifact) -> Result<Vec<Chunk>> {
-    let table = artifact.table(&tables::CHUNKS)?.read_all()?;
+    let table = artifact.table(re4_policy::Chunk::table())?.read_all()?;
     let column = |name| col_f64(&table, name);
     let (x, y, theta) = (column("motion_x")?, column("motion_y")?, column("motion_theta")?);
     let (travel, pushed) = (column("travel")?, column("pushed")?);

@@ -1,5 +1,6 @@
 //! Readers of artifacts, and of what lies beside them, that more than one stage uses.
 
+pub(crate) mod by_episode;
 pub(crate) mod demos;
 pub(crate) mod episodes;
 pub(crate) mod estimators;

@@ -1,9 +1,10 @@
 //! What stages that look at pictures of robosuite's tasks need of an `episodes` artifact.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use re4_artifact::{Artifact, tables};
+use re4_fault::ensure;
 
 /// Refuses demonstrations without pictures of a camera.
 pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
@@ -20,9 +21,10 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
         format!("holds pictures of {} alone", cameras.join(", "))
     };
     ensure!(
-        manifest.tables.contains_key(tables::CAMERA_IMAGES.name) && cameras.contains(&camera),
-        "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}; set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera",
-        episodes.path().display()
+        manifest.tables.contains_key(tables::IMAGES.name) && cameras.contains(&camera),
+        "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}",
+        episodes.path().display();
+        "set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera"
     );
     Ok(())
 }

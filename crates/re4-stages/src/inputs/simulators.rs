@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
-use re4_mujoco::{Data, Library};
+use re4_fault::{bail, ensure};
+use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_pictures};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
@@ -35,24 +36,6 @@ pub(crate) fn library(profile: Profile) -> Result<Library> {
     Ok(library)
 }
 
-/// Puts a flattened state (time, coordinates, velocities) into a simulation and computes what a picture of it depends on.
-///
-/// # Errors
-/// When the state has another length than the model's.
-pub(crate) fn set_state(data: &mut Data, state: &[f64]) -> Result<()> {
-    let (nq, nv) = (data.model().nq(), data.model().nv());
-    ensure!(
-        state.len() == 1 + nq + nv,
-        "cannot draw a state of {} numbers: the model has the time, {nq} coordinates and {nv} velocities",
-        state.len()
-    );
-    data.set_time(state[0]);
-    data.qpos_mut().copy_from_slice(&state[1..=nq]);
-    data.qvel_mut().copy_from_slice(&state[1 + nq..]);
-    data.forward();
-    Ok(())
-}
-
 /// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
 pub struct Scenes {
     task: RobosuiteTask,
@@ -74,8 +57,9 @@ pub(crate) fn profile(episodes: &Artifact) -> Result<Profile> {
     let named = episodes.manifest().source["robosuite_version"].as_str();
     let Some(named) = named else {
         bail!(
-            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args",
-            episodes.path().display()
+            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it",
+            episodes.path().display();
+            "give its env_args, with env_version, as ingest.env_args"
         );
     };
     Profile::of(named).with_context(|| {
@@ -100,8 +84,8 @@ impl Scenes {
         let has_models = episodes.manifest().tables.contains_key(tables::MODELS.name);
         ensure!(
             has_models,
-            "cannot simulate the demonstrations of {}: they have no model_file; ingest a file whose demonstrations have that attribute",
-            episodes.path().display()
+            "cannot simulate the demonstrations of {}: they have no model_file", episodes.path().display();
+            "ingest a file whose demonstrations have that attribute"
         );
         let table = episodes.table(&tables::MODELS)?.read_all()?;
         let folder = assets_folder();
@@ -116,7 +100,7 @@ impl Scenes {
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
-                text = without_contacts(&text, task.put_away()).map_err(anyhow::Error::msg)?;
+                text = without_contacts(&text, &task.put_away()).map_err(anyhow::Error::msg)?;
             }
             let text = with_assets(&text, &folder).with_context(place)?;
             mjcf.push(text);

@@ -2,14 +2,15 @@
 
 use std::collections::BTreeSet;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::Result;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
+use re4_artifact::Row as _;
+use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32};
 use re4_episode::Mode;
+use re4_fault::{OrFault as _, fault};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::DemoNames;
 use re4_policy::spatial::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialRetrieveConfig};
-use re4_robosuite::hand_to_site;
 
 use super::poses::read_poses;
 
@@ -20,7 +21,9 @@ pub(crate) fn open_spatial_index(
     symmetry: Symmetry,
     names: DemoNames,
 ) -> Result<SpatialKnowledge> {
-    let table = artifact.table(&tables::SPATIAL_INDEX)?.read_all()?;
+    let table = artifact
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())?
+        .read_all()?;
     let column = |name: &str| col_f64(&table, name);
     let (eef, object) = (read_poses(&table, "eef")?, read_poses(&table, "object")?);
     let goals = ["x", "y", "z", "rx", "ry", "rz"]
@@ -34,10 +37,10 @@ pub(crate) fn open_spatial_index(
     let mut demos: Vec<(u32, Vec<SpatialDemoFrame>)> = Vec::new();
     let mut excluded = BTreeSet::new();
     for i in 0..episode.len() {
-        let mode = modes[i].and_then(Mode::from_name).with_context(|| {
-            format!(
-                "cannot read {}: table spatial_index has an unknown mode in row {i}; build it again",
-                artifact.path().display()
+        let mode = modes[i].and_then(Mode::from_name).or_fault(|| {
+            fault!(
+                "cannot read {}: table spatial_index has an unknown mode in row {i}", artifact.path().display();
+                "build it again"
             )
         })?;
         if !retrievable.value(i) {
@@ -64,21 +67,4 @@ pub(crate) fn open_spatial_index(
         symmetry,
         |demo, frame| excluded.contains(&(demo, frame)),
     )?)
-}
-
-/// The rotation from the end effector's recorded frame to that of the grip site.
-pub(crate) fn orientation_to_site(episodes: &Artifact) -> Result<UnitQuaternion<f64>> {
-    let rows = episodes
-        .table(&tables::CONVENTIONS)?
-        .read_columns(&["convention", "value"])?;
-    let (names, values) = (col_text(&rows, "convention")?, col_text(&rows, "value")?);
-    let row = names.iter().position(|name| *name == Some("eef_orientation"));
-    match row.and_then(|row| values[row]) {
-        Some("hand_body") => Ok(hand_to_site()),
-        Some("grip_site") => Ok(UnitQuaternion::identity()),
-        _ => bail!(
-            "cannot tell whose orientation the end effector's is: table conventions of {} does not say it; ingest the dataset anew",
-            episodes.path().display()
-        ),
-    }
 }

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
+use re4_fault::{OrFault as _, bail, fault};
 use re4_policy::spatial::{SPATIAL_PRESETS, SpatialPolicyConfig};
 use re4_policy::{PRESETS, PolicyConfig};
 use re4_segment::SegmentConfig;
@@ -17,10 +18,10 @@ use super::{Pipeline, checks};
 /// When the file cannot be read, is not TOML, has an unknown key (named, with the nearest known one) or a value that
 /// does not fit.
 pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
-    let text = std::fs::read_to_string(path).with_context(|| {
-        format!(
-            "cannot read the pipeline file {}; give the path of a TOML file such as pipelines/demo.toml",
-            path.display()
+    let text = std::fs::read_to_string(path).or_fault(|| {
+        fault!(
+            "cannot read the pipeline file {}", path.display();
+            "give the path of a TOML file such as pipelines/demo.toml"
         )
     })?;
     parse(&text, path, overrides)
@@ -110,13 +111,14 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
     let depth = path.split('.').count();
     if depth > DEEPEST {
         bail!(
-            "cannot apply --set: the key has {depth} parts, and no setting has more than {DEEPEST}; write stage.key=value"
+            "cannot apply --set: the key has {depth} parts, and no setting has more than {DEEPEST}";
+            "write stage.key=value"
         );
     }
     let mut at = document;
     for key in path.trim().split('.') {
         if key.is_empty() {
-            bail!("cannot apply --set {text}: the key is empty; write stage.key=value");
+            bail!("cannot apply --set {text}: the key is empty"; "write stage.key=value");
         }
         if !at.is_object() {
             *at = Value::Object(Map::new());
@@ -150,7 +152,7 @@ fn tell_rollouts_apart(document: &mut Value) -> Result<()> {
         return Ok(());
     };
     if map.contains_key(SPATIAL_ROLLOUT) {
-        bail!("unknown key {SPATIAL_ROLLOUT}; the table is called rollout for every task");
+        bail!("unknown key {SPATIAL_ROLLOUT}"; "the table is called rollout for every task");
     }
     let robosuite = map
         .get("task")
@@ -185,9 +187,8 @@ fn complete_policy(
     };
     let Some(preset) = preset(name) else {
         bail!(
-            "unknown policy {name:?} in rollout.policy{}; the presets are {}",
-            suggestion(name, presets),
-            presets.join(", ")
+            "unknown policy {name:?} in rollout.policy{}", suggestion(name, presets);
+            "the presets are {}", presets.join(", ")
         );
     };
     if let Value::Object(sections) = preset? {
@@ -223,7 +224,7 @@ fn merge(preset: Value, own: Option<Value>) -> Option<Value> {
 /// JSON cannot say nan and inf and has null in their place, which an optional setting would take for absence.
 fn refuse_not_finite(document: &Value, place: &str) -> Result<()> {
     match document {
-        Value::Null => bail!("{place} is nan or inf; give a finite number, or leave it out"),
+        Value::Null => bail!("{place} is nan or inf"; "give a finite number, or leave it out"),
         Value::Object(map) => map.iter().try_for_each(|(key, value)| {
             let dot = if place.is_empty() { "" } else { "." };
             refuse_not_finite(value, &format!("{place}{dot}{key}"))
@@ -249,9 +250,8 @@ fn refuse_unknown(root: &Value, schema: &Value, document: &Value, place: &str) -
         match properties.get(key) {
             Some(inner) => refuse_unknown(root, inner, value, &path)?,
             None => bail!(
-                "unknown key {shown}{}; known here: {}",
-                suggestion(key, known(properties)),
-                known(properties).collect::<Vec<_>>().join(", ")
+                "unknown key {shown}{}", suggestion(key, known(properties));
+                "known here: {}", known(properties).collect::<Vec<_>>().join(", ")
             ),
         }
     }

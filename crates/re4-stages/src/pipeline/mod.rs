@@ -8,26 +8,28 @@ mod sections;
 mod seeds;
 mod task;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_audit::AuditConfig;
+use re4_fault::{Fault, OrFault as _, fault};
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use load::{load, parse};
+pub use re4_task::{Camera, Task};
 pub use rollout::{NoiseSection, RolloutSection, SpatialRolloutSection};
 pub use schema::schema;
-pub use sections::{Camera, Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
+pub use sections::{Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
 pub use seeds::Seeds;
-pub use task::{TaskName, Variant};
+pub use task::Variant;
 
 /// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pipeline {
     /// Task of the experiment.
-    pub task: TaskName,
+    pub task: Task,
     /// What the policy observes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variant: Option<Variant>,
@@ -56,9 +58,10 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    fn missing(table: &str) -> String {
-        format!(
-            "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
+    fn missing(table: &str) -> Fault {
+        fault!(
+            "the pipeline file has no table [{table}], which this command needs";
+            "add it, or stop at an earlier stage"
         )
     }
 
@@ -67,7 +70,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[pose]`.
     pub fn pose(&self) -> Result<&PoseSection> {
-        self.pose.as_ref().with_context(|| Self::missing("pose"))
+        self.pose.as_ref().or_fault(|| Self::missing("pose"))
     }
 
     /// How the index is made.
@@ -75,7 +78,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[index]`.
     pub fn index(&self) -> Result<&IndexSection> {
-        self.index.as_ref().with_context(|| Self::missing("index"))
+        self.index.as_ref().or_fault(|| Self::missing("index"))
     }
 
     /// How the policy is rolled out, for Push-T.
@@ -83,7 +86,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub fn rollout(&self) -> Result<&RolloutSection> {
-        self.rollout.as_ref().with_context(|| Self::missing("rollout"))
+        self.rollout.as_ref().or_fault(|| Self::missing("rollout"))
     }
 
     /// How the policy is rolled out, for robosuite's tasks.
@@ -91,6 +94,6 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
-        self.spatial_rollout.as_ref().with_context(|| Self::missing("rollout"))
+        self.spatial_rollout.as_ref().or_fault(|| Self::missing("rollout"))
     }
 }

@@ -11,8 +11,8 @@ use re4_sim::{ResetOrder, SeedScheme};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Variant;
 use super::seeds::Seeds;
-use super::task::{Variant, symmetry_of};
 
 /// `index` to `rollouts`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -125,7 +125,7 @@ impl SpatialRolloutSection {
     /// Symmetry of the task's object that the policy uses.
     pub fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>) -> Symmetry {
         let usual = if self.policy == "re4" && variant != Some(Variant::Image) {
-            symmetry_of(task)
+            task.symmetry
         } else {
             Symmetry::None
         };

@@ -9,6 +9,7 @@ use re4_ingest::pusht::PushtConventions;
 use re4_ingest::{OnBad, Selection};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_sim::GOAL;
+use re4_task::Camera;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -60,30 +61,6 @@ pub struct IngestSection {
 /// Whether a setting need not be written.
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
-}
-
-/// Cameras of the tasks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Camera {
-    /// Push-T's only one: the window from above, 96 x 96.
-    Image,
-    /// robosuite's camera that looks at robot and table from the front, 84 x 84.
-    Agentview,
-    /// robosuite's camera on the hand, 84 x 84.
-    #[serde(rename = "robot0_eye_in_hand")]
-    EyeInHand,
-}
-
-impl Camera {
-    /// Its name in files and tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Image => "image",
-            Self::Agentview => "agentview",
-            Self::EyeInHand => "robot0_eye_in_hand",
-        }
-    }
 }
 
 /// Where object poses come from.

@@ -1,17 +1,16 @@
 //! Audit: `episodes` and `modes` to the findings of an `audit`.
 
 mod summary;
-mod tables_of;
 
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use nalgebra::Isometry3;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Facts, Recipe, Stage, Writer};
 use re4_audit::{
-    Finding, GraspLimits, JudgedGrasp, PlanarDemo, Severity, SpatialDemo, Thresholds, audit_copies, audit_planar,
-    audit_spatial, contact_and_motion, observe_planar, observe_spatial,
+    AuditedEpisodeRow, CheckRow, Finding, FindingRow, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo, Severity,
+    SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion, observe_planar,
+    observe_spatial,
 };
 use re4_episode::{Mode, Segment};
 use re4_ingest::LeftOut;
@@ -25,29 +24,35 @@ use crate::inputs::sources::left_out;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
-/// What the audit's table of demonstrations says of one.
+/// A demonstration, and its segments.
 struct Listed {
-    demo: String,
-    frames: usize,
+    row: AuditedEpisodeRow,
     segments: Vec<Segment>,
-    displacement: f64,
 }
 
 impl Listed {
-    fn frames_in(&self, mode: Mode) -> usize {
-        let of_mode = self.segments.iter().filter(|segment| segment.mode == mode);
-        of_mode.map(|segment| segment.frames.len()).sum()
+    fn new(demo: &str, frames: usize, segments: Vec<Segment>, displacement: f64) -> Self {
+        let of = |mode| segments.iter().filter(move |segment| segment.mode == mode);
+        let frames_in = |mode| of(mode).map(|segment| segment.frames.len()).sum();
+        let row = AuditedEpisodeRow {
+            // Numbers and counts follow when all is found.
+            episode: 0,
+            demo: demo.to_owned(),
+            frames,
+            transit_frames: frames_in(Mode::Transit),
+            transfer_frames: frames_in(Mode::Transfer),
+            segments: segments.len(),
+            transfers: of(Mode::Transfer).count(),
+            grasp_frame: of(Mode::Transfer).next().map(|segment| segment.frames.start),
+            object_displacement: displacement,
+            errors: 0,
+            warnings: 0,
+            notes: 0,
+        };
+        Self { row, segments }
     }
-}
-
-/// A transfer segment with the grasp transform that the segmentation gave it.
-struct ListedGrasp {
-    episode: u32,
-    judged: JudgedGrasp,
-    transform: Isometry3<f64>,
-    separation: f64,
 }
 
 /// All that an audit finds.
@@ -55,7 +60,7 @@ struct Audited {
     thresholds: Thresholds,
     listed: Vec<Listed>,
     findings: Vec<Finding>,
-    grasps: Vec<ListedGrasp>,
+    grasps: Vec<GraspRow>,
     contacts: Option<Contacts>,
 }
 
@@ -74,12 +79,7 @@ impl Audited {
                 unit: "",
                 message: left.why,
             });
-            self.listed.push(Listed {
-                demo: left.demo,
-                frames: 0,
-                segments: Vec::new(),
-                displacement: 0.0,
-            });
+            self.listed.push(Listed::new(&left.demo, 0, Vec::new(), 0.0));
         }
     }
 }
@@ -104,7 +104,7 @@ impl Runner {
             audited
                 .findings
                 .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
-            write(&audited, writer)?;
+            write(&mut audited, writer)?;
             Ok(Facts {
                 summary: summary(&audited),
                 warnings: Vec::new(),
@@ -228,46 +228,76 @@ fn constant(code: &str) -> Option<f64> {
 fn list_spatial(demo: &SpatialDemo) -> Listed {
     let frames = &demo.episode.frames;
     let at = |frame: Option<&re4_episode::SpatialFrame>| frame.map(|frame| frame.object.translation.vector);
-    Listed {
-        demo: demo.episode.name.clone(),
-        frames: frames.len(),
-        segments: demo.segmented.segments.iter().map(|s| s.segment.clone()).collect(),
-        displacement: match (at(frames.first()), at(frames.last())) {
-            (Some(first), Some(last)) => (last - first).norm(),
-            _ => 0.0,
-        },
-    }
+    let displacement = match (at(frames.first()), at(frames.last())) {
+        (Some(first), Some(last)) => (last - first).norm(),
+        _ => 0.0,
+    };
+    let segments = demo.segmented.segments.iter().map(|s| s.segment.clone()).collect();
+    Listed::new(&demo.episode.name, frames.len(), segments, displacement)
 }
 
 fn list_planar(demo: &PlanarDemo) -> Listed {
     let frames = &demo.episode.frames;
-    Listed {
-        demo: demo.episode.name(),
-        frames: frames.len(),
-        segments: demo.segmented.segments.iter().map(|s| s.segment.clone()).collect(),
-        displacement: match (frames.first(), frames.last()) {
-            (Some(first), Some(last)) => (last.object.translation() - first.object.translation()).norm(),
-            _ => 0.0,
-        },
-    }
+    let displacement = match (frames.first(), frames.last()) {
+        (Some(first), Some(last)) => (last.object.translation() - first.object.translation()).norm(),
+        _ => 0.0,
+    };
+    let segments = demo.segmented.segments.iter().map(|s| s.segment.clone()).collect();
+    Listed::new(&demo.episode.name(), frames.len(), segments, displacement)
 }
 
-fn list_grasp(demo: &SpatialDemo, judged: JudgedGrasp) -> Option<ListedGrasp> {
+fn list_grasp(demo: &SpatialDemo, judged: JudgedGrasp) -> Option<GraspRow> {
     let grasp = demo.segmented.segments.get(judged.segment)?.grasp?;
-    Some(ListedGrasp {
+    Some(GraspRow {
         episode: demo.number,
-        judged,
-        transform: grasp.transform,
-        separation: grasp.finger_separation,
+        segment: judged.segment,
+        frames: judged.frames,
+        outcome: judged.outcome.as_str().into(),
+        grasp: grasp.transform,
+        finger_separation: grasp.finger_separation,
+        rigidity_residual: judged.residual,
+        object_rise: judged.rise,
     })
 }
 
-fn write(audited: &Audited, writer: &Writer) -> Result<()> {
-    tables_of::findings(&audited.findings, writer)?;
-    tables_of::checks(audited, writer)?;
-    tables_of::episodes(audited, writer)?;
+fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
+    for (number, listed) in (0..).zip(&mut audited.listed) {
+        listed.row.episode = number;
+    }
+    for finding in &audited.findings {
+        if let Some(Listed { row, .. }) = audited.listed.get_mut(finding.episode as usize) {
+            *match finding.severity {
+                Severity::Error => &mut row.errors,
+                Severity::Warning => &mut row.warnings,
+                Severity::Note => &mut row.notes,
+            } += 1;
+        }
+    }
+    writer.write_rows(
+        (0..)
+            .zip(&audited.findings)
+            .map(|(number, found)| FindingRow::new(number, found)),
+    )?;
+    let counts = by_code(&audited.findings);
+    let planar = audited.thresholds.planar();
+    writer.write_rows(audited.thresholds.iter().map(|(check, threshold)| {
+        let (findings, episodes) = counts.get(check.code).copied().unwrap_or_default();
+        CheckRow {
+            code: check.code.into(),
+            severity: check.severity,
+            meaning: check.meaning.to_owned(),
+            measure: check.measure.to_owned(),
+            threshold: threshold.value,
+            unit: check.unit_of(planar).into(),
+            origin: threshold.origin.as_str().into(),
+            derivation: threshold.derivation.clone(),
+            findings,
+            episodes,
+        }
+    }))?;
+    writer.write_rows(audited.listed.iter().map(|listed| listed.row.clone()))?;
     if audited.contacts.is_none() {
-        tables_of::grasps(&audited.grasps, writer)?;
+        writer.write_rows(audited.grasps.iter().cloned())?;
     }
     Ok(())
 }

@@ -6,19 +6,21 @@ mod spatial;
 use std::collections::BTreeSet;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64_or_null, col_text, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Writer, columns};
 use re4_episode::Mode;
-use re4_geometry::{Point2, Pose2, wrap_to_pi};
-use re4_index::{AngleMetric, IndexedFrame, Normalization};
-use re4_policy::{Chunk, DemoSet, collect_chunks};
-use re4_pose::Flag;
+use re4_fault::ensure;
+use re4_geometry::Pose2;
+use re4_index::{AngleMetric, IndexRow, IndexedFrame, Normalization, PlanarState, ScaleRow};
+use re4_policy::{DemoSet, collect_chunks};
+use re4_pose::{Estimate, Flag, PoseRow, between_clear};
+use re4_segment::{Evidence, ModeRow};
 use serde_json::json;
 
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 impl Runner {
     /// The `index` artifact, over the poses of the `poses` artifact where there is one, over the recorded ones otherwise.
@@ -38,7 +40,9 @@ impl Runner {
             recipe = recipe.input("poses", poses.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let estimated = poses.map(|poses| read_poses(&poses.artifact)).transpose()?;
+            let estimated = poses
+                .map(|poses| poses.artifact.read::<PoseRow<Estimate>>())
+                .transpose()?;
             let (demos, blanks) = read_demos(&episodes.artifact, &modes.artifact, estimated)?;
             let mut frames = indexed_frames(&demos);
             // The ranges do not depend on how angles are compared; the policy chooses that when it opens the index.
@@ -51,7 +55,7 @@ impl Runner {
                     .next()
                     .is_none()
             });
-            write_chunks(&chunks, writer)?;
+            writer.write_rows(chunks.iter().cloned())?;
             frames.retain(|frame| !blanks.contains(&(frame.episode, frame.frame)));
             let summary = json!({
                 "episodes": demos.iter().count(),
@@ -86,22 +90,12 @@ fn indexed_frames(demos: &DemoSet) -> Vec<IndexedFrame> {
 /// Frames, as (episode, frame), whose pose is not clear.
 type Blanks = BTreeSet<(u32, u32)>;
 
-/// The estimated pose of every frame in the order of the episodes; none where it is not clear.
-fn read_poses(artifact: &Artifact) -> Result<Vec<Option<Pose2>>> {
-    let table = artifact
-        .table(&tables::POSES)?
-        .read_columns(&["object_x", "object_y", "object_theta", "flag"])?;
-    let column = |name| col_f64_or_null(&table, name);
-    let (x, y, theta) = (column("object_x")?, column("object_y")?, column("object_theta")?);
-    let clear = Flag::Clear.as_str();
-    Ok(col_text(&table, "flag")?
-        .iter()
-        .enumerate()
-        .map(|(i, flag)| {
-            let pose = Pose2::new(x[i]?, y[i]?, theta[i]?);
-            (*flag == Some(clear)).then_some(pose)
-        })
-        .collect())
+columns! {
+    /// The mode of a frame.
+    pub struct ModeOf {
+        /// Mode.
+        pub mode: Mode,
+    }
 }
 
 /// Episodes and the mode of each of their frames. Estimated poses, where there are any, take the place of the recorded
@@ -109,31 +103,31 @@ fn read_poses(artifact: &Artifact) -> Result<Vec<Option<Pose2>>> {
 fn read_demos(
     episodes: &Artifact,
     modes: &Artifact,
-    estimated: Option<Vec<Option<Pose2>>>,
+    estimated: Option<Vec<PoseRow<Estimate>>>,
 ) -> Result<(DemoSet, Blanks)> {
-    let table = modes.table(&tables::MODES)?.read_columns(&["mode"])?;
-    let mut labels = col_text(&table, "mode")?.into_iter();
+    let mut labels = modes.table(ModeRow::<Evidence>::table())?.stream::<ModeOf>()?;
     let mut poses = estimated.map(Vec::into_iter);
     let mut blanks = Blanks::new();
     let mut demos = Vec::new();
     for (number, mut episode) in (0..).zip(read_episodes(episodes)?) {
         let count = episode.frames.len();
-        let modes_of: Vec<Mode> = labels
+        let modes_of = labels
             .by_ref()
             .take(count)
-            .map_while(|label| label.and_then(Mode::from_name))
-            .collect();
-        anyhow::ensure!(
+            .map(|row| Ok(row?.mode))
+            .collect::<Result<Vec<Mode>>>()?;
+        ensure!(
             modes_of.len() == count,
-            "cannot read {}: table modes has fewer frames than the episodes, or an unknown mode; build it again",
-            modes.path().display()
+            "cannot read {}: table modes has fewer frames than the episodes", modes.path().display();
+            "build it again"
         );
         if let Some(poses) = &mut poses {
-            let known: Vec<Option<Pose2>> = poses.by_ref().take(count).collect();
-            anyhow::ensure!(
+            let clear = |row: PoseRow<Estimate>| row.estimate.pose.filter(|_| row.estimate.flag == Flag::Clear);
+            let known: Vec<Option<Pose2>> = poses.by_ref().take(count).map(clear).collect();
+            ensure!(
                 known.len() == count,
-                "cannot index {}: it has more frames than there are poses; build the poses again",
-                episodes.path().display()
+                "cannot index {}: it has more frames than there are poses", episodes.path().display();
+                "build the poses again"
             );
             blanks.extend(
                 (0..)
@@ -141,48 +135,21 @@ fn read_demos(
                     .filter(|(_, pose)| pose.is_none())
                     .map(|(frame, _)| (number, frame)),
             );
-            let Some(filled) = fill(&known) else { continue };
+            let Some(filled) = between_clear(&known) else {
+                continue;
+            };
             for (frame, pose) in episode.frames.iter_mut().zip(filled) {
                 frame.object = pose;
             }
         }
         demos.push((number, episode.frames.into_iter().zip(modes_of).collect()));
     }
-    anyhow::ensure!(
+    ensure!(
         !demos.is_empty(),
-        "cannot index {}: no frame of it has a clear pose; look at the table poses",
-        episodes.path().display()
+        "cannot index {}: no frame of it has a clear pose", episodes.path().display();
+        "look at the table poses"
     );
     Ok((DemoSet::new(demos), blanks))
-}
-
-/// Poses with the gaps filled: between two clear ones by equal shares of the motion, the short way round; before the first
-/// and after the last by that one. None when none is clear.
-fn fill(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
-    let clear: Vec<(usize, Pose2)> = known
-        .iter()
-        .enumerate()
-        .filter_map(|(i, pose)| Some((i, (*pose)?)))
-        .collect();
-    let (first, last) = (clear.first()?, clear.last()?);
-    let at = |i: usize| {
-        let after = clear.partition_point(|(frame, _)| *frame < i);
-        match (
-            after.checked_sub(1).and_then(|before| clear.get(before)),
-            clear.get(after),
-        ) {
-            (_, Some((frame, pose))) if *frame == i => *pose,
-            (Some((from, a)), Some((to, b))) => {
-                let share = (i - from) as f64 / (to - from) as f64;
-                let turn = wrap_to_pi(b.theta - a.theta);
-                let between = |a: f64, b: f64| a + share * (b - a);
-                Pose2::new(between(a.x, b.x), between(a.y, b.y), a.theta + share * turn).normalized()
-            }
-            (None, _) => first.1,
-            (_, None) => last.1,
-        }
-    };
-    Some((0..known.len()).map(at).collect())
 }
 
 fn write_index(
@@ -192,60 +159,24 @@ fn write_index(
     normalization: &Normalization,
     writer: &Writer,
 ) -> Result<()> {
-    let normalized: Vec<[f64; 5]> = frames.iter().map(|frame| normalization.frame(frame)).collect();
-    let actions: Vec<Point2> = demos
-        .iter()
-        .flat_map(|(_, frames)| frames)
-        .map(|frame| frame.action)
-        .collect();
-    let of = |value: fn(&IndexedFrame) -> f64| frames.iter().map(value).collect::<Vec<f64>>();
-    let mut columns = Columns::new(&tables::INDEX)
-        .u32("episode", frames.iter().map(|f| f.episode).collect())
-        .u32("frame", frames.iter().map(|f| f.frame).collect())
-        .text("mode", frames.iter().map(|f| f.mode.as_str()))
-        .f64("eef_x", of(|f| f.eef.x))
-        .f64("eef_y", of(|f| f.eef.y))
-        .f64("object_x", of(|f| f.object.x))
-        .f64("object_y", of(|f| f.object.y))
-        .f64("object_theta", of(|f| f.object.theta))
-        .f64("action_x", actions.iter().map(|a| a.x).collect())
-        .f64("action_y", actions.iter().map(|a| a.y).collect());
-    for dimension in 0..5 {
-        columns = columns.f64(
-            &format!("q_{dimension}"),
-            normalized.iter().map(|q| q[dimension]).collect(),
-        );
-    }
-    let retrievable = frames.iter().map(|f| Some(!blanks.contains(&(f.episode, f.frame))));
-    columns = columns.bool_or_null("retrievable", retrievable.collect());
-    let mut table = writer.table(&tables::INDEX)?;
-    table.write_columns(columns)?;
-    table.finish()?;
-    let mut table = writer.table(&tables::SCALES)?;
-    table.write_columns(
-        Columns::new(&tables::SCALES)
-            .text("dimension", Normalization::DIMENSIONS)
-            .f64("minimum", normalization.ranges.iter().map(|r| r.minimum).collect())
-            .f64("maximum", normalization.ranges.iter().map(|r| r.maximum).collect()),
-    )?;
-    table.finish()?;
-    Ok(())
-}
-
-fn write_chunks(chunks: &[Chunk], writer: &Writer) -> Result<()> {
-    let of = |value: fn(&Chunk) -> f64| chunks.iter().map(value).collect::<Vec<f64>>();
-    let mut table = writer.table(&tables::CHUNKS)?;
-    table.write_columns(
-        Columns::new(&tables::CHUNKS)
-            .u32("episode", chunks.iter().map(|c| c.demo).collect())
-            .u32("first_frame", chunks.iter().map(|c| c.start).collect())
-            .u32("last_frame", chunks.iter().map(|c| c.end).collect())
-            .f64("motion_x", of(|c| c.motion.x))
-            .f64("motion_y", of(|c| c.motion.y))
-            .f64("motion_theta", of(|c| c.motion.theta))
-            .f64("travel", of(|c| c.travel))
-            .f64("pushed", of(|c| c.pushed)),
-    )?;
-    table.finish()?;
+    let actions = demos.iter().flat_map(|(_, frames)| frames).map(|frame| frame.action);
+    writer.write_rows(frames.iter().zip(actions).map(|(frame, action)| IndexRow {
+        episode: frame.episode,
+        frame: frame.frame,
+        mode: frame.mode,
+        state: PlanarState {
+            eef: frame.eef,
+            object: frame.object,
+            action,
+            q: normalization.frame(frame),
+        },
+        retrievable: Some(!blanks.contains(&(frame.episode, frame.frame))),
+    }))?;
+    let scales = Normalization::DIMENSIONS.into_iter().zip(normalization.ranges);
+    writer.write_rows(scales.map(|(dimension, range)| ScaleRow {
+        dimension: dimension.to_owned(),
+        minimum: range.minimum,
+        maximum: range.maximum,
+    }))?;
     Ok(())
 }

@@ -9,6 +9,8 @@ mod scenes;
 mod segment;
 mod train_pose;
 
+pub(crate) use ingest::FellOver;
 pub use ingest::{INGEST_WORKER, serve_ingest};
+pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 pub use rollout::{BUDGET_MEASURES, metrics, read_rollouts};
-pub(crate) use rollout::{Lens, Studio, put_renderer_away, unseen};
+pub(crate) use rollout::{Watching, studio};

@@ -1,20 +1,24 @@
 //! Replay: `episodes`, replayed open-loop, to `replays`.
 
 mod spatial;
+mod tables;
 
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_episode::episode_name;
 use re4_policy::{Divergence, OpenLoop, replay_open_loop};
-use re4_report::{median, quantile};
 use re4_sim::PushT;
+use re4_stats::{median, spread};
 use serde_json::json;
+
+pub use tables::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// A replay, with the number that the demonstration has in the raw dataset.
 type Replay = (u32, OpenLoop);
@@ -28,25 +32,26 @@ impl Runner {
         let recipe = Recipe::new(Stage::Replay, CODE_VERSION).input("episodes", episodes.artifact.key());
         self.build(&recipe, |writer| {
             let replays = replay_all(&episodes.artifact)?;
-            let mut table = writer.table(&tables::REPLAYS)?;
-            table.write_columns(replay_columns(&replays))?;
-            table.finish()?;
-            let mut table = writer.table(&tables::DIVERGENCE)?;
-            table.write_columns(divergence_columns(&replays))?;
-            table.finish()?;
-            let mut block: Vec<f64> = replays.iter().flat_map(|(_, r)| &r.divergence).map(|d| d.block).collect();
-            let mut pusher: Vec<f64> = replays.iter().flat_map(|(_, r)| &r.divergence).map(|d| d.pusher).collect();
-            block.sort_by(f64::total_cmp);
-            pusher.sort_by(f64::total_cmp);
-            let distribution = |values: &[f64]| json!({ "p50": quantile(values, 0.5), "p90": quantile(values, 0.9), "p99": quantile(values, 0.99), "max": quantile(values, 1.0) });
+            writer.write_rows((0..).zip(&replays).map(|(episode, (source, replay))| row(episode, *source, replay)))?;
+            let distances = |(episode, (_, replay)): (u32, &Replay)| {
+                let distances = (0..).zip(replay.divergence.clone());
+                distances.map(move |(frame, distance)| DivergenceRow {
+                    episode,
+                    frame,
+                    distance,
+                })
+            };
+            writer.write_rows((0..).zip(&replays).flat_map(distances))?;
+            let frames = || replays.iter().flat_map(|(_, replay)| &replay.divergence);
+            let distribution = |value: fn(&Divergence) -> f64| spread(frames().map(value), &[0.5, 0.9, 0.99, 1.0]);
             let count = replays.len().max(1) as f64;
             let mean = |value: fn(&OpenLoop) -> f64| replays.iter().map(|(_, r)| value(r)).sum::<f64>() / count;
             Ok(Facts {
                 summary: json!({
                     "episodes": replays.len(),
-                    "frames": block.len(),
-                    "block_px": distribution(&block),
-                    "pusher_px": distribution(&pusher),
+                    "frames": frames().count(),
+                    "block_px": distribution(|d| d.block),
+                    "pusher_px": distribution(|d| d.pusher),
                     "episodes_within_1_px": replays.iter().filter(|(_, r)| r.divergence.iter().all(|d| d.block <= 1.0)).count(),
                     "coverage_recorded_mean": mean(|r| r.coverage_recorded),
                     "coverage_replayed_mean": mean(|r| r.coverage_replayed),
@@ -73,49 +78,23 @@ fn replay_all(episodes: &Artifact) -> Result<Vec<Replay>> {
         .collect()
 }
 
-fn replay_columns(replays: &[Replay]) -> Columns {
-    let of = |value: fn(&OpenLoop) -> f64| replays.iter().map(|(_, r)| value(r)).collect::<Vec<f64>>();
-    let largest = |r: &OpenLoop, value: fn(&Divergence) -> f64| r.divergence.iter().map(value).fold(0.0, f64::max);
-    Columns::new(&tables::REPLAYS)
-        .u32("episode", (0..replays.len() as u32).collect())
-        .u32("source_episode", replays.iter().map(|(source, _)| *source).collect())
-        .u32(
-            "frames",
-            replays.iter().map(|(_, r)| r.divergence.len() as u32).collect(),
-        )
-        .f64(
-            "pusher_max",
-            replays.iter().map(|(_, r)| largest(r, |d| d.pusher)).collect(),
-        )
-        .f64(
-            "block_median",
-            of(|r| median(&r.divergence.iter().map(|d| d.block).collect::<Vec<_>>())),
-        )
-        .f64(
-            "block_max",
-            replays.iter().map(|(_, r)| largest(r, |d| d.block)).collect(),
-        )
-        .f64("block_final", of(|r| r.divergence.last().map_or(0.0, |d| d.block)))
-        .f64("coverage_recorded", of(|r| r.coverage_recorded))
-        .f64("coverage_replayed", of(|r| r.coverage_replayed))
-        .f64("coverage_after", of(|r| r.coverage_after))
-}
-
-fn divergence_columns(replays: &[Replay]) -> Columns {
-    let rows = || {
-        replays.iter().enumerate().flat_map(|(e, (_, r))| {
-            r.divergence
-                .iter()
-                .enumerate()
-                .map(move |(f, d)| (e as u32, f as u32, d))
-        })
-    };
-    let of = |value: fn(&Divergence) -> f64| rows().map(|(_, _, d)| value(d)).collect::<Vec<f64>>();
-    Columns::new(&tables::DIVERGENCE)
-        .u32("episode", rows().map(|(e, ..)| e).collect())
-        .u32("frame", rows().map(|(_, f, _)| f).collect())
-        .f64("pusher", of(|d| d.pusher))
-        .f64("block_position", of(|d| d.block_position))
-        .f64("block_angle", of(|d| d.block_angle))
-        .f64("block", of(|d| d.block))
+fn row(episode: u32, source: u32, replay: &OpenLoop) -> ReplayRow<PlanarReplay> {
+    let distances = &replay.divergence;
+    let largest = |value: fn(&Divergence) -> f64| distances.iter().map(value).fold(0.0, f64::max);
+    let blocks: Vec<f64> = distances.iter().map(|d| d.block).collect();
+    ReplayRow {
+        episode,
+        source_episode: Some(source),
+        frames: distances.len(),
+        replay: PlanarReplay {
+            pusher_max: largest(|d| d.pusher),
+            block_median: median(&blocks).unwrap_or(f64::NAN),
+            block_max: largest(|d| d.block),
+            block_final: blocks.last().copied().unwrap_or_default(),
+            coverage_recorded: replay.coverage_recorded,
+            coverage_replayed: replay.coverage_replayed,
+            coverage_after: replay.coverage_after,
+        },
+        demo_name: Some(episode_name(source)),
+    }
 }

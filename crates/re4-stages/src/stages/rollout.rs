@@ -1,7 +1,7 @@
 //! Rollout: `index` and perhaps `scenes` to `rollouts`.
 
 mod budgets;
-mod eye;
+mod estimators;
 mod spatial;
 
 use std::sync::Arc;
@@ -10,19 +10,22 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, col_f64, col_u32, tables};
 use re4_episode::PlanarFrame;
+use re4_fault::bail;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::{Decision, DemoNames, EpisodeRollout, Perception, Start, StepRecord, rollouts};
-use re4_report::{Interval, mean_interval, median, wilson_interval};
+use re4_policy::{Decision, DemoNames, Re4Factory};
+use re4_rollout::{Harness, Plane, PushTEnv, Rollout, Source, Start, StepRecord, rollouts};
 use re4_sim::{
     AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
     chipmunk_version,
 };
+use re4_stats::{mean_interval, median, wilson_interval};
 use serde_json::{Value, json};
 
 pub use budgets::BUDGET_MEASURES;
-pub(crate) use eye::{Lens, Studio, put_renderer_away, unseen};
+pub(crate) use spatial::{Watching, studio};
 
 use self::budgets::Budgets;
+use self::estimators::LogPolar;
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::open_estimator;
 use crate::inputs::index::open_index;
@@ -31,6 +34,8 @@ use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 5;
+
+type EpisodeRollout = Rollout<Plane, Decision>;
 
 /// Seed of the bootstrap, so that intervals are the same in every run.
 const BOOTSTRAP_SEED: u64 = 0;
@@ -74,9 +79,15 @@ impl Runner {
                 "rollout",
                 1e3 * opening.elapsed().as_secs_f64()
             ));
-            let perception = match poses {
-                Some(poses) => Perception::Pictures(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
-                None => Perception::State,
+            let estimator = poses
+                .map(|poses| Ok::<_, anyhow::Error>(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)))
+                .transpose()?;
+            let source = |_| match &estimator {
+                Some(estimator) => Source::Image {
+                    camera: "image".to_owned(),
+                    estimator: Box::new(LogPolar::new(estimator)),
+                },
+                None => Source::Recorded,
             };
             let starts = self.starts(scenes)?;
             let bar = self.notes.progress(starts.len() as u64, "rollouts");
@@ -84,12 +95,22 @@ impl Runner {
                 bar.inc(1);
                 !self.interrupt.requested()
             };
-            let mut tables = Tables::begin(writer, knowledge.demos.names())?;
+            let harness = Harness {
+                env: &|_| Ok(Box::new(PushTEnv::new()?)),
+                source: &source,
+                max_steps: section.max_steps,
+                progress: &going,
+            };
+            let factory = Re4Factory {
+                config: policy.clone(),
+                knowledge,
+            };
+            let mut tables = Tables::begin(writer, factory.knowledge.demos.names())?;
             let mut outcomes = Outcomes::default();
             let mut budgets = Budgets::up_to(section.max_steps);
             // In batches, so that memory does not grow with the number of steps.
             for batch in starts.chunks(BATCH) {
-                let episodes = rollouts(&policy, &knowledge, &perception, batch, section.max_steps, &going)?;
+                let episodes = rollouts(&factory, &harness, batch)?;
                 outcomes.add(&episodes);
                 budgets.add(&episodes);
                 tables.write(&episodes)?;
@@ -106,7 +127,7 @@ impl Runner {
         })
     }
 
-    fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start>> {
+    fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start<Plane>>> {
         if let Some(scenes) = scenes {
             return read_starts(&scenes.artifact);
         }
@@ -189,18 +210,14 @@ impl Outcomes {
     }
 
     fn metrics(&self) -> Value {
-        let mean = |values: &[f64]| interval(mean_interval(values, BOOTSTRAP_SEED));
+        let mean = |values: &[f64]| mean_interval(values, BOOTSTRAP_SEED);
         json!({
             "score_scaled_mean": mean(&self.score),
             "coverage_raw_mean": mean(&self.coverage),
             "iou_mean": mean(&self.iou),
-            "success_rate": interval(wilson_interval(self.successes, self.score.len() as u64)),
+            "success_rate": wilson_interval(self.successes, self.score.len() as u64),
         })
     }
-}
-
-fn interval(interval: Interval) -> Value {
-    json!({ "value": interval.value, "low": interval.low, "high": interval.high })
 }
 
 /// Metrics that a `rollouts` artifact states.
@@ -252,7 +269,7 @@ fn result_columns(episodes: &[EpisodeRollout], first: u32) -> Columns {
     let of = |value: fn(&EpisodeRollout) -> f64| episodes.iter().map(value).collect::<Vec<f64>>();
     Columns::new(&tables::RESULTS)
         .u32("episode", (first..first + episodes.len() as u32).collect())
-        .u32("seed", episodes.iter().map(|e| e.start.number).collect())
+        .u32("seed", episodes.iter().map(|e| e.start.seed).collect())
         .f64("agent_x", of(|e| e.first.observation.agent.x))
         .f64("agent_y", of(|e| e.first.observation.agent.y))
         .f64("block_x", of(|e| e.first.observation.block.x))
@@ -275,12 +292,17 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
     let rows = || {
         episodes
             .iter()
-            .flat_map(|e| e.steps.iter().enumerate().map(|(i, s)| (e.start.number, i as u32, s)))
+            .flat_map(|e| e.steps.iter().enumerate().map(|(i, s)| (e.start.seed, i as u32, s)))
     };
-    let of = |value: fn(&StepRecord) -> f64| rows().map(|(_, _, s)| value(s)).collect::<Vec<f64>>();
+    let of = |value: fn(&StepRecord<Plane>) -> f64| rows().map(|(_, _, s)| value(s)).collect::<Vec<f64>>();
     let told = |value: fn(Pose2) -> f64| {
         rows()
-            .map(|(_, _, s)| s.sight.estimate.map(|_| value(s.sight.observation.object)))
+            .map(|(_, _, s)| {
+                s.asked
+                    .object
+                    .filter(|told| told.flag.is_some())
+                    .map(|told| value(told.pose))
+            })
             .collect::<Vec<_>>()
     };
     Columns::new(&tables::STEPS)
@@ -304,22 +326,21 @@ fn step_columns(episodes: &[EpisodeRollout]) -> Columns {
         .f64_or_null("observed_object_theta", told(|p| p.theta))
         .f64_or_null(
             "pose_confidence",
-            rows().map(|(_, _, s)| s.sight.estimate.map(|e| e.confidence)).collect(),
+            rows()
+                .map(|(_, _, s)| s.asked.object.and_then(|told| told.confidence))
+                .collect(),
         )
         .text_or_null(
             "pose_flag",
-            rows().map(|(_, _, s)| s.sight.estimate.map(|e| e.flag.as_str())),
+            rows().map(|(_, _, s)| s.asked.object.and_then(|told| told.flag)),
         )
 }
 
 fn decision_columns(episodes: &[EpisodeRollout], names: &DemoNames) -> Columns {
     let rows = || {
-        episodes.iter().flat_map(|e| {
-            e.decisions
-                .iter()
-                .enumerate()
-                .map(|(i, d)| (e.start.number, i as u32, d))
-        })
+        episodes
+            .iter()
+            .flat_map(|e| e.decisions.iter().enumerate().map(|(i, d)| (e.start.seed, i as u32, d)))
     };
     let number = |value: fn(&Decision) -> u32| rows().map(|(_, _, d)| value(d)).collect::<Vec<u32>>();
     let of = |value: fn(&Decision) -> f64| rows().map(|(_, _, d)| value(d)).collect::<Vec<f64>>();
@@ -399,9 +420,9 @@ pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
     {
         let end = row + count as usize;
         if end > action_x.len() {
-            anyhow::bail!(
-                "cannot read {}: table steps ends in the rollout of seed {seed}; build it again",
-                artifact.path().display()
+            bail!(
+                "cannot read {}: table steps ends in the rollout of seed {seed}", artifact.path().display();
+                "build it again"
             );
         }
         let (mut state, mut contact) = (starts.map(|column| column[i]), first_contacts[i]);

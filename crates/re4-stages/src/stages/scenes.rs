@@ -1,8 +1,8 @@
 //! Scenes: `episodes` to `scenes`, where rollouts start.
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Writer, tables};
-use re4_scenes::{ObjectFrame, ScenesConfig, SparseScene, sparse_scenes};
+use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_scenes::{ObjectFrame, SceneRow, ScenesConfig, SparseScene, sparse_scenes};
 use serde_json::json;
 
 use crate::inputs::episodes::read_episodes;
@@ -35,7 +35,7 @@ impl Runner {
             };
             let scenes = sparse_scenes(&frames, config, &going)?;
             bar.finish_and_clear();
-            write_scenes(&scenes, writer)?;
+            writer.write_rows((0..).zip(&scenes).map(|(scene, &chosen)| SceneRow { scene, chosen }))?;
             let rho = |scene: Option<&SparseScene>| scene.map(|s| s.rho);
             Ok(Facts {
                 summary: json!({
@@ -62,26 +62,4 @@ fn object_frames(episodes: &Artifact) -> Result<Vec<ObjectFrame>> {
         })
     });
     Ok(frames.collect())
-}
-
-fn write_scenes(scenes: &[SparseScene], writer: &Writer) -> Result<()> {
-    let of = |value: fn(&SparseScene) -> f64| scenes.iter().map(value).collect::<Vec<f64>>();
-    let number = |value: fn(&SparseScene) -> u32| scenes.iter().map(value).collect::<Vec<u32>>();
-    let mut table = writer.table(&tables::SCENES)?;
-    table.write_columns(
-        Columns::new(&tables::SCENES)
-            .u32("scene", (0..scenes.len() as u32).collect())
-            .u32("pose", number(|s| s.pose))
-            .u32("pusher", number(|s| s.pusher))
-            .f64("agent_x", of(|s| s.agent.x))
-            .f64("agent_y", of(|s| s.agent.y))
-            .f64("block_x", of(|s| s.block.x))
-            .f64("block_y", of(|s| s.block.y))
-            .f64("block_theta", of(|s| s.block.theta))
-            .f64("rho", of(|s| s.rho))
-            .u32("nearest_demo", number(|s| s.nearest_demo))
-            .u32("nearest_frame", number(|s| s.nearest_frame)),
-    )?;
-    table.finish()?;
-    Ok(())
 }

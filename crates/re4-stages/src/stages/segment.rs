@@ -1,18 +1,20 @@
 //! Segment: `episodes` to `modes`.
 
-mod spatial;
-
 use anyhow::Result;
-use re4_artifact::{Columns, Facts, Recipe, Stage, Writer, tables};
+use rayon::prelude::*;
+use re4_artifact::{Cell, Facts, Recipe, Stage, Writer};
 use re4_episode::Mode;
-use re4_segment::{Evidence, SegmentFacts, SegmentedEpisode, segment_planar};
-use serde_json::json;
+use re4_segment::{
+    Evidence, ModeRow, SegmentError, SegmentRow, Segmented, SpatialEvidence, segment_planar, segment_spatial,
+};
+use serde_json::{Map, Value, json};
 
+use crate::inputs::demos::{SpatialEpisodes, in_portions};
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 impl Runner {
     /// The `modes` artifact.
@@ -20,121 +22,123 @@ impl Runner {
     /// # Errors
     /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
     pub fn segment(&self, episodes: &Built) -> Result<Built> {
+        let config = &self.pipeline.segment;
         let recipe = Recipe::new(Stage::Segment, CODE_VERSION)
-            .config(&self.pipeline.segment)?
+            .config(config)?
             .input("episodes", episodes.artifact.key());
-        if !self.pipeline.task.is_planar() {
-            return self.build(&recipe, |writer| spatial::write(self, &episodes.artifact, writer));
-        }
         self.build(&recipe, |writer| {
-            let episodes = read_episodes(&episodes.artifact)?;
-            let segmented = episodes
-                .iter()
-                .map(|episode| segment_planar(episode, &self.pipeline.segment))
-                .collect::<Result<Vec<_>, _>>()?;
-            write_modes(&segmented, writer)?;
-            write_segments(&segmented, writer)?;
-            let frames_of = |mode| segmented.iter().flat_map(|e| &e.modes).filter(|m| **m == mode).count();
-            Ok(Facts {
-                summary: json!({
-                    "episodes": segmented.len(),
-                    "segments": segmented.iter().map(|e| e.segments.len()).sum::<usize>(),
-                    "transit_frames": frames_of(Mode::Transit),
-                    "transfer_frames": frames_of(Mode::Transfer),
-                    "frames_in_contact": segmented.iter().flat_map(|e| &e.evidence).filter(|e| e.contact == Some(true)).count(),
-                    "frames_with_object_moving": segmented.iter().flat_map(|e| &e.evidence).filter(|e| e.object_moving == Some(true)).count(),
-                }),
-                warnings: Vec::new(),
-            })
+            if self.pipeline.task.is_planar() {
+                let demos = read_episodes(&episodes.artifact)?;
+                let segment = |demo: &_| segment_planar(demo, config);
+                self.write_modes(demos.len(), (0..).zip(demos).map(Ok), segment, PLANE, writer)
+            } else {
+                let demos = SpatialEpisodes::open(&episodes.artifact)?;
+                let segment = |demo: &_| segment_spatial(demo, config);
+                self.write_modes(demos.demos(), demos, segment, SPACE, writer)
+            }
+        })
+    }
+
+    /// Segments every demonstration, some at a time, and counts frames of whose evidence something holds.
+    fn write_modes<D: Sync + Send, E: Cell + Clone + Send, S: Cell + Clone + Send>(
+        &self,
+        count: usize,
+        demos: impl Iterator<Item = Result<(u32, D)>>,
+        segment: impl Fn(&D) -> Result<Segmented<E, S>, SegmentError> + Sync,
+        counted: Counted<E>,
+        writer: &Writer,
+    ) -> Result<Facts> {
+        let bar = self.notes.progress(count as u64, "segment");
+        let mut modes = writer.rows::<ModeRow<E>>()?;
+        let mut segments = writer.rows::<SegmentRow<S>>()?;
+        let mut summary = Summary::new(counted);
+        for portion in in_portions(demos) {
+            self.interrupt.check("segment")?;
+            let segmented = portion?
+                .into_par_iter()
+                .map(|(number, demo)| Ok((number, segment(&demo)?)))
+                .collect::<Result<Vec<_>>>()?;
+            for (number, segmented) in &segmented {
+                let (frames, runs) = segmented.rows(*number);
+                for row in frames {
+                    summary.add(&row);
+                    modes.push(&row)?;
+                }
+                segments.extend(runs)?;
+            }
+            bar.inc(segmented.len() as u64);
+        }
+        bar.finish_and_clear();
+        let summary = summary.told(segments.rows());
+        modes.finish()?;
+        segments.finish()?;
+        Ok(Facts {
+            summary,
+            warnings: Vec::new(),
         })
     }
 }
 
-fn write_modes(episodes: &[SegmentedEpisode], writer: &Writer) -> Result<()> {
-    let evidence = || episodes.iter().flat_map(|episode| &episode.evidence);
-    let optional = |value: fn(&Evidence) -> Option<f64>| evidence().map(value).collect::<Vec<_>>();
-    let mut table = writer.table(&tables::MODES)?;
-    table.write_columns(
-        Columns::new(&tables::MODES)
-            .u32(
-                "episode",
-                numbered(episodes, |episode| episode.modes.len())
-                    .map(|(number, _)| number)
-                    .collect(),
-            )
-            .u32(
-                "frame",
-                numbered(episodes, |episode| episode.modes.len())
-                    .map(|(_, frame)| frame)
-                    .collect(),
-            )
-            .text(
-                "mode",
-                episodes
-                    .iter()
-                    .flat_map(|episode| &episode.modes)
-                    .map(|mode| mode.as_str()),
-            )
-            .f64_or_null("contacts", optional(|e| e.contacts))
-            .bool_or_null("contact", evidence().map(|e| e.contact).collect())
-            .f64_or_null("eef_step", optional(|e| e.eef_step))
-            .f64_or_null("object_step", optional(|e| e.object_step))
-            .f64_or_null("object_turn", optional(|e| e.object_turn))
-            .f64_or_null("relative_translation", optional(|e| e.relative_translation))
-            .f64_or_null("relative_rotation", optional(|e| e.relative_rotation))
-            .f64(
-                "eef_object_distance",
-                evidence().map(|e| e.eef_object_distance).collect(),
-            )
-            .bool_or_null("object_moving", evidence().map(|e| e.object_moving).collect()),
-    )?;
-    table.finish()?;
-    Ok(())
+/// What is counted in evidence.
+type Counted<E> = &'static [(&'static str, fn(&E) -> bool)];
+
+const PLANE: Counted<Evidence> = &[
+    ("frames_in_contact", |e| e.contact == Some(true)),
+    ("frames_with_object_moving", |e| e.object_moving == Some(true)),
+];
+
+const SPACE: Counted<SpatialEvidence> = &[
+    ("frames_with_object_moving", |e| e.object_moving == Some(true)),
+    ("frames_with_object_held", |e| e.holds),
+];
+
+/// The summary of a `modes` artifact, as a function of its tables.
+struct Summary<E: 'static> {
+    counted: Counted<E>,
+    counts: Vec<u64>,
+    demos: u64,
+    last: Option<u32>,
+    frames: u64,
+    transfer: u64,
 }
 
-fn write_segments(episodes: &[SegmentedEpisode], writer: &Writer) -> Result<()> {
-    let segments = || episodes.iter().flat_map(|episode| &episode.segments);
-    let optional = |value: fn(&SegmentFacts) -> Option<f64>| segments().map(value).collect::<Vec<_>>();
-    let mut table = writer.table(&tables::SEGMENTS)?;
-    table.write_columns(
-        Columns::new(&tables::SEGMENTS)
-            .u32(
-                "episode",
-                numbered(episodes, |episode| episode.segments.len())
-                    .map(|(number, _)| number)
-                    .collect(),
-            )
-            .u32(
-                "segment",
-                numbered(episodes, |episode| episode.segments.len())
-                    .map(|(_, segment)| segment)
-                    .collect(),
-            )
-            .text("mode", segments().map(|s| s.segment.mode.as_str()))
-            .u32(
-                "first_frame",
-                segments().map(|s| s.segment.frames.start as u32).collect(),
-            )
-            .u32("end_frame", segments().map(|s| s.segment.frames.end as u32).collect())
-            .f64_or_null("anchor_x", optional(|s| s.anchor.map(|p| p.x)))
-            .f64_or_null("anchor_y", optional(|s| s.anchor.map(|p| p.y)))
-            .f64_or_null("grasp_x", optional(|s| s.grasp.map(|p| p.x)))
-            .f64_or_null("grasp_y", optional(|s| s.grasp.map(|p| p.y)))
-            .f64_or_null("rigidity_residual", optional(|s| s.rigidity_residual))
-            .f64(
-                "object_displacement",
-                segments().map(|s| s.object_displacement).collect(),
-            )
-            .f64("object_rotation", segments().map(|s| s.object_rotation).collect()),
-    )?;
-    table.finish()?;
-    Ok(())
-}
+impl<E> Summary<E> {
+    fn new(counted: Counted<E>) -> Self {
+        Self {
+            counted,
+            counts: vec![0; counted.len()],
+            demos: 0,
+            last: None,
+            frames: 0,
+            transfer: 0,
+        }
+    }
 
-/// Number of the episode and number inside it, for every row of a table with `rows` rows an episode.
-fn numbered(episodes: &[SegmentedEpisode], rows: fn(&SegmentedEpisode) -> usize) -> impl Iterator<Item = (u32, u32)> {
-    episodes
-        .iter()
-        .enumerate()
-        .flat_map(move |(number, episode)| (0..rows(episode) as u32).map(move |row| (number as u32, row)))
+    /// A row of table `modes`, which is sorted by episode.
+    fn add(&mut self, row: &ModeRow<E>) {
+        self.demos += u64::from(self.last.replace(row.episode) != Some(row.episode));
+        self.frames += 1;
+        self.transfer += u64::from(row.mode == Mode::Transfer);
+        for (count, (_, holds)) in self.counts.iter_mut().zip(self.counted) {
+            *count += u64::from(holds(&row.evidence));
+        }
+    }
+
+    /// With as many rows in table `segments`.
+    fn told(self, segments: u64) -> Value {
+        let mut summary = Map::new();
+        let counts = self.counted.iter().map(|(name, _)| *name).zip(self.counts);
+        let all = [
+            ("episodes", self.demos),
+            ("segments", segments),
+            ("transit_frames", self.frames - self.transfer),
+            ("transfer_frames", self.transfer),
+        ];
+        summary.extend(
+            all.into_iter()
+                .chain(counts)
+                .map(|(name, count)| (name.to_owned(), json!(count))),
+        );
+        Value::Object(summary)
+    }
 }

@@ -11,11 +11,14 @@ use anyhow::{Context as _, Result};
 use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Table, Writer, col_binary, col_f64, col_u32, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage, Table, Writer, col_binary, col_u32, columns, tables};
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::{Pose2, periodic_distance};
 use re4_policy::DemoNames;
-use re4_pose::{Anchor, AnchorBuilder, Estimate, Flag, LogPolarEstimator, Picture, PictureError, SIDE};
-use re4_report::quantile;
+use re4_pose::{
+    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, LogPolarEstimator, Picture, PictureError, PoseRow, SIDE,
+};
+use re4_stats::spread;
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
@@ -25,7 +28,7 @@ use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Every picture of a frame whose number this divides is looked at for the goal; the first of every demonstration is
 /// among them.
@@ -76,7 +79,7 @@ impl Runner {
                 "frames": estimates.len(),
                 "frames_not_clear": estimates.iter().filter(|row| row.estimate.flag != Flag::Clear).count(),
                 "flags": flags,
-                "confidence": spread(estimates.iter().map(|row| row.estimate.confidence).collect(), &[0.0, 0.01, 0.5]),
+                "confidence": spread(estimates.iter().map(|row| row.estimate.confidence), &[0.0, 0.01, 0.5]),
             });
             if let (Some(summary), Some(evaluation)) = (summary.as_object_mut(), evaluation) {
                 summary.insert("evaluation".to_owned(), evaluation);
@@ -108,34 +111,35 @@ impl Runner {
             .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))
     }
 
-    fn estimate_all(&self, estimator: &LogPolarEstimator, pictures: &Pictures, writer: &Writer) -> Result<Vec<Row>> {
+    fn estimate_all(
+        &self,
+        estimator: &LogPolarEstimator,
+        pictures: &Pictures,
+        writer: &Writer,
+    ) -> Result<Vec<PoseRow<Estimate>>> {
         let bar = self.notes.progress(pictures.table.rows(), "poses");
-        let mut table = writer.table(&tables::POSES)?;
+        let mut table = writer.rows()?;
         let mut all = Vec::with_capacity(pictures.table.rows() as usize);
         for group in 0..pictures.table.row_groups() {
             self.interrupt.check("train-pose")?;
             let rows = pictures.table.read_row_group(group)?;
             let estimates = pictures.map(&rows, |picture| estimator.estimate(picture))?;
-            table.write_columns(pose_columns(&rows, &estimates)?)?;
             bar.inc(estimates.len() as u64);
             let ids = col_u32(&rows, "episode")?.iter().zip(col_u32(&rows, "frame")?);
-            all.extend(ids.zip(estimates).map(|((&episode, &frame), estimate)| Row {
-                episode,
-                frame,
-                estimate,
-            }));
+            for ((&episode, &frame), estimate) in ids.zip(estimates) {
+                let row = PoseRow {
+                    episode,
+                    frame,
+                    estimate,
+                };
+                table.push(&row)?;
+                all.push(row);
+            }
         }
         table.finish()?;
         bar.finish_and_clear();
         Ok(all)
     }
-}
-
-/// A row of table poses.
-struct Row {
-    episode: u32,
-    frame: u32,
-    estimate: Estimate,
 }
 
 /// The pictures of an `episodes` artifact.
@@ -148,10 +152,10 @@ struct Pictures {
 impl Pictures {
     fn open(episodes: &Artifact) -> Result<Self> {
         let path = episodes.path().to_owned();
-        anyhow::ensure!(
+        ensure!(
             episodes.manifest().tables.contains_key(tables::IMAGES.name),
-            "cannot estimate poses: {} holds no pictures; set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]",
-            path.display()
+            "cannot estimate poses: {} holds no pictures", path.display();
+            "set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]"
         );
         Ok(Self {
             table: episodes.table(&tables::IMAGES)?,
@@ -200,7 +204,7 @@ impl Pictures {
             .par_iter()
             .map(|&row| {
                 let picture = image::load_from_memory_with_format(encoded.value(row), ImageFormat::Png)
-                    .with_context(|| format!("{} is not a PNG picture; ingest again", place(row)))?;
+                    .or_fault(|| fault!("{} is not a PNG picture", place(row); "ingest again"))?;
                 look(picture.into_rgb8()).with_context(|| place(row))
             })
             // In order, so that of several errors the first is told, whichever thread met one first.
@@ -211,35 +215,15 @@ impl Pictures {
 }
 
 fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
-    let pixels = anchor.share().len() as u32;
-    let side = SIDE as u32;
-    let mut table = writer.table(&tables::ANCHOR)?;
-    table.write_columns(
-        Columns::new(&tables::ANCHOR)
-            .u32("row", (0..pixels).map(|i| i / side).collect())
-            .u32("column", (0..pixels).map(|i| i % side).collect())
-            .f64(
-                "goal_share",
-                anchor.share().iter().map(|share| f64::from(*share)).collect(),
-            ),
-    )?;
-    table.finish()?;
+    writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, share)| AnchorRow {
+        row: pixel / SIDE,
+        column: pixel % SIDE,
+        goal_share: f64::from(*share),
+    }))?;
     Ok(())
 }
 
-fn pose_columns(rows: &RecordBatch, estimates: &[Estimate]) -> Result<Columns> {
-    let of = |value: fn(Pose2) -> f64| estimates.iter().map(|e| e.pose.map(value)).collect::<Vec<_>>();
-    Ok(Columns::new(&tables::POSES)
-        .u32("episode", col_u32(rows, "episode")?.to_vec())
-        .u32("frame", col_u32(rows, "frame")?.to_vec())
-        .f64_or_null("object_x", of(|p| p.x))
-        .f64_or_null("object_y", of(|p| p.y))
-        .f64_or_null("object_theta", of(|p| p.theta))
-        .f64("confidence", estimates.iter().map(|e| e.confidence).collect())
-        .text("flag", estimates.iter().map(|e| e.flag.as_str())))
-}
-
-fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
+fn count(rows: &[PoseRow<Estimate>]) -> BTreeMap<&'static str, usize> {
     let mut flags: BTreeMap<_, _> = Flag::ALL.iter().map(|flag| (flag.as_str(), 0)).collect();
     for row in rows {
         *flags.entry(row.estimate.flag.as_str()).or_default() += 1;
@@ -247,7 +231,7 @@ fn count(rows: &[Row]) -> BTreeMap<&'static str, usize> {
     flags
 }
 
-fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
+fn warnings(rows: &[PoseRow<Estimate>], flags: &BTreeMap<&'static str, usize>, names: &DemoNames) -> Vec<Value> {
     let mut doubtful = rows.iter().filter(|row| row.estimate.flag != Flag::Clear);
     let Some(first) = doubtful.next() else {
         return Vec::new();
@@ -271,20 +255,20 @@ fn warnings(rows: &[Row], flags: &BTreeMap<&'static str, usize>, names: &DemoNam
 }
 
 /// How far the estimates are from the recorded poses: a report, which nothing reads.
-fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
-    let table = episodes
-        .table(&tables::FRAMES)?
-        .read_columns(&["object_x", "object_y", "object_theta"])?;
-    let (x, y, theta) = (
-        col_f64(&table, "object_x")?,
-        col_f64(&table, "object_y")?,
-        col_f64(&table, "object_theta")?,
-    );
+fn evaluate(rows: &[PoseRow<Estimate>], episodes: &Artifact) -> Result<Option<Value>> {
+    columns! {
+        /// A recorded pose alone.
+        pub struct Recorded {
+            /// Pose of the block.
+            pub object: Pose2,
+        }
+    }
+    let recorded: Vec<Recorded> = episodes.table(&tables::FRAMES)?.read()?;
     let (mut position, mut angle) = (Vec::new(), Vec::new());
-    for (row, estimate) in rows.iter().map(|row| row.estimate).enumerate() {
-        if let Some(pose) = estimate.pose {
-            position.push((pose.x - x[row]).hypot(pose.y - y[row]));
-            angle.push(periodic_distance(pose.theta, theta[row], TAU).to_degrees());
+    for (row, Recorded { object }) in rows.iter().zip(recorded) {
+        if let Some(pose) = row.estimate.pose {
+            position.push((pose.x - object.x).hypot(pose.y - object.y));
+            angle.push(periodic_distance(pose.theta, object.theta, TAU).to_degrees());
         }
     }
     if position.is_empty() {
@@ -300,22 +284,4 @@ fn evaluate(rows: &[Row], episodes: &Artifact) -> Result<Option<Value>> {
         evaluation.insert("angle_deg".to_owned(), spread(angle, &[0.5, 0.9, 0.99, 1.0]));
     }
     Ok(Some(evaluation))
-}
-
-/// Quantiles by name: `p50`, `p99`, `min`, `max`.
-fn spread(mut values: Vec<f64>, shares: &[f64]) -> Value {
-    values.sort_by(f64::total_cmp);
-    Value::Object(
-        shares
-            .iter()
-            .map(|&share| {
-                let name = match share {
-                    0.0 => "min".to_owned(),
-                    1.0 => "max".to_owned(),
-                    share => format!("p{:.0}", 100.0 * share),
-                };
-                (name, json!(quantile(&values, share)))
-            })
-            .collect(),
-    )
 }

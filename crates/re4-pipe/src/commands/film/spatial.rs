@@ -14,7 +14,7 @@ use re4_robosuite::models::looks;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Placement, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
-    RobosuiteTask, with_cube_size,
+    RobosuiteTask,
 };
 
 use super::super::names_of_decisions;
@@ -73,17 +73,12 @@ impl Films {
                     artifact.path().display()
                 )
             })?;
-            // The cube's size is a part of a seed's scene; other models serve all seeds.
-            let cube = Placement::draw(task, seed).cube;
-            let sized = |mjcf: &str| match cube {
-                Some(size) => with_cube_size(mjcf, size),
-                None => Ok(mjcf.to_owned()),
-            };
-            let model = scenes.compile(&sized(scenes.first_mjcf()?)?)?;
+            let placement = Placement::draw(task, seed);
+            let model = scenes.compile(&placement.in_model(scenes.first_mjcf()?)?)?;
             let state = col_f64_list(&results, "state")?[row].clone();
             let of_seed = steps.of(seed)?;
             films.coordinates.push(again(artifact, &model, seed, &state, &of_seed)?);
-            films.set(&sized(&drawn)?, &scenes, size)?;
+            films.set(&placement.in_model(&drawn)?, &scenes, size)?;
             films.rollouts.push(SceneRollout {
                 seed,
                 success: col_bool(&results, "success")?.value(row),

@@ -6,8 +6,8 @@ use anyhow::{Result, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::{Artifact, col_bool, col_f64, col_f64_list, col_f64_or_null, col_text, col_u32, tables};
 use re4_policy::PolicyConfig;
-use re4_report::Interval;
 use re4_report::html::{DecisionTrace, Metrics, Rollout, Rollouts, Starts, StepTrace, Taken};
+use re4_stats::Interval;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 

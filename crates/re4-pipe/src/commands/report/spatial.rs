@@ -5,14 +5,15 @@ use std::ops::Range;
 
 use anyhow::{Context as _, Result, ensure};
 use arrow::array::RecordBatch;
+use re4_artifact::Row as _;
 use re4_artifact::{Artifact, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
 use re4_policy::spatial::SpatialPolicyConfig;
-use re4_report::Interval;
 use re4_report::html::spatial::{
-    Pose, Solid, SpatialChosen, SpatialDecision, SpatialDemonstration, SpatialPhase, SpatialRollouts, SpatialStep,
+    Pose, SpatialChosen, SpatialDecision, SpatialDemonstration, SpatialPhase, SpatialRollouts, SpatialStep,
     SpatialTrace, SpatialWorld,
 };
 use re4_sim::robosuite::RobosuiteTask;
+use re4_stats::Interval;
 
 use super::super::names_of_decisions;
 use super::rollouts::{inclusive, rows, stated};
@@ -34,7 +35,11 @@ pub(super) fn read(artifact: &Artifact, index: Option<&Artifact>) -> Result<Spat
     Ok(SpatialRollouts {
         key: artifact.key().to_string(),
         index_key: super::index_key(artifact)?.to_string(),
-        world: world(task),
+        world: SpatialWorld {
+            task: task.title.to_owned(),
+            fixtures: task.fixtures.to_vec(),
+            object: task.shape.to_vec(),
+        },
         altered: unchanged.as_ref() != Some(&config["policy"]),
         preset,
         variant: stated(artifact, "config", config, "variant")?,
@@ -87,66 +92,6 @@ fn simulator(protocol: &serde_json::Value) -> String {
         words += ", fast";
     }
     words
-}
-
-/// What is drawn of a task's scene: sizes of robosuite's models; the cube's are the middle of what seeds draw.
-pub(super) fn world(task: RobosuiteTask) -> SpatialWorld {
-    let solid = |kind, centre, half| Solid {
-        kind,
-        centre,
-        half,
-        round: false,
-    };
-    let round = |kind, centre, radius, half| Solid {
-        kind,
-        centre,
-        half: [radius, radius, half],
-        round: true,
-    };
-    let table = |z| solid("table", [0.0, 0.0, z], [0.4, 0.4, 0.025]);
-    let (name, fixtures, object) = match task {
-        RobosuiteTask::Lift => (
-            "Lift",
-            vec![table(0.775)],
-            vec![solid("object", [0.0; 3], [0.021, 0.021, 0.021])],
-        ),
-        RobosuiteTask::Can => {
-            let bin = |y: f64| {
-                let [x, z] = [0.1, 0.8];
-                [
-                    solid("table", [x, y, z], [0.2, 0.25, 0.02]),
-                    solid("wall", [x, y + 0.25, z + 0.05], [0.21, 0.01, 0.05]),
-                    solid("wall", [x, y - 0.25, z + 0.05], [0.21, 0.01, 0.05]),
-                    solid("wall", [x + 0.2, y, z + 0.05], [0.01, 0.25, 0.05]),
-                    solid("wall", [x - 0.2, y, z + 0.05], [0.01, 0.25, 0.05]),
-                ]
-            };
-            let mut fixtures = [bin(-0.25), bin(0.28)].concat();
-            // Where the success rule wants the can: a quarter of the second bin.
-            fixtures.insert(0, solid("goal", [0.1975, 0.4025, 0.85], [0.0975, 0.1225, 0.05]));
-            ("Can", fixtures, vec![round("object", [0.0; 3], 0.025, 0.04)])
-        }
-        RobosuiteTask::Square => (
-            "Square",
-            vec![
-                table(0.795),
-                solid("goal", [0.23, 0.1, 0.885], [0.016, 0.016, 0.065]),
-                round("wall", [0.23, -0.1, 0.885], 0.02, 0.065),
-            ],
-            vec![
-                solid("object", [-0.033_25, 0.0, 0.0], [0.0105, 0.043_75, 0.01]),
-                solid("object", [0.033_25, 0.0, 0.0], [0.0105, 0.043_75, 0.01]),
-                solid("object", [0.0, 0.033_25, 0.0], [0.031_25, 0.0105, 0.01]),
-                solid("object", [0.0, -0.033_25, 0.0], [0.031_25, 0.0105, 0.01]),
-                solid("object", [0.054, 0.0, 0.0], [0.025_25, 0.015_875, 0.01]),
-            ],
-        ),
-    };
-    SpatialWorld {
-        task: name.to_owned(),
-        fixtures,
-        object,
-    }
 }
 
 /// Columns of a table by prefix and suffix.
@@ -305,7 +250,9 @@ pub(super) fn read_demonstrations(
         .into_iter()
         .chain(eef_names.iter().chain(&object_names).map(String::as_str))
         .collect();
-    let rows = index.table(&tables::SPATIAL_INDEX)?.read_columns(&names)?;
+    let rows = index
+        .table(re4_index::IndexRow::<re4_index::SpatialState>::table())?
+        .read_columns(&names)?;
     let (eef, object) = (columns(&rows, "eef", AXES)?, columns(&rows, "object", POSE)?);
     let mut demonstrations: BTreeMap<u32, SpatialDemonstration> = BTreeMap::new();
     for (row, episode) in col_u32(&rows, "episode")?.iter().enumerate() {

@@ -3,8 +3,9 @@
 use std::fmt::Write as _;
 use std::time::Instant;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use re4_artifact::tables;
+use re4_fault::ensure;
 use serde_json::{Value, json};
 
 use super::super::Outcome;
@@ -19,7 +20,8 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     let start = Instant::now();
     ensure!(
         arguments.record.is_none(),
-        "--record writes Push-T's own format; leave it out for robosuite's tasks"
+        "--record writes Push-T's own format";
+        "leave it out for robosuite's tasks"
     );
     let page = Page::at(runner, arguments)?;
     let episodes = runner.ingest()?;
@@ -81,7 +83,8 @@ pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Out
     let console = Console::new(&arguments.stage.common);
     ensure!(
         arguments.plot.is_none(),
-        "--plot draws Push-T's replays; for robosuite's tasks, table spatial_divergence holds the distances"
+        "--plot draws Push-T's replays";
+        "for robosuite's tasks, table spatial_divergence holds the distances"
     );
     let built = runner.replay_spatial(&runner.ingest()?)?;
     console.answer(&built.to_json())?;

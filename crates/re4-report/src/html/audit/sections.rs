@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::{Audit, Check, Contacts, Convention, Severity};
 use crate::html::common::{choice, exact, plural};
-use crate::statistics::median;
+use re4_stats::median;
 
 /// The shape that tells a severity apart where colour does not; the script draws it.
 fn glyph(severity: Severity) -> Markup {
@@ -321,7 +321,7 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                             h3 { span class={ "swatch " (mode) } {} " " (mode) }
                             p data-fact={ (mode) "_segments" } data-value=(lengths.len()) {
                                 (plural(lengths.len(), "segment", "segments"))
-                                @if !lengths.is_empty() { ", median " (number(median(&lengths))) " frames" }
+                                @if let Some(median) = median(&lengths) { ", median " (number(median)) " frames" }
                             }
                         }
                         div.plot.histogram data-mode=(mode) {}

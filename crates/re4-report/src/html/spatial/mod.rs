@@ -10,11 +10,12 @@ mod sections;
 use std::collections::BTreeMap;
 
 use maud::{Markup, html};
+pub use re4_task::Solid;
 use serde_json::Value;
 
 use super::common::Document;
 use super::facts::{Row, flatten, rows, told_apart};
-use crate::Interval;
+use re4_stats::Interval;
 
 /// Position and orientation: x, y, z, then the quaternion x, y, z, w.
 pub type Pose = [f64; 7];
@@ -39,19 +40,6 @@ pub struct SpatialWorld {
     pub fixtures: Vec<Solid>,
     /// Parts of the manipulated object, in its own frame.
     pub object: Vec<Solid>,
-}
-
-/// A box, or an upright cylinder, along the axes of its frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Solid {
-    /// What it is: `table`, `bin`, `goal`, `object`.
-    pub kind: &'static str,
-    /// Its centre.
-    pub centre: [f64; 3],
-    /// Half its sides; of a cylinder the first two are the radius.
-    pub half: [f64; 3],
-    /// Whether it is a cylinder.
-    pub round: bool,
 }
 
 /// One `rollouts` artifact of a robosuite task.

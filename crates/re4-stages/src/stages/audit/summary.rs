@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix4, Quaternion, SymmetricEigen, UnitQuaternion};
-use re4_audit::{GraspOutcome, Severity, median, quantile};
+use re4_audit::{AuditedEpisodeRow, GraspRow, Severity};
 use re4_episode::Mode;
+use re4_stats::{median, quantile, sorted};
 use serde_json::{Map, Value, json};
 
-use super::{Audited, ListedGrasp, by_code};
+use super::{Audited, by_code};
 
 /// Steps of Push-T by contact and motion of the block.
 #[derive(Debug, Clone, Copy, Default)]
@@ -47,6 +48,13 @@ impl Contacts {
     }
 }
 
+fn frames_in(row: &AuditedEpisodeRow, mode: Mode) -> usize {
+    match mode {
+        Mode::Transit => row.transit_frames,
+        Mode::Transfer => row.transfer_frames,
+    }
+}
+
 pub(super) fn summary(audited: &Audited) -> Value {
     let found = |severity| audited.findings.iter().filter(|f| f.severity == severity).count();
     let mut faulty: Vec<u32> = audited
@@ -56,10 +64,10 @@ pub(super) fn summary(audited: &Audited) -> Value {
         .map(|f| f.episode)
         .collect();
     faulty.dedup();
-    let frames: usize = audited.listed.iter().map(|l| l.frames).sum();
+    let frames: usize = audited.listed.iter().map(|l| l.row.frames).sum();
     let mut modes = Map::new();
     for mode in Mode::ALL {
-        let own: usize = audited.listed.iter().map(|l| l.frames_in(mode)).sum();
+        let own: usize = audited.listed.iter().map(|l| frames_in(&l.row, mode)).sum();
         let lengths: Vec<f64> = audited
             .listed
             .iter()
@@ -82,8 +90,8 @@ pub(super) fn summary(audited: &Audited) -> Value {
         .map(|(code, (found, _))| (code, found))
         .collect();
     // Those that were left out have no frames.
-    let kept = audited.listed.iter().filter(|l| l.frames > 0);
-    let lengths: Vec<f64> = kept.map(|l| l.frames as f64).collect();
+    let kept = audited.listed.iter().filter(|l| l.row.frames > 0);
+    let lengths: Vec<f64> = kept.map(|l| l.row.frames as f64).collect();
     let mut answer = json!({
         "episodes": audited.listed.len(),
         "frames": frames,
@@ -106,23 +114,21 @@ pub(super) fn summary(audited: &Audited) -> Value {
 
 /// Least, quartiles and greatest; null where there is nothing.
 fn quartiles(values: &[f64]) -> Value {
-    let part = |share| quantile(values, share);
+    let values = sorted(values.iter().copied());
+    let part = |share| quantile(&values, share);
     json!({ "min": part(0.0), "q1": part(0.25), "median": part(0.5), "q3": part(0.75), "max": part(1.0) })
 }
 
 /// Outcomes, and where in the object's frame it is held.
-fn grasps(grasps: &[ListedGrasp]) -> Value {
+fn grasps(grasps: &[GraspRow]) -> Value {
     let mut outcomes: BTreeMap<&str, u32> = BTreeMap::new();
     for grasp in grasps {
-        *outcomes.entry(grasp.judged.outcome.as_str()).or_default() += 1;
+        *outcomes.entry(&*grasp.outcome).or_default() += 1;
     }
-    let held: Vec<&ListedGrasp> = grasps
-        .iter()
-        .filter(|grasp| grasp.judged.outcome == GraspOutcome::Held)
-        .collect();
-    let axis = |axis: usize| -> Vec<f64> { held.iter().map(|g| g.transform.translation.vector[axis]).collect() };
-    let column = |value: fn(&ListedGrasp) -> f64| held.iter().map(|g| value(g)).collect::<Vec<f64>>();
-    let attitudes: Vec<_> = held.iter().map(|g| g.transform.rotation).collect();
+    let held: Vec<&GraspRow> = grasps.iter().filter(|grasp| grasp.is_held()).collect();
+    let axis = |axis: usize| -> Vec<f64> { held.iter().map(|g| g.grasp.translation.vector[axis]).collect() };
+    let column = |value: fn(&GraspRow) -> f64| held.iter().map(|g| value(g)).collect::<Vec<f64>>();
+    let attitudes: Vec<_> = held.iter().map(|g| g.grasp.rotation).collect();
     json!({
         "outcomes": outcomes,
         "held": {
@@ -130,9 +136,9 @@ fn grasps(grasps: &[ListedGrasp]) -> Value {
             "y_m": quartiles(&axis(1)),
             "z_m": quartiles(&axis(2)),
             "angle_from_mean_rad": quartiles(&angles_from_mean(&attitudes)),
-            "finger_separation_m": quartiles(&column(|g| g.separation)),
-            "rigidity_residual_m": quartiles(&column(|g| g.judged.residual)),
-            "median_rise_m": median(&column(|g| g.judged.rise)),
+            "finger_separation_m": quartiles(&column(|g| g.finger_separation)),
+            "rigidity_residual_m": quartiles(&column(|g| g.rigidity_residual)),
+            "median_rise_m": median(&column(|g| g.object_rise)),
         },
     })
 }

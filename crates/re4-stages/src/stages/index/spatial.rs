@@ -2,16 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, bail};
-use nalgebra::{Isometry3, UnitQuaternion};
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_text, col_u32, tables};
-use re4_audit::SpatialDemo;
+use anyhow::Result;
+use re4_artifact::{Artifact, Facts, Recipe, SixAxis, Stage};
+use re4_audit::{CheckRow, FindingRow, SpatialDemo};
+use re4_fault::bail;
+use re4_index::{IndexRow, SpatialState};
 use serde_json::json;
 
 use super::estimated::EstimatedPoses;
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::poses::pose_columns;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
@@ -63,9 +62,8 @@ impl Runner {
                 _ => BTreeMap::new(),
             };
             let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
-            let to_site = orientation_to_site(&episodes.artifact)?;
             let (mut demos, mut frames, mut retrievable) = (0_u64, 0_u64, 0_u64);
-            let mut table = writer.table(&tables::SPATIAL_INDEX)?;
+            let mut table = writer.rows()?;
             for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
                 self.interrupt.check("index")?;
                 let mut demo = demo?;
@@ -77,7 +75,7 @@ impl Runner {
                 demos += 1;
                 frames += count as u64;
                 retrievable += count.saturating_sub(end) as u64;
-                table.write_columns(columns(&demo, &to_site, end))?;
+                table.extend(rows(&demo, end))?;
             }
             table.finish()?;
             if let Some(estimated) = &estimated {
@@ -85,8 +83,8 @@ impl Runner {
             }
             if retrievable == 0 {
                 bail!(
-                    "cannot index {}: every frame is left out by index.leave_out; name fewer checks",
-                    episodes.artifact.path().display()
+                    "cannot index {}: every frame is left out by index.leave_out", episodes.artifact.path().display();
+                    "name fewer checks"
                 );
             }
             Ok(Facts {
@@ -99,20 +97,28 @@ impl Runner {
 
 /// The end of the last finding of one of these checks, by demonstration.
 fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
-    let known = audit.table(&tables::CHECKS)?.read_columns(&["code"])?;
-    check_names(checks, col_text(&known, "code")?.into_iter().flatten())?;
-    let findings = audit
-        .table(&tables::FINDINGS)?
-        .read_columns(&["episode", "code", "end_frame"])?;
-    let (episodes, ends) = (col_u32(&findings, "episode")?, col_u32(&findings, "end_frame")?);
+    let known: Vec<CheckRow> = audit.read()?;
+    check_names(checks, known.iter().map(|check| &*check.code))?;
+    let findings: Vec<FindingRow> = audit.read()?;
+    Ok(last_ends(
+        checks,
+        findings
+            .iter()
+            .map(|finding| (&*finding.code, finding.episode, finding.frames.end)),
+    ))
+}
+
+/// The end of the last finding of one of these checks, by demonstration, of findings given by code, demonstration and end.
+pub(super) fn last_ends<'a>(
+    checks: &[String],
+    findings: impl Iterator<Item = (&'a str, u32, u32)>,
+) -> BTreeMap<u32, u32> {
     let mut last = BTreeMap::new();
-    for ((episode, end), code) in episodes.iter().zip(ends).zip(col_text(&findings, "code")?) {
-        if checks.iter().any(|check| Some(check.as_str()) == code) {
-            let entry = last.entry(*episode).or_insert(0);
-            *entry = (*end).max(*entry);
-        }
+    for (_, episode, end) in findings.filter(|(code, ..)| checks.iter().any(|check| check == code)) {
+        let entry = last.entry(episode).or_insert(0);
+        *entry = end.max(*entry);
     }
-    Ok(last)
+    last
 }
 
 /// Refuses names that no check has.
@@ -120,34 +126,26 @@ pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a
     let known: Vec<&str> = known.collect();
     match checks.iter().find(|check| !known.contains(&check.as_str())) {
         Some(check) => bail!(
-            "index.leave_out names the check {check:?}, which the audit does not have; its checks are {}",
-            known.join(", ")
+            "index.leave_out names the check {check:?}, which the audit does not have";
+            "its checks are {}", known.join(", ")
         ),
         None => Ok(()),
     }
 }
 
-fn columns(demo: &SpatialDemo, to_site: &UnitQuaternion<f64>, end: usize) -> Columns {
-    let frames = &demo.episode.frames;
-    let eef: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.eef * to_site).collect();
-    let object: Vec<Isometry3<f64>> = frames.iter().map(|frame| frame.object).collect();
-    let mut columns = Columns::new(&tables::SPATIAL_INDEX)
-        .u32("episode", vec![demo.number; frames.len()])
-        .u32("frame", (0..frames.len() as u32).collect())
-        .text("mode", demo.segmented.modes.iter().map(|mode| mode.as_str()));
-    columns = pose_columns(columns, "eef", &eef);
-    columns = pose_columns(columns, "object", &object);
-    for (part, name) in ["x", "y", "z", "rx", "ry", "rz"].into_iter().enumerate() {
-        columns = columns.f64(
-            &format!("goal_{name}"),
-            frames.iter().map(|frame| frame.goal[part]).collect(),
-        );
-    }
-    let commands = frames.iter().map(|frame| {
-        let size = frame.gripper.abs();
-        if frame.closes { size } else { -size }
-    });
-    columns
-        .f64("gripper", commands.collect())
-        .bool("retrievable", (0..frames.len()).map(|frame| frame >= end).collect())
+/// Its rows in the index; frames before `end` are not retrieved.
+fn rows(demo: &SpatialDemo, end: usize) -> impl Iterator<Item = IndexRow<SpatialState>> {
+    let frames = demo.episode.frames.iter().zip(&demo.segmented.modes);
+    frames.enumerate().map(move |(number, (frame, &mode))| IndexRow {
+        episode: demo.number,
+        frame: number as u32,
+        mode,
+        state: SpatialState {
+            eef: frame.eef,
+            object: frame.object,
+            goal: SixAxis(frame.goal),
+            gripper: frame.gripper,
+        },
+        retrievable: Some(number >= end),
+    })
 }

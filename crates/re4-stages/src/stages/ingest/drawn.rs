@@ -5,24 +5,24 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Scope, ScopedJoinHandle};
 
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
-use re4_artifact::{Columns, Writer, tables};
-use re4_ingest::robomimic::{Demo, Matrix};
+use anyhow::{Context as _, Result};
+use re4_fault::{OrFault as _, bail, ensure, fault};
+use re4_ingest::{Episode, Matrix};
 use re4_mujoco::{Data, Footprint, Gl, Kind, Library, Model, Renderer};
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::models::{Looks, looks, with_assets};
 use re4_sim::robosuite::Profile;
 use serde_json::{Value, json};
 
-use super::PICTURES_IN_GROUP;
 use super::spool::Spool;
+use super::tables::ImageTable;
 use crate::inputs::pictures::encode_png;
 use crate::inputs::simulators;
 use crate::interrupt::Interrupt;
 use crate::pipeline::Camera;
 
 /// Side of a picture, in pixels: what robomimic's datasets hold.
-const SIDE: usize = 84;
+const SIDE: usize = Camera::Agentview.side();
 
 /// Most memory that a process that draws is meant to take, in bytes: 512 MiB and a margin. One thread draws whatever that
 /// takes.
@@ -49,7 +49,8 @@ pub(super) fn settings(cameras: &[Camera], gl: Option<&str>) -> Value {
 fn profile(env: &EnvArgs) -> Result<Profile> {
     let Some(named) = env.env_version.as_deref() else {
         bail!(
-            "the file does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args"
+            "the file does not say which robosuite recorded it";
+            "give its env_args, with env_version, as ingest.env_args"
         );
     };
     Profile::of(named)
@@ -138,7 +139,7 @@ impl<'a> Drawing<'a> {
         threads: usize,
         interrupt: &Interrupt,
         tell: &(impl Fn(usize) + Sync),
-        read: impl FnOnce(&mut dyn FnMut(u32, Demo) -> Result<()>) -> Result<()>,
+        read: impl FnOnce(&mut dyn FnMut(u32, Episode) -> Result<()>) -> Result<()>,
     ) -> Result<()> {
         let failure: Mutex<Option<(u32, anyhow::Error)>> = Mutex::new(None);
         let failed = || failure.lock().unwrap_or_else(PoisonError::into_inner);
@@ -166,23 +167,27 @@ impl<'a> Drawing<'a> {
             let mut crew: Option<Crew<'_>> = None;
             // The queue ends with the reading.
             read(&mut |episode, mut demo| {
+                let frames = demo.frames.count();
+                let name = demo.name.name;
                 interrupt.check("ingest")?;
                 ensure!(failed().is_none(), "a demonstration cannot be drawn");
                 let mut missing = Vec::new();
                 for &camera in &self.cameras {
-                    if spool.get(camera, episode, demo.frames)?.is_none() {
+                    if spool.get(camera, episode, frames)?.is_none() {
                         missing.push(camera);
                     }
                 }
-                done(demo.frames * (self.cameras.len() - missing.len()));
+                done(frames * (self.cameras.len() - missing.len()));
                 if missing.is_empty() {
                     return Ok(());
                 }
-                let lacks =
-                    |what| anyhow!("it has no {what}; leave ingest.render out").context(self.cannot(&demo.name));
+                let lacks = |what| {
+                    anyhow::Error::from(fault!("it has no {what}"; "leave ingest.render out"))
+                        .context(self.cannot(&name))
+                };
                 let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
-                let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&demo.name))?;
+                let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&name))?;
                 let crew = match &mut crew {
                     Some(crew) if crew.looks == rest => crew,
                     other => {
@@ -190,20 +195,20 @@ impl<'a> Drawing<'a> {
                         if let Some(last) = other.take() {
                             last.finish();
                         }
-                        let model = self.compile(&mjcf).with_context(|| self.cannot(&demo.name))?;
+                        let model = self.compile(&mjcf).with_context(|| self.cannot(&name))?;
                         other.insert(crew_of(scope, rest, &model, threads, &work))
                     }
                 };
                 let job = Job {
                     episode,
-                    demo: demo.name,
+                    demo: name,
                     boxes,
                     states,
                     cameras: missing,
                 };
                 crew.jobs
                     .send(job)
-                    .map_err(|_| anyhow!("no thread draws any more; run again"))
+                    .map_err(|_| fault!("no thread draws any more"; "run again").into())
             })
         });
         if let Some((_, error)) = failed().take() {
@@ -224,27 +229,16 @@ impl<'a> Drawing<'a> {
     }
 
     /// Writes the pictures of the spool to their table: by camera, episode and frame.
-    pub(super) fn write(&self, spool: &Spool, lengths: &[usize], writer: &Writer) -> Result<usize> {
-        let mut table = writer.table_in_groups(&tables::CAMERA_IMAGES, PICTURES_IN_GROUP)?;
-        let mut written = 0;
+    pub(super) fn write(&self, spool: &Spool, lengths: &[usize], mut table: ImageTable) -> Result<usize> {
         for &camera in &self.cameras {
             for (episode, &frames) in (0_u32..).zip(lengths) {
                 let pictures = spool.get(camera, episode, frames)?;
-                let pictures = pictures.context(
-                    "pictures that were just drawn are gone; another run of the same artifact may have removed them, so run again",
-                )?;
-                table.write_columns(
-                    Columns::new(&tables::CAMERA_IMAGES)
-                        .text("camera", vec![camera; frames])
-                        .u32("episode", vec![episode; frames])
-                        .u32("frame", (0..frames as u32).collect())
-                        .binary("image", pictures),
-                )?;
-                written += frames;
+                let pictures = pictures.or_fault(|| fault!("pictures that were just drawn are gone"; "another run of the same artifact may have removed them, so run again"))?;
+                let places: Vec<(u32, u32)> = (0..frames as u32).map(|frame| (episode, frame)).collect();
+                table.write(camera, &places, pictures)?;
             }
         }
-        table.finish()?;
-        Ok(written)
+        table.finish()
     }
 }
 
@@ -260,9 +254,10 @@ fn draw_demo(
     let (nq, nv) = (model.nq(), model.nv());
     ensure!(
         job.states.columns == 1 + nq + nv,
-        "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities; states and model_file do not belong together",
+        "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities",
         job.states.columns,
-        1 + nq + nv
+        1 + nq + nv;
+        "states and model_file do not belong together"
     );
     let renderer = match renderer {
         Some(renderer) => renderer,
@@ -281,7 +276,7 @@ fn draw_demo(
         if interrupt.requested() {
             return Ok(());
         }
-        simulators::set_state(&mut data, state)?;
+        re4_rollout::set_state(&mut data, state).map_err(anyhow::Error::msg)?;
         for (&camera, pictures) in cameras.iter().zip(&mut pictures) {
             renderer.draw_into(&mut data, camera, &mut pixels)?;
             pictures.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);

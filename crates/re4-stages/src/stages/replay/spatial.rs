@@ -1,24 +1,25 @@
 //! Open-loop replays of robosuite demonstrations.
 
-use anyhow::{Context as _, Result, ensure};
-use nalgebra::UnitQuaternion;
+use anyhow::{Context as _, Result};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
 use re4_episode::SpatialEpisode;
-use re4_report::{quantile, wilson_interval};
+use re4_fault::{ensure, fault};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
 };
+use re4_stats::{spread, wilson_interval};
+use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
-use crate::inputs::demos::{ByEpisode, SpatialEpisodes};
+use super::tables::{DivergenceRow, ReplayRow, SpatialDivergence, SpatialReplay};
+use crate::inputs::demos::{BatchesByEpisode, SpatialEpisodes};
 use crate::inputs::simulators::{Scenes, profile};
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Replays that are made before their rows are written.
 const AT_A_TIME: usize = 32;
@@ -74,12 +75,13 @@ impl Runner {
         let task = self
             .pipeline
             .task
-            .simulated()
-            .context("cannot replay: of robosuite's environments, those simulated here are Lift, PickPlaceCan and NutAssemblySquare; set task to \"lift\", \"can\" or \"square\"")?;
+            .robosuite()
+            .with_context(|| format!("cannot replay: {}", RobosuiteTask::known()))?;
         ensure!(
             episodes.artifact.manifest().tables.contains_key(tables::STATES.name),
-            "cannot replay {}: the demonstrations have no recorded states to start from; ingest a file that has /data/demo_*/states",
-            episodes.artifact.path().display()
+            "cannot replay {}: the demonstrations have no recorded states to start from",
+            episodes.artifact.path().display();
+            "ingest a file that has /data/demo_*/states"
         );
         let profile = profile(&episodes.artifact)?;
         let recipe = Recipe::new(Stage::Replay, CODE_VERSION)
@@ -92,12 +94,11 @@ impl Runner {
                 .table(&tables::EPISODES)?
                 .read_columns(&["source_episode"])?;
             let numbers = col_u32_or_null(&listing, "source_episode")?;
-            let to_site = orientation_to_site(&episodes.artifact)?;
             let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.notes.progress(2 * recordings.demos as u64, "replays");
-            let mut replays = writer.table(&tables::SPATIAL_REPLAYS)?;
-            let mut divergence = writer.table(&tables::SPATIAL_DIVERGENCE)?;
+            let mut replays = writer.rows()?;
+            let mut divergence = writer.rows()?;
             let mut summaries = [Summary::default(), Summary::default()];
             loop {
                 self.interrupt.check("replay")?;
@@ -110,7 +111,7 @@ impl Runner {
                     .with_max_len(1)
                     .flat_map_iter(|recording| Kind::ALL.map(|kind| (recording, kind)))
                     .map(|(recording, kind)| {
-                        let replay = play(&scenes, recording, kind, &to_site).with_context(|| {
+                        let replay = play(&scenes, recording, kind).with_context(|| {
                             format!(
                                 "cannot replay {}, which a filter key or ingest.select can leave out",
                                 recording.episode.name
@@ -125,8 +126,11 @@ impl Runner {
                 for replay in &played {
                     summaries[usize::from(replay.kind == Kind::Absolute)].add(replay);
                 }
-                replays.write_columns(replay_columns(&played, &recorded, &numbers))?;
-                divergence.write_columns(divergence_columns(&played))?;
+                for replay in &played {
+                    let number = numbers.get(replay.number as usize).copied().flatten();
+                    replays.push(&replay.row(&recorded, number))?;
+                    divergence.extend(replay.divergence())?;
+                }
             }
             bar.finish_and_clear();
             replays.finish()?;
@@ -161,7 +165,7 @@ fn recorded_kind(episodes: &Artifact) -> Result<String> {
 /// Demonstrations with their recorded states, one after the other.
 struct Recordings {
     episodes: SpatialEpisodes,
-    states: ByEpisode,
+    states: BatchesByEpisode,
     demos: usize,
 }
 
@@ -171,7 +175,7 @@ impl Recordings {
         Ok(Self {
             demos: episodes.demos(),
             episodes,
-            states: ByEpisode::open(artifact, &tables::STATES)?,
+            states: BatchesByEpisode::open(artifact, &tables::STATES)?,
         })
     }
 }
@@ -183,7 +187,7 @@ impl Iterator for Recordings {
         let episode = self.episodes.next()?;
         Some(episode.and_then(|(number, episode)| {
             let name = episode.name.clone();
-            let missing = || format!("table states lacks {name}; ingest the dataset anew");
+            let missing = || fault!("table states lacks {name}"; "ingest the dataset anew");
             let (of, rows) = self.states.next().with_context(missing)??;
             let states = col_f64_list(&rows, "state")?;
             ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());
@@ -196,7 +200,7 @@ impl Iterator for Recordings {
     }
 }
 
-fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuaternion<f64>) -> Result<Replay> {
+fn play(scenes: &Scenes, recording: &Recording, kind: Kind) -> Result<Replay> {
     let model = scenes.of(recording.number)?;
     let mut simulator = Robosuite::new(&model)?;
     let mut success = Vec::with_capacity(recording.states.len());
@@ -226,19 +230,18 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind, to_site: &UnitQuater
         distances.push(Distance {
             object: (seen.object.translation.vector - frame.object.translation.vector).norm(),
             turn: seen.object.rotation.angle_to(&frame.object.rotation),
-            eef: (seen.grip_site.translation.vector - (frame.eef * to_site).translation.vector).norm(),
+            eef: (seen.grip_site.translation.vector - frame.eef.translation.vector).norm(),
             arm: arm_distance(&now, state),
         });
         let arm = match kind {
             Kind::Delta => ArmAction::Delta(frame.delta),
             Kind::Absolute => ArmAction::Absolute(frame.goal),
         };
-        let gripper = if frame.closes {
-            frame.gripper.abs()
-        } else {
-            -frame.gripper.abs()
+        let action = RobosuiteAction {
+            arm,
+            gripper: frame.gripper,
         };
-        let RobosuiteStep { success: done, .. } = simulator.step(&RobosuiteAction { arm, gripper })?;
+        let RobosuiteStep { success: done, .. } = simulator.step(&action)?;
         success.push(done);
     }
     Ok(Replay {
@@ -268,6 +271,42 @@ impl Replay {
     fn largest(&self, value: fn(&Distance) -> f64) -> f64 {
         self.distances.iter().map(value).fold(0.0, f64::max)
     }
+
+    fn row(&self, recorded: &str, source_episode: Option<u32>) -> ReplayRow<SpatialReplay> {
+        let actions = self.kind.as_str();
+        let origin = if actions == recorded { "recorded" } else { "converted" };
+        ReplayRow {
+            episode: self.number,
+            source_episode,
+            frames: self.success.len(),
+            replay: SpatialReplay {
+                actions: actions.into(),
+                origin: origin.into(),
+                success: self.succeeded(),
+                first_success: self.success.iter().position(|done| *done),
+                success_at_end: self.success.last() == Some(&true),
+                object_max: self.largest(|d| d.object),
+                object_final: self.distances.last().map_or(0.0, |d| d.object),
+                object_turn_max: self.largest(|d| d.turn),
+                eef_max: self.largest(|d| d.eef),
+                arm_max: self.largest(|d| d.arm),
+            },
+            demo_name: Some(self.name.clone()),
+        }
+    }
+
+    fn divergence(&self) -> impl Iterator<Item = DivergenceRow<SpatialDivergence>> {
+        (0..).zip(&self.distances).map(|(frame, distance)| DivergenceRow {
+            episode: self.number,
+            frame,
+            distance: SpatialDivergence {
+                actions: self.kind.as_str().into(),
+                object: distance.object,
+                object_turn: distance.turn,
+                eef: distance.eef,
+            },
+        })
+    }
 }
 
 /// Figures over the replays of one kind.
@@ -290,79 +329,12 @@ impl Summary {
     }
 
     fn to_json(&self) -> Value {
-        let mut object = self.object.clone();
-        object.sort_by(f64::total_cmp);
-        let rate = wilson_interval(self.successes, self.replays);
         json!({
             "replays": self.replays,
             "successes": self.successes,
-            "success_rate": { "value": rate.value, "low": rate.low, "high": rate.high },
+            "success_rate": wilson_interval(self.successes, self.replays),
             "failed_demonstrations": self.failed,
-            "object_max_m": {
-                "p50": quantile(&object, 0.5),
-                "p90": quantile(&object, 0.9),
-                "p99": quantile(&object, 0.99),
-                "max": quantile(&object, 1.0),
-            },
+            "object_max_m": spread(self.object.iter().copied(), &[0.5, 0.9, 0.99, 1.0]),
         })
     }
-}
-
-fn replay_columns(replays: &[Replay], recorded: &str, numbers: &[Option<u32>]) -> Columns {
-    let of = |value: &dyn Fn(&Replay) -> f64| replays.iter().map(value).collect::<Vec<f64>>();
-    Columns::new(&tables::SPATIAL_REPLAYS)
-        .u32("episode", replays.iter().map(|r| r.number).collect())
-        .u32_or_null(
-            "source_episode",
-            replays
-                .iter()
-                .map(|r| numbers.get(r.number as usize).copied().flatten())
-                .collect(),
-        )
-        .text("actions", replays.iter().map(|r| r.kind.as_str()))
-        .text(
-            "origin",
-            replays.iter().map(|r| {
-                if r.kind.as_str() == recorded {
-                    "recorded"
-                } else {
-                    "converted"
-                }
-            }),
-        )
-        .u32("frames", replays.iter().map(|r| r.success.len() as u32).collect())
-        .bool("success", replays.iter().map(Replay::succeeded).collect())
-        .u32_or_null(
-            "first_success",
-            replays
-                .iter()
-                .map(|r| r.success.iter().position(|done| *done).map(|at| at as u32))
-                .collect(),
-        )
-        .bool(
-            "success_at_end",
-            replays.iter().map(|r| r.success.last() == Some(&true)).collect(),
-        )
-        .f64("object_max", of(&|r| r.largest(|d| d.object)))
-        .f64("object_final", of(&|r| r.distances.last().map_or(0.0, |d| d.object)))
-        .f64("object_turn_max", of(&|r| r.largest(|d| d.turn)))
-        .f64("eef_max", of(&|r| r.largest(|d| d.eef)))
-        .f64("arm_max", of(&|r| r.largest(|d| d.arm)))
-        .text("demo_name", replays.iter().map(|r| &r.name))
-}
-
-fn divergence_columns(replays: &[Replay]) -> Columns {
-    let rows = || {
-        replays
-            .iter()
-            .flat_map(|r| r.distances.iter().enumerate().map(move |(f, d)| (r, f as u32, d)))
-    };
-    let of = |value: fn(&Distance) -> f64| rows().map(|(_, _, d)| value(d)).collect::<Vec<f64>>();
-    Columns::new(&tables::SPATIAL_DIVERGENCE)
-        .u32("episode", rows().map(|(r, ..)| r.number).collect())
-        .text("actions", rows().map(|(r, ..)| r.kind.as_str()))
-        .u32("frame", rows().map(|(_, f, _)| f).collect())
-        .f64("object", of(|d| d.object))
-        .f64("object_turn", of(|d| d.turn))
-        .f64("eef", of(|d| d.eef))
 }

@@ -2,10 +2,9 @@
 
 use rayon::prelude::*;
 use re4_artifact::{Columns, tables};
-use re4_policy::EpisodeRollout;
-use re4_report::{Interval, budgets, mean_interval, wilson_interval};
+use re4_stats::{Interval, budgets, mean_interval, wilson_interval};
 
-use super::BOOTSTRAP_SEED;
+use super::{BOOTSTRAP_SEED, EpisodeRollout};
 
 /// One budget, and what every rollout had reached by it.
 struct Budget {

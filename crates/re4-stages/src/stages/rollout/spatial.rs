@@ -6,19 +6,18 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, TableWriter, Writer, tables};
-use re4_encoder::Predictor;
+use re4_encoder::{Predictor, SIDE};
+use re4_mujoco::Gl;
 use re4_policy::DemoNames;
-use re4_policy::spatial::{
-    MakeObserver, NoiseLevel, ObjectSight, SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRollout,
-    SpatialStart, SpatialStepRecord, spatial_rollouts,
+use re4_policy::spatial::{SpatialChoice, SpatialDecision, SpatialDecisionKind, SpatialRe4Factory};
+use re4_rollout::{
+    Env, Estimator, Harness, PoseNoise, RobosuiteEnv, Rollout, Source, Space, Start, StepRecord, Studio, rollouts,
 };
-use re4_report::{median, wilson_interval};
-use re4_sim::SimError;
-use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteScene, RobosuiteTask, SIMULATION_STEPS, with_cube_size};
+use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteTask, simulation_steps};
+use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
-use super::eye::{self, Eye, Studio, unseen};
-use super::interval;
+use super::estimators::Encoder;
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::poses::pose_columns;
@@ -33,8 +32,47 @@ const CODE_VERSION: u32 = 2;
 /// Seeds rolled out before their rows are written.
 const BATCH: usize = 128;
 
-/// Makes the observers of rollouts, once the scene is there to be drawn.
-pub(crate) type OpenEyes<'a> = dyn Fn(Studio) -> Result<Box<MakeObserver<'static>>> + 'a;
+/// Raised whenever the same states give other pictures.
+const DRAWING_VERSION: u32 = 1;
+
+type SpatialRollout = Rollout<Space, SpatialDecision>;
+
+/// Makes the estimator of an episode.
+pub(crate) type MakeEstimator = dyn Fn() -> Box<dyn Estimator<Space>> + Sync;
+
+/// A `poses` artifact, and who looks at images.
+pub(crate) struct Watching<'a> {
+    pub(crate) poses: &'a Built,
+    /// Opens the estimators.
+    pub(crate) open: &'a dyn Fn() -> Result<Box<MakeEstimator>>,
+    /// What the simulation is seen through.
+    pub(crate) through: for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>,
+}
+
+/// What the key of an artifact says of pictures drawn in rollouts.
+fn drawing(camera: &str) -> Result<Value> {
+    Ok(json!({
+        "assets": "robosuite-1.4.1",
+        "camera": camera,
+        "gl": Gl::of_process().context("cannot draw what the policy sees")?.to_string(),
+        "side": SIDE,
+        "version": DRAWING_VERSION,
+    }))
+}
+
+/// The scene of these demonstrations, which has this camera.
+///
+/// # Errors
+/// When an asset is missing, or the model has no such camera.
+pub(crate) fn studio(scenes: &Scenes, episodes: &Artifact, camera: &str) -> Result<Studio> {
+    let mjcf = scenes.drawn_mjcf(episodes)?;
+    let model = scenes.compile(&mjcf)?.mujoco().clone();
+    let studio = Studio::new(mjcf, model, SIDE);
+    studio
+        .camera(camera)
+        .with_context(|| format!("cannot draw what the policy sees of {}", episodes.path().display()))?;
+    Ok(studio)
+}
 
 impl Runner {
     /// The `rollouts` artifact of a robosuite task: with the simulator's own object poses, or, where there is a `poses` artifact,
@@ -47,34 +85,29 @@ impl Runner {
             return self.rollout_watching(episodes, None, index);
         };
         let backend = self.pipeline.pose()?.encoder().backend;
-        let open = |studio: Studio| -> Result<Box<MakeObserver<'static>>> {
-            let weights = poses.artifact.path().join(WEIGHTS);
-            let predictor = Predictor::open(&weights, backend)?;
-            Ok(Box::new(move |start| {
-                Ok(Box::new(Eye {
-                    lens: studio.lens(start.seed).map_err(unseen)?,
-                    predictor: predictor.clone(),
-                }))
-            }))
+        let open = || -> Result<Box<MakeEstimator>> {
+            let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), backend)?;
+            Ok(Box::new(move || Box::new(Encoder(predictor.clone()))))
         };
-        self.rollout_watching(episodes, Some((poses, &open)), index)
+        let watching = Watching {
+            poses,
+            open: &open,
+            through: |env| env,
+        };
+        self.rollout_watching(episodes, Some(&watching), index)
     }
 
-    /// The `rollouts` artifact, with the observers that `open` makes for a `poses` artifact.
+    /// The `rollouts` artifact, with the estimators that are opened for a `poses` artifact.
     pub(crate) fn rollout_watching(
         &self,
         episodes: &Built,
-        watching: Option<(&Built, &OpenEyes<'_>)>,
+        watching: Option<&Watching<'_>>,
         index: &Built,
     ) -> Result<Built> {
         let section = self.pipeline.spatial_rollout()?;
-        let task = self.pipeline.task.simulated().context("no simulator for this task")?;
+        let task = self.pipeline.task.robosuite().context("no simulator for this task")?;
         let policy = section.policy_config();
         let symmetry = section.symmetry(task, self.pipeline.variant);
-        let noise = section.noise.map_or_else(NoiseLevel::default, |noise| NoiseLevel {
-            translation: noise.translation,
-            rotation: noise.rotation,
-        });
         let profile = profile(&episodes.artifact)?;
         let mut config = json!({
                 "task": self.pipeline.task,
@@ -90,14 +123,14 @@ impl Runner {
         });
         let camera = self.pipeline.pose()?.encoder().camera.clone();
         if watching.is_some() {
-            config["pictures"] = eye::settings(&camera)?;
+            config["pictures"] = drawing(&camera)?;
         }
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION)
             .config(&config)?
             .input("episodes", episodes.artifact.key())
             .input("index", index.artifact.key());
-        if let Some((poses, _)) = watching {
-            recipe = recipe.input("poses", poses.artifact.key());
+        if let Some(watching) = watching {
+            recipe = recipe.input("poses", watching.poses.artifact.key());
         }
         self.build(&recipe, |writer| {
             let knowledge = Arc::new(open_spatial_index(
@@ -108,30 +141,36 @@ impl Runner {
             )?);
             let scenes = Scenes::open(&episodes.artifact, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
-            // Can and Square have one model for all seeds; the cube's size is a part of Lift's.
-            let shared = (task != RobosuiteTask::Lift)
-                .then(|| scenes.compile(mjcf))
+            // Where the size of a box is drawn, every seed has a model of its own.
+            let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
+            let seen = watching
+                .map(|watching| {
+                    let studio = studio(&scenes, &episodes.artifact, &camera)?;
+                    Ok::<_, anyhow::Error>((studio, (watching.open)()?, watching.through))
+                })
                 .transpose()?;
-            let start = |seed: u32| -> Result<SpatialStart, SimError> {
-                let placement = Placement::draw(task, seed);
-                let model: RobosuiteModel = match (&shared, placement.cube) {
-                    (Some(model), _) => model.clone(),
-                    (None, Some(size)) => scenes.compile(&with_cube_size(mjcf, size)?)?,
-                    (None, None) => scenes.compile(mjcf)?,
+            let env = |start: &Start<Space>| {
+                let model: RobosuiteModel = match &shared {
+                    Some(model) => model.clone(),
+                    None => scenes.compile(&start.scene.in_model(mjcf)?)?,
                 };
-                Ok(SpatialStart {
-                    seed,
-                    model,
-                    scene: RobosuiteScene::Placed(placement.coordinates()),
+                let studio = seen.as_ref().map(|(studio, ..)| studio);
+                let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, studio)?);
+                Ok(match &seen {
+                    Some((.., through)) => through(env),
+                    None => env,
                 })
             };
-            let eyes = watching
-                .map(|(_, open)| open(Studio::open(&scenes, &episodes.artifact, task, &camera)?))
-                .transpose()?;
-            let look = eyes.map(|make| move |start: &SpatialStart| make(start));
-            let sight = match &look {
-                Some(look) => ObjectSight::Observed(look),
-                None => ObjectSight::Recorded(noise),
+            let source = |seed: u32| match (&seen, section.noise) {
+                (Some((_, estimator, _)), _) => Source::Image {
+                    camera: camera.clone(),
+                    estimator: estimator(),
+                },
+                (None, Some(noise)) if noise.translation != 0.0 || noise.rotation != 0.0 => {
+                    let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
+                    Source::Noisy(Box::new(move |pose| errors.perturb(pose)))
+                }
+                _ => Source::Recorded,
             };
             let seeds = section.seeds.as_slice();
             let bar = self.notes.progress(seeds.len() as u64, "rollouts");
@@ -139,16 +178,33 @@ impl Runner {
                 bar.inc(1);
                 !self.interrupt.requested()
             };
-            let mut tables = Tables::begin(writer, knowledge.demos().names())?;
+            let harness = Harness {
+                env: &env,
+                source: &source,
+                max_steps: section.max_steps,
+                progress: &going,
+            };
+            let factory = SpatialRe4Factory {
+                config: policy.clone(),
+                knowledge,
+            };
+            let mut tables = Tables::begin(writer, factory.knowledge.demos().names())?;
             let mut outcomes = Outcomes::default();
             for batch in seeds.chunks(BATCH) {
-                let rollouts = spatial_rollouts(&policy, &knowledge, batch, sight, section.max_steps, &start, &going)?;
+                let starts: Vec<_> = batch
+                    .iter()
+                    .map(|&seed| Start {
+                        seed,
+                        scene: Placement::draw(task, seed),
+                    })
+                    .collect();
+                let rollouts = rollouts(&factory, &harness, &starts)?;
                 outcomes.add(&rollouts);
                 tables.write(&rollouts)?;
             }
             bar.finish_and_clear();
             tables.finish()?;
-            let summary = outcomes.summary(section, &scenes, &episodes.artifact, watching.is_some());
+            let summary = outcomes.summary(section, task, &scenes, &episodes.artifact, watching.is_some());
             Ok(Facts {
                 summary,
                 warnings: Vec::new(),
@@ -167,12 +223,19 @@ struct Outcomes {
 }
 
 impl Outcomes {
-    fn summary(&self, section: &SpatialRolloutSection, scenes: &Scenes, episodes: &Artifact, watched: bool) -> Value {
+    fn summary(
+        &self,
+        section: &SpatialRolloutSection,
+        task: RobosuiteTask,
+        scenes: &Scenes,
+        episodes: &Artifact,
+        watched: bool,
+    ) -> Value {
         let success = wilson_interval(self.successes, self.steps.len() as u64);
         let mut summary = json!({
             "rollouts": self.steps.len(),
             "successes": self.successes,
-            "metrics": { "success_rate": interval(success) },
+            "metrics": { "success_rate": success },
             "medians": { "steps_of_successes": median(&self.success_steps) },
             "longest_success": self.success_steps.iter().copied().fold(0.0, f64::max),
             "losses": self.losses,
@@ -188,8 +251,8 @@ impl Outcomes {
                 "robosuite": scenes.profile(),
                 "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
                 "fidelity": section.fidelity,
-                "simulation_steps_per_control_step": SIMULATION_STEPS,
-                "control_frequency_hz": 20,
+                "simulation_steps_per_control_step": simulation_steps(task),
+                "control_frequency_hz": task.control_rate,
                 "controller": "OSC_POSE, absolute goals of the grip site",
             },
         });
@@ -211,7 +274,7 @@ impl Outcomes {
                 self.success_steps.push(steps);
             }
             self.losses += u64::from(losses(rollout));
-            self.looks += u64::from(rollout.looks);
+            self.looks += u64::from(rollout.images());
         }
     }
 }
@@ -258,11 +321,14 @@ impl<'a> Tables<'a> {
 
 fn result_columns(rollouts: &[SpatialRollout], first: u32) -> Columns {
     let number = |value: fn(&SpatialRollout) -> u32| rollouts.iter().map(value).collect::<Vec<u32>>();
-    let eef: Vec<_> = rollouts.iter().map(|r| r.first.grip_site.translation.vector).collect();
-    let object: Vec<_> = rollouts.iter().map(|r| r.first.object).collect();
+    let eef: Vec<_> = rollouts
+        .iter()
+        .map(|r| r.first.observation.grip_site.translation.vector)
+        .collect();
+    let object: Vec<_> = rollouts.iter().map(|r| r.first.observation.object).collect();
     let columns = Columns::new(&tables::SPATIAL_RESULTS)
         .u32("episode", (first..first + rollouts.len() as u32).collect())
-        .u32("seed", number(|r| r.seed))
+        .u32("seed", number(|r| r.start.seed))
         .bool("success", rollouts.iter().map(SpatialRollout::success).collect())
         .u32("steps", number(|r| r.steps.len() as u32))
         .u32("decisions", number(|r| r.decisions.len() as u32))
@@ -278,17 +344,17 @@ fn result_columns(rollouts: &[SpatialRollout], first: u32) -> Columns {
         .f64("eef_x", eef.iter().map(|p| p.x).collect())
         .f64("eef_y", eef.iter().map(|p| p.y).collect())
         .f64("eef_z", eef.iter().map(|p| p.z).collect());
-    pose_columns(columns, "object", &object).f64_list("state", rollouts.iter().map(|r| r.first_state.as_slice()))
+    pose_columns(columns, "object", &object).f64_list("state", rollouts.iter().map(|r| r.first.state.as_slice()))
 }
 
 fn step_columns(rollouts: &[SpatialRollout]) -> Columns {
     let rows = || {
         rollouts
             .iter()
-            .flat_map(|r| r.steps.iter().enumerate().map(|(i, s)| (r.seed, i as u32, s)))
+            .flat_map(|r| r.steps.iter().enumerate().map(|(i, s)| (r.start.seed, i as u32, s)))
     };
-    let of = |value: &dyn Fn(&SpatialStepRecord) -> f64| rows().map(|(_, _, s)| value(s)).collect::<Vec<f64>>();
-    let poses = |value: fn(&SpatialStepRecord) -> Isometry3<f64>| rows().map(|(_, _, s)| value(s)).collect::<Vec<_>>();
+    let of = |value: &dyn Fn(&StepRecord<Space>) -> f64| rows().map(|(_, _, s)| value(s)).collect::<Vec<f64>>();
+    let poses = |value: fn(&StepRecord<Space>) -> Isometry3<f64>| rows().map(|(_, _, s)| value(s)).collect::<Vec<_>>();
     let mut columns = Columns::new(&tables::SPATIAL_STEPS)
         .u32("seed", rows().map(|(seed, ..)| seed).collect())
         .u32("step", rows().map(|(_, step, _)| step).collect());
@@ -309,14 +375,14 @@ fn step_columns(rollouts: &[SpatialRollout]) -> Columns {
         .bool("success", rows().map(|(_, _, s)| s.after.success).collect())
         .u32("decision", rows().map(|(_, _, s)| s.decision).collect())
         .text("phase", rows().map(|(_, _, s)| s.phase.as_str()));
-    pose_columns(columns, "seen", &poses(|s| s.seen.object))
+    pose_columns(columns, "seen", &poses(|s| s.seen.unwrap_or_else(Isometry3::identity)))
 }
 
 fn decision_columns(rollouts: &[SpatialRollout], names: &DemoNames) -> Columns {
     let rows = || {
         rollouts
             .iter()
-            .flat_map(|r| r.decisions.iter().enumerate().map(|(i, d)| (r.seed, i as u32, d)))
+            .flat_map(|r| r.decisions.iter().enumerate().map(|(i, d)| (r.start.seed, i as u32, d)))
     };
     let number = |value: fn(&SpatialDecision) -> u32| rows().map(|(_, _, d)| value(d)).collect::<Vec<u32>>();
     let poses = |value: fn(&SpatialDecision) -> Isometry3<f64>| rows().map(|(_, _, d)| value(d)).collect::<Vec<_>>();

@@ -1,14 +1,14 @@
 //! Train-pose for robosuite's tasks: `episodes` and `modes` to `poses`, by an encoder that is trained on them.
 //!
-//! Until the poses are written, only the columns named in [`EEF_COLUMNS`], modes and pictures are read: no recorded object
+//! Until the poses are written, only the columns of [`EefOf`], modes and images are read: no recorded object
 //! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result};
 use image::ImageFormat;
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, UnitQuaternion};
 use rayon::prelude::*;
 use re4_artifact::{
-    Artifact, Columns, Facts, Key, Recipe, Stage, Writer, col_binary, col_f64, col_text, col_u32, tables,
+    Artifact, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns, tables,
 };
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
@@ -16,25 +16,21 @@ use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
+use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_ingest::SourceFile;
+use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
+use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
 use tracing::info;
 
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::WEIGHTS;
-use crate::inputs::poses::pose_columns;
 use crate::inputs::sources::find_weights;
-use crate::inputs::spatial_index::orientation_to_site;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 2;
-
-/// What is read of table `spatial_frames` before the poses are written.
-const EEF_COLUMNS: [&str; 9] = [
-    "episode", "frame", "eef_x", "eef_y", "eef_z", "eef_qx", "eef_qy", "eef_qz", "eef_qw",
-];
 
 /// Folder of checkpoints, below that of the artifacts.
 const CHECKPOINTS: &str = "checkpoints";
@@ -172,7 +168,10 @@ impl Runner {
                 warnings.push(json!({
                     "code": "no_grasp",
                     "demo_name": names.of(demo.episode),
-                    "message": format!("{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on", names.of(demo.episode)),
+                    "message": format!(
+                        "{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on",
+                        names.of(demo.episode),
+                    ),
                 }));
                 continue;
             };
@@ -188,8 +187,9 @@ impl Runner {
         }
         ensure!(
             !taught.is_empty(),
-            "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame; look at its modes with re4-pipe audit",
-            episodes.path().display()
+            "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame",
+            episodes.path().display();
+            "look at its modes with re4-pipe audit"
         );
         // A backend that is not there is told before pictures are unpacked. The one in pure Rust computes in the program's threads.
         config.backend.device()?;
@@ -251,7 +251,7 @@ impl Runner {
     ) -> Result<PictureFile> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
-        let table = episodes.table(&tables::CAMERA_IMAGES)?;
+        let table = episodes.table(&tables::IMAGES)?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "pictures");
         let mut cameras = std::collections::BTreeSet::new();
@@ -278,13 +278,13 @@ impl Runner {
                             )
                         };
                         let picture = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
-                            .with_context(|| format!("{} is not a PNG picture; ingest again", place()))?
+                            .or_fault(|| fault!("{} is not a PNG picture", place(); "ingest again"))?
                             .into_rgb8();
                         let (width, height) = picture.dimensions();
                         ensure!(
                             picture.as_raw().len() == PICTURE_BYTES && width == height,
-                            "{} is {width} x {height} pixels where the encoder reads 84 x 84; render them with ingest.render",
-                            place()
+                            "{} is {width} x {height} pixels where the encoder reads 84 x 84", place();
+                            "render them with ingest.render"
                         );
                         Ok(picture.into_raw())
                     })
@@ -300,18 +300,18 @@ impl Runner {
         if pictures.count() == 0 {
             let names: Vec<String> = cameras.into_iter().collect();
             bail!(
-                "cannot train on {}: it has no pictures of camera {:?}; it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
-                path.display(),
-                config.camera,
+                "cannot train on {}: it has no pictures of camera {:?}", path.display(), config.camera;
+                "it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
                 names.join(", ")
             );
         }
         ensure!(
             pictures.count() == frames as u64,
-            "cannot train on {}: it has {} pictures of camera {:?} for {frames} frames; ingest again",
+            "cannot train on {}: it has {} pictures of camera {:?} for {frames} frames",
             path.display(),
             pictures.count(),
-            config.camera
+            config.camera;
+            "ingest again"
         );
         Ok(pictures)
     }
@@ -325,13 +325,12 @@ impl Runner {
         writer: &Writer,
     ) -> Result<Vec<Vec<Isometry3<f64>>>> {
         let bar = self.notes.progress(pictures.count(), "poses");
-        let mut table = writer.table(&tables::SPATIAL_POSES)?;
+        let mut table = writer.rows()?;
         let mut all = Vec::with_capacity(demos.len());
         for demo in demos {
             self.interrupt.check("train-pose")?;
             let frames = demo.eef.len();
-            let (mut poses, mut embeddings) = (Vec::with_capacity(frames), Vec::new());
-            let mut width = 0;
+            let mut poses = Vec::with_capacity(frames);
             for start in (0..frames).step_by(AT_ONCE) {
                 let chunk = (start..frames.min(start + AT_ONCE))
                     .map(|frame| {
@@ -342,16 +341,18 @@ impl Runner {
                     .collect::<Result<Vec<_>, EncoderError>>()?;
                 let chunk: Vec<&[u8]> = chunk.iter().map(Vec::as_slice).collect();
                 for prediction in predictor.predict(&chunk)? {
+                    table.push(&PoseRow {
+                        episode: demo.episode,
+                        frame: poses.len() as u32,
+                        estimate: SpatialEstimate {
+                            trained_on: demo.trained_on,
+                            object: prediction.pose,
+                            embedding: prediction.embedding,
+                        },
+                    })?;
                     poses.push(prediction.pose);
-                    width = prediction.embedding.len();
-                    embeddings.extend(prediction.embedding);
                 }
             }
-            let columns = Columns::new(&tables::SPATIAL_POSES)
-                .u32("episode", vec![demo.episode; frames])
-                .u32("frame", (0..frames as u32).collect())
-                .bool("trained_on", vec![demo.trained_on; frames]);
-            table.write_columns(pose_columns(columns, "object", &poses).f32_rows("embedding", embeddings, width))?;
             bar.inc(frames as u64);
             all.push(poses);
         }
@@ -361,43 +362,49 @@ impl Runner {
     }
 }
 
+columns! {
+    /// What is read of the frames before the poses are written.
+    pub struct EefOf {
+        /// Demonstration.
+        pub episode: u32,
+        /// Frame.
+        pub frame: u32,
+        /// End effector.
+        pub eef: Isometry3<f64>,
+    }
+}
+
+columns! {
+    /// The mode of a frame.
+    pub struct ModeOf {
+        /// Demonstration.
+        pub episode: u32,
+        /// Frame.
+        pub frame: u32,
+        /// Mode.
+        pub mode: Mode,
+    }
+}
+
 /// End-effector poses and modes, and nothing else.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let to_site = orientation_to_site(episodes)?;
-    let frames = episodes.table(&tables::SPATIAL_FRAMES)?.read_columns(&EEF_COLUMNS)?;
-    let modes_of = modes
-        .table(&tables::SPATIAL_MODES)?
-        .read_columns(&["episode", "frame", "mode"])?;
-    let (episode, frame) = (col_u32(&frames, "episode")?, col_u32(&frames, "frame")?);
+    let frames: Vec<EefOf> = episodes.table(&tables::SPATIAL_FRAMES)?.read()?;
+    let modes_of: Vec<ModeOf> = modes.table(ModeRow::<SpatialEvidence>::table())?.read()?;
+    let ids = frames.iter().map(|row| (row.episode, row.frame));
     ensure!(
-        episode == col_u32(&modes_of, "episode")? && frame == col_u32(&modes_of, "frame")?,
-        "cannot train: {} and {} are not of the same frames; segment again",
-        episodes.path().display(),
-        modes.path().display()
+        ids.eq(modes_of.iter().map(|row| (row.episode, row.frame))),
+        "cannot train: {} and {} are not of the same frames", episodes.path().display(), modes.path().display();
+        "segment again"
     );
-    let parts = EEF_COLUMNS[2..]
-        .iter()
-        .map(|name| col_f64(&frames, name))
-        .collect::<Result<Vec<_>, _>>()?;
-    let names = col_text(&modes_of, "mode")?;
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
-    for row in 0..episode.len() {
-        let part = |k: usize| parts[k][row];
-        let hand = Isometry3::from_parts(
-            Translation3::new(part(0), part(1), part(2)),
-            UnitQuaternion::new_normalize(Quaternion::new(part(6), part(3), part(4), part(5))),
-        );
-        let mode = names[row].and_then(Mode::from_name).with_context(|| {
-            format!(
-                "cannot read {}: table spatial_modes has an unknown mode in row {row}; segment again",
-                modes.path().display()
-            )
-        })?;
-        if demos.last().is_none_or(|demo| demo.episode != episode[row]) {
+    for (row, (EefOf { episode, eef, .. }, ModeOf { mode, .. })) in frames.into_iter().zip(modes_of).enumerate() {
+        let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
+        let eef = Isometry3::from_parts(eef.translation, rotation);
+        if demos.last().is_none_or(|demo| demo.episode != episode) {
             let number = demos.len();
             demos.push(Demo {
-                episode: episode[row],
+                episode,
                 first: row as u64,
                 eef: Vec::new(),
                 modes: Vec::new(),
@@ -405,7 +412,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
             });
         }
         if let Some(demo) = demos.last_mut() {
-            demo.eef.push(hand * to_site);
+            demo.eef.push(eef);
             demo.modes.push(mode);
         }
     }
@@ -413,20 +420,19 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
 }
 
 fn write_course(epochs: &[Epoch], writer: &Writer) -> Result<()> {
-    let of = |value: fn(&Epoch) -> f64| epochs.iter().map(value).collect::<Vec<_>>();
-    let mut table = writer.table(&tables::TRAINING)?;
-    table.write_columns(
-        Columns::new(&tables::TRAINING)
-            .u32("epoch", epochs.iter().map(|epoch| epoch.epoch).collect())
-            .u32("steps", epochs.iter().map(|epoch| epoch.steps).collect())
-            .f64("learning_rate", of(|epoch| epoch.learning_rate))
-            .f64("loss", of(|epoch| epoch.losses[0]))
-            .f64("absolute", of(|epoch| epoch.losses[1]))
-            .f64("relative", of(|epoch| epoch.losses[2]))
-            .f64("cross", of(|epoch| epoch.losses[3]))
-            .f64_or_null("held_out_absolute", epochs.iter().map(|epoch| epoch.held_out).collect()),
-    )?;
-    table.finish()?;
+    writer.write_rows(epochs.iter().map(|epoch| {
+        let [loss, absolute, relative, cross] = epoch.losses;
+        TrainingRow {
+            epoch: epoch.epoch,
+            steps: epoch.steps,
+            learning_rate: epoch.learning_rate,
+            loss,
+            absolute,
+            relative,
+            cross,
+            held_out_absolute: epoch.held_out,
+        }
+    }))?;
     Ok(())
 }
 

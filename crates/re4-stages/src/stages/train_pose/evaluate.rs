@@ -1,18 +1,22 @@
 //! How good an encoder's poses are: table `pose_errors`, and a summary. After training, and the one place of it that reads
 //! recorded object poses.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::Result;
 use nalgebra::Isometry3;
-use re4_artifact::{Artifact, Columns, Writer, tables};
+use re4_artifact::{Artifact, Writer};
 use re4_episode::Mode;
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::spatial::rotation_vector;
+use re4_pose::PoseErrorRow;
 use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
-use re4_report::quantile;
+use re4_stats::spread;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::inputs::spatial_index::orientation_to_site;
-use crate::pipeline::TaskName;
+use crate::pipeline::Task;
+
+/// Quantiles that are stated of errors.
+const SHARES: [f64; 2] = [0.5, 0.9];
 
 /// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
 const TURNED: f64 = std::f64::consts::FRAC_PI_2;
@@ -31,7 +35,7 @@ pub(super) fn evaluate(
     modes: &Artifact,
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
-    task: TaskName,
+    task: Task,
 ) -> Result<Value> {
     let symmetry = task.symmetry();
     let demonstrations = read(episodes, modes, poses, trained_on)?;
@@ -50,19 +54,19 @@ fn read(
     poses: &[Vec<Isometry3<f64>>],
     trained_on: &[bool],
 ) -> Result<Vec<Demonstration>> {
-    let to_site = orientation_to_site(episodes)?;
     let mut estimates = poses.iter().zip(trained_on);
     let mut demonstrations = Vec::with_capacity(poses.len());
     for demo in SegmentedEpisodes::open(episodes, modes)? {
         let demo = demo?;
         let frames = &demo.episode.frames;
         let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
-        let (poses, &trained_on) = own.with_context(|| {
-            format!(
-                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}; train again",
+        let (poses, &trained_on) = own.or_fault(|| {
+            fault!(
+                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}",
                 frames.len(),
                 demo.episode.name,
-                episodes.path().display()
+                episodes.path().display();
+                "train again"
             )
         })?;
         let held: Vec<bool> = demo
@@ -76,35 +80,30 @@ fn read(
             phases: GraspPhase::of(&held),
             estimated: poses.clone(),
             recorded: frames.iter().map(|frame| frame.object).collect(),
-            eef: frames.iter().map(|frame| frame.eef * to_site).collect(),
+            eef: frames.iter().map(|frame| frame.eef).collect(),
         });
     }
     ensure!(
         estimates.next().is_none(),
-        "cannot evaluate the estimated poses: they are of more demonstrations than {} holds; train again",
-        episodes.path().display()
+        "cannot evaluate the estimated poses: they are of more demonstrations than {} holds", episodes.path().display();
+        "train again"
     );
     Ok(demonstrations)
 }
 
 fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Measured>) -> Result<()> {
-    let mut table = writer.table(&tables::POSE_ERRORS)?;
+    let mut table = writer.rows()?;
     let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
     for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
         // Every frame has an estimate.
-        let errors: Vec<FrameError> = errors.iter().flatten().copied().collect();
-        let column = |value: fn(&FrameError) -> f64| errors.iter().map(value).collect::<Vec<_>>();
-        table.write_columns(
-            Columns::new(&tables::POSE_ERRORS)
-                .u32("episode", vec![episode; errors.len()])
-                .u32("frame", (0..errors.len() as u32).collect())
-                .bool("trained_on", vec![demo.trained_on; errors.len()])
-                .text("phase", demo.phases.iter().map(|phase| phase.as_str()))
-                .f64("translation", column(|e| e.translation))
-                .f64("translation_at_grasp", column(|e| e.translation_at_grasp))
-                .f64("rotation", column(|e| e.rotation))
-                .bool("half_turn", errors.iter().map(|e| e.half_turn).collect()),
-        )?;
+        let errors = (0..).zip(&demo.phases).zip(errors.iter().flatten());
+        table.extend(errors.map(|((frame, &phase), &error)| PoseErrorRow {
+            episode,
+            frame,
+            trained_on: demo.trained_on,
+            phase,
+            error,
+        }))?;
     }
     table.finish()?;
     Ok(())
@@ -156,7 +155,7 @@ fn scores(demonstrations: &[Demonstration], measured: &Measured) -> Value {
 
 fn score(errors: &[FrameError]) -> Value {
     let spread =
-        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))).collect());
+        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))), &SHARES);
     json!({
         "frames": errors.len(),
         "translation_mm": spread(|e| e.translation, millimetres),
@@ -172,23 +171,14 @@ fn carried(arrivals: &[Arrival]) -> Value {
     let turned = arrivals.iter().filter(|arrival| arrival.angle > TURNED).count();
     json!({
         "queries": arrivals.len(),
-        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)).collect()),
-        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()).collect()),
+        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)), &SHARES),
+        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()), &SHARES),
         "share_of_the_other_side": turned as f64 / arrivals.len() as f64,
     })
 }
 
 fn millimetres(metres: f64) -> f64 {
     1e3 * metres
-}
-
-/// Median and 90th percentile; null of nothing.
-fn spread(mut values: Vec<f64>) -> Value {
-    if values.is_empty() {
-        return Value::Null;
-    }
-    values.sort_by(f64::total_cmp);
-    json!({ "p50": quantile(&values, 0.5), "p90": quantile(&values, 0.9) })
 }
 
 #[cfg(test)]

@@ -1,8 +1,10 @@
-//! Summaries of episode results, with 95 % intervals.
+//! Means and shares with 95 % intervals.
 
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng;
 use serde::{Deserialize, Serialize};
+
+use crate::{quantile, sorted};
 
 /// Resamples behind [`mean_interval`].
 pub const RESAMPLES: usize = 10_000;
@@ -26,16 +28,6 @@ pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Middle value, or the mean of the two middle values; NaN of nothing and of data with a NaN.
-pub fn median(values: &[f64]) -> f64 {
-    if values.is_empty() || values.iter().any(|v| v.is_nan()) {
-        return f64::NAN;
-    }
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    quantile(&sorted, 0.5)
-}
-
 /// Mean with its percentile bootstrap interval: the 2.5 % and 97.5 % quantiles of the means of [`RESAMPLES`] resamples
 /// (Efron and Tibshirani 1993, section 13.3).
 ///
@@ -54,18 +46,16 @@ pub fn mean_interval(values: &[f64], seed: u64) -> Interval {
     // The stream number only has to be fixed; seeds choose the place on it.
     let mut generator = Pcg64::new(u128::from(seed), 0x5245_3452_4550_4f52);
     let n = values.len();
-    let mut means: Vec<f64> = (0..RESAMPLES)
-        .map(|_| {
-            // The upper half of a 64 x 64 bit product is an index below n, uniform to within n / 2^64.
-            let drawn = (0..n).map(|_| values[((u128::from(generator.next_u64()) * n as u128) >> 64) as usize]);
-            drawn.sum::<f64>() / n as f64
-        })
-        .collect();
-    means.sort_unstable_by(f64::total_cmp);
+    let means = sorted((0..RESAMPLES).map(|_| {
+        // The upper half of a 64 x 64 bit product is an index below n, uniform to within n / 2^64.
+        let drawn = (0..n).map(|_| values[((u128::from(generator.next_u64()) * n as u128) >> 64) as usize]);
+        drawn.sum::<f64>() / n as f64
+    }));
+    let end = |share| quantile(&means, share).unwrap_or(f64::NAN);
     Interval {
         value,
-        low: quantile(&means, 0.025),
-        high: quantile(&means, 0.975),
+        low: end(0.025),
+        high: end(0.975),
     }
 }
 
@@ -92,20 +82,6 @@ pub fn wilson_interval(successes: u64, n: u64) -> Interval {
         low: if successes == 0 { 0.0 } else { (centre - spread) / scale },
         high: if successes >= n { 1.0 } else { (centre + spread) / scale },
     }
-}
-
-/// Quantile of values sorted in ascending order, linear between neighbours, as numpy's default; NaN of nothing.
-///
-/// `share` is taken to the nearest number in `[0, 1]`.
-pub fn quantile(sorted: &[f64], share: f64) -> f64 {
-    if sorted.is_empty() || share.is_nan() {
-        return f64::NAN;
-    }
-    let share = share.clamp(0.0, 1.0);
-    let at = share * (sorted.len() - 1) as f64;
-    let below = at.floor();
-    let (low, high) = (sorted[below as usize], sorted[at.ceil() as usize]);
-    low + (high - low) * (at - below)
 }
 
 #[cfg(test)]
@@ -166,31 +142,6 @@ mod tests {
             let interval = mean_interval(&flips, 1);
             assert_eq!((interval.low, interval.high), (low, high));
         }
-    }
-
-    #[test]
-    fn medians() {
-        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
-        assert!((median(&SCORES) - 0.745).abs() < 1e-15);
-        assert!(median(&[]).is_nan() && median(&[1.0, f64::NAN]).is_nan());
-    }
-
-    #[test]
-    fn quantiles() {
-        // numpy 2.4.6: quantile([1, 2, 4, 8], [0, 0.1, 0.5, 0.9, 1]) = 1, 1.3, 3, 6.8, 8.
-        for (share, expected) in [
-            (0.0, 1.0),
-            (0.1, 1.3),
-            (0.5, 3.0),
-            (0.9, 6.8),
-            (1.0, 8.0),
-            (-1.0, 1.0),
-            (9.0, 8.0),
-        ] {
-            assert!((quantile(&[1.0, 2.0, 4.0, 8.0], share) - expected).abs() < 1e-14);
-        }
-        assert!(quantile(&[], 0.5).is_nan() && quantile(&[1.0], f64::NAN).is_nan());
     }
 
     #[test]

@@ -1,45 +1,30 @@
-//! The tables of robosuite's tasks, written as demonstrations come: each table by a thread of its own.
+//! The tables of an `episodes` artifact, written as demonstrations come: the large ones by a thread of their own.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
-use anyhow::{Context as _, Result, anyhow};
+use anyhow::{Context as _, Result};
 use re4_artifact::{Columns, TableWriter, Writer, tables};
-use re4_ingest::LeftOut;
-use re4_ingest::robomimic::{Convention, Demo, DemoName, Interpreted, Matrix};
+use re4_fault::fault;
+use re4_ingest::robomimic::Convention;
+use re4_ingest::{Episode, Frames, LeftOut, Matrix, PlanarFrames, SpatialFrames, Tally};
 
 /// Rows that are gathered before they are handed to a table, which are also those of its row groups: a group is encoded while
 /// the next one is read.
 const ROWS: usize = 4_096;
 
+/// Pictures in a row group: few enough that one picture is read without decoding many.
+const PICTURES_IN_GROUP: usize = 256;
+
 /// Demonstrations that wait for a table.
 const WAITING: usize = 8;
-
-/// What the tables take of a demonstration.
-pub(super) struct Row {
-    pub(super) name: DemoName,
-    pub(super) demo: Demo,
-    pub(super) columns: Interpreted,
-}
-
-/// What was learned while writing.
-#[derive(Default)]
-pub(super) struct Written {
-    pub(super) frames: u64,
-    /// The demonstrations that were written, in order, with their frames.
-    pub(super) demos: Vec<(DemoName, usize)>,
-    pub(super) goal_errors: Vec<(f64, f64)>,
-    pub(super) not_compared: Vec<String>,
-    pub(super) single_precision: Vec<(String, &'static str)>,
-    pub(super) skipped: Vec<String>,
-}
 
 /// Writes all tables but those of pictures, while `read` hands demonstrations on in order.
 pub(super) fn write_tables(
     writer: &Writer,
-    read: impl FnOnce(&mut dyn FnMut(Row) -> Result<()>) -> Result<()>,
-) -> Result<Written> {
+    read: impl FnOnce(&mut dyn FnMut(Episode) -> Result<()>) -> Result<()>,
+) -> Result<Tally> {
     std::thread::scope(|scope| {
         let (to_frames, frames) = sync_channel(WAITING);
         let (to_states, states) = sync_channel(WAITING);
@@ -47,16 +32,12 @@ pub(super) fn write_tables(
         let frames = scope.spawn(move || write_frames(writer, &frames));
         let states = scope.spawn(move || write_states(writer, &states));
         let models = scope.spawn(move || write_models(writer, &models));
-        let mut written = Written::default();
+        let mut tally = Tally::default();
         let mut demos = Demos::default();
-        let result = read(&mut |row: Row| {
-            let episode = written.demos.len() as u32;
-            let Row {
-                name,
-                mut demo,
-                columns,
-            } = row;
-            let model = demo.model.take().map(|text| {
+        let result = read(&mut |mut episode: Episode| {
+            let number = tally.demos.len() as u32;
+            tally.add(&mut episode);
+            let model = episode.model.map(|text| {
                 let next = demos.models.len() as u32;
                 *demos.models.entry(Arc::clone(&text)).or_insert_with(|| {
                     // A table that has stopped says why when it is joined.
@@ -66,35 +47,26 @@ pub(super) fn write_tables(
             });
             demos.model.push(model);
             let worst = |value: fn(&(f64, f64)) -> f64| {
-                let errors = columns.goal_errors.as_ref()?;
+                let errors = episode.goal_errors.as_ref()?;
                 errors.iter().map(value).reduce(f64::max)
             };
             demos.position.push(worst(|error| error.0));
             demos.rotation.push(worst(|error| error.1));
-            written.goal_errors.extend(columns.goal_errors.iter().flatten());
-            if columns.goal_errors.is_none() {
-                written.not_compared.push(demo.name.clone());
+            if let Some(matrix) = episode.states {
+                let _ = to_states.send((number, matrix));
             }
-            written
-                .single_precision
-                .extend(demo.single_precision.iter().map(|&name| (demo.name.clone(), name)));
-            written.frames += demo.frames as u64;
-            written.demos.push((name, demo.frames));
-            written.skipped.append(&mut demo.skipped);
-            if let Some(matrix) = demo.states.take() {
-                let _ = to_states.send((episode, matrix));
-            }
-            let _ = to_frames.send((episode, demo, columns));
+            let _ = to_frames.send((number, episode.frames));
             Ok(())
         });
         drop((to_frames, to_states, to_models));
         let gone =
-            || anyhow!("cannot write tables: a thread stopped; run again, and report it where that does not help");
-        let ended = [frames.join(), states.join(), models.join()].map(|ended| ended.unwrap_or_else(|_| Err(gone())));
+            || fault!("cannot write tables: a thread stopped"; "run again, and report it where that does not help");
+        let ended =
+            [frames.join(), states.join(), models.join()].map(|ended| ended.unwrap_or_else(|_| Err(gone().into())));
         result?;
         ended.into_iter().collect::<Result<()>>()?;
-        write_demos(writer, &written, demos)?;
-        Ok(written)
+        write_demos(writer, &tally, demos)?;
+        Ok(tally)
     })
 }
 
@@ -107,18 +79,15 @@ struct Demos {
     rotation: Vec<Option<f64>>,
 }
 
-fn write_demos(writer: &Writer, written: &Written, demos: Demos) -> Result<()> {
-    let numbers: Vec<u32> = (0..written.demos.len() as u32).collect();
-    let names = || written.demos.iter().map(|(name, _)| name);
+fn write_demos(writer: &Writer, tally: &Tally, demos: Demos) -> Result<()> {
+    let numbers: Vec<u32> = (0..tally.demos.len() as u32).collect();
+    let names = || tally.demos.iter().map(|(name, _)| name);
     let mut table = writer.table(&tables::EPISODES)?;
     table.write_columns(
         Columns::new(&tables::EPISODES)
             .u32("episode", numbers.clone())
             .u32_or_null("source_episode", names().map(|demo| demo.number).collect())
-            .u32(
-                "frames",
-                written.demos.iter().map(|&(_, frames)| frames as u32).collect(),
-            ),
+            .u32("frames", tally.demos.iter().map(|&(_, frames)| frames as u32).collect()),
     )?;
     table.finish()?;
     let mut table = writer.table(&tables::DEMOS)?;
@@ -152,6 +121,9 @@ pub(super) fn write_left_out(writer: &Writer, left: &[LeftOut]) -> Result<()> {
 
 /// The table of conventions.
 pub(super) fn write_conventions(writer: &Writer, rows: &[Convention]) -> Result<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
     let measured = |i: usize| -> Vec<Option<f64>> { rows.iter().map(|row| Some(row.measured?[i])).collect() };
     let rival = |row: &Convention| row.measured.filter(|_| row.rival).map(|measured| measured[1]);
     let mut table = writer.table(&tables::CONVENTIONS)?;
@@ -245,7 +217,7 @@ const NUMBERS: [&str; 29] = [
 ];
 
 #[derive(Default)]
-struct Frames {
+struct Spatial {
     episodes: Vec<u32>,
     places: Vec<u32>,
     numbers: [Vec<f64>; NUMBERS.len()],
@@ -253,14 +225,14 @@ struct Frames {
     dones: Vec<Option<bool>>,
 }
 
-impl Frames {
-    fn gather(&mut self, episode: u32, demo: &Demo, columns: &Interpreted) {
+impl Spatial {
+    fn gather(&mut self, episode: u32, columns: &SpatialFrames) {
         fn extend<const N: usize>(numbers: &mut [Vec<f64>], rows: &[[f64; N]]) {
             for (i, numbers) in numbers.iter_mut().enumerate() {
                 numbers.extend(rows.iter().map(|row| row[i]));
             }
         }
-        let frames = demo.frames;
+        let frames = columns.gripper.len();
         self.episodes.extend(std::iter::repeat_n(episode, frames));
         self.places.extend(0..frames as u32);
         let [eef @ .., gripper] = &mut self.numbers;
@@ -271,14 +243,14 @@ impl Frames {
         let (delta, goal) = rest.split_at_mut(6);
         extend(position, &columns.eef_position);
         extend(quaternion, &columns.eef_quaternion);
-        extend(object, &columns.object);
+        extend(object, columns.object.as_deref().unwrap_or_default());
         extend(fingers, &columns.fingers);
         extend(delta, &columns.delta);
         extend(goal, &columns.goal);
-        gripper.extend(columns.goal.iter().map(|action| action[6]));
-        let place = |i: usize| demo.rewards.as_ref().and_then(|rewards| rewards.get(i).copied());
+        gripper.extend(&columns.gripper);
+        let place = |i: usize| columns.rewards.as_ref().and_then(|rewards| rewards.get(i).copied());
         self.rewards.extend((0..frames).map(place));
-        let place = |i: usize| demo.dones.as_ref().and_then(|dones| dones.get(i).copied());
+        let place = |i: usize| columns.dones.as_ref().and_then(|dones| dones.get(i).copied());
         self.dones.extend((0..frames).map(place));
     }
 
@@ -295,18 +267,95 @@ impl Frames {
     }
 }
 
-fn write_frames(writer: &Writer, demos: &Receiver<(u32, Demo, Interpreted)>) -> Result<()> {
-    let mut table = writer.table_in_groups(&tables::SPATIAL_FRAMES, ROWS)?;
-    let mut gathered = Frames::default();
-    for (episode, demo, columns) in demos {
-        gathered.gather(episode, &demo, &columns);
-        if gathered.episodes.len() >= ROWS {
-            table.write_columns(std::mem::take(&mut gathered).columns())?;
+fn planar(episode: u32, frames: &PlanarFrames) -> Columns {
+    let rows = frames.eef.len();
+    let object = frames.object.as_deref().unwrap_or_default();
+    let mut columns = Columns::new(&tables::FRAMES)
+        .u32("episode", vec![episode; rows])
+        .u32("frame", (0..rows as u32).collect())
+        .f64("eef_x", frames.eef.iter().map(|row| row[0]).collect())
+        .f64("eef_y", frames.eef.iter().map(|row| row[1]).collect())
+        .f64("object_x", object.iter().map(|row| row[0]).collect())
+        .f64("object_y", object.iter().map(|row| row[1]).collect())
+        .f64("object_theta", object.iter().map(|row| row[2]).collect())
+        .f64("action_x", frames.action.iter().map(|row| row[0]).collect())
+        .f64("action_y", frames.action.iter().map(|row| row[1]).collect())
+        .f64_or_null(
+            "contacts",
+            (0..rows).map(|i| Some(frames.contacts.as_ref()?[i])).collect(),
+        );
+    for keypoint in 0..re4_ingest::KEYPOINTS {
+        for (axis, name) in ["x", "y"].into_iter().enumerate() {
+            let values = (0..rows)
+                .map(|i| Some(frames.keypoints.as_ref()?[i][keypoint][axis]))
+                .collect();
+            columns = columns.f64_or_null(&format!("keypoint_{keypoint}_{name}"), values);
         }
     }
-    table.write_columns(gathered.columns())?;
-    table.finish()?;
-    Ok(())
+    columns
+}
+
+fn write_frames(writer: &Writer, demos: &Receiver<(u32, Frames)>) -> Result<()> {
+    let mut table = None;
+    let mut gathered = Spatial::default();
+    for (episode, frames) in demos {
+        match frames {
+            Frames::Planar(frames) => {
+                begun(&mut table, writer, &tables::FRAMES)?.write_columns(planar(episode, &frames))?;
+            }
+            Frames::Spatial(frames) => {
+                gathered.gather(episode, &frames);
+                if gathered.episodes.len() >= ROWS {
+                    begun(&mut table, writer, &tables::SPATIAL_FRAMES)?
+                        .write_columns(std::mem::take(&mut gathered).columns())?;
+                }
+            }
+        }
+    }
+    if !gathered.episodes.is_empty() {
+        begun(&mut table, writer, &tables::SPATIAL_FRAMES)?.write_columns(gathered.columns())?;
+    }
+    finish(table)
+}
+
+/// The table of pictures.
+pub(super) struct ImageTable {
+    table: TableWriter,
+    count: usize,
+}
+
+impl ImageTable {
+    /// Begins the table.
+    pub(super) fn new(writer: &Writer) -> Result<Self> {
+        Ok(Self {
+            table: writer.table_in_groups(&tables::IMAGES, PICTURES_IN_GROUP)?,
+            count: 0,
+        })
+    }
+
+    /// Writes pictures of a camera, PNG files, with their demonstrations and frames.
+    pub(super) fn write(&mut self, camera: &str, places: &[(u32, u32)], pictures: Vec<Vec<u8>>) -> Result<()> {
+        self.count += pictures.len();
+        self.table.write_columns(
+            Columns::new(&tables::IMAGES)
+                .text("camera", vec![camera; places.len()])
+                .u32("episode", places.iter().map(|place| place.0).collect())
+                .u32("frame", places.iter().map(|place| place.1).collect())
+                .binary("image", pictures),
+        )?;
+        Ok(())
+    }
+
+    /// Pictures that were written.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Ends the table; how many pictures it has.
+    pub(super) fn finish(self) -> Result<usize> {
+        self.table.finish()?;
+        Ok(self.count)
+    }
 }
 
 /// The table, begun with its first rows: artifacts have no empty tables.

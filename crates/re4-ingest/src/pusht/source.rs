@@ -1,0 +1,169 @@
+//! A Push-T dataset as a source of demonstrations.
+
+use std::path::Path;
+
+use serde_json::{Map, json};
+
+use super::episodes::PushtEpisodes;
+use super::reader::{PushtOptions, PushtReader, PushtReading};
+use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, PlanarFrames, Tally};
+use crate::error::IngestError;
+use crate::left_out::LeftOut;
+use crate::name::SourceName;
+use crate::selection::Selection;
+use crate::warning::Warning;
+
+/// What the camera of the one array of images is called.
+const CAMERA: &str = "img";
+
+/// An opened dataset, its numbers read and judged. They are in memory as a whole, as what they mean is judged over all of them;
+/// images are not.
+pub struct PushtSource {
+    reader: PushtReader,
+    reading: PushtReading,
+    info: Info,
+    demos: Vec<DemoName>,
+}
+
+impl PushtSource {
+    /// Reads the numbers of the selected episodes.
+    ///
+    /// # Errors
+    /// As [`PushtReader::read`].
+    pub fn read(reader: PushtReader, select: &Selection, options: &PushtOptions<'_>) -> Result<Self, IngestError> {
+        let reading = reader.read(select, options)?;
+        let name = |name: SourceName| DemoName {
+            number: name.number().and_then(|number| u32::try_from(number).ok()),
+            name: name.to_string(),
+            filter_keys: Vec::new(),
+        };
+        let kept = reading
+            .episodes
+            .sources
+            .iter()
+            .map(|&number| SourceName::episode(number));
+        let left = reading.left_out.iter().map(|left| SourceName::new(&left.demo));
+        let mut names: Vec<SourceName> = kept.chain(left).collect();
+        names.sort_unstable();
+        let mut details = Map::new();
+        if options.conventions != super::PushtConventions::default() {
+            let explained = reading.explained.map(|share| (1000.0 * share).round() / 1000.0);
+            let settings = json!({ "settings": options.conventions, "motion_explained_by_targets": explained });
+            details.insert("conventions".to_owned(), settings);
+        }
+        let info = Info {
+            details,
+            cameras: reader
+                .image_shape()
+                .filter(|_| options.images)
+                .map(|_| CAMERA.to_owned())
+                .into_iter()
+                .collect(),
+            ..reader.info()
+        };
+        Ok(Self {
+            demos: names.into_iter().map(name).collect(),
+            info,
+            reading,
+            reader,
+        })
+    }
+
+    fn episode(&self, name: &DemoName, number: usize) -> Episode {
+        let PushtEpisodes {
+            frames,
+            state,
+            action,
+            contacts,
+            keypoint,
+            ..
+        } = &self.reading.episodes;
+        let frames = frames[number].clone();
+        let state = &state[frames.clone()];
+        Episode {
+            name: name.clone(),
+            frames: Frames::Planar(PlanarFrames {
+                eef: state.iter().map(|&[x, y, ..]| [x, y]).collect(),
+                object: Some(state.iter().map(|&[.., x, y, theta]| [x, y, theta]).collect()),
+                action: action[frames.clone()].to_vec(),
+                contacts: contacts.as_ref().map(|contacts| contacts[frames.clone()].to_vec()),
+                keypoints: keypoint.as_ref().map(|keypoint| keypoint[frames].to_vec()),
+            }),
+            states: None,
+            model: None,
+            goal_errors: None,
+            single_precision: Vec::new(),
+            skipped: Vec::new(),
+        }
+    }
+}
+
+impl DemoSource for PushtSource {
+    /// A folder, or a zip file.
+    fn probe(path: &Path) -> bool {
+        let zip = || path.extension().is_some_and(|end| end.eq_ignore_ascii_case("zip"));
+        path.is_dir() || zip()
+    }
+
+    fn info(&self) -> &Info {
+        &self.info
+    }
+
+    fn demos(&self) -> &[DemoName] {
+        &self.demos
+    }
+
+    fn episodes<E: From<IngestError> + Send>(
+        &self,
+        mut take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut left = self.reading.left_out.iter().peekable();
+        let mut number = 0;
+        for (place, name) in self.demos.iter().enumerate() {
+            if let Some(left) = left.next_if(|left| left.demo == name.name) {
+                take(place, Err(left.clone()))?;
+            } else {
+                take(place, Ok(self.episode(name, number)))?;
+                number += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn images<E: From<IngestError>>(
+        &self,
+        _camera: &str,
+        _of: &[(DemoName, usize)],
+        mut take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let [height, width, _] = self.reader.image_shape().unwrap_or_default();
+        let rows = &self.reading.episodes.rows;
+        let mut episode = 0;
+        for block in self.reader.image_blocks_of(&self.reading.episodes)? {
+            let block = block?;
+            let place = |row: usize| {
+                while rows.get(episode).is_some_and(|rows| !rows.contains(&row)) {
+                    episode += 1;
+                }
+                let first = rows.get(episode).map_or(0, |rows| rows.start);
+                (episode as u32, (row - first) as u32)
+            };
+            take(Ok(ImageBlock {
+                places: block.frames.map(place).collect(),
+                height,
+                width,
+                bytes: block.bytes,
+            }))?;
+        }
+        Ok(())
+    }
+
+    fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
+        let left_out = tally.left_out_warning(self.demos.len());
+        Ok(self.reading.warnings.iter().cloned().chain(left_out).collect())
+    }
+
+    fn unchanged(&self) -> Result<(), IngestError> {
+        self.reader.unchanged()
+    }
+}

@@ -1,0 +1,139 @@
+//! What is computed from states and model by forward kinematics, instead of read.
+
+use re4_robosuite::conventions::{Contradiction, zero_rows};
+use re4_robosuite::env_args::EnvArgs;
+use re4_robosuite::kinematics::{Model, Observed};
+
+use super::demo::Demo;
+use super::fault::Hdf5Fault;
+use super::interpret::{LEAVE_OUT, Reading};
+use super::reader::{Layout, RobomimicReader};
+
+/// Poses and fingers of a demonstration, in the conventions of its file.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Poses {
+    /// Position of the grip site.
+    pub(super) eef_position: Vec<[f64; 3]>,
+    /// Orientation of the end effector.
+    pub(super) eef_quaternion: Vec<[f64; 4]>,
+    /// Joint positions of the fingers.
+    pub(super) fingers: Vec<[f64; 2]>,
+    /// Position of the object, then its quaternion x, y, z, w; none where it is to be read.
+    pub(super) object: Option<Vec<[f64; 7]>>,
+}
+
+/// What is computed instead of read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum FromStates {
+    Nothing,
+    /// The pose of this object.
+    Object(String),
+    /// Everything that observations would hold, with the pose of this object.
+    All(String),
+}
+
+impl FromStates {
+    /// What has to come from states, and which body the object is.
+    pub(super) fn of(
+        reader: &RobomimicReader,
+        reading: &Reading,
+        env: &EnvArgs,
+        model: Option<&Model>,
+    ) -> Result<Self, Hdf5Fault> {
+        let layout = reader.layout();
+        if layout == Layout::Observed && reading.task.is_some() && !reader.object_from_states {
+            return Ok(Self::Nothing);
+        }
+        let environment = &env.env_name;
+        let Some(model) = model else {
+            return Err(Hdf5Fault::Other(format!(
+                "poses of environment {environment} have to come from the states, and the demonstrations have no attribute model_file; give a file with models"
+            )));
+        };
+        let robot = model
+            .robot(0)
+            .map_err(|error| Hdf5Fault::Other(format!("{error}; give a file of one arm with a two-finger gripper")))?;
+        if robot.fingers.is_none() {
+            return Err(Hdf5Fault::Other(format!(
+                "the robot of environment {environment} has no gripper of two sliding fingers, and this version reads no other; give such a file"
+            )));
+        }
+        let named = reading
+            .object
+            .clone()
+            .or_else(|| reading.task.map(|task| task.object.to_owned()));
+        let candidates: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
+        let object = named.ok_or_else(|| {
+        Hdf5Fault::Other(if candidates.is_empty() {
+            format!("the model of environment {environment} has no free body that could be the manipulated object; give a file of a task that has one")
+        } else {
+            format!(
+                "nothing says which body of environment {environment} is the manipulated object; set ingest.object to one of {}",
+                candidates.join(", ")
+            )
+        })
+    })?;
+        model.object(&object).map_err(|error| {
+        Hdf5Fault::Other(if candidates.is_empty() {
+            format!("the model of environment {environment} has no free body, so none is the object {object:?}; give a file of a task that has one")
+        } else {
+            format!("{error}; correct ingest.object")
+        })
+    })?;
+        Ok(match layout {
+            Layout::Observed => Self::Object(object),
+            Layout::Raw => Self::All(object),
+        })
+    }
+
+    /// The observations of a demonstration, taken out of it, with the poses of its object where they come from the states.
+    pub(super) fn complete(&self, demo: &mut Demo, model: Option<&Model>) -> Result<Poses, Hdf5Fault> {
+        let mut poses = Poses {
+            eef_position: std::mem::take(&mut demo.eef_position),
+            eef_quaternion: std::mem::take(&mut demo.eef_quaternion),
+            fingers: std::mem::take(&mut demo.fingers),
+            object: None,
+        };
+        let name = match self {
+            Self::Nothing => return Ok(poses),
+            Self::Object(name) | Self::All(name) => name,
+        };
+        let refuse =
+            |why: String| Hdf5Fault::Other(format!("{}: no poses from states and model_file: {why}", demo.name));
+        let (Some(model), Some(states)) = (model, &demo.states) else {
+            return Err(refuse(
+                "one of the two is missing; restore it, or leave the demonstration out".to_owned(),
+            ));
+        };
+        let rows = || states.values.chunks_exact(states.columns);
+        if let Some(zeros) = zero_rows(&demo.actions, &rows().collect::<Vec<_>>()) {
+            let why = Contradiction::zeros(&demo.name, &zeros);
+            return Err(Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}")));
+        }
+        let observed: Vec<Observed> = model.observe(rows(), Some(name)).map_err(|error| {
+            refuse(format!(
+                "{error}; restore what is wrong, or leave the demonstration out"
+            ))
+        })?;
+        if *self == Self::All(name.clone()) {
+            poses.eef_position = observed
+                .iter()
+                .map(|seen| seen.site.translation.vector.into())
+                .collect();
+            poses.eef_quaternion = observed.iter().map(|seen| seen.hand.rotation.coords.into()).collect();
+            let fingers = observed
+                .iter()
+                .map(|seen| seen.gripper_qpos)
+                .collect::<Option<Vec<_>>>();
+            poses.fingers = fingers.ok_or_else(|| refuse("the gripper has not two sliding fingers".to_owned()))?;
+        }
+        let pose = |seen: &Observed| {
+            let pose = seen.object?;
+            let [x, y, z]: [f64; 3] = pose.translation.vector.into();
+            let [qx, qy, qz, qw]: [f64; 4] = pose.rotation.coords.into();
+            Some([x, y, z, qx, qy, qz, qw])
+        };
+        poses.object = Some(observed.iter().filter_map(pose).collect());
+        Ok(poses)
+    }
+}

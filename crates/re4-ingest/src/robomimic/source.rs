@@ -1,0 +1,184 @@
+//! An HDF5 file of robosuite's demonstrations as a source.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt as _;
+use std::path::Path;
+
+use re4_robosuite::conventions::ActionKind;
+use re4_robosuite::env_args::EnvArgs;
+use serde_json::{Map, Value, json};
+
+use super::demo::Demo;
+use super::interpret::{Convention, Interpreter};
+use super::look::SIGNATURE;
+use super::reader::RobomimicReader;
+use super::summary::Comparison;
+use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Tally};
+use crate::error::IngestError;
+use crate::left_out::LeftOut;
+use crate::warning::{Warning, WarningCode};
+
+/// An opened file whose conventions are known.
+pub struct RobomimicSource {
+    reader: RobomimicReader,
+    interpreter: Interpreter,
+    comparison: Option<Comparison>,
+    info: Info,
+    /// Demonstrations that are known to be of no use.
+    excluded: Vec<LeftOut>,
+}
+
+impl RobomimicSource {
+    /// Of a reader and what was learned from it; `cameras` are those whose images are asked for.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn new(
+        reader: RobomimicReader,
+        (interpreter, excluded): (Interpreter, Vec<LeftOut>),
+        comparison: Option<Comparison>,
+        cameras: Vec<String>,
+    ) -> Result<Self, IngestError> {
+        let env = interpreter.env();
+        let mut details = Map::new();
+        details.insert("environment".to_owned(), json!(env.env_name));
+        details.insert("robosuite_version".to_owned(), json!(env.env_version));
+        details.insert(
+            "file".to_owned(),
+            json!(reader.path.file_name().map(|name| name.to_string_lossy())),
+        );
+        let actions = match interpreter.action_kind() {
+            ActionKind::Delta => "delta",
+            ActionKind::Absolute => "absolute",
+        };
+        details.insert("actions".to_owned(), Value::from(actions));
+        let info = reader.describe(Info {
+            rate: env.control_freq,
+            cameras,
+            object_poses: true,
+            details,
+            ..Info::default()
+        })?;
+        Ok(Self {
+            reader,
+            interpreter,
+            comparison,
+            info,
+            excluded,
+        })
+    }
+
+    /// The conventions, each with its evidence.
+    pub fn conventions(&self) -> &[Convention] {
+        self.interpreter.conventions()
+    }
+
+    /// What the file says of how it was recorded.
+    pub fn env(&self) -> &EnvArgs {
+        self.interpreter.env()
+    }
+
+    /// The file.
+    pub fn reader(&self) -> &RobomimicReader {
+        &self.reader
+    }
+
+    /// A demonstration, or why it cannot be used.
+    fn episode(&self, name: &DemoName, demo: Result<Demo, LeftOut>) -> Result<Result<Episode, LeftOut>, IngestError> {
+        if let Some(known) = self.excluded.iter().find(|left| left.demo == name.name) {
+            return Ok(Err(known.clone()));
+        }
+        let mut demo = match demo {
+            Ok(demo) => demo,
+            Err(left) => return Ok(Err(left)),
+        };
+        if let Err(left) = self.reader.check_cameras(&demo, &self.info.cameras)? {
+            return Ok(Err(left));
+        }
+        let other = match &self.comparison {
+            Some(comparison) => comparison.actions(&demo.name, demo.frames)?,
+            None => None,
+        };
+        match self.interpreter.interpret(&self.reader, &mut demo, other.as_deref()) {
+            Ok(interpreted) => Ok(Ok(Episode {
+                name: name.clone(),
+                frames: Frames::Spatial(interpreted.frames),
+                goal_errors: interpreted.goal_errors,
+                states: demo.states,
+                model: demo.model,
+                single_precision: demo.single_precision,
+                skipped: demo.skipped,
+            })),
+            Err(error) if error.needs_library() => Err(error),
+            Err(error) => Ok(Err(LeftOut {
+                demo: name.name.clone(),
+                why: error.fault.to_string(),
+            })),
+        }
+    }
+}
+
+impl DemoSource for RobomimicSource {
+    /// A file with HDF5's signature, or whose name ends as such files' names do.
+    fn probe(path: &Path) -> bool {
+        let named = path.extension().is_some_and(|end| end == "hdf5" || end == "h5");
+        let signed = || {
+            let mut start = [0; SIGNATURE.len()];
+            let read = File::open(path).and_then(|file| file.read_exact_at(&mut start, 0));
+            read.is_ok() && start == *SIGNATURE
+        };
+        path.is_file() && (named || signed())
+    }
+
+    fn info(&self) -> &Info {
+        &self.info
+    }
+
+    fn demos(&self) -> &[DemoName] {
+        self.reader.demos()
+    }
+
+    fn episodes<E: From<IngestError> + Send>(
+        &self,
+        take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let demos = self.reader.demos();
+        self.reader
+            .for_each(|place, demo| Ok(self.episode(&demos[place], demo)?), take)
+    }
+
+    fn images<E: From<IngestError>>(
+        &self,
+        camera: &str,
+        of: &[(DemoName, usize)],
+        take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.reader.for_each_block(camera, of, take)
+    }
+
+    fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
+        let mut warnings = self.reader.warnings().to_vec();
+        match tally.left_out_warning(self.demos().len()) {
+            Some(left_out) => warnings.push(left_out),
+            None => warnings.extend(self.reader.total_warning(tally.frames() as u64)?),
+        }
+        warnings.extend(tally.warnings());
+        let conventions = self.interpreter.warnings().iter();
+        warnings.extend(conventions.map(|text| Warning::new(WarningCode::Convention, text.clone(), 1)));
+        if let (Some(_), Some(first)) = (&self.comparison, tally.not_compared.first()) {
+            let message = format!("not in the file to compare with: {first}");
+            warnings.push(Warning::new(
+                WarningCode::NotCompared,
+                message,
+                tally.not_compared.len(),
+            ));
+        }
+        warnings.extend(self.reader.skipped_warning(&self.info.cameras)?);
+        Ok(warnings)
+    }
+
+    fn unchanged(&self) -> Result<(), IngestError> {
+        self.reader.sources().unchanged()?;
+        self.comparison.as_ref().map_or(Ok(()), Comparison::unchanged)
+    }
+}

@@ -1,0 +1,29 @@
+//! What a policy is shown at one step.
+#![allow(dead_code, reason = "each test file uses a part of this one")]
+
+use re4_rollout::{Domain, Image, PolicyError, Senses};
+
+pub(crate) struct Shown<'a, D: Domain> {
+    pub(crate) proprio: D::Proprio,
+    /// Whether the pose is at hand at every step.
+    pub(crate) tells: bool,
+    pub(crate) object: &'a mut dyn FnMut() -> Result<D::Pose, PolicyError>,
+}
+
+impl<D: Domain> Senses<D> for Shown<'_, D> {
+    fn proprio(&self) -> D::Proprio {
+        self.proprio
+    }
+
+    fn tells_object(&self) -> bool {
+        self.tells
+    }
+
+    fn object(&mut self) -> Result<D::Pose, PolicyError> {
+        (self.object)()
+    }
+
+    fn image(&mut self, camera: &str) -> Result<&Image, PolicyError> {
+        Err(PolicyError::look(format!("there is no camera {camera}")))
+    }
+}

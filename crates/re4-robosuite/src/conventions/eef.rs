@@ -1,0 +1,196 @@
+//! What the orientation of the end effector and the object vector are, held against each other and against the states.
+
+use super::demo::Sound;
+use super::evidence::{Fit, MARGIN, Test, Verdict};
+use super::residuals::{self, Relation, Share};
+use super::{ActionKind, EefOrientation, QuaternionOrder, RelativeLag, RobosuiteTask};
+use crate::env_args::EnvArgs;
+
+const ORDERS: [QuaternionOrder; 2] = [QuaternionOrder::Xyzw, QuaternionOrder::Wxyz];
+const FRAMES: [EefOrientation; 2] = [EefOrientation::HandBody, EefOrientation::GripSite];
+const LAGS: [RelativeLag; 3] = [
+    RelativeLag::Current,
+    RelativeLag::ObjectOneLate,
+    RelativeLag::BothOneLate,
+];
+
+/// Residuals of exact relations: rounding of models saved with six digits and of 32-bit columns is far below.
+pub(super) const EXACT: f64 = 1e-3;
+
+const fn exact(name: &'static str) -> Test {
+    Test {
+        name,
+        unit: "m or rad",
+        threshold: EXACT,
+        rival: MARGIN * EXACT,
+        frames: 10,
+    }
+}
+
+const EEF_KINEMATICS: Test =
+    exact("robot0_eef_pos and robot0_eef_quat against the poses that states and model_file give");
+const EEF_RELATION: Test = exact("the relative part of obs/object against object and end-effector pose");
+pub(super) const OBJECT: Test =
+    exact("the parts of obs/object against each other, and against states and model_file where they are there");
+const ANGULAR_VELOCITY: Test = Test {
+    name: "the change of robot0_eef_quat against robot0_eef_vel_ang",
+    unit: "of the velocity",
+    threshold: 0.25,
+    rival: 0.6,
+    frames: 20,
+};
+const GOALS: Test = Test {
+    name: "the median angle between robot0_eef_quat and absolute goals",
+    unit: "rad",
+    threshold: 0.4,
+    rival: 1.0,
+    frames: 20,
+};
+const REST: Test = Test {
+    name: "the tilt of the cube where it rests at the start of demos",
+    unit: "rad",
+    threshold: 0.03,
+    rival: 0.1,
+    frames: 5,
+};
+
+/// A hypothesis about the object vector and the end effector with its fit.
+pub(super) type Related = (Relation, Fit);
+
+/// Order and frame of the end effector's quaternion.
+pub(super) struct Eef {
+    pub(super) order: Verdict<QuaternionOrder>,
+    test: Test,
+    fits: Vec<(QuaternionOrder, EefOrientation, Fit)>,
+}
+
+impl Eef {
+    /// From hypotheses that are of both at once.
+    fn joint(test: Test, fits: impl Iterator<Item = (QuaternionOrder, EefOrientation, Fit)>) -> Self {
+        let fits: Vec<_> = fits.collect();
+        Self {
+            order: Verdict::new(test, fits.iter().map(|(order, _, fit)| (*order, *fit))),
+            test,
+            fits,
+        }
+    }
+
+    /// The frame, given the order.
+    pub(super) fn frame(&self, order: QuaternionOrder) -> Verdict<EefOrientation> {
+        let fits = self.fits.iter().filter(|(given, _, _)| *given == order);
+        Verdict::new(self.test, fits.map(|(_, frame, fit)| (*frame, *fit)))
+    }
+}
+
+/// All pairs of order and frame.
+fn eef_hypotheses() -> impl Iterator<Item = (QuaternionOrder, EefOrientation)> {
+    ORDERS
+        .into_iter()
+        .flat_map(|order| FRAMES.into_iter().map(move |frame| (order, frame)))
+}
+
+/// From the object vector, too, where `task` is given.
+pub(super) fn eef(demos: &[Sound<'_>], task: Option<RobosuiteTask>, kind: ActionKind, env: &EnvArgs) -> Eef {
+    if demos.iter().any(|demo| !demo.observed.is_empty()) {
+        let fits = eef_hypotheses().map(|(order, frame)| {
+            let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
+            (order, frame, Fit::of(residuals))
+        });
+        return Eef::joint(EEF_KINEMATICS, fits);
+    }
+    if let Some(task) = task.filter(|task| task.layouts[0].relates_rotations()) {
+        let related = relations(demos, task, &ORDERS, &FRAMES, false);
+        let fits = related
+            .iter()
+            .map(|(relation, fit)| (relation.eef, relation.frame, *fit));
+        return Eef::joint(EEF_RELATION, fits);
+    }
+    let freq = env.control_freq.unwrap_or(20.0);
+    let order = Verdict::new(
+        ANGULAR_VELOCITY,
+        ORDERS.map(|order| {
+            let mut share = Share::default();
+            for demo in demos {
+                share.add(residuals::angular_velocity(demo, order, freq));
+            }
+            (order, Fit::whole(share.value(), share.frames))
+        }),
+    );
+    let fits = eef_hypotheses().map(|(order, frame)| {
+        if kind == ActionKind::Delta {
+            // Deltas turn the goal in world axes: they do not tell which frame is turned.
+            return (order, frame, Fit::of(Vec::new()));
+        }
+        let fit = Fit::of(every(demos, |demo, t| residuals::goal_angle(demo, t, order, frame)));
+        (order, frame, Fit::whole(fit.median, fit.frames))
+    });
+    Eef {
+        order,
+        test: GOALS,
+        fits: fits.collect(),
+    }
+}
+
+/// A residual of every frame that has one.
+fn every(demos: &[Sound<'_>], residual: impl Fn(&Sound<'_>, usize) -> Option<f64>) -> Vec<f64> {
+    let residual = &residual;
+    demos
+        .iter()
+        .flat_map(|demo| (0..demo.arrays.actions.len()).filter_map(move |t| residual(demo, t)))
+        .collect()
+}
+
+/// All hypotheses about the object vector under the given ones about the end effector.
+pub(super) fn relations(
+    demos: &[Sound<'_>],
+    task: RobosuiteTask,
+    eefs: &[QuaternionOrder],
+    frames: &[EefOrientation],
+    with_states: bool,
+) -> Vec<Related> {
+    let mut related = Vec::new();
+    for &layout in &task.layouts {
+        for object in ORDERS {
+            for &eef in eefs {
+                for &frame in frames {
+                    let fits = LAGS.map(|lag| {
+                        let relation = Relation {
+                            layout,
+                            object,
+                            eef,
+                            frame,
+                            lag,
+                        };
+                        let fit = Fit::of(every(demos, |demo, t| {
+                            let relative = residuals::relative(demo, t, relation)?;
+                            let known = with_states.then(|| residuals::object_kinematics(demo, t, layout, object));
+                            Some(relative.max(known.flatten().unwrap_or(0.0)))
+                        }));
+                        (relation, fit)
+                    });
+                    // A later one only where the current row does not fit.
+                    related.extend(fits.into_iter().reduce(|best, next| {
+                        if best.1.high <= EXACT || best.1.high <= next.1.high {
+                            best
+                        } else {
+                            next
+                        }
+                    }));
+                }
+            }
+        }
+    }
+    related
+}
+
+/// Lift without states: a cube that rests stands upright, under the right order, whatever its yaw.
+pub(super) fn at_rest(demos: &[Sound<'_>]) -> Verdict<QuaternionOrder> {
+    let fits = ORDERS.map(|order| {
+        let rows = demos
+            .iter()
+            .filter_map(|demo| demo.arrays.object.filter(|rows| !rows.is_empty()));
+        let tilts: Vec<f64> = rows.filter_map(|rows| residuals::tilt(rows.row(0), order)).collect();
+        (order, Fit::of(tilts))
+    });
+    Verdict::new(REST, fits)
+}

@@ -1,0 +1,21 @@
+//! The harness of rollouts: one loop and one driver for every policy, task and variant.
+//!
+//! A [`Domain`] says what is felt, seen, commanded and led to: [`Plane`] for Push-T, [`Space`] for robosuite's tasks. An
+//! [`Env`] is a simulation in it. A [`Policy`] answers an action at every control step and asks its [`Senses`] for what it
+//! needs; a [`PolicyFactory`] starts one for every episode. [`rollouts`] drives them, and records what was asked.
+
+mod domain;
+mod env;
+mod noise;
+mod policy;
+mod rollout;
+mod senses;
+mod studio;
+
+pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
+pub use env::{Env, Image, PushTEnv, RobosuiteEnv};
+pub use noise::PoseNoise;
+pub use policy::{Act, Phase, Policy, PolicyError, PolicyFactory};
+pub use rollout::{Harness, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
+pub use senses::{Asked, Estimator, Senses, Source, Told};
+pub use studio::{Lens, Studio, put_renderer_away, set_state};

@@ -1,0 +1,333 @@
+//! Ingest of HDF5 files of robosuite's tasks. Where the HDF5 library is needed, it is made in a process of its own.
+
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use indicatif::ProgressBar;
+use nix::sys::resource::{Resource, setrlimit};
+use re4_artifact::{Artifact, Stage, Store};
+use re4_fault::{OrFault as _, ensure, fault};
+use re4_ingest::robomimic::{
+    Access, Comparison, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources,
+};
+use re4_ingest::{DemoSource as _, IngestError, LeftOut};
+use re4_robosuite::env_args::EnvArgs;
+use serde_json::{Value, json};
+
+use super::drawn::{self, Drawing};
+use super::spool::Spool;
+use super::worker::{self, Order, Word, tell};
+use super::write::{Ingest, Pictures};
+use super::{STAGE, recipe};
+use crate::inputs::sources::find_source;
+use crate::interrupt::Interrupt;
+use crate::notes::told;
+use crate::pipeline::Pipeline;
+use crate::runner::{Built, Runner};
+
+/// How long a worker that lost its parent may take to stop by itself.
+const GRACE: Duration = Duration::from_millis(400);
+
+/// Longest order that a worker reads.
+const LONGEST_ORDER: u64 = 16 << 20;
+
+impl Runner {
+    /// The `episodes` artifact of an HDF5 file. This process does not touch the file with the HDF5 library: it reads the
+    /// plainest files itself, and leaves all others to a worker.
+    pub(super) fn ingest_hdf5(&self, source: PathBuf) -> Result<Built> {
+        let start = Instant::now();
+        let _span = tracing::info_span!("stage", name = "ingest").entered();
+        let section = &self.pipeline.ingest;
+        let gl = (!section.render.is_empty())
+            .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
+            .transpose()
+            .with_context(|| format!("cannot draw the pictures of {}", source.display()))?;
+        let mut sources = Sources::open(&source)?;
+        let compare = section.compare.as_deref().map(find_source).transpose()?;
+        let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
+        let mut order = Order {
+            hash: None,
+            identity: sources.identity(),
+            compare_hash: None,
+            compare_identity: compare_sources.as_ref().map(Sources::identity),
+            gl,
+            source,
+            compare,
+            pipeline: self.pipeline.clone(),
+            artifacts: self.store.root().to_path_buf(),
+            threads: rayon::current_num_threads(),
+            cautious: false,
+        };
+        let hash = |sources: &Sources| self.hash(|stop| sources.hash(stop), STAGE);
+        // What there is and what it means is found out while the file is hashed, unless there may be models to be hashed, too.
+        let alone = !sources.has_models_folder();
+        let (early, direct, learned) = std::thread::scope(|scope| {
+            let hashing = alone.then(|| scope.spawn(|| hash(&sources)));
+            let direct = self.open_direct(&sources);
+            let here = direct.as_ref().ok().and_then(Option::as_ref);
+            let here = here.filter(|_| section.render.is_empty());
+            let learned = here.map(|reader| Interpreter::learn(reader, &reading(&self.pipeline)));
+            (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
+        });
+        let direct = direct?;
+        tracing::info!(source = %order.source.display(), library = direct.is_none(), "HDF5 file opened");
+        match &direct {
+            Some(reader) => sources = reader.sources().clone(),
+            // Which models there are is known to the library alone.
+            None if !alone => {
+                let names = self.attended(&order, |bar| worker::models(&order, &self.interrupt, bar))?;
+                sources = sources.with_models(names);
+            }
+            None => {}
+        }
+        order.identity = sources.identity();
+        order.hash = Some(match early {
+            Some(hashed) => hashed.map_err(|_| fault!("the hashing stopped"; "run again"))??,
+            None => hash(&sources)?,
+        });
+        order.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
+        let recipe = order.recipe(Value::Null)?;
+        if let Some(built) = self.unchanged(&recipe, start)? {
+            self.refuse_left_out(&built.artifact, &order.source)?;
+            return Ok(built);
+        }
+        if let Some(reader) = direct.filter(|_| section.render.is_empty()) {
+            let bar = self.notes.progress(0, STAGE);
+            let tell = |done: u64, all: u64| {
+                bar.set_length(all);
+                bar.set_position(done);
+            };
+            let inputs = Inputs {
+                reader,
+                compare: compare_sources.clone(),
+                access: Access::Direct,
+                learned,
+            };
+            let made = make(&order, inputs, &self.interrupt, &tell);
+            bar.finish_and_clear();
+            match made {
+                Err(error) if needs_library(&error) => tracing::info!("the HDF5 library is needed after all"),
+                made => return self.made(made?, &recipe, start),
+            }
+        }
+        self.attended(&order, |bar| worker::run(&order, &self.interrupt, bar))?;
+        let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
+        let artifact = artifact.or_fault(|| {
+            fault!(
+                "cannot ingest {}: its artifact is gone", order.source.display();
+                "another process may have removed it, so run again"
+            )
+        })?;
+        self.made(artifact, &recipe, start)
+    }
+
+    /// The file, opened without the HDF5 library; none where that takes the library.
+    fn open_direct(&self, sources: &Sources) -> Result<Option<RobomimicReader>> {
+        if std::env::var_os(HDF5_VARIABLE).is_some_and(|value| value == "library") {
+            return Ok(None);
+        }
+        match RobomimicReader::open(sources, &choice(&self.pipeline, false), Access::Direct) {
+            Err(error) if error.needs_library() => Ok(None),
+            opened => Ok(Some(opened?)),
+        }
+    }
+
+    /// Lets a worker do something, and clears up after one that fell over.
+    fn attended<T>(&self, order: &Order, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
+        let ended = work(&self.notes.progress(0, STAGE));
+        if ended.is_err() {
+            self.interrupt.check(STAGE)?;
+            // What a worker that fell over had begun is removed when the store is opened.
+            Store::open(&order.artifacts)?;
+        }
+        ended
+    }
+}
+
+/// Replaces the choice between reading beside the HDF5 library and with it, for tests: `library`.
+const HDF5_VARIABLE: &str = "RE4_HDF5";
+
+fn needs_library(error: &anyhow::Error) -> bool {
+    let cause = error.downcast_ref::<IngestError>();
+    cause.is_some_and(IngestError::needs_library)
+}
+
+impl Order {
+    /// What decides the bytes of the artifact.
+    fn recipe(&self, facts: Value) -> Result<re4_artifact::Recipe> {
+        let hash = self.hash.as_ref().context("the source was not hashed")?;
+        let render = drawn::settings(&self.pipeline.ingest.render, self.gl.as_deref());
+        recipe(&self.pipeline, hash, self.compare_hash.as_ref(), &render, facts)
+    }
+}
+
+/// The worker: reads its order, makes and publishes the artifact, and tells how it went.
+///
+/// # Errors
+/// When there is no order to read, or no store to publish in; all that is wrong later is told to the process that asked.
+pub fn serve_ingest() -> Result<()> {
+    let mut input = BufReader::new(std::io::stdin());
+    let mut line = String::new();
+    input
+        .by_ref()
+        .take(LONGEST_ORDER)
+        .read_line(&mut line)
+        .context("cannot read the order")?;
+    let order: Order = serde_json::from_str(&line)
+        .or_fault(|| fault!("ingest-worker is started by re4-pipe itself"; "use re4-pipe ingest"))?;
+    // A process may always lower its own limits; where the system refuses, the file's sizes are checked all the same.
+    let memory = worker::memory(&order);
+    let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
+    let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
+    let store = Store::open(&order.artifacts)?;
+    let interrupt = Interrupt::listen_and_say(Some(&store), |fault| tell(&Word::failed(&fault)));
+    let stop = interrupt.clone();
+    std::thread::spawn(move || {
+        let _ = std::io::copy(&mut input, &mut std::io::sink());
+        stop.request();
+        std::thread::sleep(GRACE);
+        // Until the process has ended, nothing more is published.
+        let _locked = store.abandon();
+        #[allow(
+            clippy::exit,
+            reason = "nobody waits for this process any more, and its thread is stuck in C code"
+        )]
+        std::process::exit(2);
+    });
+    let word = match serve(&order, &interrupt) {
+        Ok(word) => word,
+        Err(error) => Word::failed(&told(&error)),
+    };
+    tell(&word);
+    Ok(())
+}
+
+fn serve(order: &Order, interrupt: &Interrupt) -> Result<Word> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(order.threads)
+        .build_global()
+        .or_fault(|| fault!("cannot start {} worker threads", order.threads; "give a smaller --jobs"))?;
+    let sources = Sources::open_again(&order.source, &order.identity)?;
+    let reader = RobomimicReader::open(&sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
+    if order.hash.is_none() {
+        return Ok(Word::Models(
+            reader.sources().model_names().map(str::to_owned).collect(),
+        ));
+    }
+    // Models that came or went since are a change, too.
+    if reader.sources().identity() != order.identity {
+        return Err(reader.sources().changed().into());
+    }
+    let compare = match (&order.compare, &order.compare_identity) {
+        (Some(path), Some(identity)) => Some(Sources::open_again(path, identity)?),
+        _ => None,
+    };
+    let inputs = Inputs {
+        reader,
+        compare,
+        access: Access::Library,
+        learned: None,
+    };
+    make(order, inputs, interrupt, &|done, all| {
+        worker::progress(done, all, interrupt);
+    })?;
+    Ok(Word::Done)
+}
+
+/// Conventions, and the demonstrations that were met and cannot be used.
+type Learned = Result<(Interpreter, Vec<LeftOut>), IngestError>;
+
+/// What an ingest reads.
+struct Inputs {
+    reader: RobomimicReader,
+    compare: Option<Sources>,
+    access: Access,
+    /// The conventions, where they are known already.
+    learned: Option<Learned>,
+}
+
+/// Makes and publishes the artifact.
+fn make(
+    order: &Order,
+    inputs: Inputs,
+    interrupt: &Interrupt,
+    progress: &(dyn Fn(u64, u64) + Sync),
+) -> Result<Artifact> {
+    let files = inputs.reader.sources().clone();
+    let compare = inputs.compare.clone();
+    let source = open(order, inputs).or_else(|error| {
+        interrupt.check(STAGE)?;
+        // Whatever is wrong with a file that changed is not what has to be mended.
+        files.unchanged()?;
+        compare.map_or(Ok(()), |compare| compare.unchanged())?;
+        Err(error)
+    })?;
+    let recipe = order.recipe(json!(source.info()))?;
+    let ingest = Ingest {
+        section: &order.pipeline.ingest,
+        source: &order.source,
+        compare: order.compare.as_deref(),
+        conventions: source.conventions(),
+        pictures: match drawing(order, source.reader(), source.env())? {
+            Some(drawing) => Pictures::Drawn(drawing, Spool::open(&order.artifacts, recipe.key())?),
+            None => Pictures::Recorded,
+        },
+        threads: order.threads,
+        interrupt,
+        progress,
+    };
+    ingest.publish(&source, &Store::open(&order.artifacts)?, &recipe)
+}
+
+fn open(order: &Order, inputs: Inputs) -> Result<RobomimicSource> {
+    let section = &order.pipeline.ingest;
+    let Inputs {
+        reader,
+        compare,
+        access,
+        learned,
+    } = inputs;
+    let learned = learned.unwrap_or_else(|| Interpreter::learn(&reader, &reading(&order.pipeline)))?;
+    let comparison = compare.map(|sources| Comparison::open(&sources, access)).transpose()?;
+    let cameras = if section.images && section.render.is_empty() {
+        reader.cameras(section.cameras.as_deref())?
+    } else {
+        Vec::new()
+    };
+    Ok(RobomimicSource::new(reader, learned, comparison, cameras)?)
+}
+
+/// What draws the pictures that are asked for.
+fn drawing<'a>(order: &'a Order, reader: &RobomimicReader, env: &EnvArgs) -> Result<Option<Drawing<'a>>> {
+    let render = &order.pipeline.ingest.render;
+    if render.is_empty() {
+        return Ok(None);
+    }
+    let recorded = reader.cameras(None)?;
+    ensure!(
+        recorded.is_empty(),
+        "cannot render pictures for {}: it holds recorded ones ({})", order.source.display(), recorded.join(", ");
+        "leave ingest.render out"
+    );
+    Ok(Some(Drawing::new(render, env, &order.source)?))
+}
+
+fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
+    DemoChoice {
+        filter: pipeline.ingest.filter.clone(),
+        select: pipeline.ingest.select.clone(),
+        cautious,
+    }
+}
+
+fn reading(pipeline: &Pipeline) -> Reading {
+    let section = &pipeline.ingest;
+    Reading {
+        task: pipeline.task.robosuite(),
+        object: section.object.clone(),
+        env_args: section.env_args.clone(),
+        conventions: section.conventions,
+    }
+}

@@ -1,0 +1,127 @@
+//! The tables of every artifact.
+
+use re4_artifact::tables::{
+    BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, RESULTS,
+    SPATIAL_DECISIONS, SPATIAL_FRAMES, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
+};
+use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
+use re4_policy::Chunk;
+use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
+use re4_scenes::SceneRow;
+use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+
+use crate::stages::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
+
+/// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
+pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
+    match stage {
+        Stage::Ingest => vec![
+            &EPISODES,
+            &FRAMES,
+            &IMAGES,
+            &SPATIAL_FRAMES,
+            &DEMOS,
+            &CONVENTIONS,
+            &LEFT_OUT,
+            &STATES,
+            &MODELS,
+            &CAMERA_IMAGES,
+        ],
+        Stage::Segment => vec![
+            ModeRow::<Evidence>::table(),
+            ModeRow::<SpatialEvidence>::table(),
+            SegmentRow::<SegmentFacts>::table(),
+            SegmentRow::<SpatialSegment>::table(),
+        ],
+        Stage::Audit => vec![
+            FindingRow::table(),
+            CheckRow::table(),
+            AuditedEpisodeRow::table(),
+            GraspRow::table(),
+        ],
+        Stage::Index => vec![
+            IndexRow::<PlanarState>::table(),
+            IndexRow::<SpatialState>::table(),
+            ScaleRow::table(),
+            Chunk::table(),
+        ],
+        Stage::Scenes => vec![SceneRow::table()],
+        Stage::Rollout => vec![
+            &RESULTS,
+            &STEPS,
+            &DECISIONS,
+            &BUDGETS,
+            &SPATIAL_RESULTS,
+            &SPATIAL_STEPS,
+            &SPATIAL_DECISIONS,
+        ],
+        Stage::Replay => vec![
+            ReplayRow::<PlanarReplay>::table(),
+            ReplayRow::<SpatialReplay>::table(),
+            PlanarDivergenceRow::table(),
+            DivergenceRow::<SpatialDivergence>::table(),
+        ],
+        Stage::TrainPose => vec![
+            PoseRow::<Estimate>::table(),
+            PoseRow::<SpatialEstimate>::table(),
+            AnchorRow::table(),
+            TrainingRow::table(),
+            PoseErrorRow::table(),
+        ],
+    }
+}
+
+/// Every table there is, with the stage that makes it.
+pub fn all() -> impl Iterator<Item = (Stage, &'static TableSpec)> {
+    Stage::ALL
+        .into_iter()
+        .flat_map(|stage| of(stage).into_iter().map(move |spec| (stage, spec)))
+}
+
+/// The description of a table of an artifact, by the name that it has there. Where domains share the name, the file says which.
+pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> {
+    let (named, former): (Vec<_>, Vec<_>) = all()
+        .map(|(_, spec)| spec)
+        .filter(|spec| spec.name == name || spec.formerly == name)
+        .partition(|spec| spec.name == name);
+    let domain = artifact.table_named(name).ok()?.domain();
+    let of_domain = |spec: &&&TableSpec| domain.as_deref().is_none_or(|domain| spec.domain == domain);
+    // Tables in space had names of their own before files told the domain, and so the plane comes first.
+    let first = named.iter().filter(of_domain).min_by_key(|spec| spec.domain);
+    first.or(former.first()).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn declarations_hold_together() {
+        let mut names = BTreeSet::new();
+        for (_, table) in all() {
+            assert!(names.insert((table.name, table.domain)), "{} twice", table.name);
+            let columns: BTreeSet<_> = table.columns.iter().map(|c| c.name).collect();
+            assert_eq!(columns.len(), table.columns.len(), "{} repeats a column", table.name);
+            assert!(table.description.ends_with('.'), "{}", table.name);
+            for column in table.columns {
+                assert!(column.description.ends_with('.'), "{}.{}", table.name, column.name);
+                assert!(
+                    (1..=table.version).contains(&column.since),
+                    "{}.{}",
+                    table.name,
+                    column.name
+                );
+                assert!(
+                    column.since == 1 || column.nullable,
+                    "{}.{} was added later, and has to be nullable to be read from older tables",
+                    table.name,
+                    column.name
+                );
+            }
+        }
+        assert_eq!(names.len(), 39);
+    }
+}

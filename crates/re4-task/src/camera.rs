@@ -1,0 +1,38 @@
+//! Cameras of the tasks.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Cameras of the tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Camera {
+    /// Push-T's only one: the window from above, 96 x 96.
+    Image,
+    /// robosuite's camera that looks at robot and table from the front, 84 x 84.
+    Agentview,
+    /// robosuite's camera on the hand, 84 x 84.
+    #[serde(rename = "robot0_eye_in_hand")]
+    EyeInHand,
+}
+
+impl Camera {
+    /// Its name in files and tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Image => "image",
+            Self::Agentview => "agentview",
+            Self::EyeInHand => "robot0_eye_in_hand",
+        }
+    }
+
+    /// Side of its square images, in pixels: what the datasets hold.
+    #[must_use]
+    pub const fn side(self) -> usize {
+        match self {
+            Self::Image => 96,
+            Self::Agentview | Self::EyeInHand => 84,
+        }
+    }
+}
