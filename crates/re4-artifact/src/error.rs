@@ -1,6 +1,7 @@
-//! What can go wrong with artifacts, each in one sentence that ends with the mend.
+//! What can go wrong with artifacts, and how each is mended.
 
 use re4_fault::Remedy;
+use std::borrow::Cow;
 use std::error::Error;
 use std::fmt;
 use std::io;
@@ -13,7 +14,8 @@ use crate::spec::ColumnKind;
 #[non_exhaustive]
 pub enum ArtifactError {
     /// The operating system refused an operation on a file or folder.
-    #[error("cannot {operation} {path}: {}", explain(.source), path = .path.display())]
+    #[error("cannot {operation} {path}: {}", explain(.source).0, path = .path.display())]
+    #[remedy(explain(source).1.map(Cow::Borrowed))]
     Io {
         /// What was tried, as a verb phrase.
         operation: &'static str,
@@ -268,20 +270,30 @@ impl ArtifactError {
     }
 }
 
-fn explain(error: &io::Error) -> String {
-    match error.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "the disk is full; free space there or choose another artifacts folder".to_owned()
+/// What an answer of the operating system means, and how to mend it.
+fn explain(error: &io::Error) -> (String, Option<&'static str>) {
+    let (what, remedy) = match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => (
+            "the disk is full",
+            "free space there or choose another artifacts folder",
+        ),
+        io::ErrorKind::ReadOnlyFilesystem => (
+            "the file system is read-only",
+            "choose an artifacts folder that can be written",
+        ),
+        io::ErrorKind::PermissionDenied => (
+            "permission denied",
+            "give yourself write permission there or choose another artifacts folder",
+        ),
+        io::ErrorKind::NotFound => {
+            return (
+                error.to_string(),
+                Some("check the path, or choose another artifacts folder"),
+            );
         }
-        io::ErrorKind::ReadOnlyFilesystem => {
-            "the file system is read-only; choose an artifacts folder that can be written".to_owned()
-        }
-        io::ErrorKind::PermissionDenied => {
-            "permission denied; give yourself write permission there or choose another artifacts folder".to_owned()
-        }
-        io::ErrorKind::NotFound => format!("{error}; check the path, or choose another artifacts folder"),
-        _ => error.to_string(),
-    }
+        _ => return (error.to_string(), None),
+    };
+    (what.to_owned(), Some(remedy))
 }
 
 /// What is wrong with the bytes of an artifact. Files are named relative to its folder.
@@ -350,7 +362,7 @@ mod tests {
     fn a_full_disk_is_told_from_a_broken_encoder() {
         let full = io::Error::from(io::ErrorKind::StorageFull);
         let path = Path::new("a/frames.parquet");
-        let said = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).to_string();
+        let said = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).sentence();
         assert_eq!(
             said,
             "cannot write a/frames.parquet: the disk is full; free space there or choose another artifacts folder"
