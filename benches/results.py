@@ -43,7 +43,7 @@ def print_table(title, rows, seeds, artifacts):
 def change(preset, *settings):
     arguments = ["--policy", preset]
     for setting in settings:
-        arguments += ["--set", f"rollout.{setting}"]
+        arguments += ["--set", f"policy.{setting}"]
     return arguments
 
 

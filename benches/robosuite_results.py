@@ -82,12 +82,12 @@ def noise(artifacts):
 
 STEPS = [
     ("`re4`", settings("re4")),
-    ("without Reframe", settings("re4", "rollout.reframe.enabled=false")),
-    ("without the bridge", settings("re4", "rollout.replan.enabled=false")),
-    ("verbatim in transfer", settings("re4", "rollout.reframe.transfer=verbatim")),
+    ("without Reframe", settings("re4", "policy.reframe.enabled=false")),
+    ("without the bridge", settings("re4", "policy.replan.enabled=false")),
+    ("verbatim in transfer", settings("re4", "policy.reframe.transfer=verbatim")),
     ("without symmetry", settings("re4", 'rollout.symmetry={kind="none"}')),
     ("every frame indexed", settings("re4", "index.leave_out=[]")),
-    ("without bans", settings("re4", "rollout.recovery.ban=false")),
+    ("without bans", settings("re4", "policy.recovery.ban=false")),
 ]
 
 

@@ -1,6 +1,6 @@
 """Plays the actions of native rollouts in robosuite itself, open-loop from the same seeds, and counts what succeeds there.
 
-    rs14/bin/python benches/robosuite_rollouts.py TASK spatial_steps.parquet [rollouts] [plain|robomimic]
+    rs14/bin/python benches/robosuite_rollouts.py TASK steps.parquet [rollouts] [plain|robomimic]
 
 TASK is lift, can or square. Run with the Python of either environment that tests/robosuite_reference.py describes, and
 `pip install 'pyarrow<20'` in it. The table's columns: seed, step, action_x, action_y, action_z (goal of the grip site, world frame,

@@ -7,8 +7,9 @@ use std::process::Command;
 
 use crate::support::{Place, invented, repository};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
+use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null};
 use re4_audit::AuditedEpisodeRow;
+use re4_ingest::{FrameRow, SpatialColumns};
 use re4_report::html::audit::{Audit, Severity, page};
 use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use serde_json::{Map, Value, json};
@@ -206,7 +207,12 @@ fn figures_are_those_that_audit_prints() {
         &answer,
         &[
             of("Fingers apart", &["finger_separation"][..]),
-            ("Height", Stage::Ingest, &tables::SPATIAL_FRAMES, &["eef_z", "object_z"]),
+            (
+                "Height",
+                Stage::Ingest,
+                FrameRow::<SpatialColumns>::table(),
+                &["eef_z", "object_z"],
+            ),
             of("Speed", &["eef_step", "object_step"]),
             of("Relative translation", &["relative_translation"]),
             of("Relative rotation", &["relative_rotation"]),

@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use crate::support::{Answer, Gate, Place, assert_same_bytes, filters, repository, scripted_and_simulators, wait_for};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Stage, col_binary, col_text, col_u32, tables};
+use re4_artifact::{Row as _, Stage, col_binary, col_text, col_u32};
+use re4_ingest::{EpisodeRow, ImageRow};
 
 fn pipeline(place: &Place, name: &str, task: &str, source: &Path, rest: &str) {
     let source = source.display();
@@ -33,7 +34,7 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
 
 /// Camera, episode, frame and bytes of every picture.
 fn pictures(place: &Place) -> Vec<(String, u32, u32, Vec<u8>)> {
-    let table = place.artifact(Stage::Ingest).table(&tables::IMAGES).unwrap();
+    let table = place.artifact(Stage::Ingest).table(ImageRow::table()).unwrap();
     let table = table.read_all().unwrap();
     let cameras = col_text(&table, "camera").unwrap();
     let (episodes, frames) = (col_u32(&table, "episode").unwrap(), col_u32(&table, "frame").unwrap());
@@ -175,7 +176,7 @@ fn a_killed_run_goes_on_where_it_was() {
     run(&undisturbed, &simulators, "ingest lift.toml --jobs 1").done();
     assert!(!undisturbed.artifacts().join("spool").exists());
     let episodes = undisturbed.artifact(Stage::Ingest);
-    let episodes = episodes.table(&tables::EPISODES).unwrap().read_all().unwrap();
+    let episodes = episodes.table(EpisodeRow::table()).unwrap().read_all().unwrap();
     let frames: Vec<usize> = col_u32(&episodes, "frames")
         .unwrap()
         .iter()

@@ -7,8 +7,8 @@ use std::path::Path;
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Stage, Store, col_f64, col_u32, tables};
+use re4_artifact::{Artifact, Columns, Facts, Recipe, Row as _, Stage, Store, col_f64, col_u32};
+use re4_ingest::{FrameRow, SpatialColumns};
 
 const SETTINGS: &str = r#"
 [pose]
@@ -62,7 +62,7 @@ fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
     let files: Vec<&str> = poses.manifest().files.keys().map(String::as_str).collect();
     assert_eq!(files, ["encoder.safetensors", "model_card.md", "training.svg"]);
     let frames = only(&place, "one", Stage::Ingest)
-        .table(&tables::SPATIAL_FRAMES)
+        .table(FrameRow::<SpatialColumns>::table())
         .unwrap()
         .rows();
     let table = poses
@@ -84,8 +84,8 @@ fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
 
 /// What is recorded of the object moves a metre and turns; everything else stays.
 fn disturbed(batch: &RecordBatch) -> RecordBatch {
-    let mut columns = Columns::new(&tables::SPATIAL_FRAMES);
-    for spec in tables::SPATIAL_FRAMES.columns {
+    let mut columns = Columns::new(FrameRow::<SpatialColumns>::table());
+    for spec in FrameRow::<SpatialColumns>::table().columns {
         let array = batch.column_by_name(spec.name).unwrap();
         columns = match spec.name {
             "object_x" | "object_y" | "object_z" => {
@@ -115,7 +115,7 @@ fn forge(original: &Artifact, store: &Path) {
         let mut out = writer.table_in_groups(spec, facts.row_group_rows as usize).unwrap();
         for batch in original.table(spec).unwrap().batches().unwrap() {
             let batch = batch.unwrap();
-            let frames = spec.name == tables::SPATIAL_FRAMES.name;
+            let frames = spec.name == FrameRow::<SpatialColumns>::table().name;
             out.write(if frames { disturbed(&batch) } else { batch }).unwrap();
         }
         out.finish().unwrap();

@@ -6,7 +6,7 @@ use crate::support::{Place, filters};
 use gif::{ColorOutput, DecodeOptions};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_f64, col_u32};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, render_state};
 
@@ -57,19 +57,15 @@ fn film(place: &Place, name: &str) -> Film {
 
 /// The pictures of the states of a rollout: before each step and after the last.
 fn pictures(artifact: &Artifact, seed: u32) -> Vec<Canvas> {
-    let results = artifact.table(&tables::RESULTS).unwrap().read_all().unwrap();
-    let steps = artifact.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&artifact);
+    let steps = crate::support::steps(&artifact);
     let row = |table, seed| col_u32(table, "seed").unwrap().iter().position(|s| *s == seed).unwrap();
     let state = |table, at: usize, names: [&str; 5]| {
         let [x, y, u, v, theta] = names.map(|name| col_f64(table, name).unwrap()[at]);
         render_state(Point2::new(x, y), Pose2::new(u, v, theta))
     };
     let at = row(&results, seed);
-    let first = state(
-        &results,
-        at,
-        ["agent_x", "agent_y", "block_x", "block_y", "block_theta"],
-    );
+    let first = state(&results, at, ["eef_x", "eef_y", "object_x", "object_y", "object_theta"]);
     let start = row(&steps, seed);
     let count = col_u32(&results, "steps").unwrap()[at] as usize;
     let names = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
@@ -120,12 +116,7 @@ fn the_chunk_is_the_demonstration_carried_to_the_block() {
     let (place, path) = rollouts();
     place.run(&format!("film {path} --seed 503 out.gif --size 512")).done();
     let film = film(&place, "out.gif");
-    let decisions = place
-        .artifact(Stage::Rollout)
-        .table(&tables::DECISIONS)
-        .unwrap()
-        .read_all()
-        .unwrap();
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let index = place
         .artifact(Stage::Index)
         .table(re4_index::IndexRow::<re4_index::PlanarState>::table())

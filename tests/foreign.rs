@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::support::{Answer, Place, repository, scripted_and_simulators};
-use re4_artifact::{Artifact, Stage, col_f64, col_text, tables};
+use re4_artifact::{Artifact, Row as _, Stage, col_f64, col_text};
+use re4_ingest::{DemoRow, FrameRow, SpatialColumns};
 
 /// What a user expects.
 #[derive(Debug, Clone, Copy)]
@@ -209,14 +210,18 @@ fn every_case_ends_as_a_user_expects() {
 }
 
 fn names(artifact: &Artifact) -> Vec<String> {
-    let table = artifact.table(&tables::DEMOS).unwrap().read_all().unwrap();
+    let table = artifact.table(DemoRow::table()).unwrap().read_all().unwrap();
     let names = col_text(&table, "demo").unwrap();
     names.into_iter().map(|name| name.unwrap().to_owned()).collect()
 }
 
 /// Goals, deltas and gripper commands of all frames.
 fn actions(artifact: &Artifact) -> Vec<Vec<f64>> {
-    let table = artifact.table(&tables::SPATIAL_FRAMES).unwrap().read_all().unwrap();
+    let table = artifact
+        .table(FrameRow::<SpatialColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let columns = [
         "goal_x", "goal_y", "goal_z", "goal_rx", "goal_ry", "goal_rz", "delta_x", "delta_rz", "gripper",
     ];

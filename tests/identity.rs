@@ -10,8 +10,9 @@ use crate::support::{Answer, Place, filters, repository, scripted_and_simulators
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null, tables};
+use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null};
 use re4_audit::{AuditedEpisodeRow, FindingRow};
+use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
 use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::Value;
 
@@ -97,7 +98,7 @@ fn texts(rows: &RecordBatch, column: &str) -> Vec<String> {
 
 /// Names of the demonstrations of an `episodes` artifact, in its order.
 fn names(episodes: &Artifact) -> Vec<String> {
-    texts(&rows(episodes, &tables::DEMOS), "demo")
+    texts(&rows(episodes, DemoRow::table()), "demo")
 }
 
 /// What a table says of each demonstration, frame by frame, by the name that its place stands for.
@@ -116,7 +117,11 @@ fn numbers(rows: &RecordBatch, names: &[String], column: &str) -> BTreeMap<Strin
 
 /// Where the hand is in each demonstration, bit for bit: no two of the sample have the same, but for the copy.
 fn hands(episodes: &Artifact) -> BTreeMap<String, Vec<u64>> {
-    numbers(&rows(episodes, &tables::SPATIAL_FRAMES), &names(episodes), "eef_x")
+    numbers(
+        &rows(episodes, FrameRow::<SpatialColumns>::table()),
+        &names(episodes),
+        "eef_x",
+    )
 }
 
 /// Ingests anew with more arguments, and says where the hand is.
@@ -141,7 +146,7 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
         known.join(" "),
         "demo_1 demo_2 demo_4 demo_6 demo_7 demo_8 demo_9 demo_10 demo_11 demo_12 demo_14 demo_15 demo_16 demo_17 demo_18"
     );
-    let listing = rows(&of(&gaps), &tables::EPISODES);
+    let listing = rows(&of(&gaps), EpisodeRow::table());
     let own = known
         .iter()
         .map(|name| name.trim_start_matches("demo_").parse::<u32>().unwrap());
@@ -246,7 +251,7 @@ fn any_names_come_in_the_order_of_their_numbers() {
         names(&episodes).join(" "),
         "demo1 demo2 a_3 b_3 take-7 demo10 run_99999999999999999999 last"
     );
-    let listing = rows(&episodes, &tables::EPISODES);
+    let listing = rows(&episodes, EpisodeRow::table());
     // a_3 and b_3 share a number, the next but last has one too long, the last has none.
     let own = [Some(1), Some(2), None, None, Some(7), Some(10), None, None];
     assert_eq!(col_u32_or_null(&listing, "source_episode").unwrap(), own);
@@ -280,7 +285,7 @@ fn reported_files_are_read_by_their_names() {
     let episodes = place.artifact(Stage::Ingest);
     let expected: Vec<String> = (1..=12).map(|number| format!("demo{number}")).collect();
     assert_eq!(names(&episodes), expected);
-    let listing = rows(&episodes, &tables::EPISODES);
+    let listing = rows(&episodes, EpisodeRow::table());
     assert_eq!(
         col_u32(&listing, "source_episode").unwrap(),
         (1..=12).collect::<Vec<u32>>()
@@ -348,7 +353,7 @@ fn replays_and_rollouts_name_what_they_follow() {
         .unwrap();
     assert!(failed.iter().all(Value::is_string), "{failed:?}");
 
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let (demos, frames) = (
         col_u32_or_null(&decisions, "demo").unwrap(),
         col_u32_or_null(&decisions, "demo_frame").unwrap(),
@@ -367,7 +372,7 @@ fn replays_and_rollouts_name_what_they_follow() {
     // One alone, which is number 3 among those that are there.
     fs::remove_dir_all(place.artifacts()).unwrap();
     run("rollout p.toml --set ingest.select={episodes=[4]}").done();
-    let decisions = rows(&place.artifact(Stage::Rollout), &tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));
     let mut called = texts(&decisions, "demo_name");
     called.retain(|name| !name.is_empty());
     called.dedup();

@@ -12,11 +12,11 @@ use std::time::Instant;
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use re4_artifact::Row as _;
 use re4_artifact::{
-    Artifact, Columns, Facts, Recipe, Stage, Store, col_binary, col_bool, col_f64, col_f64_list, col_text, col_u32,
-    tables,
+    Artifact, Columns, Facts, Recipe, Row as _, Stage, Store, col_binary, col_bool, col_f64, col_f64_list, col_text,
+    col_u32,
 };
+use re4_ingest::{DemoRow, FrameRow, ImageRow, ModelRow, SpatialColumns, StateRow};
 use re4_mujoco::{Library, Version};
 use re4_policy::spatial::{
     SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4Factory,
@@ -102,7 +102,11 @@ fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, 
 
 /// The recorded poses of the object.
 fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
-    let table = episodes.table(&tables::SPATIAL_FRAMES).unwrap().read_all().unwrap();
+    let table = episodes
+        .table(FrameRow::<SpatialColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let parts = POSE.map(|part| col_f64(&table, &format!("object_{part}")).unwrap());
     let numbers = col_u32(&table, "episode").unwrap();
     let frames = col_u32(&table, "frame").unwrap();
@@ -113,12 +117,12 @@ fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
 
 /// What rollouts did: actions step by step, and who succeeded.
 fn actions(rollouts: &Artifact) -> (Vec<Vec<u64>>, Vec<bool>) {
-    let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(rollouts);
     let bits = ["x", "y", "z", "rx", "ry", "rz"].map(|part| {
         let column = col_f64(&steps, &format!("action_{part}")).unwrap();
         column.iter().map(|number| number.to_bits()).collect()
     });
-    let results = rollouts.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(rollouts);
     let success = col_bool(&results, "success").unwrap();
     (
         bits.to_vec(),
@@ -179,9 +183,9 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         }
         // One picture a decision that depends on the object, and none in between.
         let summary = &image.manifest().summary;
-        let steps = image.table(&tables::SPATIAL_STEPS).unwrap().rows();
+        let steps = crate::support::steps(&image).num_rows() as u64;
         assert_eq!(summary["pictures"], asked.load(Ordering::Relaxed));
-        let decisions = image.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+        let decisions = crate::support::decisions(&image);
         let kinds = col_text(&decisions, "kind").unwrap();
         let looked = kinds
             .iter()
@@ -207,19 +211,19 @@ fn pictures_are_those_of_the_demonstrations() {
         place.write("task.toml", text);
         run(&place, &simulators, "segment task.toml").done();
         let episodes = only(&place, "artifacts", Stage::Ingest);
-        let images = episodes.table(&tables::IMAGES).unwrap().read_all().unwrap();
+        let images = episodes.table(ImageRow::table()).unwrap().read_all().unwrap();
         let (cameras, of_episode) = (
             col_text(&images, "camera").unwrap(),
             col_u32(&images, "episode").unwrap(),
         );
-        let states = episodes.table(&tables::STATES).unwrap().read_all().unwrap();
+        let states = episodes.table(StateRow::table()).unwrap().read_all().unwrap();
         let (demos, states) = (
             col_u32(&states, "episode").unwrap().to_vec(),
             col_f64_list(&states, "state").unwrap(),
         );
-        let models = episodes.table(&tables::MODELS).unwrap().read_all().unwrap();
+        let models = episodes.table(ModelRow::table()).unwrap().read_all().unwrap();
         let models = col_text(&models, "mjcf").unwrap();
-        let listing = episodes.table(&tables::DEMOS).unwrap().read_all().unwrap();
+        let listing = episodes.table(DemoRow::table()).unwrap().read_all().unwrap();
         let model_of = re4_artifact::col_u32_or_null(&listing, "model").unwrap();
         let front = cameras.iter().position(|camera| *camera == Some("agentview")).unwrap();
         for demo in 0..3_u32 {
@@ -273,7 +277,7 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     );
     run(&place, &simulators, "index lift.toml").done();
     let episodes = only(&place, "artifacts", Stage::Ingest);
-    let models = episodes.table(&tables::MODELS).unwrap().read_all().unwrap();
+    let models = episodes.table(ModelRow::table()).unwrap().read_all().unwrap();
     let mjcf = without_pictures(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
     let mjcf = with_assets(&mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
     let lift = RobosuiteTask::named("lift").unwrap();

@@ -26,6 +26,7 @@ mod kill;
 mod notebooks;
 mod pictures;
 mod pipeline;
+mod policies;
 mod real_data;
 mod report;
 mod robomimic;

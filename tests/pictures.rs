@@ -8,7 +8,7 @@ use crate::support::dataset::{self, LENGTH, replace};
 use crate::support::{Place, assert_same_bytes, filters};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_or_null, col_text, col_u32};
 use re4_geometry::{Point2, Pose2, periodic_distance};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
@@ -140,13 +140,13 @@ fn the_policy_is_told_what_the_picture_shows() {
     let place = with_pictures();
     place.run("run image.toml").done();
     let rollouts = place.artifact(Stage::Rollout);
-    let steps = rollouts.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(&rollouts);
     let of = |name| col_f64(&steps, name).unwrap();
     let told = |name| col_f64_or_null(&steps, name).unwrap();
     let (seed, step) = (col_u32(&steps, "seed").unwrap(), col_u32(&steps, "step").unwrap());
     let (x, y, theta) = (of("object_x"), of("object_y"), of("object_theta"));
-    let (seen_x, seen_y) = (told("observed_object_x"), told("observed_object_y"));
-    let (seen_theta, confidence) = (told("observed_object_theta"), told("pose_confidence"));
+    let (seen_x, seen_y) = (told("seen_x"), told("seen_y"));
+    let (seen_theta, confidence) = (told("seen_theta"), told("pose_confidence"));
     let mut exact = 0;
     for row in 1..seed.len() {
         if step[row] == 0 {
@@ -162,7 +162,7 @@ fn the_policy_is_told_what_the_picture_shows() {
     assert_eq!(exact, 0, "an estimate that is exact is none");
     let flags = col_text(&steps, "pose_flag").unwrap();
     assert!(flags.iter().all(|flag| *flag == Some("clear")));
-    let decisions = rollouts.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+    let decisions = crate::support::decisions(&rollouts);
     let (at, query) = (
         (
             col_u32(&decisions, "seed").unwrap(),
@@ -179,14 +179,9 @@ fn the_policy_is_told_what_the_picture_shows() {
     // Of true states there is nothing to tell.
     place.run("run small.toml --artifacts states").done();
     let folder = &crate::support::folders_in(&place.path().join("states/rollouts"))[0];
-    let steps = Artifact::open(folder)
-        .unwrap()
-        .table(&tables::STEPS)
-        .unwrap()
-        .read_all()
-        .unwrap();
+    let steps = crate::support::steps(&Artifact::open(folder).unwrap());
     assert!(
-        col_f64_or_null(&steps, "observed_object_x")
+        col_f64_or_null(&steps, "pose_confidence")
             .unwrap()
             .iter()
             .all(Option::is_none)

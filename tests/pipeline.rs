@@ -5,7 +5,8 @@ use std::fs;
 use crate::support::dataset::{LENGTH, SIDE, picture};
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Row as _, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32};
+use re4_ingest::{EpisodeRow, FrameRow, ImageRow, PlanarColumns};
 use serde_json::Value;
 
 /// Stages in the order in which the program reported on them, and whether each was skipped.
@@ -80,7 +81,7 @@ fn json_answers_with_one_object_of_the_agreed_keys() {
         object["artifact"].as_str().unwrap(),
         format!("artifacts/rollouts/{}", rollouts.key().short())
     );
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
     for (name, column) in [
         ("score_scaled_mean", "score_max"),
         ("coverage_raw_mean", "coverage_max"),
@@ -261,7 +262,7 @@ fn episodes_are_selected_by_number() {
         let artifact = Artifact::open(&folder).unwrap();
         artifact.table(table).unwrap().read_all().unwrap()
     };
-    let all = read("all", &tables::FRAMES);
+    let all = read("all", FrameRow::<PlanarColumns>::table());
     assert_eq!(all.num_rows(), 12 * LENGTH);
     for (name, selection, expected) in [
         ("first", "first=3", vec![0, 1, 2]),
@@ -274,14 +275,17 @@ fn episodes_are_selected_by_number() {
                 "ingest small.toml --artifacts {name} --set ingest.select.{selection}"
             ))
             .done();
-        let episodes = read(name, &tables::EPISODES);
+        let episodes = read(name, EpisodeRow::table());
         assert_eq!(col_u32(&episodes, "source_episode").unwrap(), expected, "{name}");
         assert_eq!(
             col_u32(&episodes, "frames").unwrap(),
             vec![LENGTH as u32; expected.len()],
             "{name}"
         );
-        let (frames, images) = (read(name, &tables::FRAMES), read(name, &tables::IMAGES));
+        let (frames, images) = (
+            read(name, FrameRow::<PlanarColumns>::table()),
+            read(name, ImageRow::table()),
+        );
         let pictures = col_binary(&images, "image").unwrap();
         assert_eq!(frames.num_rows(), expected.len() * LENGTH, "{name}");
         for (position, source) in expected.iter().map(|source| *source as usize).enumerate() {
@@ -308,7 +312,7 @@ fn pictures_are_kept_without_loss_or_left_out() {
     let place = Place::new();
     place.run("ingest small.toml").done();
     let with = place.artifact(Stage::Ingest);
-    let images = with.table(&tables::IMAGES).unwrap().read_all().unwrap();
+    let images = with.table(ImageRow::table()).unwrap().read_all().unwrap();
     assert_eq!(images.num_rows(), 12 * LENGTH);
     let (episode, frame) = (col_u32(&images, "episode").unwrap(), col_u32(&images, "frame").unwrap());
     let pictures = col_binary(&images, "image").unwrap();
@@ -351,8 +355,8 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     let place = Place::new();
     place.run("run small.toml --record out.zarr").done();
     let rollouts = place.artifact(Stage::Rollout);
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
-    let steps = rollouts.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
+    let steps = crate::support::steps(&rollouts);
 
     let source = place.path().join("out.zarr");
     let again = format!(
@@ -362,8 +366,12 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     place.run(&again).done();
     let folder = folders_in(&place.path().join("recorded/episodes")).remove(0);
     let recorded = Artifact::open(&folder).unwrap();
-    let episodes = recorded.table(&tables::EPISODES).unwrap().read_all().unwrap();
-    let frames = recorded.table(&tables::FRAMES).unwrap().read_all().unwrap();
+    let episodes = recorded.table(EpisodeRow::table()).unwrap().read_all().unwrap();
+    let frames = recorded
+        .table(FrameRow::<PlanarColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     assert_eq!(
         col_u32(&episodes, "frames").unwrap(),
         col_u32(&results, "steps").unwrap()
@@ -381,11 +389,11 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
             _ => col_f64(&steps, in_steps).unwrap()[row - 1],
         };
         for (column, in_results, in_steps) in [
-            ("eef_x", "agent_x", "eef_x"),
-            ("eef_y", "agent_y", "eef_y"),
-            ("object_x", "block_x", "object_x"),
-            ("object_y", "block_y", "object_y"),
-            ("object_theta", "block_theta", "object_theta"),
+            ("eef_x", "eef_x", "eef_x"),
+            ("eef_y", "eef_y", "eef_y"),
+            ("object_x", "object_x", "object_x"),
+            ("object_y", "object_y", "object_y"),
+            ("object_theta", "object_theta", "object_theta"),
         ] {
             let found = col_f64(&frames, column).unwrap()[row];
             assert_eq!(found, single(before(in_results, in_steps)), "{column} of row {row}");
@@ -477,9 +485,7 @@ fn inspect_shows_every_artifact() {
     seen.sort();
     // Push-T's: those of robosuite's tasks are not among them, nor the one of demonstrations that cannot be used.
     let others = [
-        "camera_images",
         "conventions",
-        "demos",
         "grasps",
         "left_out",
         "models",
@@ -492,6 +498,7 @@ fn inspect_shows_every_artifact() {
         .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
         .collect();
     known.sort_unstable();
+    known.dedup();
     assert_eq!(seen, known);
     let refusals = [
         "inspect artifacts/modes/0000000000000000",
@@ -565,7 +572,7 @@ fn all_presets_leave_traces_of_the_loop() {
             .done();
         let folder = folders_in(&place.path().join(preset).join("rollouts")).remove(0);
         let artifact = Artifact::open(&folder).unwrap();
-        let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+        let decisions = crate::support::decisions(&artifact);
         let kinds = col_text(&decisions, "plan").unwrap();
         assert_eq!(kinds.iter().any(|kind| *kind != Some("off")), plans, "{preset}");
         let deltas = ["delta_x", "delta_y", "delta_theta"].map(|name| col_f64(&decisions, name).unwrap());

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use crate::support::{PROGRAM, folders_in, real_data, repository};
 use arrow::array::Array as _;
-use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Batches, Table, col_binary, col_f64, col_f64_or_null, col_u32, tables};
+use re4_artifact::{Artifact, Batches, Row as _, Table, col_binary, col_f64, col_f64_or_null, col_u32};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
+use re4_ingest::{EpisodeRow, FrameRow, ImageRow, PlanarColumns};
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
@@ -128,7 +128,7 @@ fn ingest_holds_every_value_and_little_memory() {
         artifact.manifest().summary["frames"].to_string(),
         reference["frames"][0]
     );
-    let episodes = artifact.table(&tables::EPISODES).unwrap().read_all().unwrap();
+    let episodes = artifact.table(EpisodeRow::table()).unwrap().read_all().unwrap();
     assert_eq!(episodes.num_rows().to_string(), reference["episodes"][0]);
     let mut end = 0;
     let ends = col_u32(&episodes, "frames").unwrap().iter().flat_map(|frames| {
@@ -136,9 +136,13 @@ fn ingest_holds_every_value_and_little_memory() {
         u32::to_le_bytes(end)
     });
     assert_eq!(digest(ends.collect::<Vec<_>>()), reference["episodes"][1]);
-    let frames = artifact.table(&tables::FRAMES).unwrap().read_all().unwrap();
+    let frames = artifact
+        .table(FrameRow::<PlanarColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let mut compared = 0;
-    for column in tables::FRAMES
+    for column in FrameRow::<PlanarColumns>::table()
         .columns
         .iter()
         .filter(|column| !["episode", "frame"].contains(&column.name))
@@ -169,7 +173,7 @@ fn ingest_holds_every_value_and_little_memory() {
         compared += 1;
     }
     assert_eq!(compared + 3, reference.len(), "every line of the reference is compared");
-    let images = artifact.table(&tables::IMAGES).unwrap();
+    let images = artifact.table(ImageRow::table()).unwrap();
     assert_eq!(pictures(&images), reference["pictures"][0]);
 }
 

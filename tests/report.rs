@@ -9,7 +9,7 @@ use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, col_f64, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_f64, col_u32};
 use serde_json::Value;
 
 /// Rollouts of two policies on the small dataset: their folders relative to the place, `re4` first.
@@ -203,7 +203,11 @@ fn stated_metrics(page: &str, artifact: &Artifact, number: usize) {
 
 /// The table of budgets, computed by the stage, and the page's curve, computed from the steps, are one.
 fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
-    let budgets = artifact.table(&tables::BUDGETS).unwrap().read_all().unwrap();
+    let budgets = artifact
+        .table(re4_stages::tables::of(re4_artifact::Stage::Rollout).pop().unwrap())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let steps: Vec<f64> = col_u32(&budgets, "budget")
         .unwrap()
         .iter()
@@ -228,7 +232,7 @@ fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
 }
 
 fn results_are_equal(artifact: &Artifact, shown: &Value) {
-    let results = artifact.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&artifact);
     for (name, column) in [
         ("score", "score_max"),
         ("coverage", "coverage_max"),
@@ -244,13 +248,13 @@ fn results_are_equal(artifact: &Artifact, shown: &Value) {
 }
 
 fn traces_are_equal(artifact: &Artifact, shown: &Value) {
-    let steps = artifact.table(&tables::STEPS).unwrap().read_all().unwrap();
+    let steps = crate::support::steps(&artifact);
     assert_eq!(f64s(&shown["steps"]["coverage"]), col_f64(&steps, "coverage").unwrap());
     let eef = f32s(&shown["steps"]["eef"]);
     let x: Vec<f32> = eef.iter().step_by(2).copied().collect();
     let expected: Vec<f32> = col_f64(&steps, "eef_x").unwrap().iter().map(|v| *v as f32).collect();
     assert_eq!(x, expected);
-    let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+    let decisions = crate::support::decisions(&artifact);
     assert_eq!(
         f64s(&shown["decisions"]["predicted_coverage"]),
         col_f64(&decisions, "predicted_coverage").unwrap()
@@ -267,7 +271,7 @@ fn demonstrations_are_those_that_decisions_name() {
     let index = place.artifact(Stage::Index);
     let shown = &data["demonstrations"][index.key().to_string()];
     let artifact = Artifact::open(&place.path().join(&folder)).unwrap();
-    let decisions = artifact.table(&tables::DECISIONS).unwrap().read_all().unwrap();
+    let decisions = crate::support::decisions(&artifact);
     let mut named = col_u32(&decisions, "demo").unwrap().to_vec();
     named.sort_unstable();
     named.dedup();

@@ -40,7 +40,9 @@ class Artifact:
     def __init__(self, folder):
         self.manifest = json.loads((folder / "manifest.json").read_text())
         tables = {name: pl.read_parquet(folder / f"{name}.parquet") for name in ["results", "steps", "decisions"]}
-        self.results, self.steps, self.decisions = tables["results"], tables["steps"], tables["decisions"]
+        self.results, self.steps = tables["results"], tables["steps"]
+        details = pl.read_parquet(folder / "decisions_re4.parquet")
+        self.decisions = tables["decisions"].join(details, on=["seed", "decision"], maintain_order="left")
 
     def decision(self, seed, step):
         """The decision in force before the step: that of the action that follows."""
@@ -365,7 +367,7 @@ def main():
             it_plays(page)
             widths_and_schemes_hold(page)
             nothing_was_loaded(page)
-            if "observed_object_x" not in artifacts[0].steps or artifacts[0].steps["observed_object_x"].is_null().all():
+            if artifacts[0].steps["pose_flag"].is_null().all():
                 check(not page.all("#scene .observed[d^=M]"), "an estimated pose is drawn where there is none")
             estimated = Path(profile) / "estimated.html"
             with_estimates(path, estimated)

@@ -7,7 +7,8 @@ use std::process::Command;
 
 use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Stage, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Row as _, Stage, col_text, col_u32};
+use re4_ingest::{Convention, DemoRow, EpisodeRow};
 
 const TASKS: [&str; 3] = ["lift", "can", "square"];
 
@@ -96,7 +97,7 @@ fn demonstrations_are_filtered_and_then_counted() {
     let names = |arguments: &str| {
         let _ = fs::remove_dir_all(place.artifacts());
         place.run(&format!("ingest can.toml {arguments}")).done();
-        let table = only(&place).table(&tables::DEMOS).unwrap().read_all().unwrap();
+        let table = only(&place).table(DemoRow::table()).unwrap().read_all().unwrap();
         let names = col_text(&table, "demo").unwrap();
         names.into_iter().flatten().collect::<Vec<_>>().join(" ")
     };
@@ -107,7 +108,7 @@ fn demonstrations_are_filtered_and_then_counted() {
     );
     let train = names("--set ingest.filter=train --set ingest.select={episodes=[5,\"demo_6\"]}");
     assert_eq!(train, "demo_5 demo_6");
-    let table = only(&place).table(&tables::EPISODES).unwrap().read_all().unwrap();
+    let table = only(&place).table(EpisodeRow::table()).unwrap().read_all().unwrap();
     assert_eq!(col_u32(&table, "source_episode").unwrap(), &[5, 6]);
     let mut sentences = String::new();
     for arguments in [
@@ -206,7 +207,7 @@ fn conventions_that_other_hands_changed_are_accepted_by_a_setting() {
             .run(&format!("ingest other.toml --set ingest.conventions.{setting}"))
             .done();
         let artifact = only(&place);
-        let rows = artifact.table(&tables::CONVENTIONS).unwrap().read_all().unwrap();
+        let rows = artifact.table(Convention::table()).unwrap().read_all().unwrap();
         let values = col_text(&rows, "value").unwrap();
         let value = setting.split('=').next_back().unwrap();
         assert!(value == "true" || values.contains(&Some(value)), "{file}: {values:?}");

@@ -17,7 +17,7 @@ from PIL import Image
 
 artifact, source = Path(sys.argv[1]), sys.argv[2]
 tables = {path.stem: pl.read_parquet(path) for path in artifact.glob("*.parquet")}
-frames = tables["spatial_frames"]
+frames = tables["frames"]
 conventions = dict(zip(tables["conventions"]["convention"], tables["conventions"]["value"]))
 demos = tables["demos"]["demo"].to_list()
 lengths = tables["episodes"]["frames"].to_list()
@@ -27,12 +27,15 @@ assert conventions["poses"] == "observations", "only what is read from observati
 pose = 7 if conventions.get("object_layout") == "relative_first" else 0
 kind = "delta" if conventions["action_kind"] == "delta" else "goal"
 assert conventions["eef_quaternion"] == conventions["object_quaternion"] == "xyzw", "columns are in another order"
+# What the dataset has in another frame or with another sign stands beside it.
+eef = "raw_eef" if conventions["eef_orientation"] == "hand_body" else "eef"
+gripper = "raw_gripper" if conventions["gripper_sign"] == "positive_opens" else "gripper"
 RECORDED = {
     "obs/robot0_eef_pos": ["eef_x", "eef_y", "eef_z"],
-    "obs/robot0_eef_quat": ["eef_qx", "eef_qy", "eef_qz", "eef_qw"],
+    "obs/robot0_eef_quat": [f"{eef}_{part}" for part in ["qx", "qy", "qz", "qw"]],
     "obs/robot0_gripper_qpos": ["finger_0", "finger_1"],
     "obs/object": ["object_x", "object_y", "object_z", "object_qx", "object_qy", "object_qz", "object_qw"],
-    "actions": [f"{kind}_{axis}" for axis in ["x", "y", "z", "rx", "ry", "rz"]] + ["gripper"],
+    "actions": [f"{kind}_{axis}" for axis in ["x", "y", "z", "rx", "ry", "rz"]] + [gripper],
     "rewards": ["reward"],
 }
 numbers = pictures = 0
@@ -91,14 +94,14 @@ with h5py.File(source) as file:
         assert tables["demos"]["filter_keys"][episode] == listed, f"{demo}: filter keys differ"
         start += length
     assert start == len(frames)
-    if "camera_images" in tables:
-        images = tables["camera_images"]
+    if "images" in tables:
+        images = tables["images"]
         row = 0
         for camera in sorted(images["camera"].unique().to_list()):
             for episode, (demo, length) in enumerate(zip(demos, lengths)):
                 theirs = data[demo][f"obs/{camera}_image"][()]
                 for frame in range(length):
-                    name, place, step, png = images.row(row)
+                    place, step, name, png = images.row(row)
                     assert (name, place, step) == (camera, episode, frame), f"picture {row} is out of order"
                     if not np.array_equal(np.asarray(Image.open(io.BytesIO(png))), theirs[frame]):
                         sys.exit(f"{demo}, {camera}, frame {frame} differs")

@@ -12,7 +12,7 @@ use crate::support::{
 };
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, tables};
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32};
 use re4_sim::robosuite::RobosuiteTask;
 
 fn pipeline(task: &str, source: &Path) -> String {
@@ -64,9 +64,9 @@ fn lift_succeeds_and_its_tables_hold_together() {
     );
 
     let rollouts = only(&place, "one", Stage::Rollout);
-    let results = rollouts.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
-    let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
-    let decisions = rollouts.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
+    let steps = crate::support::steps(&rollouts);
+    let decisions = crate::support::decisions(&rollouts);
     let seeds = col_u32(&results, "seed").unwrap();
     assert_eq!(seeds, [200_000, 200_001, 200_002, 200_003]);
     assert!((0..4).all(|row| col_bool(&results, "success").unwrap().value(row)));
@@ -151,8 +151,16 @@ fn replays_follow_the_recording_and_gate() {
     }
     run(&place, &simulators, "rollout lift.toml --seeds 200000..200001").done();
     let compared = compare_with_schemas(&place);
-    for name in ["results", "steps", "decisions", "replays", "divergence", "index"] {
-        assert!(compared.contains(&format!("spatial_{name}")), "{name}");
+    for name in [
+        "results",
+        "steps",
+        "decisions",
+        "decisions_re4",
+        "replays",
+        "divergence",
+        "index",
+    ] {
+        assert!(compared.contains(&format!("{name}-space")), "{name}");
     }
     // The beginning of a demonstration, without the lift: the gate says that it fails.
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
@@ -256,8 +264,8 @@ fn steps_of_the_policy_can_be_switched_off() {
         )
         .done();
         let rollouts = only(&place, artifacts, Stage::Rollout);
-        let steps = rollouts.table(&tables::SPATIAL_STEPS).unwrap().read_all().unwrap();
-        let decisions = rollouts.table(&tables::SPATIAL_DECISIONS).unwrap().read_all().unwrap();
+        let steps = crate::support::steps(&rollouts);
+        let decisions = crate::support::decisions(&rollouts);
         let bridged = col_text(&steps, "phase").unwrap().contains(&Some("bridge"));
         let moved = re4_artifact::col_f64_or_null(&decisions, "delta_x").unwrap();
         (bridged, moved.iter().flatten().any(|x| *x != 0.0))

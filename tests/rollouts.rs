@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::support::{Place, folders_in};
-use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32, tables};
+use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, coverage, scene_from_seed};
 
@@ -24,11 +24,10 @@ impl Rollouts {
             .done();
         let folder = folders_in(&place.artifacts().join("rollouts")).remove(0);
         let artifact = Artifact::open(&folder).unwrap();
-        let read = |table| artifact.table(table).unwrap().read_all().unwrap();
         Self {
-            results: read(&tables::RESULTS),
-            steps: read(&tables::STEPS),
-            decisions: read(&tables::DECISIONS),
+            results: crate::support::results(&artifact),
+            steps: crate::support::steps(&artifact),
+            decisions: crate::support::decisions(&artifact),
         }
     }
 
@@ -185,11 +184,11 @@ fn decisions_saw_the_state(
     for decision in decisions {
         let step = step_of[decision] as usize;
         for (seen, in_results, in_steps) in [
-            ("query_eef_x", "agent_x", "eef_x"),
-            ("query_eef_y", "agent_y", "eef_y"),
-            ("query_object_x", "block_x", "object_x"),
-            ("query_object_y", "block_y", "object_y"),
-            ("query_object_theta", "block_theta", "object_theta"),
+            ("query_eef_x", "eef_x", "eef_x"),
+            ("query_eef_y", "eef_y", "eef_y"),
+            ("query_object_x", "object_x", "object_x"),
+            ("query_object_y", "object_y", "object_y"),
+            ("query_object_theta", "object_theta", "object_theta"),
         ] {
             let state = match step {
                 0 => rollouts.result(in_results, rollout),
@@ -216,7 +215,7 @@ fn the_simulator_agrees(rollouts: &Rollouts, rollout: usize, seed: u32, steps: R
     let mut simulator = PushT::new().unwrap();
     let scene = scene_from_seed(SeedScheme::DiffusionPolicy, seed);
     let start = simulator.reset(&scene, ResetOrder::Legacy).unwrap();
-    let recorded = ["agent_x", "agent_y", "block_x", "block_y", "block_theta"].map(|n| rollouts.result(n, rollout));
+    let recorded = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"].map(|n| rollouts.result(n, rollout));
     let reached = [
         start.agent.x,
         start.agent.y,

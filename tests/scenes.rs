@@ -5,8 +5,8 @@ use std::fs;
 
 use crate::support::{Place, assert_same_bytes, filters, folders_in, repository};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::Row as _;
-use re4_artifact::{Stage, col_bool, col_f64, col_u32, tables};
+use re4_artifact::{Row as _, Stage, col_bool, col_f64, col_u32};
+use re4_ingest::{FrameRow, PlanarColumns};
 use re4_stats::{mean_interval, wilson_interval};
 
 /// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
@@ -55,12 +55,18 @@ fn scenes_are_chosen_rolled_out_and_kept() {
     let rollouts = place.artifact(Stage::Rollout);
     assert_eq!(
         rollouts.manifest().inputs.keys().collect::<Vec<_>>(),
-        ["index", "scenes"]
+        ["episodes", "index", "scenes"]
     );
-    let results = rollouts.table(&tables::RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&rollouts);
     assert_eq!(col_u32(&results, "seed").unwrap(), number("scene"));
-    for name in ["agent_x", "agent_y", "block_x", "block_y", "block_theta"] {
-        let (asked, found) = (col_f64(&scenes, name).unwrap(), col_f64(&results, name).unwrap());
+    for (in_scenes, name) in [
+        ("agent_x", "eef_x"),
+        ("agent_y", "eef_y"),
+        ("block_x", "object_x"),
+        ("block_y", "object_y"),
+        ("block_theta", "object_theta"),
+    ] {
+        let (asked, found) = (col_f64(&scenes, in_scenes).unwrap(), col_f64(&results, name).unwrap());
         for (asked, found) in asked.iter().zip(found) {
             assert!((asked - found).abs() < 1e-6, "{name}: {found} in place of {asked}");
         }
@@ -77,7 +83,11 @@ fn the_nearest_frame_is_the_nearest() {
         "scenes need no index"
     );
     let frames = place.artifact(Stage::Ingest);
-    let frames = frames.table(&tables::FRAMES).unwrap().read_all().unwrap();
+    let frames = frames
+        .table(FrameRow::<PlanarColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let scenes = place.artifact(Stage::Scenes);
     let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
     let turn = std::f64::consts::TAU;
@@ -126,7 +136,11 @@ fn budgets_say_what_was_reached_by_then() {
         let path = place.path().join(object["artifact"].as_str().unwrap());
         let artifact = re4_artifact::Artifact::open(&path).unwrap();
         let read = |table| artifact.table(table).unwrap().read_all().unwrap();
-        let (results, steps, budgets) = (read(&tables::RESULTS), read(&tables::STEPS), read(&tables::BUDGETS));
+        let (results, steps, budgets) = (
+            crate::support::results(&artifact),
+            crate::support::steps(&artifact),
+            read(re4_stages::tables::of(re4_artifact::Stage::Rollout).pop().unwrap()),
+        );
         assert_eq!(col_u32(&budgets, "budget").unwrap(), expected);
         let numbers = col_u32(&results, "seed").unwrap();
         assert!(

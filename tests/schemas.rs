@@ -30,16 +30,16 @@ fn a_check_finds_what_is_stale_and_writes_nothing() {
     let file = place.path().join("described/frames.json");
     let stale = fs::read_to_string(&file).unwrap().replace("px", "pixel");
     fs::write(&file, &stale).unwrap();
-    fs::remove_file(place.path().join("described/modes.json")).unwrap();
+    fs::remove_file(place.path().join("described/modes-plane.json")).unwrap();
     let answer = place.run("schemas described --check");
     assert_eq!(answer.code, Some(1));
     assert_eq!(
         answer.stdout,
-        "out of date in described: frames.json, modes.json; run re4-pipe schemas\n"
+        "out of date in described: frames.json, modes-plane.json; run re4-pipe schemas\n"
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), stale);
     let object = place.run("schemas described --check --json").json();
-    assert_eq!(object["stale"], serde_json::json!(["frames.json", "modes.json"]));
+    assert_eq!(object["stale"], serde_json::json!(["frames.json", "modes-plane.json"]));
 }
 
 /// Read with the Parquet library alone, so that the descriptions are compared with the files and not with themselves.
@@ -71,9 +71,9 @@ fn the_schemas_describe_the_columns_that_are_written() {
     );
     place.run("index can.toml").done();
     let compared = compare_with_schemas(&place);
-    let missing: Vec<&str> = re4_stages::tables::all()
-        .map(|(_, table)| table.name)
-        .filter(|name| !compared.contains(*name))
+    let missing: Vec<String> = re4_stages::tables::all()
+        .map(|(_, table)| table.title())
+        .filter(|title| !compared.contains(title))
         .collect();
     // The invented demonstrations have neither simulator states nor pictures; encoders and rollouts in robosuite's simulator
     // are tested elsewhere.
@@ -83,15 +83,15 @@ fn the_schemas_describe_the_columns_that_are_written() {
             "left_out",
             "states",
             "models",
-            "camera_images",
-            "spatial_poses",
+            "results-space",
+            "steps-space",
+            "decisions-space",
+            "decisions_re4-space",
+            "replays-space",
+            "divergence-space",
+            "poses-space",
             "training",
             "pose_errors",
-            "spatial_results",
-            "spatial_steps",
-            "spatial_decisions",
-            "spatial_replays",
-            "spatial_divergence"
         ],
         "every other table is written by some stage"
     );

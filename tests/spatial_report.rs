@@ -8,7 +8,7 @@ use std::process::Command;
 
 use crate::support::{Answer, Place, filters, folders_in, repository, scripted_and_simulators};
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_text, col_u32};
 use serde_json::Value;
 
 fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
@@ -75,9 +75,8 @@ fn the_page_holds_what_the_artifact_holds() {
     assert!(page.contains(&stated), "{stated}");
     assert!(page.contains("10 chosen demonstrations") && page.contains("MuJoCo 2.3.7"));
     let shown = &data_of(&page)["artifacts"][0];
-    let table = |spec| artifact.table(spec).unwrap().read_all().unwrap();
-    let results = table(&tables::SPATIAL_RESULTS);
-    for name in ["seed", "steps", "decisions", "demos", "losses", "banned"] {
+    let results = crate::support::results(&artifact);
+    for name in ["seed", "steps", "decisions"] {
         assert_eq!(
             shown["rollouts"][name],
             serde_json::json!(col_u32(&results, name).unwrap()),
@@ -86,7 +85,17 @@ fn the_page_holds_what_the_artifact_holds() {
     }
     let f64s = |packed: &Value| numbers(packed, |b| f64::from_le_bytes(b.try_into().unwrap()), 8);
     let f32s = |packed: &Value| numbers(packed, |b| f32::from_le_bytes(b.try_into().unwrap()), 4);
-    let decisions = table(&tables::SPATIAL_DECISIONS);
+    let decisions = crate::support::decisions(&artifact);
+    let (seed_of, kinds) = (
+        col_u32(&decisions, "seed").unwrap(),
+        col_text(&decisions, "kind").unwrap(),
+    );
+    let lost = |seed: &u32| {
+        let own = seed_of.iter().zip(&kinds).filter(|(other, _)| *other == seed);
+        own.filter(|(_, kind)| **kind == Some("grasp_lost")).count()
+    };
+    let losses: Vec<usize> = col_u32(&results, "seed").unwrap().iter().map(lost).collect();
+    assert_eq!(shown["rollouts"]["losses"], serde_json::json!(losses));
     for name in ["d_q", "d_o", "d_e"] {
         let expected = col_f64_or_null(&decisions, name).unwrap();
         let found = f64s(&shown["decisions"][name])
@@ -96,7 +105,7 @@ fn the_page_holds_what_the_artifact_holds() {
     }
     let reasons: Vec<&str> = col_text(&decisions, "reason").unwrap().into_iter().flatten().collect();
     assert_eq!(shown["decisions"]["reason"], serde_json::json!(reasons));
-    let steps = table(&tables::SPATIAL_STEPS);
+    let steps = crate::support::steps(&artifact);
     let z: Vec<f32> = f32s(&shown["steps"]["object"]).into_iter().skip(2).step_by(7).collect();
     let expected: Vec<f32> = col_f64(&steps, "object_z").unwrap().iter().map(|v| *v as f32).collect();
     assert_eq!(z, expected);
@@ -212,7 +221,7 @@ fn the_film_is_the_rollout() {
     }
     let told = answer.done().json();
     let artifact = Artifact::open(&place.path().join(&folder)).unwrap();
-    let results = artifact.table(&tables::SPATIAL_RESULTS).unwrap().read_all().unwrap();
+    let results = crate::support::results(&artifact);
     // At this speed every fourth state is shown, and the last.
     let longest = col_u32(&results, "steps").unwrap()[..2].iter().max().copied().unwrap();
     assert_eq!(

@@ -26,8 +26,14 @@ class Artifact:
 
     def __init__(self, folder):
         self.manifest = json.loads((folder / "manifest.json").read_text())
-        tables = {name: pl.read_parquet(folder / f"spatial_{name}.parquet") for name in ["results", "steps", "decisions"]}
-        self.results, self.steps, self.decisions = tables["results"], tables["steps"], tables["decisions"]
+        tables = {name: pl.read_parquet(folder / f"{name}.parquet") for name in ["results", "steps", "decisions"]}
+        self.steps = tables["steps"]
+        details = pl.read_parquet(folder / "decisions_re4.parquet")
+        self.decisions = tables["decisions"].join(details, on=["seed", "decision"], maintain_order="left")
+        counted = self.decisions.group_by("seed").agg(
+            demos=pl.col("demo").drop_nulls().n_unique(), losses=(pl.col("kind") == "grasp_lost").sum(), banned=pl.col("banned").last()
+        )
+        self.results = tables["results"].join(counted, on="seed", how="left", maintain_order="left")
 
     def of(self, seed):
         return [table.filter(pl.col("seed") == seed) for table in (self.steps, self.decisions)]

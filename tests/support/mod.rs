@@ -6,8 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use arrow::array::{ArrayRef, RecordBatch};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use re4_artifact::{Artifact, Stage};
+use re4_artifact::{Artifact, Row as _, Stage};
+use re4_policy::kinds::{PlaneRe4Row, SpaceRe4Row};
+use re4_rollout::{PlaneDecisionRow, PlaneResultRow, PlaneStepRow, SpaceDecisionRow, SpaceResultRow, SpaceStepRow};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -443,10 +446,13 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
                     continue;
                 }
                 let name = file.file_stem().unwrap().to_str().unwrap();
-                let path = repository().join(format!("schemas/{name}.json"));
+                let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
+                // Where domains share the name of a table, the file says which it is of.
+                let domain = reader.schema().metadata().get("re4.domain").cloned();
+                let title = domain.map_or(name.to_owned(), |domain| format!("{name}-{domain}"));
+                let path = repository().join(format!("schemas/{title}.json"));
                 let described: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
                 assert_eq!(described["file"], format!("{name}.parquet"));
-                let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
                 let found: Vec<[String; 5]> = reader
                     .schema()
                     .fields()
@@ -473,8 +479,8 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
                         [text("name"), text("arrow_type"), nullable, text("unit"), text("frame")]
                     })
                     .collect();
-                assert_eq!(found, columns, "{name}");
-                compared.insert(name.to_owned());
+                assert_eq!(found, columns, "{title}");
+                compared.insert(title);
             }
         }
     }
@@ -516,4 +522,70 @@ pub(crate) fn scripted_and_simulators() -> Option<(PathBuf, PathBuf)> {
         }
     }
     Some((data, simulators.canonicalize().unwrap()))
+}
+
+/// Whether rollouts are of a robosuite task.
+fn in_space(rollouts: &Artifact) -> bool {
+    rollouts.table_named("results").unwrap().domain().as_deref() == Some("space")
+}
+
+/// How rollouts went.
+pub(crate) fn results(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceResultRow::table()
+    } else {
+        PlaneResultRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
+/// Their steps.
+pub(crate) fn steps(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceStepRow::table()
+    } else {
+        PlaneStepRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
+/// Their decisions, with what every policy tells of them.
+pub(crate) fn decisions_of(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceDecisionRow::table()
+    } else {
+        PlaneDecisionRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
+/// Their decisions, with what the table of RE4 adds, which has the same rows.
+pub(crate) fn decisions(rollouts: &Artifact) -> RecordBatch {
+    let (core, details) = if in_space(rollouts) {
+        (SpaceDecisionRow::table(), SpaceRe4Row::table())
+    } else {
+        (PlaneDecisionRow::table(), PlaneRe4Row::table())
+    };
+    let [core, details] = [core, details].map(|spec| rollouts.table(spec).unwrap().read_all().unwrap());
+    let names: Vec<String> = core
+        .schema()
+        .fields()
+        .iter()
+        .map(|field| field.name().clone())
+        .collect();
+    let mut columns: Vec<(String, ArrayRef, bool)> = Vec::new();
+    for batch in [&core, &details] {
+        for (field, column) in batch.schema().fields().iter().zip(batch.columns()) {
+            if columns.iter().all(|(name, ..)| name != field.name()) {
+                columns.push((field.name().clone(), column.clone(), true));
+            } else {
+                assert!(names.contains(field.name()));
+                assert_eq!(core.column_by_name(field.name()).unwrap(), column, "{}", field.name());
+            }
+        }
+    }
+    RecordBatch::try_from_iter_with_nullable(columns).unwrap()
 }

@@ -48,7 +48,6 @@ mod reader;
 mod rows;
 mod spec;
 mod store;
-pub mod tables;
 mod verify;
 mod writer;
 

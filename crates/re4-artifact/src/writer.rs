@@ -26,7 +26,6 @@ use crate::manifest::{FileFacts, MANIFEST_NAME, Manifest, TableFacts};
 use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
 use crate::store::Store;
-use crate::tables;
 
 /// Rows of a row group unless the caller says otherwise.
 pub const DEFAULT_ROW_GROUP_ROWS: usize = 65_536;
@@ -256,7 +255,9 @@ fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactErr
 
 /// Tables whose numbers are stored as they are: double precision of the simulator, of which zstd saves a fifth to two fifths
 /// at several times the cost of all other work of ingest (with or without byte-stream splitting).
-const PLAIN: [&str; 2] = [tables::SPATIAL_FRAMES.name, tables::STATES.name];
+fn is_plain(spec: &TableSpec) -> bool {
+    matches!((spec.name, spec.domain), ("frames", "space") | ("states", _))
+}
 
 /// Everything that decides the bytes of a Parquet file besides its rows.
 fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
@@ -276,13 +277,13 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
     for column in spec.columns {
         let path = ColumnPath::from(column.name);
         match column.kind {
-            ColumnKind::F64 if PLAIN.contains(&spec.name) => {
+            ColumnKind::F64 if is_plain(spec) => {
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)
                     .set_column_compression(path.clone(), Compression::UNCOMPRESSED)
                     .set_column_statistics_enabled(path, EnabledStatistics::Chunk);
             }
-            ColumnKind::F64List if PLAIN.contains(&spec.name) => {
+            ColumnKind::F64List if is_plain(spec) => {
                 let path = ColumnPath::new(vec![column.name.to_owned(), "list".to_owned(), "element".to_owned()]);
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)

@@ -11,9 +11,9 @@ mod common;
 use common::{EVERY_KIND, Row, SCALES, columns, files, publish_sample, recipe, sample_rows};
 use proptest::prelude::*;
 use re4_artifact::{
-    Artifact, ArtifactError, ColumnKind, ColumnSpec, Columns, Facts, Recipe, Stage, Store, TableSpec, col_binary,
-    col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null, col_u64,
-    json_description, tables, verify,
+    Artifact, ArtifactError, ColumnKind, ColumnSpec, Columns, Facts, Recipe, Row as _, Stage, Store, TableSpec,
+    col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null, col_u64,
+    json_description, table, verify,
 };
 use re4_fault::Remedy as _;
 use serde_json::json;
@@ -174,44 +174,54 @@ fn several_tables_are_open_at_once() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = store.begin(&Recipe::new(Stage::Ingest, 1)).unwrap();
-    let mut images = writer.table_in_groups(&tables::IMAGES, 10).unwrap();
-    let mut episodes = writer.table(&tables::EPISODES).unwrap();
+    let mut images = writer.rows_in_groups::<PictureRow>(10).unwrap();
+    let mut episodes = writer.rows::<CountRow>().unwrap();
     for episode in 0..3u32 {
-        let pictures: Vec<Vec<u8>> = (0..25).map(|i| vec![i; 30]).collect();
-        images
-            .write_columns(
-                Columns::new(&tables::IMAGES)
-                    .u32("episode", vec![episode; 25])
-                    .u32("frame", (0..25).collect())
-                    .binary("image", &pictures),
-            )
-            .unwrap();
-        episodes
-            .write_columns(
-                Columns::new(&tables::EPISODES)
-                    .u32("frames", vec![25])
-                    .u32("source_episode", vec![episode])
-                    .u32("episode", vec![episode]),
-            )
-            .unwrap();
+        let pictures = (0..25).map(|frame| PictureRow {
+            episode,
+            frame,
+            image: vec![frame as u8; 30],
+        });
+        images.extend(pictures).unwrap();
+        episodes.push(&CountRow { episode, frames: 25 }).unwrap();
     }
     images.finish().unwrap();
     episodes.finish().unwrap();
     let artifact = writer.publish(Facts::default()).unwrap();
-    let images = artifact.table(&tables::IMAGES).unwrap();
+    let images = artifact.table(PictureRow::table()).unwrap();
     assert_eq!((images.rows(), images.row_groups()), (75, 8));
-    let one = images.read_rows(33..34).unwrap();
-    assert_eq!(col_u32(&one, "episode").unwrap(), [1]);
-    assert_eq!(col_binary(&one, "image").unwrap().value(0), [8; 30]);
-    let counts = artifact
-        .table(&tables::EPISODES)
-        .unwrap()
-        .read_columns(&["frames"])
-        .unwrap();
+    let one: Vec<PictureRow> = images.read_range(33..34).unwrap();
+    assert_eq!((one[0].episode, &one[0].image[..]), (1, &[8; 30][..]));
+    let counts = artifact.table(CountRow::table()).unwrap();
+    let counts = counts.read_columns(&["frames"]).unwrap();
     assert_eq!(
         (counts.num_columns(), col_u32(&counts, "frames").unwrap()),
         (1, &[25, 25, 25][..])
     );
+}
+
+table! {
+    /// Pictures.
+    #[table("pictures", version = 1)]
+    pub struct PictureRow {
+        /// Demonstration.
+        pub episode: u32,
+        /// Frame.
+        pub frame: u32,
+        /// Its picture.
+        pub image: Vec<u8>,
+    }
+}
+
+table! {
+    /// Lengths.
+    #[table("counts", version = 1)]
+    pub struct CountRow {
+        /// Demonstration.
+        pub episode: u32,
+        /// Its frames.
+        pub frames: u32,
+    }
 }
 
 #[test]
@@ -360,8 +370,11 @@ fn columns_that_are_not_there_are_refused_by_name() {
         said(col_f64(&rows, "maybe")),
         "column maybe of table every_kind is null in row 0; read it as a column with nulls"
     );
-    let missing = artifact.table(&tables::FRAMES).unwrap_err().sentence();
-    assert!(missing.ends_with("has no table frames; it has every_kind"), "{missing}");
+    let missing = artifact.table(PictureRow::table()).unwrap_err().sentence();
+    assert!(
+        missing.ends_with("has no table pictures; it has every_kind"),
+        "{missing}"
+    );
     let beyond = table.read_rows(3..9).unwrap_err().sentence();
     assert!(
         beyond.contains("cannot read rows 3..9 of ") && beyond.ends_with("the table has 5 rows"),

@@ -1,5 +1,6 @@
 //! The vocabulary: tasks, modes, frames, episodes and segments. No input or output.
 
+mod names;
 mod spatial;
 
 use std::fmt;
@@ -9,6 +10,7 @@ use re4_geometry::{Point2, Pose2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use names::DemoNames;
 pub use spatial::{SpatialEpisode, SpatialFrame};
 
 /// Manipulation mode of a frame (paper, section "Manipulation Modes").

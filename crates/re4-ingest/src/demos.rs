@@ -7,7 +7,8 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::error::IngestError;
-use crate::left_out::{LeftOut, refusal};
+use crate::left_out::refusal;
+use crate::tables::{LeftOut, PlanarColumns, SpatialColumns};
 use crate::warning::{Warning, WarningCode};
 
 /// A dataset of one format, opened: which of its demonstrations are asked for is known, and that they can be read.
@@ -129,70 +130,23 @@ pub struct Episode {
     pub skipped: Vec<String>,
 }
 
-/// The frames of a demonstration, by where the task is: each column has an entry a frame.
+/// The frames of a demonstration, by where the task is.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Frames {
     /// In a plane.
-    Planar(PlanarFrames),
+    Planar(Vec<PlanarColumns>),
     /// In space.
-    Spatial(SpatialFrames),
+    Spatial(Vec<SpatialColumns>),
 }
 
 impl Frames {
     /// Their number.
     pub fn count(&self) -> usize {
         match self {
-            Self::Planar(frames) => frames.eef.len(),
-            Self::Spatial(frames) => frames.gripper.len(),
+            Self::Planar(frames) => frames.len(),
+            Self::Spatial(frames) => frames.len(),
         }
     }
-}
-
-/// Number of keypoints of Push-T's block.
-pub const KEYPOINTS: usize = 9;
-
-/// Frames of a task in the plane: pixels, y downwards, and radians.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct PlanarFrames {
-    /// Position of the end effector.
-    pub eef: Vec<[f64; 2]>,
-    /// Position and angle of the object, where they are known.
-    pub object: Option<Vec<[f64; 3]>>,
-    /// Absolute target of the end effector.
-    pub action: Vec<[f64; 2]>,
-    /// Contact points counted in the control step that led to the frame, where they are recorded.
-    pub contacts: Option<Vec<f64>>,
-    /// Keypoints of the block, where they are recorded.
-    pub keypoints: Option<Vec<[[f64; 2]; KEYPOINTS]>>,
-}
-
-/// Frames of a task in space: the world frame of the simulator, metres and radians. The end effector is the grip site, the frame
-/// of the controller's goals; a gripper command above 0 closes, one below 0 opens. What the source has in another frame or
-/// with another sign is kept beside it.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct SpatialFrames {
-    /// Position of the grip site.
-    pub eef_position: Vec<[f64; 3]>,
-    /// Orientation of the grip site, x, y, z, w.
-    pub eef_quaternion: Vec<[f64; 4]>,
-    /// The recorded orientation, x, y, z, w, where it is that of another frame.
-    pub raw_eef_quaternion: Option<Vec<[f64; 4]>>,
-    /// Joint positions of the fingers.
-    pub fingers: Vec<[f64; 2]>,
-    /// Position of the object, then its quaternion x, y, z, w, where they are known.
-    pub object: Option<Vec<[f64; 7]>>,
-    /// Delta actions without the gripper's command.
-    pub delta: Vec<[f64; 6]>,
-    /// Absolute actions without the gripper's command.
-    pub goal: Vec<[f64; 6]>,
-    /// Gripper commands.
-    pub gripper: Vec<f64>,
-    /// The recorded gripper commands, where their sign or range is another.
-    pub raw_gripper: Option<Vec<f64>>,
-    /// Rewards, where they are recorded.
-    pub rewards: Option<Vec<f64>>,
-    /// Whether a step was recorded as the last or as a success, where it was.
-    pub dones: Option<Vec<bool>>,
 }
 
 /// Consecutive images of a camera.

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::tables::LeftOut;
+
 /// What to do with a demonstration that cannot be read, or that contradicts the others.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -12,15 +14,6 @@ pub enum OnBad {
     Refuse,
     /// Go on with the others; the artifact lists those that were left out.
     LeaveOut,
-}
-
-/// A demonstration that cannot be used, and why.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LeftOut {
-    /// Its name in the source: a group such as `demo_12`, or `episode 12` of Push-T.
-    pub demo: String,
-    /// What is wrong with it, one sentence with the remedy, without the path of the dataset.
-    pub why: String,
 }
 
 /// Demonstrations that are named one by one in a sentence.

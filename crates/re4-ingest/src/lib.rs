@@ -17,15 +17,18 @@ pub mod robomimic;
 mod selection;
 mod source;
 mod store;
+mod tables;
 mod warning;
 mod zarr;
 
-pub use demos::{
-    DemoName, DemoSource, Episode, Frames, ImageBlock, Info, KEYPOINTS, Matrix, PlanarFrames, SpatialFrames, Tally,
-};
+pub use demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Matrix, Tally};
 pub use error::{Fault, IngestError};
-pub use left_out::{LeftOut, OnBad, refusal};
+pub use left_out::{OnBad, refusal};
 pub use name::{Pick, SourceName};
 pub use selection::{EpisodeRange, Selection, SelectionError};
 pub use source::{SourceFile, Stop};
+pub use tables::{
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, ModelRow, PlanarColumns, SpatialColumns,
+    StateRow,
+};
 pub use warning::{Warning, WarningCode};

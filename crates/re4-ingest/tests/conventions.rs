@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Layout, Reading, RobomimicReader, Sources};
-use re4_ingest::{IngestError, LeftOut, SpatialFrames, refusal};
+use re4_ingest::{IngestError, LeftOut, SpatialColumns, refusal};
 use re4_robosuite::conventions::{ActionFrame, ActionScale, GripperRange, InitialGoal, RobosuiteTask, Settings};
 
 /// A file below the folder of the datasets, if it is at hand.
@@ -39,7 +39,7 @@ fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
     RobomimicReader::open(&Sources::open(path)?, &DemoChoice::default(), Access::Library)
 }
 
-type Columns = Vec<(String, SpatialFrames)>;
+type Columns = Vec<(String, Vec<SpatialColumns>)>;
 
 /// The interpreter's rows of conventions and the columns of all demonstrations, or the sentence of the refusal.
 fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), String> {
@@ -70,22 +70,25 @@ fn differences(a: &Columns, b: &Columns) -> [f64; 3] {
     assert_eq!(a.len(), b.len());
     let mut most = [0.0_f64; 3];
     for ((_, a), (_, b)) in a.iter().zip(b) {
-        let frames = a.goal.len().min(b.goal.len());
-        assert!(frames > 0);
-        for t in 0..frames {
+        assert!(!a.is_empty() && !b.is_empty());
+        for (a, b) in a.iter().zip(b) {
             for axis in 0..6 {
-                most[0] = most[0].max((a.delta[t][axis] - b.delta[t][axis]).abs());
-                most[1] = most[1].max((a.goal[t][axis] - b.goal[t][axis]).abs());
+                most[0] = most[0].max((a.delta.0[axis] - b.delta.0[axis]).abs());
+                most[1] = most[1].max((a.goal.0[axis] - b.goal.0[axis]).abs());
             }
-            most[2] = most[2].max((a.gripper[t] - b.gripper[t]).abs());
+            most[2] = most[2].max((a.gripper - b.gripper).abs());
         }
     }
     most
 }
 
-fn basis(interpreter: &Interpreter, name: &str) -> (String, &'static str) {
-    let row = interpreter.conventions().iter().find(|row| row.name == name).unwrap();
-    (row.value.clone(), row.basis)
+fn basis(interpreter: &Interpreter, name: &str) -> (String, String) {
+    let row = interpreter
+        .conventions()
+        .iter()
+        .find(|row| row.convention == *name)
+        .unwrap();
+    (row.value.to_string(), row.basis.to_string())
 }
 
 #[test]
@@ -101,9 +104,15 @@ fn deltas_in_metres_are_those_of_the_controller_by_the_setting() {
         ..Settings::default()
     };
     let (interpreter, columns) = ingest(&metres, &reading("can", settings)).unwrap();
-    assert_eq!(basis(&interpreter, "action_scale"), ("metres".to_owned(), "proven"));
+    assert_eq!(
+        basis(&interpreter, "action_scale"),
+        ("metres".to_owned(), "proven".to_owned())
+    );
     let (interpreter, expected) = ingest(&control, &reading("can", Settings::default())).unwrap();
-    assert_eq!(basis(&interpreter, "action_scale"), ("controller".to_owned(), "proven"));
+    assert_eq!(
+        basis(&interpreter, "action_scale"),
+        ("controller".to_owned(), "proven".to_owned())
+    );
     let most = differences(&columns, &expected);
     assert!(most.iter().all(|most| *most < 1e-9), "{most:?}");
     let refused = ingest(&control, &reading("can", settings)).err().unwrap();
@@ -124,7 +133,10 @@ fn gripper_commands_from_0_to_1_are_those_of_robosuite_by_the_setting() {
         ..Settings::default()
     };
     let (interpreter, columns) = ingest(&zero_one, &reading("lift", settings)).unwrap();
-    assert_eq!(basis(&interpreter, "gripper_range"), ("zero_one".to_owned(), "proven"));
+    assert_eq!(
+        basis(&interpreter, "gripper_range"),
+        ("zero_one".to_owned(), "proven".to_owned())
+    );
     let (_, expected) = ingest(&control, &reading("lift", Settings::default())).unwrap();
     assert_eq!(differences(&columns, &expected), [0.0; 3]);
 }
@@ -139,7 +151,10 @@ fn goals_in_the_base_s_frame_are_the_controller_s_by_the_setting() {
         ..Settings::default()
     };
     let (interpreter, columns) = ingest(&in_base, &reading("lift", settings)).unwrap();
-    assert_eq!(basis(&interpreter, "action_frame"), ("base".to_owned(), "proven"));
+    assert_eq!(
+        basis(&interpreter, "action_frame"),
+        ("base".to_owned(), "proven".to_owned())
+    );
     let (_, expected) = ingest(&control, &reading("lift", Settings::default())).unwrap();
     let [deltas, goals, gripper] = differences(&columns, &expected);
     println!("{deltas:.2e} {goals:.2e}");
@@ -162,7 +177,10 @@ fn the_raw_and_the_observed_layout_give_the_same_goals() {
     let (of_live, observed) = ingest(&live, &reading("lift", settings)).unwrap();
     let (of_raw, states) = ingest(&raw, &reading("lift", settings)).unwrap();
     for interpreter in [&of_live, &of_raw] {
-        assert_eq!(basis(interpreter, "initial_goal"), ("reset_pose".to_owned(), "proven"));
+        assert_eq!(
+            basis(interpreter, "initial_goal"),
+            ("reset_pose".to_owned(), "proven".to_owned())
+        );
     }
     let most = differences(&observed, &states);
     println!("{most:?}");

@@ -4,6 +4,11 @@ use re4_index::AngleMetric;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::kinds::SettingError;
+
+/// Shorter steps would cut a way across the window into more way-points than any episode has steps.
+const SHORTEST: f64 = 0.01;
+
 /// A policy of the Retrieve-Reframe-Replan-Replay family. Every step can be switched off alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -114,21 +119,7 @@ pub struct ReplayConfig {
     pub divergence: Option<f64>,
 }
 
-/// Names of the presets.
-pub const PRESETS: [&str; 3] = ["paper", "re4", "re2"];
-
 impl PolicyConfig {
-    /// A preset by name: `paper` (the paper's words and constants), `re4` (the best found, see the documentation for
-    /// what departs from the paper and what it gains), `re2` (`paper` without Reframe and Replan).
-    pub fn preset(name: &str) -> Option<Self> {
-        match name {
-            "paper" => Some(Self::paper()),
-            "re4" => Some(Self::re4()),
-            "re2" => Some(Self::re2()),
-            _ => None,
-        }
-    }
-
     /// The paper's method and constants; where the paper gives none, the choice is ours and documented.
     pub fn paper() -> Self {
         Self {
@@ -186,5 +177,37 @@ impl PolicyConfig {
         config.replay.speed = 20.0;
         config.replay.divergence = Some(8.0);
         config
+    }
+
+    /// Looks every number over.
+    ///
+    /// # Errors
+    /// The first under which a policy could not do its work, such as way-points with no distance between them.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let (retrieve, replan, replay) = (&self.retrieve, &self.replan, &self.replay);
+        let count = |setting, value: u64| SettingError::unless(value >= 1, setting, value, "give 1 or more");
+        let number = |setting, value: f64| SettingError::unless(value >= 0.0, setting, value, "give 0 or more");
+        let length = |setting, value: f64| {
+            SettingError::unless(value >= SHORTEST, setting, format!("{value} px"), "give 0.01 or more")
+        };
+        count("retrieve.candidates", retrieve.candidates as u64)?;
+        count("replan.iterations", u64::from(replan.iterations))?;
+        count("replay.horizon", replay.horizon as u64)?;
+        count("replay.stride", replay.stride as u64)?;
+        number("retrieve.epsilon", retrieve.epsilon)?;
+        number("retrieve.step_cost", retrieve.step_cost)?;
+        number("retrieve.motion_cost", retrieve.motion_cost)?;
+        number("replan.keepout", replan.keepout)?;
+        number("replay.divergence", replay.divergence.unwrap_or(0.0))?;
+        length("replan.step", replan.step)?;
+        length("replan.spacing", replan.spacing)?;
+        length("replay.speed", replay.speed)?;
+        let share = (0.0..=1.0).contains(&replan.goal_bias);
+        SettingError::unless(
+            share,
+            "replan.goal_bias",
+            replan.goal_bias,
+            "it is a share, from 0 to 1",
+        )
     }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use re4_episode::{Mode, PlanarFrame};
 
-use crate::names::DemoNames;
+use re4_episode::DemoNames;
 
 /// Frames of all demonstrations, one after the other, with their modes.
 #[derive(Debug, Clone, Default)]

@@ -1,8 +1,9 @@
 //! Reframe, Replan, Replay, and the baselines.
 
+mod artifact;
 mod config;
 mod demos;
-mod names;
+pub mod kinds;
 mod open_loop;
 mod outcome;
 mod path;
@@ -13,17 +14,19 @@ mod replan;
 pub mod spatial;
 mod visibility;
 
+pub use artifact::read_scales;
 pub use config::{
-    PRESETS, Planner, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig, Selector, Tracking,
+    Planner, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig, Selector, Tracking,
 };
 pub use demos::DemoSet;
-pub use names::DemoNames;
 pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
 pub use policy::{Decision, Knowledge, Re4, Re4Factory};
 pub use pusher::{PusherModel, PusherState};
 pub use reframe::{Reframed, reframe, without_reframe};
 pub use replan::{Obstacle, Plan, PlanKind, plan};
+
+pub use re4_episode::DemoNames;
 
 use re4_episode::Mode;
 use re4_rollout::PolicyError;

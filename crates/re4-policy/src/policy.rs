@@ -14,12 +14,12 @@ use re4_sim::{GOAL, coverage, depth_in_walls};
 use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::demos::DemoSet;
-use crate::names::DemoNames;
 use crate::outcome::{Body, Chunk, ChunkLibrary};
 use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
+use re4_episode::DemoNames;
 
 /// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
 const PLANS_TRIED: usize = 8;

@@ -10,9 +10,10 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::Mode;
 use re4_geometry::spatial::{Symmetry, pose_distance, rotation_vector};
+use re4_policy::kinds::{Kinds as _, SpacePolicy};
 use re4_policy::spatial::{
-    ObjectEstimate, PoseFilterConfig, SPATIAL_PRESETS, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig,
-    SpatialRe4, TransferReplay, reframe_spatial,
+    ObjectEstimate, PoseFilterConfig, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4,
+    TransferReplay, reframe_spatial,
 };
 use re4_policy::{DemoNames, LookupError};
 use re4_rollout::{ArmState, Phase, PolicyError, PoseNoise};
@@ -292,10 +293,10 @@ type Edit = fn(&mut SpatialPolicyConfig);
 
 #[test]
 fn presets_are_sound_and_bad_settings_are_named() {
-    for name in SPATIAL_PRESETS {
-        assert_eq!(SpatialPolicyConfig::preset(name).unwrap().check(), Ok(()));
+    for name in SpacePolicy::NAMES {
+        assert_eq!(SpacePolicy::defaults(name).unwrap().settings().check(false), Ok(()));
     }
-    assert!(SpatialPolicyConfig::preset("diffusion").is_none());
+    assert!(SpacePolicy::defaults("nothing").is_none());
     let edits: [(Edit, &str); 7] = [
         (
             |c| c.retrieve.translation_scale = 0.0,
@@ -326,7 +327,7 @@ fn presets_are_sound_and_bad_settings_are_named() {
     for (edit, told) in edits {
         let mut config = SpatialPolicyConfig::re4();
         edit(&mut config);
-        assert_eq!(config.check().unwrap_err().to_string(), told);
+        assert_eq!(config.check(false).unwrap_err().to_string(), told);
     }
 }
 

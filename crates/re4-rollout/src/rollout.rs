@@ -154,9 +154,9 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
 }
 
 /// What policies are rolled out in.
-pub struct Harness<'a, D: Domain> {
+pub struct Harness<'a, 'e, D: Domain> {
     /// Makes the simulation of a start, in the thread that rolls it out.
-    pub env: &'a (dyn Fn(&Start<D>) -> Result<Box<dyn Env<D> + 'a>, SimError> + Sync),
+    pub env: &'a (dyn Fn(&Start<D>) -> Result<Box<dyn Env<D> + 'e>, SimError> + Sync),
     /// Where the object's pose comes from in the episode of a seed.
     pub source: &'a (dyn Fn(u32) -> Source<D> + Sync),
     /// Control steps an episode lasts at most.
@@ -175,7 +175,7 @@ pub struct Harness<'a, D: Domain> {
 /// The first error in the order of `starts`.
 pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
     factory: &F,
-    harness: &Harness<'_, D>,
+    harness: &Harness<'_, '_, D>,
     starts: &[Start<D>],
 ) -> Result<Vec<Rollout<D, <F::Policy as Policy<D>>::Decision>>, RolloutError> {
     let one = |start: &Start<D>| {

@@ -149,7 +149,7 @@ fn verdicts_at_every_edge_are_equal() {
                 .unwrap();
             assert_eq!(u8::from(simulation.success()), verdict, "{} row {row}", trace.name);
         }
-        let successes = theirs.iter().filter(|&&verdict| verdict == 1).count();
+        let successes: usize = theirs.iter().map(|&verdict| usize::from(verdict)).sum();
         println!(
             "{:22} {successes} successes among {} equal verdicts",
             trace.name,

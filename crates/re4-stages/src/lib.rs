@@ -22,11 +22,11 @@ pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
 pub use notes::{Notes, print_error, told};
 pub use pipeline::{
-    Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, PoseSection, PoseSource, RolloutSection,
-    Seeds, SpatialRolloutSection, Task, Variant, schema,
+    Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
+    RolloutSection, Seeds, Task, Variant, schema,
 };
 pub use runner::{Built, Runner, Settings};
 pub use stages::{
-    BUDGET_MEASURES, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
+    BudgetRow, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
     SpatialReplay, metrics, read_rollouts, serve_ingest,
 };

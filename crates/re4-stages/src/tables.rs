@@ -1,33 +1,33 @@
 //! The tables of every artifact.
 
-use re4_artifact::tables::{
-    BUDGETS, CAMERA_IMAGES, CONVENTIONS, DECISIONS, DEMOS, EPISODES, FRAMES, IMAGES, LEFT_OUT, MODELS, RESULTS,
-    SPATIAL_DECISIONS, SPATIAL_FRAMES, SPATIAL_RESULTS, SPATIAL_STEPS, STATES, STEPS,
-};
 use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
-use re4_policy::Chunk;
+use re4_ingest::{
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
+};
+use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
 use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
 
-use crate::stages::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
+use crate::stages::{
+    BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay,
+};
 
 /// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
     match stage {
         Stage::Ingest => vec![
-            &EPISODES,
-            &FRAMES,
-            &IMAGES,
-            &SPATIAL_FRAMES,
-            &DEMOS,
-            &CONVENTIONS,
-            &LEFT_OUT,
-            &STATES,
-            &MODELS,
-            &CAMERA_IMAGES,
+            EpisodeRow::table(),
+            FrameRow::<PlanarColumns>::table(),
+            FrameRow::<SpatialColumns>::table(),
+            ImageRow::table(),
+            DemoRow::table(),
+            Convention::table(),
+            LeftOut::table(),
+            StateRow::table(),
+            ModelRow::table(),
         ],
         Stage::Segment => vec![
             ModeRow::<Evidence>::table(),
@@ -48,15 +48,12 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             Chunk::table(),
         ],
         Stage::Scenes => vec![SceneRow::table()],
-        Stage::Rollout => vec![
-            &RESULTS,
-            &STEPS,
-            &DECISIONS,
-            &BUDGETS,
-            &SPATIAL_RESULTS,
-            &SPATIAL_STEPS,
-            &SPATIAL_DECISIONS,
-        ],
+        Stage::Rollout => [
+            re4_rollout::tables().to_vec(),
+            kinds::tables(),
+            vec![BudgetRow::table()],
+        ]
+        .concat(),
         Stage::Replay => vec![
             ReplayRow::<PlanarReplay>::table(),
             ReplayRow::<SpatialReplay>::table(),
@@ -122,6 +119,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 39);
+        assert_eq!(names.len(), 38);
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
 use re4_fault::Remedy as _;
@@ -17,8 +17,9 @@ use re4_sim::robosuite::{Placement, RobosuiteStep};
 
 use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
+use crate::pipeline::Policy;
 use crate::runner::{Built, Runner, Settings};
-use crate::stages::{Watching, studio};
+use crate::stages::{Made, Watching, studio};
 
 /// What an invented encoder says: of an image, and, as no real one can, of the object's true pose in it.
 pub type Estimate = Arc<dyn Fn(&[u8], &Isometry3<f64>) -> Isometry3<f64> + Send + Sync>;
@@ -121,12 +122,21 @@ impl Invented<'_> {
             let modes = runner.segment(&episodes)?;
             let poses = self.poses()?;
             let index = runner.index_spatial(&episodes, &modes, Some(&poses))?;
+            let policy = runner.pipeline.policy()?;
+            let Policy::Space(policy) = policy else {
+                bail!("{} is a policy of the plane", policy.kind());
+            };
             let watching = Watching {
-                poses: &poses,
                 open: &open,
                 through: |env| Box::new(Betraying(env)),
             };
-            runner.rollout_watching(&episodes, Some(&watching), &index)
+            let made = Made {
+                episodes: &episodes,
+                poses: Some(&poses),
+                scenes: None,
+                inputs: &[index],
+            };
+            runner.rollout_watching(policy, &made, Some(&watching))
         };
         made().map(|built| built.artifact.path().to_owned()).map_err(told)
     }
@@ -146,7 +156,7 @@ pub fn pictures(
     let drawn = || -> Result<Vec<Vec<u8>>> {
         let runner = runner(pipeline, &[], artifacts)?;
         let task = runner.pipeline.task.robosuite().context("no simulator for this task")?;
-        let fidelity = runner.pipeline.spatial_rollout()?.fidelity;
+        let fidelity = runner.pipeline.rollout()?.fidelity;
         let episodes = runner.ingest()?.artifact;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
         let camera = runner.pipeline.pose()?.encoder().camera.clone();

@@ -153,3 +153,17 @@ floats!(
         UnitQuaternion::new_unchecked(Quaternion::new(qw, qx, qy, qz)),
     )
 );
+
+floats!(
+    UnitQuaternion<f64>,
+    "space",
+    4,
+    [
+        ("qx", "quaternion x", ""),
+        ("qy", "quaternion y", ""),
+        ("qz", "quaternion z", ""),
+        ("qw", "quaternion w", ""),
+    ],
+    |rotation| rotation.coords.into(),
+    |parts| Self::new_unchecked(Quaternion::from(parts))
+);

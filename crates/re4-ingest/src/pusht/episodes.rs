@@ -5,7 +5,7 @@ use std::ops::Range;
 use re4_episode::{PlanarEpisode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 
-use crate::demos::KEYPOINTS;
+use crate::tables::KEYPOINTS;
 
 /// The selected episodes, validated, as columns with one entry a frame. Episodes follow each other in dataset order.
 #[derive(Debug, Clone, Default, PartialEq)]

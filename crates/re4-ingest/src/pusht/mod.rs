@@ -15,7 +15,7 @@ mod source;
 mod validate;
 mod writer;
 
-pub use crate::demos::KEYPOINTS;
+pub use crate::tables::KEYPOINTS;
 pub use conventions::{ActionKind, AngleUnit, PushtConventions};
 pub use episodes::PushtEpisodes;
 pub use images::{IMAGE_BUDGET, ImageBlock, ImageBlocks};

@@ -10,12 +10,14 @@ use super::follow;
 use super::images::{ImageBlocks, ImageSource};
 use super::settle::{covers, lost_episodes, of_episodes, settle};
 use super::validate::{self, Notes};
-use crate::demos::{Info, KEYPOINTS};
+use crate::demos::Info;
 use crate::error::{Fault, IngestError};
-use crate::left_out::{LeftOut, OnBad};
+use crate::left_out::OnBad;
 use crate::selection::Selection;
 use crate::source::Stop;
 use crate::store::Store;
+use crate::tables::KEYPOINTS;
+use crate::tables::LeftOut;
 use crate::warning::Warning;
 use crate::zarr::{Absent, Element, Lost, ZarrArray};
 

@@ -6,7 +6,8 @@ use super::episodes::PushtEpisodes;
 use super::reader::{PushtOptions, PushtReading};
 use super::validate::{self, Notes};
 use crate::error::Fault;
-use crate::left_out::{LeftOut, OnBad};
+use crate::left_out::OnBad;
+use crate::tables::LeftOut;
 use crate::zarr::Lost;
 
 /// Refuses what cannot be used, or leaves it out.

@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
+use re4_geometry::Point2;
 use serde_json::{Map, json};
 
-use super::episodes::PushtEpisodes;
 use super::reader::{PushtOptions, PushtReader, PushtReading};
-use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, PlanarFrames, Tally};
+use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Tally};
 use crate::error::IngestError;
-use crate::left_out::LeftOut;
 use crate::name::SourceName;
 use crate::selection::Selection;
+use crate::tables::{LeftOut, PlanarColumns};
 use crate::warning::Warning;
 
 /// What the camera of the one array of images is called.
@@ -70,25 +70,17 @@ impl PushtSource {
     }
 
     fn episode(&self, name: &DemoName, number: usize) -> Episode {
-        let PushtEpisodes {
-            frames,
-            state,
-            action,
-            contacts,
-            keypoint,
-            ..
-        } = &self.reading.episodes;
-        let frames = frames[number].clone();
-        let state = &state[frames.clone()];
+        let episodes = &self.reading.episodes;
+        let frame = |i: usize| PlanarColumns {
+            eef: episodes.agent(i),
+            object: Some(episodes.block(i)),
+            action: Point2::new(episodes.action[i][0], episodes.action[i][1]),
+            contacts: episodes.contacts.as_ref().map(|contacts| contacts[i]),
+            keypoints: (episodes.keypoint.as_ref()).map(|points| points[i].map(|[x, y]| Point2::new(x, y))),
+        };
         Episode {
             name: name.clone(),
-            frames: Frames::Planar(PlanarFrames {
-                eef: state.iter().map(|&[x, y, ..]| [x, y]).collect(),
-                object: Some(state.iter().map(|&[.., x, y, theta]| [x, y, theta]).collect()),
-                action: action[frames.clone()].to_vec(),
-                contacts: contacts.as_ref().map(|contacts| contacts[frames.clone()].to_vec()),
-                keypoints: keypoint.as_ref().map(|keypoint| keypoint[frames].to_vec()),
-            }),
+            frames: Frames::Planar(episodes.frames[number].clone().map(frame).collect()),
             states: None,
             model: None,
             goal_errors: None,

@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 use super::episodes::PushtEpisodes;
-use crate::demos::KEYPOINTS;
 use crate::error::Fault;
+use crate::tables::KEYPOINTS;
 use crate::warning::{Warning, WarningCode};
 
 /// Smallest accepted coordinate in pixels. The window is 0 to 512; agent, block and target cannot leave it by more than

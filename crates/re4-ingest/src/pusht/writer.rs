@@ -16,9 +16,9 @@ use zarrs::storage::store::MemoryStore;
 
 use super::episodes::PushtEpisodes;
 use super::validate;
-use crate::demos::KEYPOINTS;
 use crate::error::Fault;
 use crate::source::io_mend;
+use crate::tables::KEYPOINTS;
 
 /// Rows of a chunk, as in the original dataset.
 const CHUNK: usize = 161;

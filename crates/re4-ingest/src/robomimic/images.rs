@@ -9,7 +9,7 @@ use super::file::{Element, File, Located};
 use super::reader::RobomimicReader;
 use crate::demos::{DemoName, ImageBlock};
 use crate::error::{Fault, IngestError};
-use crate::left_out::LeftOut;
+use crate::tables::LeftOut;
 
 /// Bytes of pictures in a block, unless one row of chunks has more.
 const BLOCK: usize = 8 << 20;

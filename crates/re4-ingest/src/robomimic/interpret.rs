@@ -4,8 +4,9 @@
 use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rayon::prelude::*;
+use re4_artifact::SixAxis;
 use re4_robosuite::actions::{Action, ActionError, Osc, distance};
 use re4_robosuite::conventions::{
     ActionKind, Basis, Conventions, DemoArrays, EefOrientation, GripperRange, GripperSign, InitialGoal, Learned, Proof,
@@ -18,9 +19,10 @@ use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::from_states::{FromStates, Poses};
 use super::reader::{Layout, RobomimicReader};
-use crate::demos::{Matrix, SpatialFrames};
+use crate::demos::Matrix;
 use crate::error::{Fault, IngestError};
-use crate::left_out::{LeftOut, refusal};
+use crate::left_out::refusal;
+use crate::tables::{Convention, LeftOut, SpatialColumns};
 
 /// Demonstrations that conventions are proven on.
 const PROVEN_ON: usize = 10;
@@ -38,32 +40,11 @@ pub struct Reading {
     pub conventions: Settings,
 }
 
-/// A convention of the file, as it is reported.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Convention {
-    /// What it is about.
-    pub name: String,
-    /// How it is.
-    pub value: String,
-    /// `proven`, `setting` or `declared`.
-    pub basis: &'static str,
-    /// The test, in words.
-    pub evidence: String,
-    /// What the test measured for the value, for the next best one, and what it has to be below; none without a test.
-    pub measured: Option<[f64; 3]>,
-    /// Whether there is a next best value.
-    pub rival: bool,
-    /// Unit of the three.
-    pub unit: String,
-    /// Frames that the test was made on.
-    pub frames: usize,
-}
-
 /// A demonstration as the conventions read it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Interpreted {
     /// Its frames.
-    pub frames: SpatialFrames,
+    pub frames: Vec<SpatialColumns>,
     /// Distances (metres, radians) of recorded absolute actions from those that follow from recorded delta actions, beyond
     /// the first step; none where only one kind is recorded.
     pub goal_errors: Option<Vec<(f64, f64)>>,
@@ -221,45 +202,37 @@ impl Interpreter {
         };
         let (delta, goal, goal_errors) = self.both_kinds(demo, &actions, &sites, other)?;
         let opens = self.conventions.gripper_sign == GripperSign::PositiveOpens;
-        // Not negated: what is zero stays a positive zero.
-        let canonical = |action: &Action| if opens { 0.0 - action[6] } else { action[6] };
-        let gripper: Vec<f64> = actions.iter().map(canonical).collect();
-        let recorded = demo.actions.iter().map(|action| action[6]);
-        let raw_gripper =
-            (opens || self.conventions.actions.gripper == GripperRange::ZeroOne).then(|| recorded.collect());
-        let (eef_quaternion, raw_eef_quaternion) = self.site_orientations(poses.eef_quaternion);
-        let frames = SpatialFrames {
-            eef_position: poses.eef_position,
-            eef_quaternion,
-            raw_eef_quaternion,
-            fingers: poses.fingers,
-            object: Some(object),
-            delta: delta.iter().map(arm).collect(),
-            goal: goal.iter().map(arm).collect(),
-            gripper,
-            raw_gripper,
-            rewards: demo.rewards.take(),
-            dones: demo.dones.take(),
+        let other_command = opens || self.conventions.actions.gripper == GripperRange::ZeroOne;
+        let other_frame = self.conventions.eef_orientation == EefOrientation::HandBody;
+        let frame = |t: usize| {
+            let recorded = self.recorded_rotation(poses.eef_quaternion[t]);
+            let rotation = self.conventions.eef_orientation.site(recorded);
+            let command = actions[t][6];
+            let [x, y, z, quaternion @ ..] = object[t];
+            SpatialColumns {
+                eef: Isometry3::from_parts(Translation3::from(poses.eef_position[t]), rotation),
+                object: Some(Isometry3::from_parts(Translation3::new(x, y, z), unchecked(quaternion))),
+                fingers: poses.fingers[t],
+                delta: arm(&delta[t]),
+                goal: arm(&goal[t]),
+                // Not negated: what is zero stays a positive zero.
+                gripper: if opens { 0.0 - command } else { command },
+                reward: demo.rewards.as_ref().map(|rewards| rewards[t]),
+                done: demo.dones.as_ref().map(|dones| dones[t]),
+                raw_eef: other_frame.then_some(recorded),
+                raw_gripper: other_command.then_some(demo.actions[t][6]),
+            }
         };
+        let frames = (0..demo.frames).map(frame).collect();
         Ok(Interpreted { frames, goal_errors })
     }
 
-    /// Orientations of the grip site, x, y, z, w, and the recorded ones, where they are those of the hand body.
-    fn site_orientations(&self, mut recorded: Vec<[f64; 4]>) -> (Vec<[f64; 4]>, Option<Vec<[f64; 4]>>) {
+    /// A recorded quaternion, whose norm was checked to be near 1, as it is.
+    fn recorded_rotation(&self, mut quaternion: [f64; 4]) -> UnitQuaternion<f64> {
         if self.conventions.eef_quaternion == QuaternionOrder::Wxyz {
-            for quaternion in &mut recorded {
-                quaternion.rotate_left(1);
-            }
+            quaternion.rotate_left(1);
         }
-        if self.conventions.eef_orientation == EefOrientation::GripSite {
-            return (recorded, None);
-        }
-        // The recorded quaternion is taken as it is: that its norm is near 1 was checked.
-        let site = |quaternion: &[f64; 4]| {
-            let hand = UnitQuaternion::new_unchecked(Quaternion::from(*quaternion));
-            self.conventions.eef_orientation.site(hand).coords.into()
-        };
-        (recorded.iter().map(site).collect(), Some(recorded))
+        unchecked(quaternion)
     }
 
     /// Delta actions, absolute ones, and the distances between those of both kinds that are known.
@@ -334,8 +307,13 @@ impl Interpreter {
 type BothKinds = (Vec<Action>, Vec<Action>, Option<Vec<(f64, f64)>>);
 
 /// An action without the gripper's command.
-fn arm(&[a, b, c, d, e, f, _]: &Action) -> [f64; 6] {
-    [a, b, c, d, e, f]
+fn arm(&[a, b, c, d, e, f, _]: &Action) -> SixAxis {
+    SixAxis([a, b, c, d, e, f])
+}
+
+/// Parts in the order x, y, z, w, taken as they are.
+fn unchecked(parts: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::new_unchecked(Quaternion::from(parts))
 }
 
 /// What helps against a demonstration that cannot be used.
@@ -514,34 +492,36 @@ fn convention(proof: &Proof) -> Convention {
     let own = candidates.iter().find(|candidate| candidate.value == proof.value);
     let rival = candidates.iter().filter(|candidate| candidate.value != proof.value);
     let rival = rival.map(|candidate| candidate.median).min_by(f64::total_cmp);
+    let measured = own.filter(|own| own.residual.is_finite());
     Convention {
-        name: proof.convention.clone(),
-        value: proof.value.clone(),
+        convention: proof.convention.clone().into(),
+        value: proof.value.clone().into(),
         basis: match proof.basis {
             Basis::Data => "proven",
             Basis::Setting => "setting",
             Basis::Declared => "declared",
-        },
+        }
+        .into(),
         evidence: proof.evidence.test.clone(),
-        measured: own
-            .filter(|own| own.residual.is_finite())
-            .map(|own| [own.residual, rival.unwrap_or_default(), proof.evidence.threshold]),
-        rival: rival.is_some_and(f64::is_finite),
-        unit: proof.evidence.unit.clone(),
+        residual: measured.map(|own| own.residual),
+        runner_up: rival.filter(|rival| measured.is_some() && rival.is_finite()),
+        threshold: measured.map(|_| proof.evidence.threshold),
+        unit: proof.evidence.unit.clone().into(),
         frames: proof.evidence.frames,
     }
 }
 
 /// Conventions that rest on words: settings, and what the file says of itself.
 fn stated(layout: Layout, reading: &Reading, env: &EnvArgs, from_states: &FromStates) -> Vec<Convention> {
-    let row = |name: &str, value: String, basis: &'static str, evidence: &str| Convention {
-        name: name.to_owned(),
-        value,
-        basis,
+    let row = |name: &'static str, value: String, basis: &'static str, evidence: &str| Convention {
+        convention: name.into(),
+        value: value.into(),
+        basis: basis.into(),
         evidence: evidence.to_owned(),
-        measured: None,
-        rival: false,
-        unit: String::new(),
+        residual: None,
+        runner_up: None,
+        threshold: None,
+        unit: "".into(),
         frames: 0,
     };
     let (layout, poses) = match layout {

@@ -22,7 +22,7 @@ mod survey;
 pub use demo::Demo;
 pub use fault::Hdf5Fault;
 pub use file::Access;
-pub use interpret::{Convention, Interpreted, Interpreter, Reading};
+pub use interpret::{Interpreted, Interpreter, Reading};
 pub use reader::{DemoChoice, Layout, RobomimicReader};
 pub use source::RobomimicSource;
 pub use sources::{Sources, SourcesIdentity};

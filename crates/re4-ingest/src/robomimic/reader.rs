@@ -16,8 +16,8 @@ use super::sources::{MODELS_FOLDER, Sources};
 use super::survey::Survey;
 use crate::demos::{DemoName, Info};
 use crate::error::{Fault, IngestError};
-use crate::left_out::LeftOut;
 use crate::selection::Selection;
+use crate::tables::LeftOut;
 use crate::warning::{Warning, WarningCode};
 
 /// Demonstrations that are found ahead of reading.

@@ -9,13 +9,13 @@ use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Map, Value, json};
 
 use super::demo::Demo;
-use super::interpret::{Convention, Interpreter};
+use super::interpret::Interpreter;
 use super::look::SIGNATURE;
 use super::reader::RobomimicReader;
 use super::summary::Comparison;
 use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Tally};
 use crate::error::IngestError;
-use crate::left_out::LeftOut;
+use crate::tables::{Convention, LeftOut};
 use crate::warning::{Warning, WarningCode};
 
 /// An opened file whose conventions are known.

@@ -2,12 +2,12 @@
 
 use anyhow::{Context as _, Result, ensure};
 use arrow::record_batch::RecordBatch;
-use re4_artifact::Row as _;
 use re4_artifact::{
-    Artifact, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables,
+    Artifact, Row as _, TableSpec, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, columns,
 };
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_geometry::{Point2, Pose2};
+use re4_ingest::{FrameRow, PlanarColumns, SpatialColumns};
 use re4_report::html::audit::{
     Audit, Check, Contacts, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity, page,
 };
@@ -123,7 +123,7 @@ fn read(sources: &Sources<'_>) -> Result<Audit> {
         },
         outline: planar.then(super::report::block_outline),
         contacts: contacts(sources.audit),
-        conventions: if has(sources.episodes, &tables::CONVENTIONS) {
+        conventions: if sources.episodes.has::<re4_ingest::Convention>() {
             conventions(sources.episodes)?
         } else {
             Vec::new()
@@ -140,10 +140,6 @@ fn measure(unit: &str, factor: f64) -> Measure {
         unit: unit.to_owned(),
         factor,
     }
-}
-
-fn has(artifact: &Artifact, spec: &TableSpec) -> bool {
-    artifact.manifest().tables.contains_key(spec.name)
 }
 
 /// Where demonstrations stand on the page, by their number.
@@ -344,14 +340,21 @@ fn grasps(audit: &Artifact, places: &Places) -> Result<Vec<Grasp>> {
         .collect()
 }
 
+columns! {
+    /// Where pusher and block are.
+    pub struct EefAndObject {
+        /// Position of the pusher.
+        pub eef: Point2,
+        /// Pose of the block.
+        pub object: Option<Pose2>,
+    }
+}
+
 /// Where the pusher is in the block's frame as contact begins.
 fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], places: &Places) -> Result<Vec<Grasp>> {
-    let columns = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
-    let rows = episodes.table(&tables::FRAMES)?.read_columns(&columns)?;
-    let mut values = Vec::with_capacity(columns.len());
-    for column in columns {
-        values.push(col_f64(&rows, column)?);
-    }
+    let rows = episodes
+        .table(FrameRow::<PlanarColumns>::table())?
+        .read::<EefAndObject>()?;
     let listed = modes
         .table(ModeRow::<Evidence>::table())?
         .read_columns(&["episode", "frame", "contact"])?;
@@ -359,7 +362,7 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], p
     let contact: Vec<Option<bool>> = col_bool(&listed, "contact")?.iter().collect();
     let touching = |row: usize| contact[row] == Some(true);
     let mut begins = Vec::new();
-    for row in 1..listed.num_rows().min(rows.num_rows()) {
+    for row in 1..listed.num_rows().min(rows.len()) {
         if frame[row] == 0 || contact[row - 1] != Some(false) || !touching(row) {
             continue;
         }
@@ -367,8 +370,8 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment], p
             .take_while(|&later| episode[later] == episode[row] && touching(later))
             .count() as u32;
         let demo = places.of(modes, ModeRow::<Evidence>::table(), episode[row])?;
-        let [x, y, object_x, object_y, theta] = std::array::from_fn(|column| values[column][row]);
-        let seen = Pose2::new(object_x, object_y, theta).inverse_transform_point(Point2::new(x, y));
+        let Some(object) = rows[row].object else { continue };
+        let seen = object.inverse_transform_point(rows[row].eef);
         begins.push(Grasp {
             demo,
             segment: segment_at(segments, demo, frame[row]),
@@ -405,26 +408,18 @@ fn contacts(audit: &Artifact) -> Option<Contacts> {
 }
 
 fn conventions(episodes: &Artifact) -> Result<Vec<Convention>> {
-    let rows = episodes.table(&tables::CONVENTIONS)?.read_all()?;
-    let (name, value) = (texts(&rows, "convention")?, texts(&rows, "value")?);
-    let (basis, evidence, unit) = (texts(&rows, "basis")?, texts(&rows, "evidence")?, texts(&rows, "unit")?);
-    let (residual, runner_up) = (
-        col_f64_or_null(&rows, "residual")?,
-        col_f64_or_null(&rows, "runner_up")?,
-    );
-    let threshold = col_f64_or_null(&rows, "threshold")?;
-    let frames = col_u32(&rows, "frames")?;
-    Ok((0..rows.num_rows())
-        .map(|i| Convention {
-            name: name[i].clone(),
-            value: value[i].clone(),
-            basis: basis[i].clone(),
-            evidence: evidence[i].clone(),
-            residual: residual[i],
-            runner_up: runner_up[i],
-            threshold: threshold[i],
-            unit: unit[i].clone(),
-            frames: frames[i],
+    let rows = episodes.read::<re4_ingest::Convention>()?.into_iter();
+    Ok(rows
+        .map(|row| Convention {
+            name: row.convention.to_string(),
+            value: row.value.to_string(),
+            basis: row.basis.to_string(),
+            evidence: row.evidence,
+            residual: row.residual,
+            runner_up: row.runner_up,
+            threshold: row.threshold,
+            unit: row.unit.to_string(),
+            frames: row.frames as u32,
         })
         .collect())
 }
@@ -461,7 +456,7 @@ fn degrees() -> f64 {
 fn spatial_evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Flag>, Vec<Panel>)> {
     let rows = modes.table(ModeRow::<SpatialEvidence>::table())?.read_all()?;
     let recorded = episodes
-        .table(&tables::SPATIAL_FRAMES)?
+        .table(FrameRow::<SpatialColumns>::table())?
         .read_columns(&["eef_z", "object_z"])?;
     let flags = vec![
         flag(&rows, "command_closes", "gripper closes")?,

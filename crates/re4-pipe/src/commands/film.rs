@@ -8,14 +8,14 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, bail, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, ArtifactError, Stage, col_f64, col_f64_list, col_text, col_u32, tables};
+use re4_artifact::{Artifact, ArtifactError, Stage, col_f64, col_f64_list, col_text, col_u32};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_report::{FilmDecision, FilmRollout, FilmSettings, FilmState, write_film, write_scene_film};
 use re4_sim::{GOAL, coverage};
 use serde_json::json;
 
-use super::{Outcome, names_of_decisions};
+use super::{Outcome, names_of_decisions, rollout_tables};
 use crate::arguments::FilmArguments;
 use crate::console::Console;
 use crate::output::Output;
@@ -44,7 +44,7 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
     );
     artifact.verify_bytes()?;
     let seeds = arguments.seeds.as_slice();
-    let in_space = artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name);
+    let in_space = rollout_tables::in_space(&artifact);
     let mut films = if in_space {
         let store = &arguments.common.artifacts;
         Films::Spatial(Box::new(spatial::Films::read(&artifact, seeds, arguments.size, store)?))
@@ -126,9 +126,9 @@ impl Films {
 
 /// Films of some of an artifact's rollouts, in the order asked for, and whether they show chunks.
 fn read_films(artifact: &Artifact, seeds: &[u32], console: Console) -> Result<(Vec<FilmRollout>, bool)> {
-    let results = artifact.table(&tables::RESULTS)?.read_all()?;
-    let steps = artifact.table(&tables::STEPS)?.read_all()?;
-    let decisions = artifact.table(&tables::DECISIONS)?.read_all()?;
+    let results = rollout_tables::results(artifact)?;
+    let steps = rollout_tables::steps(artifact)?;
+    let decisions = rollout_tables::decisions(artifact)?;
     let demos = Demos::of(artifact, console)?;
     let films = seeds.iter().map(|&seed| {
         let known = col_u32(&results, "seed")?;
@@ -155,9 +155,9 @@ fn rows_of(table: &RecordBatch, seed: u32) -> Result<Vec<usize>> {
 
 fn read_states(results: &RecordBatch, row: usize, steps: &RecordBatch, seed: u32) -> Result<Vec<FilmState>> {
     let start = |name| -> Result<f64> { Ok(col_f64(results, name)?[row]) };
-    let block = Pose2::new(start("block_x")?, start("block_y")?, start("block_theta")?);
+    let block = Pose2::new(start("object_x")?, start("object_y")?, start("object_theta")?);
     let mut states = vec![FilmState {
-        pusher: Point2::new(start("agent_x")?, start("agent_y")?),
+        pusher: Point2::new(start("eef_x")?, start("eef_y")?),
         block,
         coverage: coverage(block, GOAL),
         decision: 0,

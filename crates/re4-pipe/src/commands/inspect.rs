@@ -4,12 +4,12 @@ use std::fmt::Write as _;
 
 use anyhow::{Context as _, Result};
 use arrow::util::pretty::pretty_format_batches;
-use re4_artifact::{Artifact, Table, json_description, tables};
+use re4_artifact::{Artifact, Table, json_description};
 use re4_fault::{ensure, fault};
 use re4_report::{RolloutPicture, rollout_picture};
 use serde_json::{Value, json};
 
-use super::{Outcome, names_of_decisions};
+use super::{Outcome, names_of_decisions, rollout_tables};
 use crate::arguments::InspectArguments;
 use crate::console::Console;
 
@@ -89,11 +89,11 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
         )
     };
     ensure!(
-        !artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name),
+        !rollout_tables::in_space(artifact),
         "cannot draw seed {seed}: --picture draws Push-T's rollouts";
         "for those of robosuite's tasks use re4-pipe report or re4-pipe film"
     );
-    let results = artifact.table(&tables::RESULTS)?.read_all()?;
+    let results = rollout_tables::results(artifact)?;
     let row = col_u32(&results, "seed")?
         .iter()
         .position(|s| *s == seed)
@@ -102,8 +102,8 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
     let mut picture = RolloutPicture {
         seed,
         score: start("score_max")?,
-        blocks: vec![[start("block_x")?, start("block_y")?, start("block_theta")?]],
-        pusher: vec![[start("agent_x")?, start("agent_y")?]],
+        blocks: vec![[start("object_x")?, start("object_y")?, start("object_theta")?]],
+        pusher: vec![[start("eef_x")?, start("eef_y")?]],
         replaying: Vec::new(),
         decisions: Vec::new(),
         goal: [re4_sim::GOAL.x, re4_sim::GOAL.y, re4_sim::GOAL.theta],
@@ -113,7 +113,7 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
             .collect(),
         pusher_radius: re4_sim::AGENT_RADIUS,
     };
-    let steps = artifact.table(&tables::STEPS)?.read_all()?;
+    let steps = rollout_tables::steps(artifact)?;
     let phases = col_text(&steps, "phase")?;
     let column = |name| col_f64(&steps, name);
     let (x, y) = (column("eef_x")?, column("eef_y")?);
@@ -123,7 +123,7 @@ fn read_picture(artifact: &Artifact, seed: u32) -> Result<RolloutPicture> {
         picture.blocks.push([bx[i], by[i], bt[i]]);
         picture.replaying.push(phases[i] == Some("replay"));
     }
-    let decisions = artifact.table(&tables::DECISIONS)?.read_all()?;
+    let decisions = rollout_tables::decisions(artifact)?;
     let (step, names) = (col_u32(&decisions, "step")?, names_of_decisions(&decisions)?);
     let paths = col_f64_list(&decisions, "plan_path")?;
     for (i, _) in col_u32(&decisions, "seed")?

@@ -7,6 +7,7 @@ pub(crate) mod fetch;
 pub(crate) mod film;
 pub(crate) mod inspect;
 pub(crate) mod report;
+mod rollout_tables;
 pub(crate) mod run;
 pub(crate) mod schemas;
 pub(crate) mod verify;

@@ -7,11 +7,12 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::Row as _;
-use re4_artifact::{col_f64, col_f64_or_null, col_text, col_u32, tables};
+use re4_artifact::{Row as _, col_f64, col_u32};
 use re4_fault::ensure;
+use re4_ingest::Convention;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::divergence_plot;
+use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
 use super::audit_text::Told;
@@ -20,7 +21,7 @@ use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::console::Console;
 use crate::output::Output;
 use re4_stages::PoseSource;
-use re4_stages::{BUDGET_MEASURES, Built, Runner, metrics, read_rollouts};
+use re4_stages::{BudgetRow, Built, Runner, metrics, read_rollouts};
 
 /// `re4-pipe ingest`.
 pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
@@ -105,13 +106,8 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe rollout`.
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     let runner = runner(arguments)?;
-    if runner.pipeline.task.is_planar() {
-        runner.pipeline.rollout()?;
-        roll_out(&runner, arguments)
-    } else {
-        runner.pipeline.spatial_rollout()?;
-        spatial::roll_out(&runner, arguments)
-    }
+    runner.pipeline.rollout()?;
+    roll_out(&runner, arguments)
 }
 
 /// `re4-pipe run`: up to the last stage that the pipeline has a table for.
@@ -120,9 +116,6 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let runner = runner(arguments)?;
     if runner.pipeline.rollout.is_some() {
         return roll_out(&runner, arguments);
-    }
-    if runner.pipeline.spatial_rollout.is_some() {
-        return spatial::roll_out(&runner, arguments);
     }
     ensure!(
         arguments.report.is_none() && arguments.record.is_none(),
@@ -148,7 +141,7 @@ fn runner(arguments: &RolloutArguments) -> Result<Runner> {
         arguments
             .policy
             .as_ref()
-            .map(|policy| format!("rollout.policy={}", text(policy))),
+            .map(|policy| format!("policy.kind={}", text(policy))),
     );
     overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
     arguments.stage.runner(&overrides)
@@ -188,6 +181,9 @@ impl<'a> Page<'a> {
 }
 
 fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
+    if !runner.pipeline.task.is_planar() {
+        return spatial::roll_out(runner, arguments);
+    }
     let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
     if let Some(path) = &arguments.record {
@@ -204,12 +200,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
         );
     }
     let page = Page::at(runner, arguments)?;
-    let episodes = runner.ingest()?;
-    let modes = runner.segment(&episodes)?;
-    let poses = runner.train_pose(&episodes)?;
-    let index = runner.index(&episodes, &modes, poses.as_ref())?;
-    let scenes = runner.scenes(&episodes)?;
-    let built = runner.rollout(&episodes, poses.as_ref(), &index, scenes.as_ref())?;
+    let (built, scenes) = runner.roll_out()?;
     if let Some(path) = &arguments.record {
         record(console, &built, path)?;
     }
@@ -218,13 +209,14 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     }
     let metrics = metrics(&built.artifact);
     let section = runner.pipeline.rollout()?;
-    let rollouts = built.artifact.table(&tables::RESULTS)?.rows();
+    let kind = runner.pipeline.policy()?.kind();
+    let rollouts = built.artifact.table(PlaneResultRow::table())?.rows();
     // The curve over budgets is what scenes are rolled out for; elsewhere the table in the artifact is enough.
     let budgets = scenes.is_some().then(|| budgets(&built)).transpose()?;
     let mut answer = json!({
         "task": runner.pipeline.task,
         "variant": runner.pipeline.variant,
-        "policy": section.policy,
+        "policy": kind,
         "episodes": rollouts,
         "max_steps": section.max_steps,
         "metrics": in_order(&metrics),
@@ -235,7 +227,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
         answer["budgets"] = json!(budgets);
     }
     console.answer(&answer)?;
-    let mut text = score_table(&section.policy, rollouts, section.max_steps, &metrics)?;
+    let mut text = score_table(kind, rollouts, section.max_steps, &metrics)?;
     if let Some(budgets) = &budgets {
         text += &budget_table(budgets)?;
     }
@@ -311,29 +303,19 @@ fn described(built: &Built) -> Result<String> {
 /// The conventions of a dataset, each with the reason why it is believed.
 fn conventions(built: &Built) -> Result<String> {
     let mut text = String::new();
-    if !built.artifact.manifest().tables.contains_key(tables::CONVENTIONS.name) {
+    if !built.artifact.has::<Convention>() {
         return Ok(text);
     }
-    let rows = built.artifact.table(&tables::CONVENTIONS)?.read_all()?;
-    let words = ["convention", "value", "basis", "evidence", "unit"].map(|name| col_text(&rows, name));
-    let [names, values, bases, evidence, units] = words;
-    let (names, values, bases, evidence, units) = (names?, values?, bases?, evidence?, units?);
-    let residuals = col_f64_or_null(&rows, "residual")?;
-    let rivals = col_f64_or_null(&rows, "runner_up")?;
-    for row in 0..rows.num_rows() {
-        let word = |column: &[Option<&str>]| column[row].unwrap_or_default().to_owned();
+    for row in built.artifact.read::<Convention>()? {
         write!(
             text,
             "\n  {:<18} {:<18} {}: {}",
-            word(&names),
-            word(&values),
-            word(&bases),
-            word(&evidence)
+            &*row.convention, &*row.value, row.basis, row.evidence
         )?;
-        if let Some(residual) = residuals[row] {
-            write!(text, ", {residual:.2e} {}", word(&units))?;
+        if let Some(residual) = row.residual {
+            write!(text, ", {residual:.2e} {}", row.unit)?;
         }
-        if let Some(rival) = rivals[row] {
+        if let Some(rival) = row.runner_up {
             write!(text, " (next best {rival:.2e})")?;
         }
     }
@@ -377,18 +359,19 @@ const METRICS: [(&str, &str); 4] = [
 
 /// What was reached under smaller budgets of steps: a budget and its metrics, as the answer has them.
 fn budgets(built: &Built) -> Result<Vec<Value>> {
-    let table = built.artifact.table(&tables::BUDGETS)?.read_all()?;
-    let mut rows = Vec::new();
-    for (row, budget) in col_u32(&table, "budget")?.iter().enumerate() {
-        let mut object = json!({ "budget": budget });
-        for ((_, name), columns) in METRICS.iter().zip(BUDGET_MEASURES) {
-            for (part, column) in ["value", "low", "high"].into_iter().zip(columns) {
-                object[*name][part] = json!(col_f64(&table, column)?[row]);
+    let rows: Vec<BudgetRow> = built.artifact.read()?;
+    let object = |row: BudgetRow| {
+        let mut object = json!({ "budget": row.budget });
+        let means = [row.score, row.coverage, row.iou].map(|m| [m.mean, m.low, m.high]);
+        let success = [row.success.rate, row.success.low, row.success.high];
+        for ((_, name), parts) in METRICS.iter().zip(means.into_iter().chain([success])) {
+            for (part, value) in ["value", "low", "high"].into_iter().zip(parts) {
+                object[*name][part] = json!(value);
             }
         }
-        rows.push(object);
-    }
-    Ok(rows)
+        object
+    };
+    Ok(rows.into_iter().map(object).collect())
 }
 
 fn budget_table(budgets: &[Value]) -> Result<String> {

@@ -4,7 +4,8 @@ use re4_geometry::spatial::Symmetry;
 use re4_index::{SpatialMetric, Stage2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
+
+use crate::kinds::SettingError;
 
 /// A policy of the Retrieve-Reframe-Replan-Replay family in SE(3). Every step can be switched off alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -222,33 +223,7 @@ pub struct PoseFilterConfig {
     pub gate: f64,
 }
 
-/// Names of the presets.
-pub const SPATIAL_PRESETS: [&str; 3] = ["paper", "re4", "re2"];
-
-/// A setting that makes no sense.
-#[derive(Debug, Clone, PartialEq, Error)]
-#[error("{setting} is {value}; give {expected}")]
-pub struct SpatialConfigError {
-    /// Its name in the pipeline file, below the policy's table.
-    pub setting: &'static str,
-    /// What was given.
-    pub value: String,
-    /// What would do.
-    pub expected: &'static str,
-}
-
 impl SpatialPolicyConfig {
-    /// A preset by name: `paper` (the paper's words and constants), `re4` (with what was found to help, see the documentation),
-    /// `re2` (`paper` without Reframe and Replan).
-    pub fn preset(name: &str) -> Option<Self> {
-        match name {
-            "paper" => Some(Self::paper()),
-            "re4" => Some(Self::re4()),
-            "re2" => Some(Self::re2()),
-            _ => None,
-        }
-    }
-
     /// The paper's method and constants; where the paper gives none (scales, weights, tolerances, leads, caps), the choice is
     /// ours. It has no cure for a demonstration that leads nowhere: such an episode ends with its step budget.
     pub fn paper() -> Self {
@@ -319,82 +294,45 @@ impl SpatialPolicyConfig {
         config
     }
 
-    /// Looks every number over.
+    /// Looks every number over. `images` says whether the object's pose is estimated from images.
     ///
     /// # Errors
     /// The first that makes no sense.
-    pub fn check(&self) -> Result<(), SpatialConfigError> {
+    pub fn check(&self, images: bool) -> Result<(), SettingError> {
         let (retrieve, replan, replay) = (&self.retrieve, &self.replan, &self.replay);
         let (recovery, filter, ban) = (&self.recovery, self.filter.as_ref(), self.recovery.ban.as_ref());
-        let over_0 = "a finite number above 0";
-        let from_0 = "a finite number, 0 or more";
-        let from_1 = "1 or more";
-        let positive = |v: f64| v.is_finite() && v > 0.0;
-        let not_negative = |v: f64| v.is_finite() && v >= 0.0;
-        let number = |setting, value: f64, sound: &dyn Fn(f64) -> bool, expected| {
-            if sound(value) {
-                Ok(())
-            } else {
-                Err(SpatialConfigError {
-                    setting,
-                    value: value.to_string(),
-                    expected,
-                })
-            }
+        let positive = |setting, value: f64| {
+            let sound = value.is_finite() && value > 0.0;
+            SettingError::unless(sound, setting, value, "give a finite number above 0")
         };
-        let at_least_1 = |v: f64| v >= 1.0;
-        number(
-            "retrieve.translation_scale",
-            retrieve.translation_scale,
-            &positive,
-            over_0,
-        )?;
-        number("retrieve.rotation_scale", retrieve.rotation_scale, &positive, over_0)?;
-        number("retrieve.object_weight", retrieve.object_weight, &not_negative, from_0)?;
-        number("retrieve.eef_weight", retrieve.eef_weight, &not_negative, from_0)?;
-        number(
-            "retrieve.commit_margin",
-            retrieve.commit_margin.unwrap_or(0.0),
-            &not_negative,
-            from_0,
-        )?;
-        number("replan.lead_translation", replan.lead_translation, &positive, over_0)?;
-        number("replan.lead_rotation", replan.lead_rotation, &positive, over_0)?;
-        number(
-            "replan.tolerance_translation",
-            replan.tolerance_translation,
-            &positive,
-            over_0,
-        )?;
-        number(
-            "replan.tolerance_rotation",
-            replan.tolerance_rotation,
-            &positive,
-            over_0,
-        )?;
-        number("replay.horizon", f64::from(replay.horizon), &at_least_1, from_1)?;
+        let not_negative = |setting, value: f64| {
+            let sound = value.is_finite() && value >= 0.0;
+            SettingError::unless(sound, setting, value, "give a finite number, 0 or more")
+        };
+        let count = |setting, value: u32| SettingError::unless(value >= 1, setting, value, "give 1 or more");
+        positive("retrieve.translation_scale", retrieve.translation_scale)?;
+        positive("retrieve.rotation_scale", retrieve.rotation_scale)?;
+        not_negative("retrieve.object_weight", retrieve.object_weight)?;
+        not_negative("retrieve.eef_weight", retrieve.eef_weight)?;
+        not_negative("retrieve.commit_margin", retrieve.commit_margin.unwrap_or(0.0))?;
+        positive("replan.lead_translation", replan.lead_translation)?;
+        positive("replan.lead_rotation", replan.lead_rotation)?;
+        positive("replan.tolerance_translation", replan.tolerance_translation)?;
+        positive("replan.tolerance_rotation", replan.tolerance_rotation)?;
+        count("replay.horizon", replay.horizon)?;
         let finger_speed = replay.settle.as_ref().map_or(0.0, |settle| settle.finger_speed);
-        number("replay.settle.finger_speed", finger_speed, &not_negative, from_0)?;
-        number(
-            "recovery.lost_grasp",
-            recovery.lost_grasp.unwrap_or(0.0),
-            &not_negative,
-            from_0,
-        )?;
-        number(
-            "recovery.home_steps",
-            f64::from(recovery.home_steps),
-            &at_least_1,
-            from_1,
-        )?;
+        not_negative("replay.settle.finger_speed", finger_speed)?;
+        not_negative("recovery.lost_grasp", recovery.lost_grasp.unwrap_or(0.0))?;
+        count("recovery.home_steps", recovery.home_steps)?;
         let repeats = ban.map_or(2, |ban| ban.repeats);
-        number("recovery.ban.repeats", f64::from(repeats), &|v| v >= 2.0, "2 or more")?;
-        number(
-            "filter.samples",
-            f64::from(filter.map_or(1, |f| f.samples)),
-            &at_least_1,
-            from_1,
-        )?;
-        number("filter.gate", filter.map_or(1.0, |f| f.gate), &positive, over_0)
+        SettingError::unless(repeats >= 2, "recovery.ban.repeats", repeats, "give 2 or more")?;
+        count("filter.samples", filter.map_or(1, |f| f.samples))?;
+        positive("filter.gate", filter.map_or(1.0, |f| f.gate))?;
+        SettingError::unless(
+            images || self.reframe.held == WhileHeld::Seen,
+            "reframe.held",
+            "\"carried\", which belongs to variant = \"image\"",
+            "leave it out",
+        )
     }
 }

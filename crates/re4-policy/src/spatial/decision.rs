@@ -3,7 +3,7 @@
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 
-use crate::names::DemoNames;
+use re4_episode::DemoNames;
 
 /// What was decided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

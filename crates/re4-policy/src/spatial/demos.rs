@@ -5,8 +5,8 @@ use re4_episode::{Mode, SpatialFrame};
 use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_sound, rotation_from_vector};
 use re4_index::{IndexError, IndexedSpatialFrame, SpatialIndex};
 
-use crate::names::DemoNames;
 use crate::spatial::config::SpatialRetrieveConfig;
+use re4_episode::DemoNames;
 
 /// A frame as a policy replays it. World frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -16,9 +16,9 @@ mod policy;
 mod reframe;
 
 pub use config::{
-    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SPATIAL_PRESETS, SettleConfig, SpatialConfigError,
-    SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig,
-    SpatialRetrieveConfig, TransferReplay, WhileHeld,
+    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SettleConfig, SpatialPolicyConfig,
+    SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig, SpatialRetrieveConfig,
+    TransferReplay, WhileHeld,
 };
 pub use decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};

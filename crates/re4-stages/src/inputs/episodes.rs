@@ -1,49 +1,54 @@
 //! Push-T's demonstrations out of an `episodes` artifact.
 
 use anyhow::Result;
-use re4_artifact::{Artifact, col_f64, col_f64_or_null, col_u32, tables};
+use re4_artifact::{Artifact, Row as _, columns};
 use re4_episode::{PlanarEpisode, PlanarFrame};
+use re4_fault::OrFault as _;
 use re4_geometry::{Point2, Pose2};
+use re4_ingest::{EpisodeRow, FrameRow, PlanarColumns};
+
+columns! {
+    /// What stages read of table frames.
+    pub struct Recorded {
+        /// Number of the demonstration.
+        pub episode: u32,
+        /// Position of the pusher.
+        pub eef: Point2,
+        /// Pose of the block.
+        pub object: Option<Pose2>,
+        /// Target position of the pusher.
+        pub action: Point2,
+        /// Contact points.
+        pub contacts: Option<f64>,
+    }
+}
 
 /// The demonstrations of an `episodes` artifact.
+///
+/// # Errors
+/// When it cannot be read, or the pose of the block is not known.
 pub(crate) fn read_episodes(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
-    let listing = artifact.table(&tables::EPISODES)?.read_all()?;
-    let mut episodes: Vec<PlanarEpisode> = col_u32(&listing, "source_episode")?
-        .iter()
-        .zip(col_u32(&listing, "frames")?)
-        .map(|(&source, &frames)| PlanarEpisode {
-            source,
-            frames: Vec::with_capacity(frames as usize),
+    let mut episodes: Vec<PlanarEpisode> = artifact
+        .read::<EpisodeRow>()?
+        .into_iter()
+        .map(|row| PlanarEpisode {
+            source: row.source_episode.unwrap_or(row.episode),
+            frames: Vec::with_capacity(row.frames),
         })
         .collect();
-    let frames = artifact.table(&tables::FRAMES)?.read_columns(&[
-        "episode",
-        "eef_x",
-        "eef_y",
-        "object_x",
-        "object_y",
-        "object_theta",
-        "action_x",
-        "action_y",
-        "contacts",
-    ])?;
-    let column = |name| col_f64(&frames, name);
-    let (eef_x, eef_y) = (column("eef_x")?, column("eef_y")?);
-    let (x, y, theta) = (column("object_x")?, column("object_y")?, column("object_theta")?);
-    let (action_x, action_y) = (column("action_x")?, column("action_y")?);
-    let contacts = col_f64_or_null(&frames, "contacts")?;
-    for (i, &episode) in col_u32(&frames, "episode")?.iter().enumerate() {
-        let Some(episode) = episodes.get_mut(episode as usize) else {
+    for row in artifact.table(FrameRow::<PlanarColumns>::table())?.read::<Recorded>()? {
+        let Some(episode) = episodes.get_mut(row.episode as usize) else {
             anyhow::bail!(
-                "cannot read {}: table frames names episode {episode}, which table episodes lacks",
-                artifact.path().display()
+                "cannot read {}: table frames names episode {}, which table episodes lacks",
+                artifact.path().display(),
+                row.episode
             );
         };
         episode.frames.push(PlanarFrame {
-            eef: Point2::new(eef_x[i], eef_y[i]),
-            object: Pose2::new(x[i], y[i], theta[i]),
-            action: Point2::new(action_x[i], action_y[i]),
-            contacts: contacts[i].unwrap_or(f64::NAN),
+            eef: row.eef,
+            object: row.object.or_fault(|| super::demos::no_object(artifact.path()))?,
+            action: row.action,
+            contacts: row.contacts.unwrap_or(f64::NAN),
         });
     }
     Ok(episodes)

@@ -3,8 +3,9 @@
 use anyhow::{Context as _, Result};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
-use re4_artifact::{Artifact, tables};
+use re4_artifact::Artifact;
 use re4_fault::ensure;
+use re4_ingest::ImageRow;
 
 /// Refuses demonstrations without pictures of a camera.
 pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
@@ -21,7 +22,7 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
         format!("holds pictures of {} alone", cameras.join(", "))
     };
     ensure!(
-        manifest.tables.contains_key(tables::IMAGES.name) && cameras.contains(&camera),
+        episodes.has::<ImageRow>() && cameras.contains(&camera),
         "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}",
         episodes.path().display();
         "set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera"

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, col_text, col_u32, col_u32_or_null, tables};
+use re4_artifact::Artifact;
 use re4_fault::{bail, ensure};
+use re4_ingest::{DemoRow, ModelRow};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_pictures};
@@ -78,25 +79,20 @@ impl Scenes {
     pub fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
         let profile = profile(episodes)?;
         let library = library(profile)?;
-        let demos = episodes.table(&tables::DEMOS)?.read_columns(&["demo", "model"])?;
-        let names = col_text(&demos, "demo")?;
-        let of_demo = col_u32_or_null(&demos, "model")?;
-        let has_models = episodes.manifest().tables.contains_key(tables::MODELS.name);
+        let demos = episodes.read::<DemoRow>()?;
         ensure!(
-            has_models,
+            episodes.has::<ModelRow>(),
             "cannot simulate the demonstrations of {}: they have no model_file", episodes.path().display();
             "ingest a file whose demonstrations have that attribute"
         );
-        let table = episodes.table(&tables::MODELS)?.read_all()?;
         let folder = assets_folder();
-        let numbers = col_u32(&table, "model")?;
-        let mut mjcf = Vec::with_capacity(numbers.len());
-        for (number, text) in numbers.iter().zip(col_text(&table, "mjcf")?) {
-            let user = of_demo.iter().position(|model| model == &Some(*number));
-            let demo = user.and_then(|row| names[row]).unwrap_or("a demonstration");
+        let mut mjcf = Vec::new();
+        for ModelRow { model, mjcf: text } in episodes.read()? {
+            let user = demos.iter().find(|demo| demo.model == Some(model));
+            let demo = user.map_or("a demonstration", |demo| &demo.demo);
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
             // Files that are only drawn need not be here.
-            let mut text = without_pictures(text.unwrap_or_default())
+            let mut text = without_pictures(&text)
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
@@ -111,7 +107,7 @@ impl Scenes {
             library,
             fidelity,
             mjcf,
-            of_demo,
+            of_demo: demos.iter().map(|demo| demo.model).collect(),
             compiled: Mutex::default(),
         })
     }
@@ -138,9 +134,8 @@ impl Scenes {
     pub fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
-        let table = episodes.table(&tables::MODELS)?.read_all()?;
-        let texts = col_text(&table, "mjcf")?;
-        let text = texts.get(number as usize).copied().flatten().unwrap_or_default();
+        let models = episodes.read::<ModelRow>()?;
+        let text = models.get(number as usize).map_or("", |row| &row.mjcf);
         with_assets(text, &assets_folder())
             .with_context(|| format!("cannot draw the models of {}", episodes.path().display()))
     }

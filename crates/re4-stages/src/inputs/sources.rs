@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use re4_artifact::{Artifact, col_text, tables};
+use re4_artifact::Artifact;
 use re4_fault::{bail, fault};
 use re4_ingest::LeftOut;
 use tracing::debug;
@@ -61,18 +61,8 @@ pub fn data_folders() -> Vec<PathBuf> {
 
 /// Demonstrations of the source that are not in an `episodes` artifact.
 pub(crate) fn left_out(artifact: &Artifact) -> Result<Vec<LeftOut>> {
-    if !artifact.manifest().tables.contains_key(tables::LEFT_OUT.name) {
+    if !artifact.has::<LeftOut>() {
         return Ok(Vec::new());
     }
-    let rows = artifact.table(&tables::LEFT_OUT)?.read_all()?;
-    let (demos, reasons) = (col_text(&rows, "demo")?, col_text(&rows, "why")?);
-    let text = |text: Option<&str>| text.unwrap_or_default().to_owned();
-    Ok(demos
-        .into_iter()
-        .zip(reasons)
-        .map(|(demo, why)| LeftOut {
-            demo: text(demo),
-            why: text(why),
-        })
-        .collect())
+    Ok(artifact.read()?)
 }

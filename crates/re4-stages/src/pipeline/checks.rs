@@ -4,13 +4,12 @@ use anyhow::Result;
 use re4_encoder::EncoderConfig;
 use re4_encoder::loss::GROUP;
 use re4_fault::{bail, ensure};
-use re4_policy::spatial::WhileHeld;
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
 use re4_task::RobosuiteTask;
 
-use super::{IngestSection, Pipeline, PoseSection, PoseSource, Task, Variant};
+use super::{IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
 
 /// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
 ///
@@ -18,6 +17,11 @@ use super::{IngestSection, Pipeline, PoseSection, PoseSource, Task, Variant};
 /// The first such setting, with the values that it can have.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     pipeline.audit.check()?;
+    ensure!(
+        pipeline.policy.is_none() || pipeline.rollout.is_some(),
+        "there is a table [policy] and none [rollout] that would roll it out";
+        "leave it out"
+    );
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
     }
@@ -30,24 +34,7 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         );
         return Ok(());
     };
-    let (retrieve, replan, replay) = (&rollout.retrieve, &rollout.replan, &rollout.replay);
-    between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
-    at_least_one("rollout.retrieve.candidates", retrieve.candidates as u64)?;
-    at_least_one("rollout.replan.iterations", u64::from(replan.iterations))?;
-    at_least_one("rollout.replay.horizon", replay.horizon as u64)?;
-    at_least_one("rollout.replay.stride", replay.stride as u64)?;
-    not_negative("rollout.retrieve.epsilon", retrieve.epsilon)?;
-    not_negative("rollout.retrieve.step_cost", retrieve.step_cost)?;
-    not_negative("rollout.retrieve.motion_cost", retrieve.motion_cost)?;
-    not_negative("rollout.replan.keepout", replan.keepout)?;
-    if let Some(divergence) = replay.divergence {
-        not_negative("rollout.replay.divergence", divergence)?;
-    }
-    long_enough("rollout.replan.step", replan.step)?;
-    long_enough("rollout.replan.spacing", replan.spacing)?;
-    long_enough("rollout.replay.speed", replay.speed)?;
-    let bias = replan.goal_bias;
-    ensure!((0.0..=1.0).contains(&bias), "rollout.replan.goal_bias is {bias}"; "it is a share, from 0 to 1");
+    check_rollout(pipeline, rollout)?;
     match (&pipeline.scenes, &rollout.seeds) {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
@@ -99,7 +86,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     check_render(ingest)?;
     ensure!(pipeline.scenes.is_none(), "the table [scenes] is for Push-T"; "leave it out, and give rollout.seeds");
     check_spatial_pose(pipeline)?;
-    let Some(rollout) = &pipeline.spatial_rollout else {
+    let Some(rollout) = &pipeline.rollout else {
         return Ok(());
     };
     ensure!(
@@ -107,6 +94,22 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "{}, or leave the table [rollout] out",
         RobosuiteTask::known()
     );
+    ensure!(
+        pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
+        "variant is \"image\" and rollout.noise gives errors to recorded poses";
+        "leave it out"
+    );
+    check_rollout(pipeline, rollout)?;
+    ensure!(rollout.seeds.is_some(), "nothing says where rollouts start"; "give rollout.seeds, such as \"500..600\"");
+    if let Some(noise) = &rollout.noise {
+        standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
+        standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
+    }
+    Ok(())
+}
+
+/// What rollouts of every task need.
+fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     pipeline.index()?;
     pipeline.pose()?;
     ensure!(
@@ -114,23 +117,9 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "nothing says what the policy observes";
         "give variant = \"state\" or variant = \"image\""
     );
-    ensure!(
-        pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
-        "variant is \"image\" and rollout.noise gives errors to recorded poses";
-        "leave it out"
-    );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
-    if let Err(error) = rollout.policy_config().check() {
-        bail!("rollout.{error}");
-    }
-    ensure!(
-        pipeline.variant == Some(Variant::Image) || rollout.reframe.held == WhileHeld::Seen,
-        "rollout.reframe.held is \"carried\", which belongs to variant = \"image\"";
-        "leave it out"
-    );
-    if let Some(noise) = &rollout.noise {
-        standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
-        standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
+    if let Err(error) = pipeline.policy()?.check(pipeline.variant == Some(Variant::Image)) {
+        bail!("policy.{error}");
     }
     Ok(())
 }
@@ -311,15 +300,6 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
         ensure!(index.leave_out.is_empty(), "index.leave_out belongs to robosuite's tasks"; "leave it out");
     }
-    if pipeline.rollout.is_some() {
-        pipeline.index()?;
-        pipeline.pose()?;
-        ensure!(
-            pipeline.variant.is_some(),
-            "nothing says what the policy observes";
-            "give variant = \"state\" or variant = \"image\""
-        );
-    }
     match (&pipeline.pose, pipeline.variant) {
         (Some(pose), Some(variant)) => check_variant(pipeline, pose, variant),
         _ => Ok(()),
@@ -413,13 +393,5 @@ fn at_least_one(name: &str, value: u64) -> Result<()> {
 
 fn not_negative(name: &str, value: f64) -> Result<()> {
     ensure!(value >= 0.0, "{name} is {value}"; "give 0 or more");
-    Ok(())
-}
-
-/// Shorter steps would cut a way across the window into more way-points than any episode has steps.
-const SHORTEST: f64 = 0.01;
-
-fn long_enough(name: &str, value: f64) -> Result<()> {
-    ensure!(value >= SHORTEST, "{name} is {value} px"; "give {SHORTEST} or more");
     Ok(())
 }

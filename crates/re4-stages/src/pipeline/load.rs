@@ -1,16 +1,16 @@
-//! Reading a pipeline file: its text, overrides, keys that nobody knows, presets.
+//! Reading a pipeline file: its text, overrides, keys that nobody knows, defaults.
 
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use re4_fault::{OrFault as _, bail, fault};
-use re4_policy::spatial::{SPATIAL_PRESETS, SpatialPolicyConfig};
-use re4_policy::{PRESETS, PolicyConfig};
+use re4_policy::kinds::{Kinds, PlanePolicy, SpacePolicy};
 use re4_segment::SegmentConfig;
 use serde_json::{Map, Value};
 
-use super::schema::{SPATIAL_ROLLOUT, inner_schema};
-use super::{Pipeline, checks};
+use super::rollout::ROBOMIMIC_STEPS;
+use super::schema::schema_with;
+use super::{Pipeline, Policy, checks};
 
 /// Reads a pipeline file and applies `--set` overrides.
 ///
@@ -40,27 +40,42 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
         )
     })?;
     let mut document = serde_json::to_value(table).context("cannot represent the pipeline file")?;
+    let unusable = || format!("cannot use the pipeline file {}", path.display());
+    move_policy(&mut document).with_context(unusable)?;
     for text in overrides {
         apply(&mut document, text)?;
     }
-    let unusable = || format!("cannot use the pipeline file {}", path.display());
     refuse_not_finite(&document, "").with_context(unusable)?;
-    tell_rollouts_apart(&mut document).with_context(unusable)?;
-    let schema = inner_schema();
-    refuse_unknown(&schema, &schema, &document, "").with_context(unusable)?;
-    complete_segment(&mut document)?;
-    complete_policy(&mut document, "rollout", PRESETS, preset).with_context(unusable)?;
-    complete_policy(&mut document, SPATIAL_ROLLOUT, SPATIAL_PRESETS, spatial_preset).with_context(unusable)?;
-    let pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
-        let place = match error.path().to_string().as_str() {
-            "." => String::new(),
-            place => format!("{}: ", place.replace(SPATIAL_ROLLOUT, "rollout")),
-        };
-        let why = in_words(&error.into_inner().to_string());
-        anyhow::anyhow!("cannot use the pipeline file {}: {place}{why}", path.display())
+    move_policy(&mut document).with_context(unusable)?;
+    let planar = document.get("task").and_then(Value::as_str).unwrap_or("pusht") == "pusht";
+    let policy = if planar {
+        read_policy::<PlanePolicy>(&mut document, "plane").map(|policy| policy.map(Policy::Plane))
+    } else {
+        complete_robosuite(&mut document)?;
+        read_policy::<SpacePolicy>(&mut document, "space").map(|policy| policy.map(Policy::Space))
+    };
+    let policy = policy.with_context(unusable)?;
+    let mut pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
+        let place = error.path().to_string();
+        anyhow::anyhow!(
+            "cannot use the pipeline file {}: {}",
+            path.display(),
+            placed(&place, &error.into_inner())
+        )
     })?;
+    pipeline.policy = policy;
     checks::check(&pipeline).with_context(unusable)?;
     Ok(pipeline)
+}
+
+/// What the decoder says of a place.
+fn placed(place: &str, error: &serde_json::Error) -> String {
+    let place = if place == "." {
+        String::new()
+    } else {
+        format!("{place}: ")
+    };
+    format!("{place}{}", in_words(&error.to_string()))
 }
 
 /// The message with line and column, both counted from 1.
@@ -116,7 +131,7 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
         );
     }
     let mut at = document;
-    for key in path.trim().split('.') {
+    for key in moved(path.trim()).split('.') {
         if key.is_empty() {
             bail!("cannot apply --set {text}: the key is empty"; "write stage.key=value");
         }
@@ -130,85 +145,114 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Gives robosuite's tasks, which are in metres, their own defaults of `[segment]` for what the file leaves out.
-fn complete_segment(document: &mut Value) -> Result<()> {
-    if document.get("task").and_then(Value::as_str) == Some("pusht") {
-        return Ok(());
-    }
-    let Some(section) = document.get_mut("segment").and_then(Value::as_object_mut) else {
-        return Ok(());
-    };
-    if let Value::Object(defaults) = serde_json::to_value(SegmentConfig::spatial())? {
+/// Gives robosuite's tasks, which are in metres and last longer, their own defaults for what the file leaves out.
+fn complete_robosuite(document: &mut Value) -> Result<()> {
+    if let Some(section) = document.get_mut("segment").and_then(Value::as_object_mut)
+        && let Value::Object(defaults) = serde_json::to_value(SegmentConfig::spatial())?
+    {
         for (key, value) in defaults {
             section.entry(key).or_insert(value);
         }
     }
-    Ok(())
-}
-
-/// Puts the table `[rollout]` of robosuite's tasks where it is read.
-fn tell_rollouts_apart(document: &mut Value) -> Result<()> {
-    let Some(map) = document.as_object_mut() else {
-        return Ok(());
-    };
-    if map.contains_key(SPATIAL_ROLLOUT) {
-        bail!("unknown key {SPATIAL_ROLLOUT}"; "the table is called rollout for every task");
-    }
-    let robosuite = map
-        .get("task")
-        .and_then(Value::as_str)
-        .is_some_and(|task| task != "pusht");
-    if robosuite && let Some(rollout) = map.remove("rollout") {
-        map.insert(SPATIAL_ROLLOUT.to_owned(), rollout);
+    if let Some(section) = document.get_mut("rollout").and_then(Value::as_object_mut) {
+        section.entry("max_steps").or_insert(Value::from(ROBOMIMIC_STEPS));
     }
     Ok(())
 }
 
-fn preset(name: &str) -> Option<Result<Value, serde_json::Error>> {
-    PolicyConfig::preset(name).map(serde_json::to_value)
+/// Keys that the table `[rollout]` had before there was a table `[policy]`, and what they are called there.
+const MOVED: [(&str, &str); 7] = [
+    ("policy", "kind"),
+    ("retrieve", "retrieve"),
+    ("reframe", "reframe"),
+    ("replan", "replan"),
+    ("replay", "replay"),
+    ("recovery", "recovery"),
+    ("filter", "filter"),
+];
+
+/// Where a key of an override stands today.
+fn moved(path: &str) -> String {
+    let today = MOVED.iter().find_map(|(old, new)| {
+        let rest = path.strip_prefix("rollout.")?.strip_prefix(old)?;
+        (rest.is_empty() || rest.starts_with('.')).then(|| format!("policy.{new}{rest}"))
+    });
+    today.unwrap_or_else(|| path.to_owned())
 }
 
-fn spatial_preset(name: &str) -> Option<Result<Value, serde_json::Error>> {
-    SpatialPolicyConfig::preset(name).map(serde_json::to_value)
-}
-
-/// Starts from the preset and lets the file's own settings replace single ones.
-fn complete_policy(
-    document: &mut Value,
-    table: &str,
-    presets: [&str; 3],
-    preset: fn(&str) -> Option<Result<Value, serde_json::Error>>,
-) -> Result<()> {
-    let Some(rollout) = document.get_mut(table).and_then(Value::as_object_mut) else {
+/// Moves the policy of an older file, which stands in `[rollout]`, to a table of its own.
+fn move_policy(document: &mut Value) -> Result<()> {
+    let Some(rollout) = document.get_mut("rollout").and_then(Value::as_object_mut) else {
         return Ok(());
     };
-    let Some(name) = rollout.get("policy").and_then(Value::as_str) else {
-        return Ok(());
-    };
-    let Some(preset) = preset(name) else {
-        bail!(
-            "unknown policy {name:?} in rollout.policy{}", suggestion(name, presets);
-            "the presets are {}", presets.join(", ")
-        );
-    };
-    if let Value::Object(sections) = preset? {
-        for (section, settings) in sections {
-            let own = rollout.remove(&section);
-            if let Some(merged) = merge(settings, own) {
-                rollout.insert(section, merged);
-            }
+    let mut policy = Map::new();
+    let mut first = None;
+    for (old, new) in MOVED {
+        if let Some(value) = rollout.remove(old) {
+            first = first.or(Some((old, new)));
+            policy.insert(new.to_owned(), value);
         }
     }
+    let (Some((old, new)), Some(map)) = (first, document.as_object_mut()) else {
+        return Ok(());
+    };
+    if map.contains_key("policy") {
+        bail!(
+            "both rollout.{old} and a table [policy] say what the policy is";
+            "write policy.{new}, and leave rollout.{old} out"
+        );
+    }
+    map.insert("policy".to_owned(), Value::Object(policy));
     Ok(())
 }
 
-/// A preset's settings with one's own in their place, table by table. `false` switches an optional table off.
-fn merge(preset: Value, own: Option<Value>) -> Option<Value> {
-    match (preset, own) {
+/// Refuses keys that nobody knows, and takes the policy out of the document: the defaults of its kind, with the file's own
+/// settings in their place.
+fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<Option<K>> {
+    let kind = document.get("policy").map(kind_of::<K>).transpose()?;
+    let schema = schema_with::<K>(kind.as_deref());
+    refuse_unknown(&Walk { root: &schema, domain }, &schema, document, "")?;
+    let (Some(kind), Some(Value::Object(mut own))) =
+        (kind, document.as_object_mut().and_then(|map| map.remove("policy")))
+    else {
+        return Ok(None);
+    };
+    own.remove("kind");
+    let mut defaults = serde_json::to_value(K::defaults(&kind))?;
+    if let Value::Object(defaults) = &mut defaults {
+        defaults.remove("kind");
+    }
+    let settings = merge(defaults, Some(Value::Object(own))).unwrap_or_default();
+    let mut track = serde_path_to_error::Track::new();
+    let read = K::read(&kind, serde_path_to_error::Deserializer::new(settings, &mut track));
+    read.map(Some)
+        .map_err(|error| anyhow::anyhow!(placed(&format!("policy.{}", track.path()), &error)))
+}
+
+/// The kind that a table `[policy]` names.
+fn kind_of<K: Kinds>(policy: &Value) -> Result<String> {
+    let kinds = K::NAMES.join(", ");
+    if !policy.is_object() {
+        bail!("policy is {policy}"; "give a table, such as {{ kind = \"re4\" }}; the kinds are {kinds}");
+    }
+    match policy.get("kind") {
+        None => bail!("nothing says of which kind the policy is"; "give policy.kind; the kinds are {kinds}"),
+        Some(Value::String(kind)) if K::NAMES.contains(&kind.as_str()) => Ok(kind.clone()),
+        Some(Value::String(kind)) => bail!(
+            "unknown policy {kind:?} in policy.kind{}", suggestion(kind, K::NAMES.iter().copied());
+            "the kinds are {kinds}"
+        ),
+        Some(other) => bail!("policy.kind is {other}"; "the kinds are {kinds}"),
+    }
+}
+
+/// Default settings with one's own in their place, table by table. `false` switches an optional table off.
+fn merge(default: Value, own: Option<Value>) -> Option<Value> {
+    match (default, own) {
         (Value::Null, None) => None,
         // An optional setting that is switched off.
-        (preset, Some(Value::Bool(false))) if !preset.is_boolean() => None,
-        (preset, None) => Some(preset),
+        (default, Some(Value::Bool(false))) if !default.is_boolean() => None,
+        (default, None) => Some(default),
         (Value::Object(mut settings), Some(Value::Object(own))) => {
             for (key, value) in own {
                 let merged = merge(settings.remove(&key).unwrap_or(Value::Null), Some(value));
@@ -234,11 +278,26 @@ fn refuse_not_finite(document: &Value, place: &str) -> Result<()> {
     }
 }
 
+/// What is the same on the way through a document.
+struct Walk<'a> {
+    /// The schema that references are looked for in.
+    root: &'a Value,
+    /// Keys of another domain than this are not known.
+    domain: &'a str,
+}
+
 /// Walks the document along its schema and refuses the first key that the schema does not know.
-fn refuse_unknown(root: &Value, schema: &Value, document: &Value, place: &str) -> Result<()> {
-    let schema = resolve(root, schema);
+fn refuse_unknown(walk: &Walk<'_>, schema: &Value, document: &Value, place: &str) -> Result<()> {
+    let schema = resolve(walk.root, schema);
     let (Value::Object(map), Some(properties)) = (document, schema.get("properties").and_then(Value::as_object)) else {
         return Ok(());
+    };
+    let here = |inner: &Value| inner.get("domain").is_none_or(|domain| domain == walk.domain);
+    let known = || {
+        properties
+            .iter()
+            .filter(|(_, inner)| here(inner))
+            .map(|(key, _)| key.as_str())
     };
     for (key, value) in map {
         let path = if place.is_empty() {
@@ -246,24 +305,15 @@ fn refuse_unknown(root: &Value, schema: &Value, document: &Value, place: &str) -
         } else {
             format!("{place}.{key}")
         };
-        let shown = path.replace(SPATIAL_ROLLOUT, "rollout");
-        match properties.get(key) {
-            Some(inner) => refuse_unknown(root, inner, value, &path)?,
+        match properties.get(key).filter(|inner| here(inner)) {
+            Some(inner) => refuse_unknown(walk, inner, value, &path)?,
             None => bail!(
-                "unknown key {shown}{}", suggestion(key, known(properties));
-                "known here: {}", known(properties).collect::<Vec<_>>().join(", ")
+                "unknown key {path}{}", suggestion(key, known());
+                "known here: {}", known().collect::<Vec<_>>().join(", ")
             ),
         }
     }
     Ok(())
-}
-
-/// Keys that a file may have.
-fn known(properties: &Map<String, Value>) -> impl Iterator<Item = &str> {
-    properties
-        .keys()
-        .map(String::as_str)
-        .filter(|key| *key != SPATIAL_ROLLOUT)
 }
 
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 pub(crate) use load::{load, parse};
 pub use re4_task::{Camera, Task};
-pub use rollout::{NoiseSection, RolloutSection, SpatialRolloutSection};
+pub use rollout::{NoiseSection, Policy, RolloutSection};
 pub use schema::schema;
 pub use sections::{Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
 pub use seeds::Seeds;
@@ -49,12 +49,12 @@ pub struct Pipeline {
     /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenes: Option<ScenesConfig>,
-    /// `index` to `rollouts`, for Push-T.
+    /// The policy that is rolled out.
+    #[serde(skip)]
+    pub policy: Option<Policy>,
+    /// `index` to `rollouts`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutSection>,
-    /// `index` to `rollouts`, for robosuite's tasks. In files it is called `rollout`, too.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub spatial_rollout: Option<SpatialRolloutSection>,
 }
 
 impl Pipeline {
@@ -81,19 +81,19 @@ impl Pipeline {
         self.index.as_ref().or_fault(|| Self::missing("index"))
     }
 
-    /// How the policy is rolled out, for Push-T.
+    /// The policy.
+    ///
+    /// # Errors
+    /// When the pipeline has no table `[policy]`.
+    pub fn policy(&self) -> Result<&Policy> {
+        self.policy.as_ref().or_fault(|| Self::missing("policy"))
+    }
+
+    /// How it is rolled out.
     ///
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub fn rollout(&self) -> Result<&RolloutSection> {
         self.rollout.as_ref().or_fault(|| Self::missing("rollout"))
-    }
-
-    /// How the policy is rolled out, for robosuite's tasks.
-    ///
-    /// # Errors
-    /// When the pipeline has no table `[rollout]`.
-    pub fn spatial_rollout(&self) -> Result<&SpatialRolloutSection> {
-        self.spatial_rollout.as_ref().or_fault(|| Self::missing("rollout"))
     }
 }

@@ -1,11 +1,8 @@
-//! Tables `[rollout]` of the pipeline file.
+//! Tables `[policy]` and `[rollout]` of the pipeline file.
 
+use re4_artifact::Stage;
 use re4_geometry::spatial::Symmetry;
-use re4_policy::spatial::{
-    PoseFilterConfig, SPATIAL_PRESETS, SpatialPolicyConfig, SpatialRecoveryConfig, SpatialReframeConfig,
-    SpatialReplanConfig, SpatialReplayConfig, SpatialRetrieveConfig,
-};
-use re4_policy::{PRESETS, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig};
+use re4_policy::kinds::{Kinds as _, PlanePolicy, SettingError, SpacePolicy};
 use re4_sim::robosuite::{Fidelity, RobosuiteTask};
 use re4_sim::{ResetOrder, SeedScheme};
 use schemars::JsonSchema;
@@ -14,87 +11,78 @@ use serde::{Deserialize, Serialize};
 use super::Variant;
 use super::seeds::Seeds;
 
-/// `index` to `rollouts`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RolloutSection {
-    /// Preset that the policy starts from: `paper`, `re4` or `re2`. The tables below change single settings of it.
-    #[schemars(extend("enum" = PRESETS))]
-    pub policy: String,
-    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers. Left out
-    /// where the pipeline has a table `[scenes]`, and nowhere else.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub seeds: Option<Seeds>,
-    /// Whose seeds: which generator makes the scene of a seed.
-    #[serde(default = "diffusion_policy")]
-    pub seed_scheme: SeedScheme,
-    /// In which order a reset to the scene of a seed sets the block's position and angle. The block of a scene from
-    /// `[scenes]` always arrives at the pose that the scene says.
-    #[serde(default)]
-    pub reset: ResetOrder,
-    /// Control steps an episode lasts at most.
-    #[serde(default = "paper_steps")]
-    pub max_steps: u32,
-    /// Retrieve.
-    pub retrieve: RetrieveConfig,
-    /// Reframe.
-    pub reframe: ReframeConfig,
-    /// Replan.
-    pub replan: ReplanConfig,
-    /// Replay.
-    pub replay: ReplayConfig,
+/// The policy that is rolled out, with its settings.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Policy {
+    /// Of Push-T.
+    Plane(PlanePolicy),
+    /// Of a robosuite task.
+    Space(SpacePolicy),
 }
 
-impl RolloutSection {
-    /// The policy with all its settings.
-    pub fn policy_config(&self) -> PolicyConfig {
-        PolicyConfig {
-            retrieve: self.retrieve.clone(),
-            reframe: self.reframe,
-            replan: self.replan.clone(),
-            replay: self.replay.clone(),
+impl Policy {
+    /// The name of its kind.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Plane(policy) => policy.kind(),
+            Self::Space(policy) => policy.kind(),
+        }
+    }
+
+    /// Stages whose artifacts it opens.
+    pub(crate) fn inputs(&self) -> &'static [Stage] {
+        match self {
+            Self::Plane(policy) => policy.settings().inputs(),
+            Self::Space(policy) => policy.settings().inputs(),
+        }
+    }
+
+    /// Refuses settings that make no sense.
+    pub(super) fn check(&self, images: bool) -> Result<(), SettingError> {
+        match self {
+            Self::Plane(policy) => policy.settings().check(images),
+            Self::Space(policy) => policy.settings().check(images),
         }
     }
 }
 
-/// `index` to `rollouts` of robosuite's tasks.
+/// `index` to `rollouts`: where they start, how long they last, and what is observed in them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct SpatialRolloutSection {
-    /// Preset that the policy starts from: `paper`, `re4` or `re2`. The tables below change single settings of it.
-    #[schemars(extend("enum" = SPATIAL_PRESETS))]
-    pub policy: String,
-    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers. The scene of
-    /// a seed is the one that robosuite draws for it.
-    pub seeds: Seeds,
-    /// Control steps an episode lasts at most.
-    #[serde(default = "robomimic_steps")]
+pub struct RolloutSection {
+    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers. Left out
+    /// where the pipeline has a table `[scenes]`, and nowhere else. The scene of a seed of a robosuite task is the one that
+    /// robosuite draws for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seeds: Option<Seeds>,
+    /// Control steps an episode lasts at most: 200 by default, with robosuite's tasks 400.
+    #[serde(default = "paper_steps")]
     pub max_steps: u32,
-    /// Turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's object: four
-    /// quarters of a turn for the cube, any turn for the can, none for the nut; with the other presets none. With
+    /// Push-T: whose seeds, that is which generator makes the scene of a seed.
+    #[serde(default = "diffusion_policy")]
+    #[schemars(extend("domain" = "plane"))]
+    pub seed_scheme: SeedScheme,
+    /// Push-T: in which order a reset to the scene of a seed sets the block's position and angle. The block of a scene from
+    /// `[scenes]` always arrives at the pose that the scene says.
+    #[serde(default)]
+    #[schemars(extend("domain" = "plane"))]
+    pub reset: ResetOrder,
+    /// robosuite tasks: turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's
+    /// object: four quarters of a turn for the cube, any turn for the can, none for the nut; with other policies none. With
     /// `variant = "image"` none either: the frame that the encoder estimates is that of the gripper as it would hold the object,
     /// whose axes are not the object's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("domain" = "space"))]
     pub symmetry: Option<Symmetry>,
-    /// Errors that the object poses which the policy is told are given on purpose.
+    /// robosuite tasks: errors that the object poses which the policy is told are given on purpose.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("domain" = "space"))]
     pub noise: Option<NoiseSection>,
-    /// How closely robosuite is followed: `robosuite`, to the bit, or `fast`.
+    /// robosuite tasks: how closely robosuite is followed: `robosuite`, to the bit, or `fast`.
     #[serde(default)]
+    #[schemars(extend("domain" = "space"))]
     pub fidelity: Fidelity,
-    /// Retrieve.
-    pub retrieve: SpatialRetrieveConfig,
-    /// Reframe.
-    pub reframe: SpatialReframeConfig,
-    /// Replan: the bridge to the start of a chunk.
-    pub replan: SpatialReplanConfig,
-    /// Replay.
-    pub replay: SpatialReplayConfig,
-    /// What is done about failure.
-    pub recovery: SpatialRecoveryConfig,
-    /// How observed object poses are averaged; every one is taken as it is where the preset has no such table.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub filter: Option<PoseFilterConfig>,
 }
 
 /// Errors of the object poses that a policy is told: normal, independent at every control step, drawn by the scene's seed.
@@ -109,22 +97,10 @@ pub struct NoiseSection {
     pub rotation: f64,
 }
 
-impl SpatialRolloutSection {
-    /// The policy with all its settings.
-    pub fn policy_config(&self) -> SpatialPolicyConfig {
-        SpatialPolicyConfig {
-            retrieve: self.retrieve.clone(),
-            reframe: self.reframe.clone(),
-            replan: self.replan.clone(),
-            replay: self.replay.clone(),
-            recovery: self.recovery.clone(),
-            filter: self.filter.clone(),
-        }
-    }
-
-    /// Symmetry of the task's object that the policy uses.
-    pub fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>) -> Symmetry {
-        let usual = if self.policy == "re4" && variant != Some(Variant::Image) {
+impl RolloutSection {
+    /// Symmetry of a robosuite task's object that a policy uses.
+    pub(crate) fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>, policy: &SpacePolicy) -> Symmetry {
+        let usual = if matches!(policy, SpacePolicy::Re4(_)) && variant != Some(Variant::Image) {
             task.symmetry
         } else {
             Symmetry::None
@@ -141,6 +117,5 @@ fn paper_steps() -> u32 {
     200
 }
 
-fn robomimic_steps() -> u32 {
-    400
-}
+/// Control steps that an episode of robosuite's tasks lasts at most: the horizon of robomimic's benchmark.
+pub(super) const ROBOMIMIC_STEPS: u32 = 400;

@@ -1,64 +1,82 @@
 //! JSON Schema of the pipeline file.
 
-use serde_json::{Value, json};
+use re4_policy::kinds::{Kinds, PlanePolicy, SpacePolicy};
+use serde_json::{Map, Value, json};
 
 use super::Pipeline;
 
-/// Tables of the policy, which the preset fills.
-const POLICY_TABLES: [&str; 6] = ["retrieve", "reframe", "replan", "replay", "recovery", "filter"];
-
-/// JSON Schema of the pipeline file: the table `[rollout]` is one for Push-T, or one for robosuite's tasks.
+/// JSON Schema of the pipeline file. Its table `[policy]` is that of one of the kinds.
 pub fn schema() -> Value {
-    let mut schema = inner_schema();
-    if let Some(properties) = schema.get_mut("properties").and_then(Value::as_object_mut) {
-        properties.remove(SPATIAL_ROLLOUT);
-        properties.insert(
-            "rollout".to_owned(),
-            json!({
-                "description": "`index` to `rollouts`: for Push-T, or for robosuite's tasks.",
-                "anyOf": [
-                    { "$ref": "#/$defs/RolloutSection" },
-                    { "$ref": "#/$defs/SpatialRolloutSection" },
-                ],
-            }),
-        );
+    let mut schema = json!(schemars::schema_for!(Pipeline));
+    let mut tables = Vec::new();
+    for (domain, kinds) in [
+        ("Push-T", settings::<PlanePolicy>()),
+        ("robosuite's tasks", settings::<SpacePolicy>()),
+    ] {
+        // Kinds that differ in their defaults alone are described together.
+        let mut described: Vec<(Vec<&str>, Value)> = Vec::new();
+        for (kind, table) in kinds {
+            match described.iter_mut().find(|(_, other)| *other == table) {
+                Some((kinds, _)) => kinds.push(kind),
+                None => described.push((vec![kind], table)),
+            }
+        }
+        for (kinds, mut table) in described {
+            table["properties"]["kind"] = json!({ "enum": kinds });
+            table["required"] = json!(["kind"]);
+            table["title"] = json!(format!("{} of {domain}", kinds.join(", ")));
+            take_definitions(&mut table, &mut schema);
+            tables.push(table);
+        }
     }
+    schema["properties"]["policy"] = json!({
+        "description": "The policy that is rolled out. Settings that are left out have the defaults of the kind.",
+        "anyOf": tables,
+    });
     schema
 }
 
-/// Name that the table `[rollout]` of robosuite's tasks has inside of this program.
-pub(super) const SPATIAL_ROLLOUT: &str = "spatial_rollout";
-
-/// The schema after `[rollout]` was told apart by task. The policy's own tables need not be complete: the preset fills them.
-pub(super) fn inner_schema() -> Value {
+/// The schema of a file with a policy of this kind.
+pub(super) fn schema_with<K: Kinds>(kind: Option<&str>) -> Value {
     let mut schema = json!(schemars::schema_for!(Pipeline));
-    if let Some(definitions) = schema.get_mut("$defs").and_then(Value::as_object_mut) {
-        for name in [
-            "RetrieveConfig",
-            "ReframeConfig",
-            "ReplanConfig",
-            "ReplayConfig",
-            "SpatialRetrieveConfig",
-            "SpatialReframeConfig",
-            "SpatialReplanConfig",
-            "SpatialReplayConfig",
-            "SpatialRecoveryConfig",
-            "BanConfig",
-            "PoseFilterConfig",
-        ] {
-            if let Some(definition) = definitions.get_mut(name).and_then(Value::as_object_mut) {
-                definition.remove("required");
-            }
-        }
-        for section in ["RolloutSection", "SpatialRolloutSection"] {
-            let required = definitions
-                .get_mut(section)
-                .and_then(|section| section.get_mut("required"))
-                .and_then(Value::as_array_mut);
-            if let Some(required) = required {
-                required.retain(|name| !POLICY_TABLES.iter().any(|table| name == table));
-            }
+    let mut table = kind.and_then(K::schema).map_or_else(|| json!({}), described);
+    if let Some(properties) = table.get_mut("properties") {
+        properties["kind"] = json!({});
+    }
+    take_definitions(&mut table, &mut schema);
+    schema["properties"]["policy"] = table;
+    schema
+}
+
+fn settings<K: Kinds>() -> Vec<(&'static str, Value)> {
+    let schema = |kind: &&'static str| Some((*kind, described(K::schema(kind)?)));
+    K::NAMES.iter().filter_map(schema).collect()
+}
+
+/// Settings of a policy, none of which need be there.
+fn described(schema: schemars::Schema) -> Value {
+    let mut schema = json!(schema);
+    let tables = schema.get_mut("$defs").and_then(Value::as_object_mut);
+    for table in tables.into_iter().flat_map(Map::values_mut) {
+        without_required(table);
+    }
+    without_required(&mut schema);
+    schema
+}
+
+fn without_required(schema: &mut Value) {
+    if let Some(schema) = schema.as_object_mut() {
+        for key in ["required", "$schema"] {
+            schema.remove(key);
         }
     }
-    schema
+}
+
+/// Moves definitions to the root, where references look for them.
+fn take_definitions(table: &mut Value, root: &mut Value) {
+    if let Some(Value::Object(definitions)) = table.as_object_mut().and_then(|table| table.remove("$defs")) {
+        for (name, definition) in definitions {
+            root["$defs"][name] = definition;
+        }
+    }
 }

@@ -12,5 +12,5 @@ mod train_pose;
 pub(crate) use ingest::FellOver;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
-pub use rollout::{BUDGET_MEASURES, metrics, read_rollouts};
-pub(crate) use rollout::{Watching, studio};
+pub use rollout::{BudgetRow, metrics, read_rollouts};
+pub(crate) use rollout::{Made, Watching, studio};

@@ -11,9 +11,10 @@ use anyhow::{Context as _, Result};
 use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Stage, Table, Writer, col_binary, col_u32, columns, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns};
 use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::{Pose2, periodic_distance};
+use re4_ingest::{FrameRow, ImageRow, PlanarColumns};
 use re4_policy::DemoNames;
 use re4_pose::{
     Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, LogPolarEstimator, Picture, PictureError, PoseRow, SIDE,
@@ -153,12 +154,12 @@ impl Pictures {
     fn open(episodes: &Artifact) -> Result<Self> {
         let path = episodes.path().to_owned();
         ensure!(
-            episodes.manifest().tables.contains_key(tables::IMAGES.name),
+            episodes.has::<ImageRow>(),
             "cannot estimate poses: {} holds no pictures", path.display();
             "set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]"
         );
         Ok(Self {
-            table: episodes.table(&tables::IMAGES)?,
+            table: episodes.table(ImageRow::table())?,
             path,
             names: demo_names(episodes)?,
         })
@@ -259,14 +260,14 @@ fn evaluate(rows: &[PoseRow<Estimate>], episodes: &Artifact) -> Result<Option<Va
     columns! {
         /// A recorded pose alone.
         pub struct Recorded {
-            /// Pose of the block.
-            pub object: Pose2,
+            /// Pose of the block; null where the dataset has none.
+            pub object: Option<Pose2>,
         }
     }
-    let recorded: Vec<Recorded> = episodes.table(&tables::FRAMES)?.read()?;
+    let recorded: Vec<Recorded> = episodes.table(FrameRow::<PlanarColumns>::table())?.read()?;
     let (mut position, mut angle) = (Vec::new(), Vec::new());
     for (row, Recorded { object }) in rows.iter().zip(recorded) {
-        if let Some(pose) = row.estimate.pose {
+        if let (Some(pose), Some(object)) = (row.estimate.pose, object) {
             position.push((pose.x - object.x).hypot(pose.y - object.y));
             angle.push(periodic_distance(pose.theta, object.theta, TAU).to_degrees());
         }

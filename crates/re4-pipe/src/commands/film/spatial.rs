@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use arrow::array::RecordBatch;
-use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, col_u32_or_null, tables};
+use re4_artifact::{Artifact, Stage, col_bool, col_f64, col_f64_list, col_text, col_u32, col_u32_or_null};
 use re4_mujoco::{Data, Model, Renderer, View};
 use re4_report::html::spatial::SpatialPhase;
 use re4_report::{SceneRollout, SceneState};
@@ -17,8 +17,8 @@ use re4_sim::robosuite::{
     RobosuiteTask,
 };
 
-use super::super::names_of_decisions;
 use super::super::report::{find_input, stated};
+use super::super::{names_of_decisions, rollout_tables};
 use re4_stages::Scenes;
 
 /// robosuite's camera in front of the robot.
@@ -57,7 +57,7 @@ impl Films {
         })?;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
         let drawn = scenes.drawn_mjcf(&episodes)?;
-        let results = artifact.table(&tables::SPATIAL_RESULTS)?.read_all()?;
+        let results = rollout_tables::results(artifact)?;
         let steps = Steps::read(artifact)?;
         let mut films = Self {
             rollouts: Vec::new(),
@@ -146,7 +146,7 @@ fn again(
         let away = (0..3).map(|k| (found[k] - object[k]).abs()).fold(0.0, f64::max);
         ensure!(
             away <= TOLERANCE,
-            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table spatial_steps has it after step {step}, so pictures would show another rollout; run the rollout again on this machine"
+            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table steps has it after step {step}, so pictures would show another rollout; run the rollout again on this machine"
         );
         coordinates.push(simulation.data().qpos().to_vec());
     }
@@ -162,8 +162,8 @@ struct Steps {
 impl Steps {
     fn read(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
-            rows: artifact.table(&tables::SPATIAL_STEPS)?.read_all()?,
-            decisions: artifact.table(&tables::SPATIAL_DECISIONS)?.read_all()?,
+            rows: rollout_tables::steps(artifact)?,
+            decisions: rollout_tables::decisions(artifact)?,
         })
     }
 

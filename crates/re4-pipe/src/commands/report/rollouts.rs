@@ -4,14 +4,14 @@ use std::ops::Range;
 
 use anyhow::{Result, ensure};
 use arrow::array::RecordBatch;
-use re4_artifact::{Artifact, col_bool, col_f64, col_f64_list, col_f64_or_null, col_text, col_u32, tables};
-use re4_policy::PolicyConfig;
+use re4_artifact::{Artifact, col_bool, col_f64, col_f64_list, col_f64_or_null, col_text, col_u32};
+use re4_policy::kinds::{Kinds, PlanePolicy};
 use re4_report::html::{DecisionTrace, Metrics, Rollout, Rollouts, Starts, StepTrace, Taken};
 use re4_stats::Interval;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::super::names_of_decisions;
+use super::super::{names_of_decisions, rollout_tables};
 
 /// Reads manifest and tables.
 pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
@@ -21,13 +21,12 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
     let metric =
         |name: &str| -> Result<Interval> { stated(artifact, "summary.metrics", &manifest.summary["metrics"], name) };
     let (demonstrations_taken, demonstrations) = demonstrations(protocol);
-    let preset: String = stated(artifact, "config", config, "preset")?;
-    let unchanged = PolicyConfig::preset(&preset).and_then(|policy| serde_json::to_value(policy).ok());
+    let (preset, altered) = policy::<PlanePolicy>(artifact)?;
     let (starts, scenes) = starts(config);
     Ok(Rollouts {
         key: artifact.key().to_string(),
         index_key: super::index_key(artifact)?.to_string(),
-        altered: unchanged.as_ref() != Some(&config["policy"]),
+        altered,
         preset,
         variant: stated(artifact, "config", config, "variant")?,
         demonstrations,
@@ -46,6 +45,22 @@ pub(super) fn read(artifact: &Artifact) -> Result<Rollouts> {
         settings: config["policy"].clone(),
         rollouts: rollouts(artifact)?,
     })
+}
+
+/// The kind of the policy, and whether settings of it were changed.
+pub(super) fn policy<K: Kinds>(artifact: &Artifact) -> Result<(String, bool)> {
+    let config = &artifact.manifest().config;
+    let mut settings = config["policy"].clone();
+    // Older versions state it beside the settings.
+    let kind: String = match settings.as_object_mut().and_then(|settings| settings.remove("kind")) {
+        Some(Value::String(kind)) => kind,
+        _ => stated(artifact, "config", config, "preset")?,
+    };
+    let mut defaults = serde_json::to_value(K::defaults(&kind))?;
+    if let Some(defaults) = defaults.as_object_mut() {
+        defaults.remove("kind");
+    }
+    Ok((kind, defaults != settings))
 }
 
 /// What the manifest states under this name.
@@ -112,14 +127,14 @@ pub(super) fn inclusive(seeds: &str) -> String {
 }
 
 fn rollouts(artifact: &Artifact) -> Result<Vec<Rollout>> {
-    let results = artifact.table(&tables::RESULTS)?.read_all()?;
+    let results = rollout_tables::results(artifact)?;
     let number = |name| col_f64(&results, name);
     let start = [
-        number("agent_x")?,
-        number("agent_y")?,
-        number("block_x")?,
-        number("block_y")?,
-        number("block_theta")?,
+        number("eef_x")?,
+        number("eef_y")?,
+        number("object_x")?,
+        number("object_y")?,
+        number("object_theta")?,
     ];
     let (score, coverage, iou) = (number("score_max")?, number("coverage_max")?, number("iou_max")?);
     let coverage_final = number("coverage_final")?;
@@ -177,7 +192,7 @@ struct Steps {
 
 impl Steps {
     fn read(artifact: &Artifact, seeds: &[u32], counts: &[u32]) -> Result<Self> {
-        let rows = artifact.table(&tables::STEPS)?.read_all()?;
+        let rows = rollout_tables::steps(artifact)?;
         let ranges = self::rows(artifact, "steps", col_u32(&rows, "seed")?, seeds, counts)?;
         Ok(Self { rows, ranges })
     }
@@ -193,9 +208,9 @@ impl Steps {
         let decision = col_u32(&rows, "decision")?;
         let phase = col_text(&rows, "phase")?;
         let observed = [
-            optional(&rows, "observed_object_x")?,
-            optional(&rows, "observed_object_y")?,
-            optional(&rows, "observed_object_theta")?,
+            optional(&rows, "seen_x")?,
+            optional(&rows, "seen_y")?,
+            optional(&rows, "seen_theta")?,
         ];
         let confidence = optional(&rows, "pose_confidence")?;
         let flag = match rows.column_by_name("pose_flag") {
@@ -211,7 +226,8 @@ impl Steps {
                 score: score[i],
                 decision: decision[i],
                 replay: phase[i] == Some("replay"),
-                observed: whole([observed[0][i], observed[1][i], observed[2][i]]),
+                // A recorded pose is not shown once more.
+                observed: flag[i].and_then(|_| whole([observed[0][i], observed[1][i], observed[2][i]])),
                 confidence: confidence[i],
                 flag: flag[i].map(str::to_owned),
             })
@@ -240,7 +256,7 @@ struct Decisions {
 
 impl Decisions {
     fn read(artifact: &Artifact, seeds: &[u32], counts: &[u32]) -> Result<Self> {
-        let rows = artifact.table(&tables::DECISIONS)?.read_all()?;
+        let rows = rollout_tables::decisions(artifact)?;
         let ranges = self::rows(artifact, "decisions", col_u32(&rows, "seed")?, seeds, counts)?;
         Ok(Self { rows, ranges })
     }

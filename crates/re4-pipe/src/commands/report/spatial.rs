@@ -6,8 +6,8 @@ use std::ops::Range;
 use anyhow::{Context as _, Result, ensure};
 use arrow::array::RecordBatch;
 use re4_artifact::Row as _;
-use re4_artifact::{Artifact, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null, tables};
-use re4_policy::spatial::SpatialPolicyConfig;
+use re4_artifact::{Artifact, col_bool, col_f64, col_f64_or_null, col_text, col_u32, col_u32_or_null};
+use re4_policy::kinds::SpacePolicy;
 use re4_report::html::spatial::{
     Pose, SpatialChosen, SpatialDecision, SpatialDemonstration, SpatialPhase, SpatialRollouts, SpatialStep,
     SpatialTrace, SpatialWorld,
@@ -15,8 +15,8 @@ use re4_report::html::spatial::{
 use re4_sim::robosuite::RobosuiteTask;
 use re4_stats::Interval;
 
-use super::super::names_of_decisions;
-use super::rollouts::{inclusive, rows, stated};
+use super::super::{names_of_decisions, rollout_tables};
+use super::rollouts::{inclusive, policy, rows, stated};
 
 /// Names of the columns of a pose, after its prefix.
 const POSE: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
@@ -27,8 +27,7 @@ pub(super) fn read(artifact: &Artifact, index: Option<&Artifact>) -> Result<Spat
     let manifest = artifact.manifest();
     let (config, summary) = (&manifest.config, &manifest.summary);
     let protocol = &summary["protocol"];
-    let preset: String = stated(artifact, "config", config, "preset")?;
-    let unchanged = SpatialPolicyConfig::preset(&preset).and_then(|policy| serde_json::to_value(policy).ok());
+    let (preset, altered) = policy::<SpacePolicy>(artifact)?;
     let task: RobosuiteTask = stated(artifact, "config", config, "task")?;
     let seeds: String = stated(artifact, "config", config, "seeds")?;
     let success_rate: Interval = stated(artifact, "summary.metrics", &summary["metrics"], "success_rate")?;
@@ -40,7 +39,7 @@ pub(super) fn read(artifact: &Artifact, index: Option<&Artifact>) -> Result<Spat
             fixtures: task.fixtures.to_vec(),
             object: task.shape.to_vec(),
         },
-        altered: unchanged.as_ref() != Some(&config["policy"]),
+        altered,
         preset,
         variant: stated(artifact, "config", config, "variant")?,
         seeds: inclusive(&seeds),
@@ -104,20 +103,19 @@ fn columns<'a, const N: usize>(rows: &'a RecordBatch, prefix: &str, suffixes: [&
 }
 
 fn traces(artifact: &Artifact) -> Result<Vec<SpatialTrace>> {
-    let results = artifact.table(&tables::SPATIAL_RESULTS)?.read_all()?;
+    let results = rollout_tables::results(artifact)?;
     let seeds = col_u32(&results, "seed")?;
     let success = col_bool(&results, "success")?;
     let count = |name| col_u32(&results, name);
-    let (losses, banned, demos) = (count("losses")?, count("banned")?, count("demos")?);
     let eef = columns(&results, "eef", AXES)?;
     let object = columns(&results, "object", POSE)?;
-    let step_rows = artifact.table(&tables::SPATIAL_STEPS)?.read_all()?;
-    let decision_rows = artifact.table(&tables::SPATIAL_DECISIONS)?.read_all()?;
+    let step_rows = rollout_tables::steps(artifact)?;
+    let decision_rows = rollout_tables::decisions(artifact)?;
     let place = |table: &str, batch: &RecordBatch, counts: &[u32]| -> Result<Vec<Range<usize>>> {
         rows(artifact, table, col_u32(batch, "seed")?, seeds, counts)
     };
-    let of_steps = place("spatial_steps", &step_rows, count("steps")?)?;
-    let of_decisions = place("spatial_decisions", &decision_rows, count("decisions")?)?;
+    let of_steps = place("steps", &step_rows, count("steps")?)?;
+    let of_decisions = place("decisions", &decision_rows, count("decisions")?)?;
     (0..seeds.len())
         .map(|i| {
             let decisions = slice(&decision_rows, &of_decisions[i]);
@@ -127,12 +125,14 @@ fn traces(artifact: &Artifact) -> Result<Vec<SpatialTrace>> {
                 _ => [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
             };
             let [x, y, z] = eef.map(|column| column[i]);
+            let kinds = col_text(&decisions, "kind")?;
+            let followed: BTreeSet<u32> = col_u32_or_null(&decisions, "demo")?.into_iter().flatten().collect();
             Ok(SpatialTrace {
                 seed: seeds[i],
                 success: success.value(i),
-                losses: losses[i],
-                banned: banned[i],
-                demos: demos[i],
+                losses: kinds.iter().filter(|kind| **kind == Some("grasp_lost")).count() as u32,
+                banned: col_u32(&decisions, "banned")?.last().copied().unwrap_or(0),
+                demos: followed.len() as u32,
                 shown: true,
                 eef: [x, y, z, turned[3], turned[4], turned[5], turned[6]],
                 object: object.map(|column| column[i]),
@@ -170,7 +170,7 @@ fn read_steps(artifact: &Artifact, rows: &RecordBatch) -> Result<Vec<SpatialStep
                 decision: decision[i],
                 phase: SpatialPhase::from_name(word).with_context(|| {
                     format!(
-                        "cannot report on {}: table spatial_steps has the phase {word}, which this version does not know; run the rollout again",
+                        "cannot report on {}: table steps has the phase {word}, which this version does not know; run the rollout again",
                         artifact.path().display()
                     )
                 })?,
@@ -269,7 +269,7 @@ pub(super) fn read_demonstrations(
 /// # Errors
 /// When some are and others are not.
 pub(super) fn all_spatial(artifacts: &[Artifact]) -> Result<bool> {
-    let spatial = |artifact: &&Artifact| artifact.manifest().tables.contains_key(tables::SPATIAL_RESULTS.name);
+    let spatial = |artifact: &&Artifact| rollout_tables::in_space(artifact);
     let count = artifacts.iter().filter(spatial).count();
     ensure!(
         count == 0 || count == artifacts.len(),

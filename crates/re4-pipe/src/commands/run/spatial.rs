@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 use anyhow::Result;
-use re4_artifact::tables;
+use re4_artifact::Row as _;
 use re4_fault::ensure;
+use re4_rollout::{SpaceResultRow, SpaceStepRow};
 use serde_json::{Value, json};
 
 use super::super::Outcome;
@@ -18,28 +19,20 @@ use re4_stages::{Built, Runner};
 pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
-    ensure!(
-        arguments.record.is_none(),
-        "--record writes Push-T's own format";
-        "leave it out for robosuite's tasks"
-    );
+    ensure!(arguments.record.is_none(), "--record writes Push-T's own format"; "leave it out for robosuite's tasks");
     let page = Page::at(runner, arguments)?;
-    let episodes = runner.ingest()?;
-    let modes = runner.segment(&episodes)?;
-    let poses = runner.train_spatial(&episodes, &modes)?;
-    let index = runner.index_spatial(&episodes, &modes, poses.as_ref())?;
-    let built = runner.rollout_spatial(&episodes, poses.as_ref(), &index)?;
+    let (built, _) = runner.roll_out()?;
     if let Some(page) = &page {
         page.write(console, arguments, &built)?;
     }
     let summary = &built.artifact.manifest().summary;
-    let section = runner.pipeline.spatial_rollout()?;
-    let rollouts = built.artifact.table(&tables::SPATIAL_RESULTS)?.rows();
+    let (section, kind) = (runner.pipeline.rollout()?, runner.pipeline.policy()?.kind());
+    let rollouts = built.artifact.table(SpaceResultRow::table())?.rows();
     let rate = &summary["metrics"]["success_rate"];
     let mut answer = json!({
         "task": runner.pipeline.task,
         "variant": runner.pipeline.variant,
-        "policy": section.policy,
+        "policy": kind,
         "episodes": rollouts,
         "max_steps": section.max_steps,
         "metrics": { "success_rate": ordered(rate) },
@@ -55,8 +48,8 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     console.answer(&answer)?;
     let [value, low, high] = ["value", "low", "high"].map(|key| rate[key].as_f64().unwrap_or(f64::NAN));
     let mut text = format!(
-        "policy {}, {rollouts} rollouts of at most {} steps; mean, 95 % interval\n  success rate  {value:.3}   [{low:.3}, {high:.3}]",
-        section.policy, section.max_steps
+        "policy {kind}, {rollouts} rollouts of at most {} steps; mean, 95 % interval\n  success rate  {value:.3}   [{low:.3}, {high:.3}]",
+        section.max_steps
     );
     let losses = &summary["losses"];
     match summary["medians"]["steps_of_successes"].as_f64() {
@@ -67,7 +60,7 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         None => write!(text, "\n  no rollout succeeds; the grasp was lost {losses} times")?,
     }
     if let Some(pictures) = pictures {
-        let steps = built.artifact.table(&tables::SPATIAL_STEPS)?.rows();
+        let steps = built.artifact.table(SpaceStepRow::table())?.rows();
         write!(text, "\n  {pictures} pictures looked at in {steps} steps")?;
     }
     console.say(&text)?;

@@ -5,17 +5,16 @@ use std::path::Path;
 use anyhow::Result;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Facts, Recipe, Store, Writer};
-use re4_fault::ensure;
-use re4_geometry::{Point2, Pose2};
-use re4_ingest::robomimic::{Convention, GoalErrors};
-use re4_ingest::{DemoName, DemoSource, Frames, LeftOut, OnBad, PlanarFrames, Tally, WarningCode, refusal};
+use re4_fault::{OrFault as _, ensure, fault};
+use re4_ingest::robomimic::GoalErrors;
+use re4_ingest::{Convention, DemoName, DemoSource, Frames, LeftOut, OnBad, Tally, WarningCode, refusal};
 use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::{Map, Value, json};
 
 use super::STAGE;
 use super::drawn::Drawing;
 use super::spool::Spool;
-use super::tables::{ImageTable, write_conventions, write_left_out, write_tables};
+use super::tables::{ImageTable, write_tables};
 use crate::inputs::pictures::encode_png;
 use crate::interrupt::Interrupt;
 use crate::pipeline::IngestSection;
@@ -84,7 +83,9 @@ impl Ingest<'_> {
         excluded: &[LeftOut],
         writer: &Writer,
     ) -> Result<Result<Facts, Vec<LeftOut>>> {
-        write_conventions(writer, self.conventions)?;
+        if !self.conventions.is_empty() {
+            writer.write_rows(self.conventions.iter().cloned())?;
+        }
         let demos = source.demos().len();
         let refuse = self.section.on_bad == OnBad::Refuse;
         let mut left = Vec::new();
@@ -127,7 +128,9 @@ impl Ingest<'_> {
             Pictures::Painted => self.paint(source, &tally, writer)?,
             Pictures::Drawn(drawing, spool) => self.draw(source, drawing, spool, &tally, writer)?,
         };
-        write_left_out(writer, &tally.left_out)?;
+        if !tally.left_out.is_empty() {
+            writer.write_rows(tally.left_out.iter().cloned())?;
+        }
         let warnings = source
             .warnings(&tally)?
             .iter()
@@ -249,19 +252,14 @@ impl Ingest<'_> {
         let side = OBSERVATION_SIDE as u32;
         Self::again(source, &tally.demos, |number, episode| {
             self.interrupt.check(STAGE)?;
-            let Frames::Planar(PlanarFrames {
-                eef,
-                object: Some(object),
-                ..
-            }) = &episode.frames
-            else {
+            let Frames::Planar(frames) = &episode.frames else {
                 return Ok(());
             };
-            let encoded = eef
+            let encoded = frames
                 .par_iter()
-                .zip(object)
-                .map_init(Canvas::new, |canvas, (&[eef_x, eef_y], &[x, y, theta])| {
-                    canvas.draw_state(Point2::new(eef_x, eef_y), Pose2::new(x, y, theta));
+                .map_init(Canvas::new, |canvas, frame| {
+                    let object = frame.object.or_fault(|| fault!("cannot render pictures of demonstrations whose object pose is not known"; "leave ingest.render out"))?;
+                    canvas.draw_state(frame.eef, object);
                     encode_png(&canvas.observation(), side, side)
                 })
                 .collect::<Result<Vec<_>>>()?;

@@ -2,9 +2,10 @@
 
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Stage, col_f64_list, col_text, col_u32_or_null, tables};
+use re4_artifact::{Artifact, Facts, Recipe, Stage};
 use re4_episode::SpatialEpisode;
 use re4_fault::{ensure, fault};
+use re4_ingest::{Convention, EpisodeRow, StateRow};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Robosuite, RobosuiteAction, RobosuiteScene, RobosuiteStep,
@@ -14,7 +15,8 @@ use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
 use super::tables::{DivergenceRow, ReplayRow, SpatialDivergence, SpatialReplay};
-use crate::inputs::demos::{BatchesByEpisode, SpatialEpisodes};
+use crate::inputs::by_episode::ByEpisode;
+use crate::inputs::demos::SpatialEpisodes;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
@@ -78,7 +80,7 @@ impl Runner {
             .robosuite()
             .with_context(|| format!("cannot replay: {}", RobosuiteTask::known()))?;
         ensure!(
-            episodes.artifact.manifest().tables.contains_key(tables::STATES.name),
+            episodes.artifact.has::<StateRow>(),
             "cannot replay {}: the demonstrations have no recorded states to start from",
             episodes.artifact.path().display();
             "ingest a file that has /data/demo_*/states"
@@ -89,11 +91,8 @@ impl Runner {
             .input("episodes", episodes.artifact.key());
         self.build(&recipe, |writer| {
             let recorded = recorded_kind(&episodes.artifact)?;
-            let listing = episodes
-                .artifact
-                .table(&tables::EPISODES)?
-                .read_columns(&["source_episode"])?;
-            let numbers = col_u32_or_null(&listing, "source_episode")?;
+            let listing = episodes.artifact.read::<EpisodeRow>()?.into_iter();
+            let numbers: Vec<Option<u32>> = listing.map(|row| row.source_episode).collect();
             let scenes = Scenes::open(&episodes.artifact, task, Fidelity::Robosuite)?;
             let mut recordings = Recordings::open(&episodes.artifact)?;
             let bar = self.notes.progress(2 * recordings.demos as u64, "replays");
@@ -154,18 +153,15 @@ impl Runner {
 
 /// Which kind of actions the dataset holds, by table `conventions`.
 fn recorded_kind(episodes: &Artifact) -> Result<String> {
-    let rows = episodes
-        .table(&tables::CONVENTIONS)?
-        .read_columns(&["convention", "value"])?;
-    let (names, values) = (col_text(&rows, "convention")?, col_text(&rows, "value")?);
-    let row = names.iter().position(|name| *name == Some("action_kind"));
-    Ok(row.and_then(|row| values[row]).unwrap_or_default().to_owned())
+    let mut rows = episodes.read::<Convention>()?.into_iter();
+    let row = rows.find(|row| row.convention == "action_kind");
+    Ok(row.map_or_else(String::new, |row| row.value.to_string()))
 }
 
 /// Demonstrations with their recorded states, one after the other.
 struct Recordings {
     episodes: SpatialEpisodes,
-    states: BatchesByEpisode,
+    states: ByEpisode<StateRow>,
     demos: usize,
 }
 
@@ -175,7 +171,7 @@ impl Recordings {
         Ok(Self {
             demos: episodes.demos(),
             episodes,
-            states: BatchesByEpisode::open(artifact, &tables::STATES)?,
+            states: ByEpisode::open(artifact, |row: &StateRow| row.episode)?,
         })
     }
 }
@@ -189,7 +185,7 @@ impl Iterator for Recordings {
             let name = episode.name.clone();
             let missing = || fault!("table states lacks {name}"; "ingest the dataset anew");
             let (of, rows) = self.states.next().with_context(missing)??;
-            let states = col_f64_list(&rows, "state")?;
+            let states: Vec<Vec<f64>> = rows.into_iter().map(|row| row.state).collect();
             ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());
             Ok(Recording {
                 number,

@@ -1,10 +1,73 @@
 //! What rollouts had reached under smaller budgets of steps.
 
 use rayon::prelude::*;
-use re4_artifact::{Columns, tables};
+use re4_artifact::{columns, table};
+use re4_rollout::{PlaneResultRow, PlaneStepRow};
 use re4_stats::{Interval, budgets, mean_interval, wilson_interval};
 
-use super::{BOOTSTRAP_SEED, EpisodeRollout};
+/// Seed of the bootstrap, so that intervals are the same in every run.
+pub(super) const BOOTSTRAP_SEED: u64 = 0;
+
+columns! {
+    /// A mean with its interval.
+    #[derive(Copy)]
+    pub struct MeanColumns {
+        /// Mean over the rollouts of the greatest value within the budget.
+        pub mean: f64,
+        /// Lower end of its interval.
+        pub low: f64,
+        /// Upper end of its interval.
+        pub high: f64,
+    }
+}
+
+columns! {
+    /// A rate with its interval.
+    #[derive(Copy)]
+    pub struct RateColumns {
+        /// Share of the rollouts that succeeded within the budget.
+        pub rate: f64,
+        /// Lower end of its interval.
+        pub low: f64,
+        /// Upper end of its interval.
+        pub high: f64,
+    }
+}
+
+table! {
+    /// One row a budget of control steps, every 50 up to the greatest and the greatest itself: what the rollouts of this artifact
+    /// had reached by then. A rollout that ended by success keeps its maxima. Intervals are those of 95 %: percentile bootstrap
+    /// of the mean, Wilson for the success rate. Sorted by budget.
+    #[table("budgets", version = 1)]
+    #[domain = "plane"]
+    #[derive(Copy)]
+    pub struct BudgetRow {
+        /// Control steps that count.
+        pub budget: u32,
+        /// Rollouts behind every figure of the row.
+        pub rollouts: u32,
+        /// Score.
+        pub score: MeanColumns,
+        /// Coverage.
+        pub coverage: MeanColumns,
+        /// IoU.
+        pub iou: MeanColumns,
+        /// Success.
+        pub success: RateColumns,
+    }
+}
+
+impl From<Interval> for MeanColumns {
+    fn from(Interval { value, low, high }: Interval) -> Self {
+        Self { mean: value, low, high }
+    }
+}
+
+impl From<Interval> for RateColumns {
+    fn from(Interval { value, low, high }: Interval) -> Self {
+        Self { rate: value, low, high }
+    }
+}
 
 /// One budget, and what every rollout had reached by it.
 struct Budget {
@@ -31,62 +94,45 @@ impl Budgets {
         Self(budgets(max_steps).into_iter().map(budget).collect())
     }
 
-    /// Adds rollouts.
-    pub(super) fn add(&mut self, episodes: &[EpisodeRollout]) {
-        for episode in episodes {
-            let (mut score, mut coverage, mut iou, mut success) = (0.0_f64, 0.0_f64, 0.0_f64, false);
+    /// Adds rollouts, with their steps in the same order.
+    pub(super) fn add(&mut self, results: &[PlaneResultRow], steps: &[PlaneStepRow]) {
+        let mut rest = steps.iter();
+        for result in results {
+            let (mut score, mut coverage, mut iou, mut taken) = (0.0_f64, 0.0_f64, 0.0_f64, 0);
             // Once the steps are used up, the maxima stay for all budgets that are left.
-            let mut steps = episode.steps.iter();
-            let mut spent = 0;
             for budget in &mut self.0 {
-                for step in steps.by_ref().take((budget.steps - spent) as usize) {
-                    score = score.max(step.after.score);
-                    coverage = coverage.max(step.after.coverage);
-                    iou = iou.max(step.after.iou);
-                    success |= step.after.success;
+                let until = budget.steps.min(result.core.steps);
+                for step in rest.by_ref().take((until - taken) as usize) {
+                    score = score.max(step.score);
+                    coverage = coverage.max(step.coverage);
+                    iou = iou.max(step.iou);
                 }
-                spent = budget.steps;
+                taken = until;
                 budget.score.push(score);
                 budget.coverage.push(coverage);
                 budget.iou.push(iou);
-                budget.successes += u64::from(success);
+                // Success ends a rollout.
+                budget.successes += u64::from(result.core.success && taken == result.core.steps);
             }
         }
     }
 
     /// The table.
-    pub(super) fn columns(&self) -> Columns {
-        let intervals: Vec<[Interval; 4]> = self.0.par_iter().map(Budget::intervals).collect();
-        let rollouts = self.0.iter().map(|budget| budget.score.len() as u32);
-        let mut columns = Columns::new(&tables::BUDGETS)
-            .u32("budget", self.0.iter().map(|budget| budget.steps).collect())
-            .u32("rollouts", rollouts.collect());
-        for (measure, [value, low, high]) in BUDGET_MEASURES.into_iter().enumerate() {
-            let of = |part: fn(&Interval) -> f64| intervals.iter().map(|row| part(&row[measure])).collect::<Vec<f64>>();
-            columns = columns
-                .f64(value, of(|interval| interval.value))
-                .f64(low, of(|interval| interval.low))
-                .f64(high, of(|interval| interval.high));
-        }
-        columns
+    pub(super) fn rows(&self) -> Vec<BudgetRow> {
+        self.0.par_iter().map(Budget::row).collect()
     }
 }
 
-/// Columns of the table, measure by measure.
-pub const BUDGET_MEASURES: [[&str; 3]; 4] = [
-    ["score_mean", "score_low", "score_high"],
-    ["coverage_mean", "coverage_low", "coverage_high"],
-    ["iou_mean", "iou_low", "iou_high"],
-    ["success_rate", "success_low", "success_high"],
-];
-
 impl Budget {
-    fn intervals(&self) -> [Interval; 4] {
-        [
-            mean_interval(&self.score, BOOTSTRAP_SEED),
-            mean_interval(&self.coverage, BOOTSTRAP_SEED),
-            mean_interval(&self.iou, BOOTSTRAP_SEED),
-            wilson_interval(self.successes, self.score.len() as u64),
-        ]
+    fn row(&self) -> BudgetRow {
+        let mean = |values: &[f64]| MeanColumns::from(mean_interval(values, BOOTSTRAP_SEED));
+        BudgetRow {
+            budget: self.steps,
+            rollouts: self.score.len() as u32,
+            score: mean(&self.score),
+            coverage: mean(&self.coverage),
+            iou: mean(&self.iou),
+            success: wilson_interval(self.successes, self.score.len() as u64).into(),
+        }
     }
 }

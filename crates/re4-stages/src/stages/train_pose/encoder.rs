@@ -7,9 +7,7 @@ use anyhow::{Context as _, Result};
 use image::ImageFormat;
 use nalgebra::{Isometry3, UnitQuaternion};
 use rayon::prelude::*;
-use re4_artifact::{
-    Artifact, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns, tables,
-};
+use re4_artifact::{Artifact, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns};
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::pictures::{MIDDLE, PictureFile};
@@ -17,7 +15,7 @@ use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_fault::{OrFault as _, bail, ensure, fault};
-use re4_ingest::SourceFile;
+use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
 use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
 use serde_json::{Value, json};
@@ -251,7 +249,7 @@ impl Runner {
     ) -> Result<PictureFile> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
-        let table = episodes.table(&tables::IMAGES)?;
+        let table = episodes.table(ImageRow::table())?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "pictures");
         let mut cameras = std::collections::BTreeSet::new();
@@ -388,7 +386,7 @@ columns! {
 
 /// End-effector poses and modes, and nothing else.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let frames: Vec<EefOf> = episodes.table(&tables::SPATIAL_FRAMES)?.read()?;
+    let frames: Vec<EefOf> = episodes.table(FrameRow::<SpatialColumns>::table())?.read()?;
     let modes_of: Vec<ModeOf> = modes.table(ModeRow::<SpatialEvidence>::table())?.read()?;
     let ids = frames.iter().map(|row| (row.episode, row.frame));
     ensure!(

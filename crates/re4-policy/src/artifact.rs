@@ -1,0 +1,131 @@
+//! What policies know, out of an `index` artifact.
+
+use std::collections::BTreeSet;
+
+use re4_artifact::Artifact;
+use re4_episode::{DemoNames, Mode, PlanarFrame};
+use re4_geometry::spatial::Symmetry;
+use re4_index::{IndexRow, IndexedFrame, Normalization, PlanarState, Range, RetrievalIndex, ScaleRow, SpatialState};
+
+use crate::DemoSet;
+use crate::config::{RetrieveConfig, Selector};
+use crate::kinds::OpenError;
+use crate::outcome::ChunkLibrary;
+use crate::policy::Knowledge;
+use crate::spatial::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialRetrieveConfig};
+
+/// What RE4 knows of Push-T, from demonstrations of these names.
+pub(crate) fn open_index(
+    artifact: &Artifact,
+    retrieve: &RetrieveConfig,
+    names: DemoNames,
+) -> Result<Knowledge, OpenError> {
+    let open_chunks = || -> Result<Option<ChunkLibrary>, OpenError> {
+        Ok(match retrieve.selector {
+            Selector::Outcome => Some(ChunkLibrary::build(artifact.read()?)?),
+            Selector::TwoStage => None,
+        })
+    };
+    let (states, chunks) = rayon::join(|| open_states(artifact, retrieve, names), open_chunks);
+    let (demos, index) = states?;
+    Ok(Knowledge {
+        demos,
+        index,
+        chunks: chunks?,
+    })
+}
+
+fn open_states(
+    artifact: &Artifact,
+    retrieve: &RetrieveConfig,
+    names: DemoNames,
+) -> Result<(DemoSet, RetrievalIndex), OpenError> {
+    let rows: Vec<IndexRow<PlanarState>> = artifact.read()?;
+    let mut indexed = Vec::with_capacity(rows.len());
+    let mut demos: Vec<(u32, Vec<(PlanarFrame, Mode)>)> = Vec::new();
+    for row in rows {
+        let PlanarState {
+            eef, object, action, ..
+        } = row.state;
+        if row.retrievable.unwrap_or(true) {
+            indexed.push(IndexedFrame {
+                episode: row.episode,
+                frame: row.frame,
+                mode: row.mode,
+                eef,
+                object,
+            });
+        }
+        let frame = PlanarFrame {
+            eef,
+            object,
+            action,
+            contacts: f64::NAN,
+        };
+        match demos.last_mut().filter(|(number, _)| *number == row.episode) {
+            Some((_, frames)) => frames.push((frame, row.mode)),
+            None => demos.push((row.episode, vec![(frame, row.mode)])),
+        }
+    }
+    let normalization = Normalization {
+        ranges: read_scales(artifact)?,
+        angle: retrieve.angle,
+    };
+    let index = RetrievalIndex::with_normalization(indexed, normalization)
+        .map_err(|error| error.named(|episode| names.get(episode).map(str::to_owned)))?;
+    Ok((DemoSet::new(demos).with_names(names), index))
+}
+
+/// The ranges that states of Push-T are normalised by.
+///
+/// # Errors
+/// When they cannot be read, or are of other dimensions.
+pub fn read_scales(artifact: &Artifact) -> Result<[Range; 5], OpenError> {
+    let rows: Vec<ScaleRow> = artifact.read()?;
+    let named = rows
+        .iter()
+        .map(|row| row.dimension.as_str())
+        .eq(Normalization::DIMENSIONS);
+    if !named {
+        return Err(OpenError::Scales {
+            folder: artifact.path().to_owned(),
+        });
+    }
+    Ok(std::array::from_fn(|i| Range {
+        minimum: rows[i].minimum,
+        maximum: rows[i].maximum,
+    }))
+}
+
+/// What RE4 knows of a robosuite task, from demonstrations of these names.
+pub(crate) fn open_spatial_index(
+    artifact: &Artifact,
+    retrieve: &SpatialRetrieveConfig,
+    symmetry: Symmetry,
+    names: DemoNames,
+) -> Result<SpatialKnowledge, OpenError> {
+    let mut demos: Vec<(u32, Vec<SpatialDemoFrame>)> = Vec::new();
+    let mut excluded = BTreeSet::new();
+    for row in artifact.read::<IndexRow<SpatialState>>()? {
+        if row.retrievable == Some(false) {
+            excluded.insert((row.episode, row.frame));
+        }
+        let frame = SpatialDemoFrame {
+            eef: row.state.eef,
+            object: row.state.object,
+            goal: row.state.goal.into(),
+            gripper: row.state.gripper,
+            mode: row.mode,
+        };
+        match demos.last_mut().filter(|(number, _)| *number == row.episode) {
+            Some((_, frames)) => frames.push(frame),
+            None => demos.push((row.episode, vec![frame])),
+        }
+    }
+    Ok(SpatialKnowledge::new(
+        SpatialDemoSet::new(demos).with_names(names),
+        retrieve,
+        symmetry,
+        |demo, frame| excluded.contains(&(demo, frame)),
+    )?)
+}

@@ -1,0 +1,186 @@
+//! Rollouts of Push-T.
+
+use std::sync::Arc;
+
+use anyhow::{Context as _, Result};
+use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_episode::PlanarFrame;
+use re4_fault::bail;
+use re4_geometry::spatial::Symmetry;
+use re4_policy::kinds::{Kinds as _, PlanePolicy};
+use re4_rollout::{Batch, Env, Plane, PlaneResultRow, PlaneStepRow, PushTEnv, Source, Start};
+use re4_sim::{
+    AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
+    chipmunk_version,
+};
+use re4_stats::{mean_interval, median, wilson_interval};
+use serde_json::{Value, json};
+
+use super::budgets::{BOOTSTRAP_SEED, Budgets};
+use super::estimators::LogPolar;
+use super::{CODE_VERSION, Made, Play, extend};
+use crate::inputs::estimators::open_estimator;
+use crate::inputs::starts::read_starts;
+use crate::runner::{Built, Runner};
+
+impl Runner {
+    /// The `rollouts` artifact: from the scenes where there are any, from those of the seeds otherwise.
+    pub(super) fn rollout_plane(&self, policy: &PlanePolicy, made: &Made<'_>) -> Result<Built> {
+        let mut recipe =
+            Recipe::new(Stage::Rollout, CODE_VERSION).config(&self.rollout_config(self.starts_config()?)?)?;
+        for built in made.all() {
+            recipe = recipe.input(built.stage.artifact(), built.artifact.key());
+        }
+        self.build(&recipe, |writer| {
+            let estimator = match made.poses {
+                Some(poses) => Some(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
+                None => None,
+            };
+            let env = |_: &Start<Plane>| -> Result<Box<dyn Env<Plane>>, _> { Ok(Box::new(PushTEnv::new()?)) };
+            let source = |_| match &estimator {
+                Some(estimator) => Source::Image {
+                    camera: "image".to_owned(),
+                    estimator: Box::new(LogPolar::new(estimator)),
+                },
+                None => Source::Recorded,
+            };
+            let starts = self.starts(made.scenes)?;
+            let mut summary = Summary::up_to(self.pipeline.rollout()?.max_steps);
+            let add = &mut |batch: &Batch<Plane>| summary.add(&batch.results, &batch.steps);
+            let play = Play {
+                policy: policy.settings(),
+                symmetry: Symmetry::None,
+                env: &env,
+                source: &source,
+            };
+            self.record(&play, made, &mut starts.into_iter(), writer, add)?;
+            writer.write_rows(summary.budgets.rows())?;
+            let mut protocol = json!({
+                "measure": "greatest value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
+                "intervals": "95 %; percentile bootstrap of the mean (10,000 resamples), Wilson for the success rate",
+                "success_coverage": SUCCESS_COVERAGE,
+                "goal": [GOAL.x, GOAL.y, GOAL.theta],
+                "agent_radius": AGENT_RADIUS,
+                "proportional_gain": PROPORTIONAL_GAIN,
+                "damping_gain": DAMPING_GAIN,
+                "physics_steps_per_control_step": SUBSTEPS,
+                "physics_time_step_s": TIME_STEP,
+                "physics": format!("Chipmunk {}", chipmunk_version()),
+            });
+            extend(&mut protocol, self.starts_config()?);
+            Ok(Facts {
+                summary: summary.state(&self.protocol(&made.episodes.artifact, protocol)?),
+                warnings: Vec::new(),
+            })
+        })
+    }
+
+    fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start<Plane>>> {
+        if let Some(scenes) = scenes {
+            return read_starts(&scenes.artifact);
+        }
+        let section = self.pipeline.rollout()?;
+        let seeds = section.seeds.as_ref().context("no seeds and no scenes to start from")?;
+        let start = |&seed: &u32| Start::from_seed(section.seed_scheme, section.reset, seed);
+        Ok(seeds.as_slice().iter().map(start).collect())
+    }
+
+    /// What the starts follow from, beside the `scenes` artifact.
+    fn starts_config(&self) -> Result<Value> {
+        let section = self.pipeline.rollout()?;
+        Ok(match &self.pipeline.scenes {
+            Some(scenes) => json!({ "scenes": scenes, "reset": ResetOrder::PoseIsPose }),
+            None => json!({ "seeds": section.seeds, "seed_scheme": section.seed_scheme, "reset": section.reset }),
+        })
+    }
+}
+
+/// What the tables of rollouts come to.
+struct Summary {
+    score: Vec<f64>,
+    coverage: Vec<f64>,
+    iou: Vec<f64>,
+    steps: Vec<f64>,
+    successes: u64,
+    budgets: Budgets,
+}
+
+impl Summary {
+    /// Of rollouts of at most `max_steps`.
+    fn up_to(max_steps: u32) -> Self {
+        Self {
+            score: Vec::new(),
+            coverage: Vec::new(),
+            iou: Vec::new(),
+            steps: Vec::new(),
+            successes: 0,
+            budgets: Budgets::up_to(max_steps),
+        }
+    }
+
+    /// Adds rollouts, with their steps in the same order.
+    fn add(&mut self, results: &[PlaneResultRow], steps: &[PlaneStepRow]) {
+        for row in results {
+            self.score.push(row.score_max);
+            self.coverage.push(row.coverage_max);
+            self.iou.push(row.iou_max);
+            self.steps.push(f64::from(row.core.steps));
+            self.successes += u64::from(row.core.success);
+        }
+        self.budgets.add(results, steps);
+    }
+
+    fn state(&self, protocol: &Value) -> Value {
+        let mean = |values: &[f64]| mean_interval(values, BOOTSTRAP_SEED);
+        json!({
+            "rollouts": self.score.len(),
+            "metrics": {
+                "score_scaled_mean": mean(&self.score),
+                "coverage_raw_mean": mean(&self.coverage),
+                "iou_mean": mean(&self.iou),
+                "success_rate": wilson_interval(self.successes, self.score.len() as u64),
+            },
+            "medians": {
+                "score_scaled": median(&self.score),
+                "coverage_raw": median(&self.coverage),
+                "iou": median(&self.iou),
+                "steps": median(&self.steps),
+            },
+            "protocol": protocol,
+        })
+    }
+}
+
+/// Reads the rollouts of an artifact back: the state before each action, the action, and the contact points counted in
+/// the step that led to the state. Rollouts without steps are left out.
+///
+/// # Errors
+/// When a table cannot be read, or the steps are not those of the results.
+pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
+    let results: Vec<PlaneResultRow> = artifact.read()?;
+    let steps: Vec<PlaneStepRow> = artifact.read()?;
+    let mut rest = steps.as_slice();
+    let mut rollouts = Vec::new();
+    for row in results {
+        let Some((steps, others)) = rest.split_at_checked(row.core.steps as usize) else {
+            bail!(
+                "cannot read {}: table steps ends in the rollout of seed {}", artifact.path().display(), row.core.seed;
+                "build it again"
+            );
+        };
+        rest = others;
+        let mut state = (row.eef, row.object, row.contacts);
+        let frames = steps.iter().map(|step| {
+            let (eef, object, contacts) = std::mem::replace(&mut state, (step.eef, step.object, step.contacts));
+            PlanarFrame {
+                eef,
+                object,
+                action: step.action,
+                contacts,
+            }
+        });
+        rollouts.push(frames.collect::<Vec<_>>());
+    }
+    rollouts.retain(|frames| !frames.is_empty());
+    Ok(rollouts)
+}
