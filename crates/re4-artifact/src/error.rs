@@ -1,5 +1,7 @@
-//! What can go wrong with artifacts, each in one sentence that ends with the mend.
+//! What can go wrong with artifacts, and how each is mended.
 
+use re4_fault::Remedy;
+use std::borrow::Cow;
 use std::error::Error;
 use std::fmt;
 use std::io;
@@ -8,11 +10,12 @@ use std::path::{Path, PathBuf};
 use crate::spec::ColumnKind;
 
 /// Why an artifact could not be written, found or read.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum ArtifactError {
     /// The operating system refused an operation on a file or folder.
-    #[error("cannot {operation} {path}: {}", explain(.source), path = .path.display())]
+    #[error("cannot {operation} {path}: {}", explain(.source).0, path = .path.display())]
+    #[remedy(explain(source).1.map(Cow::Borrowed))]
     Io {
         /// What was tried, as a verb phrase.
         operation: &'static str,
@@ -38,7 +41,8 @@ pub enum ArtifactError {
         source: serde_json::Error,
     },
     /// The bytes of a published artifact are not those that were published.
-    #[error("artifact {folder} is damaged: {damage}; delete the folder {folder} and run again", folder = .folder.display())]
+    #[error("artifact {folder} is damaged: {damage}", folder = .folder.display())]
+    #[remedy("delete the folder {folder} and run again", folder = folder.display())]
     Damaged {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -46,25 +50,25 @@ pub enum ArtifactError {
         damage: Damage,
     },
     /// There is no folder to verify or open.
-    #[error("cannot read artifact {folder}: there is no such folder; check the path, or run the stage that makes it", folder = .folder.display())]
+    #[error("cannot read artifact {folder}: there is no such folder", folder = .folder.display())]
+    #[remedy("check the path, or run the stage that makes it")]
     NoFolder {
         /// The folder asked for.
         folder: PathBuf,
     },
     /// The folder has no manifest: another folder was named, or the manifest was lost. Nobody is told to delete it.
-    #[error(
-        "cannot read artifact {folder}: it has no manifest.json; check the path, and where an artifact should be there, move the folder away and run again",
-        folder = .folder.display()
-    )]
+    #[error("cannot read artifact {folder}: it has no manifest.json", folder = .folder.display())]
+    #[remedy("check the path, and where an artifact should be there, move the folder away and run again")]
     NoManifest {
         /// The folder asked for.
         folder: PathBuf,
     },
     /// The manifest was written by a newer build.
     #[error(
-        "cannot read artifact {folder}: its manifest has format {found}, this build reads up to {supported}; update re4-pipe",
+        "cannot read artifact {folder}: its manifest has format {found}, this build reads up to {supported}",
         folder = .folder.display()
     )]
+    #[remedy("update re4-pipe")]
     NewerManifest {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -75,9 +79,10 @@ pub enum ArtifactError {
     },
     /// A table was written by a newer build.
     #[error(
-        "cannot read artifact {folder}: {table} table has schema version {found}, this build reads up to {supported}; update re4-pipe",
+        "cannot read artifact {folder}: {table} table has schema version {found}, this build reads up to {supported}",
         folder = .folder.display()
     )]
+    #[remedy("update re4-pipe")]
     NewerTable {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -89,10 +94,8 @@ pub enum ArtifactError {
         supported: u32,
     },
     /// Two keys share the first 16 digits, or a folder was renamed by hand.
-    #[error(
-        "artifact {folder} belongs to key {found}, not to {expected}; move that folder away and run again",
-        folder = .folder.display()
-    )]
+    #[error("artifact {folder} belongs to key {found}, not to {expected}", folder = .folder.display())]
+    #[remedy("move that folder away and run again")]
     OtherKey {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -102,7 +105,8 @@ pub enum ArtifactError {
         found: String,
     },
     /// An artifact holds no table of this name.
-    #[error("artifact {folder} has no table {table}; it has {known}", folder = .folder.display())]
+    #[error("artifact {folder} has no table {table}", folder = .folder.display())]
+    #[remedy("it has {known}")]
     NoTable {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -143,8 +147,12 @@ pub enum ArtifactError {
     },
     /// Another run published the same key with other bytes: some stage is not deterministic.
     #[error(
-        "cannot publish {folder}: another run published the same key with different bytes in {what}; delete the folder {folder}, run again, and report it, for equal keys must give equal bytes",
+        "cannot publish {folder}: another run published the same key with different bytes in {what}",
         folder = .folder.display()
+    )]
+    #[remedy(
+        "delete the folder {folder}, run again, and report it, for equal keys must give equal bytes",
+        folder = folder.display()
     )]
     NotReproducible {
         /// Folder of the artifact.
@@ -153,7 +161,8 @@ pub enum ArtifactError {
         what: String,
     },
     /// A batch lacks a column.
-    #[error("table {table} has no column {column}; it has {known}")]
+    #[error("table {table} has no column {column}")]
+    #[remedy("it has {known}")]
     NoColumn {
         /// Name of the table, `?` when the rows do not say.
         table: String,
@@ -175,7 +184,8 @@ pub enum ArtifactError {
         found: String,
     },
     /// A column that was asked for as complete has nulls.
-    #[error("column {column} of table {table} is null in row {row}; read it as a column with nulls")]
+    #[error("column {column} of table {table} is null in row {row}")]
+    #[remedy("read it as a column with nulls")]
     Null {
         /// Name of the table, `?` when the rows do not say.
         table: String,
@@ -185,9 +195,8 @@ pub enum ArtifactError {
         row: usize,
     },
     /// A word of a column is none of those that it may have.
-    #[error(
-        "column {column} of table {table} has the word {word:?}, which is none of {known}; build the artifact again"
-    )]
+    #[error("column {column} of table {table} has the word {word:?}, which is none of {known}")]
+    #[remedy("build the artifact again")]
     UnknownWord {
         /// Name of the table, `?` when the rows do not say.
         table: String,
@@ -200,9 +209,10 @@ pub enum ArtifactError {
     },
     /// A table holds the columns of another domain.
     #[error(
-        "cannot read table {table} of {folder} as one of the domain {expected}: it is of the domain {found}; name an artifact of a task in that domain",
+        "cannot read table {table} of {folder} as one of the domain {expected}: it is of the domain {found}",
         folder = .folder.display()
     )]
+    #[remedy("name an artifact of a task in that domain")]
     OtherDomain {
         /// Folder of the artifact.
         folder: PathBuf,
@@ -260,20 +270,30 @@ impl ArtifactError {
     }
 }
 
-fn explain(error: &io::Error) -> String {
-    match error.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "the disk is full; free space there or choose another artifacts folder".to_owned()
+/// What an answer of the operating system means, and how to mend it.
+fn explain(error: &io::Error) -> (String, Option<&'static str>) {
+    let (what, remedy) = match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => (
+            "the disk is full",
+            "free space there or choose another artifacts folder",
+        ),
+        io::ErrorKind::ReadOnlyFilesystem => (
+            "the file system is read-only",
+            "choose an artifacts folder that can be written",
+        ),
+        io::ErrorKind::PermissionDenied => (
+            "permission denied",
+            "give yourself write permission there or choose another artifacts folder",
+        ),
+        io::ErrorKind::NotFound => {
+            return (
+                error.to_string(),
+                Some("check the path, or choose another artifacts folder"),
+            );
         }
-        io::ErrorKind::ReadOnlyFilesystem => {
-            "the file system is read-only; choose an artifacts folder that can be written".to_owned()
-        }
-        io::ErrorKind::PermissionDenied => {
-            "permission denied; give yourself write permission there or choose another artifacts folder".to_owned()
-        }
-        io::ErrorKind::NotFound => format!("{error}; check the path, or choose another artifacts folder"),
-        _ => error.to_string(),
-    }
+        _ => return (error.to_string(), None),
+    };
+    (what.to_owned(), Some(remedy))
 }
 
 /// What is wrong with the bytes of an artifact. Files are named relative to its folder.
@@ -342,7 +362,7 @@ mod tests {
     fn a_full_disk_is_told_from_a_broken_encoder() {
         let full = io::Error::from(io::ErrorKind::StorageFull);
         let path = Path::new("a/frames.parquet");
-        let said = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).to_string();
+        let said = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).sentence();
         assert_eq!(
             said,
             "cannot write a/frames.parquet: the disk is full; free space there or choose another artifacts folder"

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 use common::{EVERY_KIND, SCALES, files, publish_sample, recipe};
 use re4_artifact::{Artifact, ArtifactError, Facts, Stage, Store, canonical_json, canonical_text, verify};
+use re4_fault::Remedy as _;
 use serde_json::{Value, json};
 
 struct Published {
@@ -45,8 +46,8 @@ impl Published {
 
     /// What verification and lookup say; both find every damage, and say the same of it.
     fn complaint(&self) -> String {
-        let verified = verify(&self.folder, &known).unwrap_err().to_string();
-        assert_eq!(self.lookup().unwrap_err().to_string(), verified);
+        let verified = verify(&self.folder, &known).unwrap_err().sentence();
+        assert_eq!(self.lookup().unwrap_err().sentence(), verified);
         assert!(!verified.contains('\n'));
         verified
     }
@@ -131,10 +132,10 @@ fn row_groups_that_are_not_as_published_are_said_so() {
         let artifact = published();
         artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["row_group_rows"] = json!(size));
         let what = format!("every_kind.parquet has {found}");
-        let said = verify(&artifact.folder, &known).unwrap_err().to_string();
+        let said = verify(&artifact.folder, &known).unwrap_err().sentence();
         assert_eq!(said, artifact.damaged(&what));
         let open = Artifact::open(&artifact.folder).unwrap();
-        assert_eq!(open.table(&EVERY_KIND).unwrap_err().to_string(), said);
+        assert_eq!(open.table(&EVERY_KIND).unwrap_err().sentence(), said);
     }
 }
 
@@ -144,7 +145,7 @@ fn a_missing_file_is_said_so() {
     let open = Artifact::open(&artifact.folder).unwrap();
     fs::remove_file(artifact.folder.join("every_kind.parquet")).unwrap();
     assert_eq!(artifact.complaint(), artifact.damaged("every_kind.parquet is missing"));
-    let read = open.table(&EVERY_KIND).unwrap_err().to_string();
+    let read = open.table(&EVERY_KIND).unwrap_err().sentence();
     assert_eq!(read, artifact.damaged("every_kind.parquet is missing"));
 }
 
@@ -261,7 +262,7 @@ fn a_forged_manifest_is_found_though_its_hash_fits() {
     let artifact = published();
     artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["rows"] = json!(31));
     assert_eq!(
-        verify(&artifact.folder, &known).unwrap_err().to_string(),
+        verify(&artifact.folder, &known).unwrap_err().sentence(),
         artifact.damaged("every_kind.parquet has 30 rows where the manifest says 31")
     );
 }
@@ -279,7 +280,7 @@ fn a_table_with_other_columns_than_its_version_has_is_refused() {
     let artifact = published();
     let open = Artifact::open(&artifact.folder).unwrap();
     assert_eq!(
-        open.table(&OTHER).unwrap_err().to_string(),
+        open.table(&OTHER).unwrap_err().sentence(),
         artifact.damaged("every_kind.parquet has 11 columns where version 1 of the every_kind table has 1")
     );
 }
@@ -308,7 +309,7 @@ fn another_keys_folder_is_not_taken_for_ours() {
 #[test]
 fn a_path_without_artifact_is_said_so() {
     assert_eq!(
-        verify(Path::new("/nowhere/at/all"), &known).unwrap_err().to_string(),
+        verify(Path::new("/nowhere/at/all"), &known).unwrap_err().sentence(),
         "cannot read artifact /nowhere/at/all: there is no such folder; check the path, or run the stage that makes it"
     );
     let root = tempfile::tempdir().unwrap();

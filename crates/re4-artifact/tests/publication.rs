@@ -17,6 +17,7 @@ use std::time::{Duration, Instant};
 
 use common::{EVERY_KIND, artifact_names, columns, files, publish_sample, recipe, sample_rows};
 use re4_artifact::{Facts, Key, Stage, Store, Writer, verify};
+use re4_fault::Remedy as _;
 use serde_json::json;
 
 /// Longest that anything is waited for that has to happen.
@@ -90,9 +91,9 @@ fn unfinished_and_repeated_tables_are_not_published() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = half_written(&store);
-    let twice = writer.table(&EVERY_KIND).err().unwrap().to_string();
+    let twice = writer.table(&EVERY_KIND).err().unwrap().sentence();
     assert!(twice.ends_with("table every_kind was begun twice"), "{twice}");
-    let refused = writer.publish(Facts::default()).unwrap_err().to_string();
+    let refused = writer.publish(Facts::default()).unwrap_err().sentence();
     let folder = store.folder(Stage::Segment, &recipe(1).key());
     assert_eq!(
         refused,
@@ -242,7 +243,7 @@ fn equal_keys_with_different_bytes_are_refused() {
     table.write_columns(columns(&sample_rows(31))).unwrap();
     table.finish().unwrap();
     let theirs = publish_sample(&store, 1, 30);
-    let refused = writer.publish(Facts::default()).unwrap_err().to_string();
+    let refused = writer.publish(Facts::default()).unwrap_err().sentence();
     let folder = theirs.path().display();
     assert_eq!(
         refused,
@@ -297,7 +298,7 @@ fn a_full_disk_is_said_so_and_leaves_nothing() {
     let mut error = None;
     for _ in 0..1_000 {
         if let Err(refused) = table.write_columns(columns(&rows)) {
-            error = Some(refused.to_string());
+            error = Some(refused.sentence());
             break;
         }
     }
@@ -332,12 +333,12 @@ fn a_read_only_file_system_is_said_so_and_can_be_read() {
     let store = Store::open(disk.0.path()).unwrap();
     let found = store.lookup(Stage::Segment, artifact.key()).unwrap().unwrap();
     assert_eq!(found.manifest(), artifact.manifest());
-    let refused = store.begin(&recipe(2)).unwrap_err().to_string();
+    let refused = store.begin(&recipe(2)).unwrap_err().sentence();
     assert!(
         refused.ends_with("the file system is read-only; choose an artifacts folder that can be written"),
         "{refused}"
     );
-    let new = Store::open(&disk.0.path().join("new")).unwrap_err().to_string();
+    let new = Store::open(&disk.0.path().join("new")).unwrap_err().sentence();
     assert!(new.starts_with("cannot make the artifacts folder "), "{new}");
     disk.remount("remount,rw");
 }

@@ -15,6 +15,7 @@ use re4_artifact::{
     col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null, col_u64,
     json_description, table, verify,
 };
+use re4_fault::Remedy as _;
 use serde_json::json;
 
 fn any_bits() -> impl Strategy<Value = f64> {
@@ -309,7 +310,7 @@ fn older_tables_are_read_with_nulls_and_newer_ones_refused() {
         col_text(&new.table(&THIRD).unwrap().read_all().unwrap(), "label").unwrap(),
         [Some("far")]
     );
-    let refusal = new.table(&FIRST).unwrap_err().to_string();
+    let refusal = new.table(&FIRST).unwrap_err().sentence();
     assert!(
         refusal.ends_with("grown table has schema version 3, this build reads up to 1; update re4-pipe"),
         "{refusal}"
@@ -319,7 +320,7 @@ fn older_tables_are_read_with_nulls_and_newer_ones_refused() {
 #[test]
 fn rows_that_do_not_fit_are_refused_by_name() {
     let refused = |columns: Columns| match columns.finish().unwrap_err() {
-        error @ ArtifactError::Rows { .. } => error.to_string(),
+        error @ ArtifactError::Rows { .. } => error.sentence(),
         other => panic!("{other}"),
     };
     let scales = || {
@@ -359,7 +360,7 @@ fn columns_that_are_not_there_are_refused_by_name() {
     let artifact = publish_sample(&Store::open(root.path()).unwrap(), 1, 5);
     let table = artifact.table(&EVERY_KIND).unwrap();
     let rows = table.read_all().unwrap();
-    let said = |result: Result<&[f64], ArtifactError>| result.unwrap_err().to_string();
+    let said = |result: Result<&[f64], ArtifactError>| result.unwrap_err().sentence();
     assert!(said(col_f64(&rows, "eef_z")).starts_with("table every_kind has no column eef_z; it has episode, count"));
     assert_eq!(
         said(col_f64(&rows, "episode")),
@@ -369,12 +370,12 @@ fn columns_that_are_not_there_are_refused_by_name() {
         said(col_f64(&rows, "maybe")),
         "column maybe of table every_kind is null in row 0; read it as a column with nulls"
     );
-    let missing = artifact.table(PictureRow::table()).unwrap_err().to_string();
+    let missing = artifact.table(PictureRow::table()).unwrap_err().sentence();
     assert!(
         missing.ends_with("has no table pictures; it has every_kind"),
         "{missing}"
     );
-    let beyond = table.read_rows(3..9).unwrap_err().to_string();
+    let beyond = table.read_rows(3..9).unwrap_err().sentence();
     assert!(
         beyond.contains("cannot read rows 3..9 of ") && beyond.ends_with("the table has 5 rows"),
         "{beyond}"

@@ -1,5 +1,6 @@
 //! Thresholds that are set rather than derived.
 
+use re4_fault::Remedy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -120,8 +121,9 @@ impl AuditConfig {
 }
 
 /// A threshold that is out of range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("cannot audit: audit.{code} is {value}; set it to a finite number of at least 0, or leave it out")]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
+#[error("cannot audit: audit.{code} is {value}")]
+#[remedy("set it to a finite number of at least 0, or leave it out")]
 pub struct AuditError {
     code: &'static str,
     value: f64,

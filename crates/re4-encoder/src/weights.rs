@@ -12,6 +12,7 @@ use std::{fs, io};
 use burn::module::{Module, RunningState};
 use burn::store::pytorch_reader::{DType, PytorchReader, Tensor as TorchTensor};
 use burn::tensor::{Device, Tensor, TensorData};
+use re4_fault::{Fault, fault};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 
@@ -59,11 +60,11 @@ pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
 /// # Errors
 /// When the weights cannot be had from their device.
 pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
-    let pack = || -> Result<Vec<u8>, String> {
+    let pack = || -> Result<Vec<u8>, Fault> {
         let mut tensors = BTreeMap::new();
         for (name, slot) in encoder.clone().slots() {
             let (shape, values) =
-                values_of(slot).map_err(|why| format!("{name} cannot be read from its device ({why})"))?;
+                values_of(slot).map_err(|why| fault!("{name} cannot be read from its device ({why})"))?;
             let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
             tensors.insert(name, (shape, bytes));
         }
@@ -74,7 +75,7 @@ pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
         // No metadata: its keys would come in an order of their own.
         views
             .and_then(|views| safetensors::serialize(views, None))
-            .map_err(|error: SafeTensorError| format!("they cannot be packed ({error})"))
+            .map_err(|error: SafeTensorError| fault!("they cannot be packed ({error})"))
     };
     pack().map_err(|why| weights_error(Path::new("of the encoder in training"), why))
 }
@@ -88,15 +89,15 @@ pub fn save(encoder: &Encoder, path: &Path) -> Result<(), EncoderError> {
     fs::write(path, to_bytes(encoder)?).map_err(|error| {
         let why = match error.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-                format!("the file cannot be written ({error}); free some space")
+                fault!("the file cannot be written ({error})"; "free some space")
             }
-            _ => format!("the file cannot be written ({error}); choose a folder that can be written to"),
+            _ => fault!("the file cannot be written ({error})"; "choose a folder that can be written to"),
         };
         weights_error(path, why)
     })
 }
 
-fn weights_error(path: &Path, why: String) -> EncoderError {
+fn weights_error(path: &Path, why: Fault) -> EncoderError {
     EncoderError::Weights {
         path: path.to_owned(),
         why,
@@ -158,7 +159,7 @@ impl Origin {
     }
 }
 
-fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, String> {
+fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, Fault> {
     let expected = encoder.width();
     let mut slots: Vec<_> = encoder
         .slots()
@@ -168,9 +169,9 @@ fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, St
     file.check_names(slots.iter().map(|(name, _)| name.as_str()).collect(), origin)?;
     let width = file.width(origin)?;
     if width != expected {
-        return Err(format!(
-            "conv1.weight has {width} channels and the encoder's has {expected}; set pose.encoder.width = {width}, or start \
-             from weights of {expected} channels"
+        return Err(fault!(
+            "conv1.weight has {width} channels and the encoder's has {expected}";
+            "set pose.encoder.width = {width}, or start from weights of {expected} channels"
         ));
     }
     for (name, slot) in &slots {
@@ -255,28 +256,25 @@ struct File {
 }
 
 impl File {
-    fn open(path: &Path, origin: Origin) -> Result<Self, String> {
+    fn open(path: &Path, origin: Origin) -> Result<Self, Fault> {
         let metadata = fs::metadata(path).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => format!("there is no such file; {}", origin.mend()),
+            io::ErrorKind::NotFound => fault!("there is no such file"; "{}", origin.mend()),
             _ => cannot_read(&error),
         })?;
         if !metadata.is_file() {
-            return Err("it is not a file; name the file of weights itself".to_owned());
+            return Err(fault!("it is not a file"; "name the file of weights itself"));
         }
         if metadata.len() == 0 {
-            return Err(format!("the file is empty; {}", origin.mend()));
+            return Err(fault!("the file is empty"; "{}", origin.mend()));
         }
         if metadata.len() > LARGEST {
             let bytes = metadata.len();
-            return Err(format!(
-                "{bytes} bytes are more than a ResNet-18 has; {}",
-                origin.mend()
-            ));
+            return Err(fault!("{bytes} bytes are more than a ResNet-18 has"; "{}", origin.mend()));
         }
         let mut tensors = if is_safetensors(path).map_err(|error| cannot_read(&error))? {
             read_safetensors(path, origin)?
         } else if matches!(origin, Origin::Own) {
-            return Err(format!("it is not a safetensors file; {}", origin.mend()));
+            return Err(fault!("it is not a safetensors file"; "{}", origin.mend()));
         } else {
             read_torch(path, origin)?
         };
@@ -292,26 +290,25 @@ impl File {
         Ok(Self { tensors })
     }
 
-    fn get(&self, name: &str, origin: Origin) -> Result<&Content, String> {
+    fn get(&self, name: &str, origin: Origin) -> Result<&Content, Fault> {
         self.tensors
             .get(name)
-            .ok_or_else(|| format!("it holds no tensor {name}, so it is not a ResNet-18; {}", origin.mend()))
+            .ok_or_else(|| fault!("it holds no tensor {name}, so it is not a ResNet-18"; "{}", origin.mend()))
     }
 
     /// Channels after the first convolution.
-    fn width(&self, origin: Origin) -> Result<usize, String> {
+    fn width(&self, origin: Origin) -> Result<usize, Fault> {
         match *self.get("conv1.weight", origin)?.shape() {
             [width, 3, 7, 7] if (1..=WIDEST).contains(&width) => Ok(width),
-            ref shape => Err(format!(
-                "conv1.weight has the shape {shape:?} where a ResNet-18 has [64, 3, 7, 7], or another width up to {WIDEST} in \
-                 front; {}",
-                origin.mend()
+            ref shape => Err(fault!(
+                "conv1.weight has the shape {shape:?} where a ResNet-18 has [64, 3, 7, 7], or another width up to {WIDEST} in front";
+                "{}", origin.mend()
             )),
         }
     }
 
     /// Names the first tensor that is missing, or that another network has and this one has not.
-    fn check_names(&self, mut expected: Vec<&str>, origin: Origin) -> Result<(), String> {
+    fn check_names(&self, mut expected: Vec<&str>, origin: Origin) -> Result<(), Fault> {
         expected.sort_unstable();
         let foreign = self
             .tensors
@@ -325,10 +322,7 @@ impl File {
             } else {
                 "it is another network"
             };
-            return Err(format!(
-                "{what}: it holds a tensor {name}, which a ResNet-18 has not; {}",
-                origin.mend()
-            ));
+            return Err(fault!("{what}: it holds a tensor {name}, which a ResNet-18 has not"; "{}", origin.mend()));
         }
         for name in expected {
             self.get(name, origin)?;
@@ -336,13 +330,13 @@ impl File {
         Ok(())
     }
 
-    fn check_shape(&self, name: &str, expected: &[usize], origin: Origin) -> Result<(), String> {
+    fn check_shape(&self, name: &str, expected: &[usize], origin: Origin) -> Result<(), Fault> {
         let content = self.get(name, origin)?;
         let shape = content.shape();
         if shape != expected {
-            return Err(format!(
-                "{name} has the shape {shape:?} and should have {expected:?}, so it is another network; {}",
-                origin.mend()
+            return Err(fault!(
+                "{name} has the shape {shape:?} and should have {expected:?}, so it is another network";
+                "{}", origin.mend()
             ));
         }
         let kind = match content {
@@ -350,22 +344,15 @@ impl File {
             Content::Safe { dtype, .. } => (*dtype != Dtype::F32).then(|| format!("{dtype:?}")),
         };
         kind.map_or(Ok(()), |kind| {
-            Err(format!(
-                "{name} holds numbers of the kind {kind}; save the weights as 32-bit floats"
-            ))
+            Err(fault!("{name} holds numbers of the kind {kind}"; "save the weights as 32-bit floats"))
         })
     }
 
     /// The values, all finite, and variances not negative.
-    fn values(&self, name: &str, origin: Origin) -> Result<Vec<f32>, String> {
+    fn values(&self, name: &str, origin: Origin) -> Result<Vec<f32>, Fault> {
         let values: Vec<f32> = match self.get(name, origin)? {
             Content::Torch(tensor) => guarded(|| tensor.read().map_err(|error| error.to_string()))
-                .map_err(|why| {
-                    format!(
-                        "{name} cannot be read ({why}), so the file is damaged; {}",
-                        origin.mend()
-                    )
-                })?
+                .map_err(|why| fault!("{name} cannot be read ({why}), so the file is damaged"; "{}", origin.mend()))?
                 .as_chunks()
                 .0
                 .iter()
@@ -381,17 +368,17 @@ impl File {
             .iter()
             .find(|value| !value.is_finite() || (variance && **value < 0.0))
         {
-            Some(value) => Err(format!(
-                "{name} holds the value {value}, which no trained network has; {}",
-                origin.mend()
+            Some(value) => Err(fault!(
+                "{name} holds the value {value}, which no trained network has";
+                "{}", origin.mend()
             )),
             None => Ok(values),
         }
     }
 }
 
-fn cannot_read(error: &io::Error) -> String {
-    format!("the file cannot be read ({error}); check its permissions and the disk")
+fn cannot_read(error: &io::Error) -> Fault {
+    fault!("the file cannot be read ({error})"; "check its permissions and the disk")
 }
 
 /// Whether a file is to be read as safetensors: it is called so, or begins so, with a length and an opening brace.
@@ -402,7 +389,7 @@ fn is_safetensors(path: &Path) -> io::Result<bool> {
     Ok(path.extension().is_some_and(|extension| extension == "safetensors") || start.get(8) == Some(&b'{'))
 }
 
-fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, String> {
+fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, Fault> {
     let bytes = fs::read(path).map_err(|error| cannot_read(&error))?;
     let file = SafeTensors::deserialize(&bytes).map_err(|error| {
         let what = match error {
@@ -411,7 +398,7 @@ fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Cont
             }
             _ => "it is not a safetensors file, or a damaged one",
         };
-        format!("{what} ({error}); {}", origin.mend())
+        fault!("{what} ({error})"; "{}", origin.mend())
     })?;
     let tensors = file.iter().map(|(name, view)| {
         let content = Content::Safe {
@@ -424,13 +411,10 @@ fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Cont
     Ok(tensors.collect())
 }
 
-fn read_torch(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, String> {
+fn read_torch(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, Fault> {
     let reader = guarded(|| PytorchReader::new(path).map_err(|error| error.to_string())).map_err(|why| {
         let why = why.split('\n').next().unwrap_or_default();
-        format!(
-            "it is not a file that torch.save wrote, or a damaged one ({why}); {}",
-            origin.mend()
-        )
+        fault!("it is not a file that torch.save wrote, or a damaged one ({why})"; "{}", origin.mend())
     })?;
     Ok(reader
         .into_tensors()

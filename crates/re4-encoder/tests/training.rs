@@ -10,6 +10,7 @@ use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Task, Trained, train};
 use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor, SIDE};
+use re4_fault::Remedy as _;
 
 /// Frames before the grasp, and that hold.
 const BEFORE: usize = 6;
@@ -244,7 +245,7 @@ fn checkpoints_that_are_not_ours_or_not_whole_are_not_taken() {
     };
     assert!(
         error
-            .to_string()
+            .sentence()
             .contains("is of another training, with other data or settings; remove it")
     );
 }
@@ -277,7 +278,7 @@ fn a_loss_that_is_not_finite_ends_the_training_and_keeps_the_last_good_checkpoin
     let Err(error) = train(&task, &checkpoints, |_| Ok::<_, EncoderError>(())) else {
         panic!("a loss of 1e30 was taken")
     };
-    let text = error.to_string();
+    let text = error.sentence();
     assert!(
         text.contains("the loss is not a finite number in step 2 of epoch 2"),
         "{text}"

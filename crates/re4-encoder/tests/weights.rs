@@ -16,6 +16,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use re4_encoder::resnet::Encoder;
 use re4_encoder::weights::{load, load_torchvision, save};
+use re4_fault::Remedy as _;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
@@ -135,7 +136,7 @@ fn narrow() -> Encoder {
 }
 
 fn why<T>(result: Result<T, re4_encoder::EncoderError>, folder: &Path) -> String {
-    let sentence = result.err().expect("the file should be refused").to_string();
+    let sentence = result.err().expect("the file should be refused").sentence();
     assert!(!sentence.contains("its reader stopped"), "{sentence}");
     sentence
         .replace(folder.to_str().unwrap(), "[folder]")

@@ -92,6 +92,8 @@ pub fn find(name: &str) -> Result<Dataset, FetchError> {
 
 #[cfg(test)]
 mod tests {
+    use re4_fault::Remedy as _;
+
     use super::*;
 
     #[test]
@@ -123,7 +125,7 @@ mod tests {
 
     #[test]
     fn unknown_names_get_the_known_ones() {
-        let sentence = find("push-t").unwrap_err().to_string();
+        let sentence = find("push-t").unwrap_err().sentence();
         assert_eq!(
             sentence,
             "cannot fetch push-t from the catalogue: there is no such dataset; known are: pusht, resnet18"

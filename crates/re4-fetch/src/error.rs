@@ -1,13 +1,15 @@
 //! Why a fetch stops.
 
+use re4_fault::Remedy;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
 /// A dataset that cannot be fetched.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 #[error("cannot fetch {dataset} from {url}: {fault}")]
+#[remedy(fault.remedy())]
 pub struct FetchError {
     /// Name of the dataset.
     pub dataset: String,
@@ -19,51 +21,56 @@ pub struct FetchError {
 }
 
 /// What went wrong with a fetch.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 pub enum Fault {
     /// The built-in catalogue is broken.
-    #[error("data/datasets.toml is not valid ({why}); repair it and build again")]
+    #[error("data/datasets.toml is not valid ({why})")]
+    #[remedy("repair it and build again")]
     Catalogue {
         /// The parser's words.
         why: String,
     },
     /// A name that is not in the catalogue.
-    #[error("there is no such dataset; known are: {known}")]
+    #[error("there is no such dataset")]
+    #[remedy("known are: {known}")]
     UnknownDataset {
         /// Names of the known datasets.
         known: String,
     },
     /// No connection, or none that works.
-    #[error(
-        "the server cannot be reached ({why}); check the network, or run this on another machine and copy what it fetches"
-    )]
+    #[error("the server cannot be reached ({why})")]
+    #[remedy("check the network, or run this on another machine and copy what it fetches")]
     Unreachable {
         /// The network's words.
         why: String,
     },
     /// An address that is none.
-    #[error("that is no address of a file on the web ({why}); give one that starts with https://")]
+    #[error("that is no address of a file on the web ({why})")]
+    #[remedy("give one that starts with https://")]
     BadAddress {
         /// The parser's words.
         why: String,
     },
     /// The server refused.
-    #[error("the server answered {status}; {}", status_mend(*status))]
+    #[error("the server answered {status}")]
+    #[remedy("{}", status_mend(*status))]
     Status {
         /// HTTP status.
         status: u16,
     },
     /// An answer that does not fit the request.
-    #[error("the server's answer does not fit the request ({why}); try again later, or give another address")]
+    #[error("the server's answer does not fit the request ({why})")]
+    #[remedy("try again later, or give another address")]
     BadAnswer {
         /// What does not fit.
         why: String,
     },
     /// The connection ended early.
     #[error(
-        "the connection broke after {received} of {} bytes ({why}); run the command again, it continues from there",
+        "the connection broke after {received} of {} bytes ({why})",
         total.map_or("an unknown number of".to_owned(), |total| total.to_string())
     )]
+    #[remedy("run the command again, it continues from there")]
     Interrupted {
         /// Bytes on disk.
         received: u64,
@@ -73,9 +80,8 @@ pub enum Fault {
         why: String,
     },
     /// A complete file of the wrong size.
-    #[error(
-        "the file has {found} bytes and should have {expected}, so it was deleted; run the command again, and if it stays so, give another address"
-    )]
+    #[error("the file has {found} bytes and should have {expected}, so it was deleted")]
+    #[remedy("run the command again, and if it stays so, give another address")]
     WrongSize {
         /// Size of the file.
         found: u64,
@@ -83,9 +89,8 @@ pub enum Fault {
         expected: u64,
     },
     /// A complete file of the wrong content.
-    #[error(
-        "the file has SHA-256 {found} and should have {expected}, so it was deleted; run the command again, and if it stays so, give another address"
-    )]
+    #[error("the file has SHA-256 {found} and should have {expected}, so it was deleted")]
+    #[remedy("run the command again, and if it stays so, give another address")]
     WrongHash {
         /// Hash of the file.
         found: String,
@@ -93,35 +98,36 @@ pub enum Fault {
         expected: String,
     },
     /// A file that is no zip, or a damaged one.
-    #[error(
-        "the file is not a readable zip file ({why}), so it was deleted; run the command again, and if it stays so, give another address"
-    )]
+    #[error("the file is not a readable zip file ({why}), so it was deleted")]
+    #[remedy("run the command again, and if it stays so, give another address")]
     UnreadableZip {
         /// The unpacker's words.
         why: String,
     },
     /// An entry that would be unpacked outside of the destination.
-    #[error(
-        "entry {entry} of the zip file is a link or leads outside of it, so the file was deleted; give another address"
-    )]
+    #[error("entry {entry} of the zip file is a link or leads outside of it, so the file was deleted")]
+    #[remedy("give another address")]
     UnsafeZipEntry {
         /// Name of the entry.
         entry: String,
     },
     /// A zip without the dataset.
-    #[error("the zip file holds no {expected}, so it was deleted; give the address of the right file")]
+    #[error("the zip file holds no {expected}, so it was deleted")]
+    #[remedy("give the address of the right file")]
     Incomplete {
         /// What should be in it.
         expected: String,
     },
     /// Another fetch of the same dataset is running.
-    #[error("another fetch is writing {}; wait for it to end", part.display())]
+    #[error("another fetch is writing {}", part.display())]
+    #[remedy("wait for it to end")]
     Busy {
         /// The part file.
         part: PathBuf,
     },
     /// The operating system refused something.
-    #[error("cannot {action} {}: {source}; {}", path.display(), io_mend(source))]
+    #[error("cannot {action} {}: {source}", path.display())]
+    #[remedy("{}", io_mend(source))]
     Io {
         /// What was tried, such as "write".
         action: &'static str,
@@ -177,7 +183,7 @@ mod tests {
             io::ErrorKind::NotADirectory,
             io::ErrorKind::Other,
         ];
-        let sentences = kinds.map(|kind| Fault::io("write", Path::new("data/pusht.part"), kind.into()).to_string());
+        let sentences = kinds.map(|kind| Fault::io("write", Path::new("data/pusht.part"), kind.into()).sentence());
         insta::assert_snapshot!(sentences.join("\n"));
     }
 
@@ -185,7 +191,7 @@ mod tests {
     fn statuses_have_their_mends() {
         insta::assert_snapshot!(
             [400, 403, 404, 429, 503]
-                .map(|status| Fault::Status { status }.to_string())
+                .map(|status| Fault::Status { status }.sentence())
                 .join("\n")
         );
     }

@@ -12,6 +12,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::thread;
 
+use re4_fault::Remedy as _;
 use re4_fetch::{Dataset, FetchError, FetchReport, Form, Outcome, fetch};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
@@ -206,7 +207,7 @@ fn get(dataset: &Dataset, destination: &Path) -> Result<FetchReport, FetchError>
 fn sentence(result: Result<FetchReport, FetchError>, server: &str, folder: &Path) -> String {
     result
         .expect_err("the fetch should fail")
-        .to_string()
+        .sentence()
         .replace(server, "[server]")
         .replace(folder.to_str().unwrap(), "[folder]")
 }

@@ -27,6 +27,7 @@ mod tree;
 
 pub use linear::retrieve_linear;
 pub use metric::{AngleMetric, Normalization, Range};
+use re4_fault::Remedy;
 pub use search::{RetrievalIndex, SearchStatistics};
 pub use spatial::{
     IndexedSpatialFrame, SpatialDistances, SpatialIndex, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2,
@@ -79,15 +80,15 @@ pub struct Retrieved {
 }
 
 /// Why an index could not be built or queried.
-#[derive(Debug, Clone, Error, PartialEq)]
+#[derive(Debug, Clone, Error, PartialEq, Remedy)]
 pub enum IndexError {
     /// There is nothing to retrieve from.
-    #[error("cannot build the index: there are no frames; select at least one episode")]
+    #[error("cannot build the index: there are no frames")]
+    #[remedy("select at least one episode")]
     Empty,
     /// A coordinate is not a finite number, or absurdly far from the ranges it is normalised by.
-    #[error(
-        "cannot build the index: episode {episode}, frame {frame} has a coordinate that is not finite; repair the episodes artifact"
-    )]
+    #[error("cannot build the index: episode {episode}, frame {frame} has a coordinate that is not finite")]
+    #[remedy("repair the episodes artifact")]
     NotFinite {
         /// Demonstration.
         episode: u32,
@@ -96,22 +97,27 @@ pub enum IndexError {
     },
     /// What is wrong with a demonstration whose name is known: [`IndexError::NotFinite`] and [`IndexError::Duplicate`] become this.
     #[error("cannot build the index: frame {frame} of {demo} {problem}")]
+    #[remedy("{remedy}")]
     Demonstration {
         /// Name of the demonstration in its source.
         demo: String,
         /// Frame inside the demonstration.
         frame: u32,
-        /// What is wrong with it, and how to mend it.
+        /// What is wrong with it.
         problem: &'static str,
+        /// How to mend it.
+        remedy: &'static str,
     },
     /// More frames than 32-bit frame numbers reach.
-    #[error("cannot build the index: {frames} frames are more than the {limit} that one index holds; split the dataset", limit = u32::MAX)]
+    #[error("cannot build the index: {frames} frames are more than the {limit} that one index holds", limit = u32::MAX)]
+    #[remedy("split the dataset")]
     TooLarge {
         /// Number of frames given.
         frames: usize,
     },
     /// Two frames with the same number, of which ties could choose either.
-    #[error("cannot build the index: episode {episode} has frame {frame} twice; give every frame once")]
+    #[error("cannot build the index: episode {episode} has frame {frame} twice")]
+    #[remedy("give every frame once")]
     Duplicate {
         /// Demonstration.
         episode: u32,
@@ -119,7 +125,8 @@ pub enum IndexError {
         frame: u32,
     },
     /// A scale that nothing can be divided by.
-    #[error("cannot build the index: the {name} is {value}; give a finite number above 0")]
+    #[error("cannot build the index: the {name} is {value}")]
+    #[remedy("give a finite number above 0")]
     Scale {
         /// Which one, in words.
         name: &'static str,
@@ -127,7 +134,8 @@ pub enum IndexError {
         value: f64,
     },
     /// A weight that turns a distance around.
-    #[error("cannot build the index: the {name} is {value}; give a finite number, 0 or more")]
+    #[error("cannot build the index: the {name} is {value}")]
+    #[remedy("give a finite number, 0 or more")]
     Weight {
         /// Which one, in words.
         name: &'static str,
@@ -138,9 +146,8 @@ pub enum IndexError {
     #[error("cannot build the index: {0}")]
     Symmetry(#[from] re4_geometry::spatial::SymmetryError),
     /// A query coordinate is not a finite number, or absurdly far from the demonstrations.
-    #[error(
-        "cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration; check the observation it was made from"
-    )]
+    #[error("cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration")]
+    #[remedy("check the observation it was made from")]
     QueryNotFinite,
 }
 
@@ -148,17 +155,23 @@ impl IndexError {
     /// The same error, with the demonstration called what its source calls it, where `name` knows that.
     #[must_use]
     pub fn named(self, name: impl Fn(u32) -> Option<String>) -> Self {
-        let (episode, frame, problem) = match self {
+        let (episode, frame, problem, remedy) = match self {
             Self::NotFinite { episode, frame } => (
                 episode,
                 frame,
-                "has a coordinate that is not finite; repair the episodes artifact",
+                "has a coordinate that is not finite",
+                "repair the episodes artifact",
             ),
-            Self::Duplicate { episode, frame } => (episode, frame, "is there twice; give every frame once"),
+            Self::Duplicate { episode, frame } => (episode, frame, "is there twice", "give every frame once"),
             _ => return self,
         };
         match name(episode) {
-            Some(demo) => Self::Demonstration { demo, frame, problem },
+            Some(demo) => Self::Demonstration {
+                demo,
+                frame,
+                problem,
+                remedy,
+            },
             None => self,
         }
     }

@@ -4,6 +4,7 @@ mod common;
 
 use common::{agreed, frame, query};
 use re4_episode::Mode;
+use re4_fault::Remedy as _;
 use re4_index::{AngleMetric, IndexError, Normalization, Range, RetrievalIndex, retrieve_linear};
 
 const HERE: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 0.5];
@@ -41,10 +42,10 @@ fn no_frames_or_the_same_frame_twice_are_refused() {
     ];
     let error = RetrievalIndex::build(twice, AngleMetric::Raw).err().unwrap();
     assert_eq!(error, IndexError::Duplicate { episode: 1, frame: 5 });
-    assert!(error.to_string().contains("episode 1 has frame 5 twice"), "{error}");
+    assert!(error.sentence().contains("episode 1 has frame 5 twice"), "{error}");
     let named = error.clone().named(|episode| Some(format!("demo_{}", episode + 3)));
     assert_eq!(
-        named.to_string(),
+        named.sentence(),
         "cannot build the index: frame 5 of demo_4 is there twice; give every frame once"
     );
     assert_eq!(error.clone().named(|_| None), error);

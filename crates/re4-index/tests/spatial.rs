@@ -10,6 +10,7 @@ use common::Random;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::Mode;
+use re4_fault::Remedy as _;
 use re4_geometry::spatial::Symmetry;
 use re4_index::{
     IndexError, IndexedSpatialFrame, SpatialIndex, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2,
@@ -371,7 +372,7 @@ fn refusals_name_what_is_wrong() {
                     ..metric
                 },
             );
-            assert!(refused.to_string().contains(name), "{refused}");
+            assert!(refused.sentence().contains(name), "{refused}");
         }
         let refused = build(
             vec![frame(0, 0, pose)],
@@ -380,7 +381,7 @@ fn refusals_name_what_is_wrong() {
                 ..metric
             },
         );
-        assert!(refused.to_string().contains("weight of the end effector"), "{refused}");
+        assert!(refused.sentence().contains("weight of the end effector"), "{refused}");
     }
     for scale in [0.0, -1.0] {
         let refused = build(
@@ -390,7 +391,7 @@ fn refusals_name_what_is_wrong() {
                 ..metric
             },
         );
-        assert!(refused.to_string().contains("above 0"), "{refused}");
+        assert!(refused.sentence().contains("above 0"), "{refused}");
     }
     let mirror = Symmetry::Fold {
         axis: [0.0, 0.0, 1.0],

@@ -1,24 +1,26 @@
 //! What can go wrong with the library, a model or a simulation.
 
+use re4_fault::Remedy;
 use std::path::PathBuf;
 
 use crate::Gl;
 
 /// Why MuJoCo cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum MujocoError {
     /// There is no library.
-    #[error(
-        "MuJoCo's library is not at {}; run scripts/setup-simulators.sh, or name the folder that it made in the environment variable RE4_SIMULATORS",
-        path.display()
+    #[error("MuJoCo's library is not at {}", path.display())]
+    #[remedy(
+        "run scripts/setup-simulators.sh, or name the folder that it made in the environment variable RE4_SIMULATORS"
     )]
     Missing {
         /// Where it was looked for.
         path: PathBuf,
     },
     /// The file cannot be loaded.
-    #[error("cannot load MuJoCo's library {}: {reason}; remove it and run scripts/setup-simulators.sh", path.display())]
+    #[error("cannot load MuJoCo's library {}: {reason}", path.display())]
+    #[remedy("remove it and run scripts/setup-simulators.sh")]
     Load {
         /// The file.
         path: PathBuf,
@@ -26,10 +28,8 @@ pub enum MujocoError {
         reason: String,
     },
     /// The library is one whose structures are not known.
-    #[error(
-        "the library {} is MuJoCo {found}, not {expected}; remove it and run scripts/setup-simulators.sh",
-        path.display()
-    )]
+    #[error("the library {} is MuJoCo {found}, not {expected}", path.display())]
+    #[remedy("remove it and run scripts/setup-simulators.sh")]
     Version {
         /// The file.
         path: PathBuf,
@@ -45,9 +45,8 @@ pub enum MujocoError {
         reason: String,
     },
     /// The model cannot be handed over as a file.
-    #[error(
-        "cannot write the model for MuJoCo to a temporary file: {reason}; free some space in the folder for temporary files"
-    )]
+    #[error("cannot write the model for MuJoCo to a temporary file: {reason}")]
+    #[remedy("free some space in the folder for temporary files")]
     Temporary {
         /// The system's words.
         reason: String,
@@ -61,23 +60,22 @@ pub enum MujocoError {
         name: String,
     },
     /// Neither of the OpenGL libraries is there.
-    #[error("cannot draw pictures: {reason}; install the Debian package libosmesa6, or libegl1 and libgl1-mesa-dri")]
+    #[error("cannot draw pictures: {reason}")]
+    #[remedy("install the Debian package libosmesa6, or libegl1 and libgl1-mesa-dri")]
     NoGl {
         /// What was tried, and the system's words.
         reason: String,
     },
     /// The environment variable that chooses between them says something else.
-    #[error(
-        "the environment variable RE4_GL is {found}; set it to osmesa or egl, or leave it out to take what is there"
-    )]
+    #[error("the environment variable RE4_GL is {found}")]
+    #[remedy("set it to osmesa or egl, or leave it out to take what is there")]
     GlName {
         /// What it says.
         found: String,
     },
     /// OpenGL refuses to work.
-    #[error(
-        "cannot draw pictures with {gl}: {reason}; choose the other library with the environment variable RE4_GL (osmesa or egl)"
-    )]
+    #[error("cannot draw pictures with {gl}: {reason}")]
+    #[remedy("choose the other library with the environment variable RE4_GL (osmesa or egl)")]
     Gl {
         /// `osmesa` or `egl`.
         gl: Gl,
@@ -85,6 +83,7 @@ pub enum MujocoError {
         reason: &'static str,
     },
     /// There is no memory for a simulation.
-    #[error("MuJoCo has no memory for a simulation; run with fewer jobs")]
+    #[error("MuJoCo has no memory for a simulation")]
+    #[remedy("run with fewer jobs")]
     Memory,
 }

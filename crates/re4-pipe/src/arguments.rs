@@ -68,6 +68,27 @@ pub(crate) enum Command {
     IngestWorker,
 }
 
+impl Command {
+    /// What all commands share, but for the one that people do not use.
+    pub(crate) fn common(&self) -> Option<&Common> {
+        match self {
+            Self::Ingest(stage) | Self::Segment(stage) | Self::TrainPose(stage) => Some(&stage.common),
+            Self::Index(stage) | Self::Scenes(stage) => Some(&stage.common),
+            Self::Audit(AuditArguments { stage, .. }) | Self::Replay(ReplayArguments { stage, .. }) => {
+                Some(&stage.common)
+            }
+            Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
+            Self::Film(FilmArguments { common, .. })
+            | Self::Verify(VerifyArguments { common, .. })
+            | Self::Inspect(InspectArguments { common, .. })
+            | Self::Report(ReportArguments { common, .. })
+            | Self::Fetch(FetchArguments { common, .. })
+            | Self::Schemas(SchemasArguments { common, .. }) => Some(common),
+            Self::IngestWorker => None,
+        }
+    }
+}
+
 /// What all commands share.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Common {

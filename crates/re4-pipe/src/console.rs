@@ -5,8 +5,9 @@ use std::path::Path;
 
 use anyhow::Result;
 use indicatif::ProgressBar;
-use re4_stages::Notes;
-use serde_json::Value;
+use re4_fault::{Fault, Remedy as _, fault};
+use re4_stages::{Notes, told};
+use serde_json::{Value, json};
 
 use crate::arguments::Common;
 use crate::output::Output;
@@ -71,17 +72,27 @@ fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
     }
 }
 
+/// Prints an error: one sentence on standard error, and where JSON was asked for, what is wrong and how to mend it on standard
+/// output.
+pub(crate) fn print_error(error: &anyhow::Error, json: bool) {
+    re4_stages::print_error(error);
+    if json {
+        let fault = told(error);
+        let _ = writeln!(
+            std::io::stdout(),
+            "{}",
+            json!({ "error": fault.to_string(), "remedy": fault.remedy() })
+        );
+    }
+}
+
 /// Prints what is wrong with the command line, as one sentence on standard error.
 pub(crate) fn print_usage_error(error: &clap::Error) {
-    let _ = writeln!(
-        std::io::stderr(),
-        "error: {}",
-        usage_sentence(&error.render().to_string())
-    );
+    re4_stages::print_error(&usage_fault(&error.render().to_string()).into());
 }
 
 /// The parser answers in paragraphs: what is wrong (in its last line, the names it is about), a tip, the usage.
-fn usage_sentence(rendered: &str) -> String {
+fn usage_fault(rendered: &str) -> Fault {
     let mut parts = Vec::new();
     for paragraph in rendered.split("\n\n") {
         let lines: Vec<&str> = paragraph
@@ -99,5 +110,5 @@ fn usage_sentence(rendered: &str) -> String {
             ),
         }
     }
-    format!("{}; see re4-pipe --help", parts.join("; "))
+    fault!("{}", parts.join("; "); "see re4-pipe --help")
 }

@@ -12,7 +12,7 @@ mod output;
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use re4_stages::{answer, print_error};
+use re4_stages::answer;
 
 use crate::arguments::{Arguments, Command};
 
@@ -30,6 +30,7 @@ fn main() -> ExitCode {
     if !matches!(arguments.command, Command::IngestWorker) {
         log::start(arguments.verbose);
     }
+    let json = arguments.command.common().is_some_and(|common| common.json);
     let outcome = match arguments.command {
         Command::Ingest(arguments) => commands::run::ingest(&arguments),
         Command::Segment(arguments) => commands::run::segment(&arguments),
@@ -57,7 +58,7 @@ fn main() -> ExitCode {
         Ok(commands::Outcome::GateFailed) => ExitCode::from(1),
         Err(error) => {
             if answer() {
-                print_error(&error);
+                console::print_error(&error, json);
                 ExitCode::from(2)
             } else {
                 // The watchdog ends the process.

@@ -4,8 +4,9 @@ use std::io::{self, Write as _};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use re4_artifact::Artifact;
+use re4_fault::{Fault, bail, fault};
 use tempfile::NamedTempFile;
 
 /// A place for a file that can be written to.
@@ -21,28 +22,29 @@ impl Output {
     /// Refuses a path that cannot take a file: without a folder, of a folder or a device, inside of an artifact, or in a
     /// folder that may not be written. `what` names the file in errors, as in "report".
     pub(crate) fn at(path: &Path, what: &'static str) -> Result<Self> {
-        let refuse = |why: String| anyhow::anyhow!("cannot write the {what} {}: {why}", path.display());
+        let refuse = |why: Fault| anyhow::Error::from(why.at(format!("cannot write the {what} {}: ", path.display())));
         let place = match std::fs::metadata(path) {
-            Ok(there) if there.is_dir() => bail!(refuse("it is a folder; give the path of a file".to_owned())),
-            Ok(there) if !there.is_file() => bail!(refuse(
-                "there is something that is no file at that path; give the path of a file".to_owned()
-            )),
+            Ok(there) if there.is_dir() => return Err(refuse(fault!("it is a folder"; "give the path of a file"))),
+            Ok(there) if !there.is_file() => {
+                return Err(refuse(
+                    fault!("there is something that is no file at that path"; "give the path of a file"),
+                ));
+            }
             // A link stays one, and the file behind it is replaced.
             Ok(_) => std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
             Err(_) => path.to_owned(),
         };
         let folder = folder_of(&place);
         if !folder.is_dir() {
-            bail!(refuse(format!(
-                "there is no folder {}; make it, or give another path",
-                folder.display()
-            )));
+            return Err(refuse(
+                fault!("there is no folder {}", folder.display(); "make it, or give another path"),
+            ));
         }
         let inside = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
         if let Some(artifact) = inside.ancestors().find(|ancestor| Artifact::open(ancestor).is_ok()) {
-            bail!(refuse(format!(
-                "that path lies inside of the artifact {}, which would be damaged; give another path",
-                artifact.display()
+            return Err(refuse(fault!(
+                "that path lies inside of the artifact {}, which would be damaged", artifact.display();
+                "give another path"
             )));
         }
         let output = Self {
@@ -61,9 +63,8 @@ impl Output {
         let place = whole(&self.place);
         if place.is_some() && inputs.iter().any(|input| whole(input) == place) {
             bail!(
-                "cannot write the {} {}: this command reads that file; give another path",
-                self.what,
-                self.named.display()
+                "cannot write the {} {}: this command reads that file", self.what, self.named.display();
+                "give another path"
             );
         }
         Ok(())
@@ -104,11 +105,11 @@ impl Output {
             || error.to_string(),
             |code| io::Error::from_raw_os_error(code).to_string(),
         );
-        anyhow::anyhow!(
-            "cannot write the {} {}: {reason}; give the path of a file in a folder that may be written",
-            self.what,
-            self.named.display()
+        fault!(
+            "cannot write the {} {}: {reason}", self.what, self.named.display();
+            "give the path of a file in a folder that may be written"
         )
+        .into()
     }
 }
 

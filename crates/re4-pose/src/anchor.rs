@@ -4,6 +4,7 @@
 //! are the same in all pictures; the greatest share of the goal's colour over many pictures is a mask of the T at the
 //! goal pose. That mask is the anchor, and the goal pose, which the task gives, is its pose. No recorded pose is used.
 
+use re4_fault::Remedy;
 use re4_geometry::{Point2, Pose2};
 use thiserror::Error;
 
@@ -26,39 +27,43 @@ pub struct Anchor {
 }
 
 /// Why pictures give no anchor.
-#[derive(Debug, Clone, PartialEq, Error)]
+#[derive(Debug, Clone, PartialEq, Error, Remedy)]
 pub enum AnchorError {
     /// The goal pose would not be seen.
     #[error(
-        "the goal pose ({:.1}, {:.1}, {:.3} rad) puts a part of the goal outside of the picture, which shows 0 to 512 px; give a goal pose that lies inside", goal.x, goal.y, goal.theta
+        "the goal pose ({:.1}, {:.1}, {:.3} rad) puts a part of the goal outside of the picture, which shows 0 to 512 px",
+        goal.x,
+        goal.y,
+        goal.theta
     )]
+    #[remedy("give a goal pose that lies inside")]
     GoalOutside {
         /// The goal pose.
         goal: Pose2,
     },
     /// No picture to look at.
-    #[error("there is no picture to calibrate on; ingest the pictures too (ingest.images = true)")]
+    #[error("there is no picture to calibrate on")]
+    #[remedy("ingest the pictures too (ingest.images = true)")]
     NoPictures,
     /// No region with the goal's colour.
-    #[error(
-        "none of the {pictures} pictures looked at shows the goal's light green (144, 238, 144); pictures of Push-T have 8 bits a channel, 0 to 255, in the order RGB"
-    )]
+    #[error("none of the {pictures} pictures looked at shows the goal's light green (144, 238, 144)")]
+    #[remedy("pictures of Push-T have 8 bits a channel, 0 to 255, in the order RGB")]
     NoGoal {
         /// Pictures looked at.
         pictures: usize,
     },
     /// Red and blue have changed places.
-    #[error(
-        "the pictures hold blue before red: {pixels} pixels have the block's colour read as BGR and none as RGB; convert them to RGB"
-    )]
+    #[error("the pictures hold blue before red: {pixels} pixels have the block's colour read as BGR and none as RGB")]
+    #[remedy("convert them to RGB")]
     Bgr {
         /// Pixels with the block's colour backwards.
         pixels: usize,
     },
     /// The goal's region has another size.
     #[error(
-        "the goal seen in {pictures} pictures covers {found:.0} px^2 and should cover {expected:.0}: it is never seen whole, or drawn otherwise; ingest more episodes"
+        "the goal seen in {pictures} pictures covers {found:.0} px^2 and should cover {expected:.0}: it is never seen whole, or drawn otherwise"
     )]
+    #[remedy("ingest more episodes")]
     Area {
         /// Pictures looked at.
         pictures: usize,
@@ -69,8 +74,13 @@ pub enum AnchorError {
     },
     /// The goal is elsewhere.
     #[error(
-        "the goal in the pictures has its centre at ({:.1}, {:.1}) and the goal pose puts it at ({:.1}, {:.1}); give the goal pose of this dataset", found.x, found.y, expected.x, expected.y
+        "the goal in the pictures has its centre at ({:.1}, {:.1}) and the goal pose puts it at ({:.1}, {:.1})",
+        found.x,
+        found.y,
+        expected.x,
+        expected.y
     )]
+    #[remedy("give the goal pose of this dataset")]
     Place {
         /// Centroid seen.
         found: Point2,

@@ -1,5 +1,6 @@
 //! Pictures of Push-T, and what their colours tell: where the block is, where the goal is, and what hides them.
 
+use re4_fault::Remedy;
 use thiserror::Error;
 
 /// Width and height of the pictures that are understood, in picture pixels.
@@ -25,9 +26,11 @@ pub(crate) fn picture(v: f64) -> f64 {
 }
 
 /// A picture that cannot be one of Push-T.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error(
-    "the picture has {width} x {height} pixels and {bytes} bytes; poses are estimated from {SIDE} x {SIDE} RGB pictures of 8 bits a channel ({} bytes), so scale it to that size or record it again", SIDE * SIDE * 3
+#[derive(Debug, Clone, PartialEq, Eq, Error, Remedy)]
+#[error("the picture has {width} x {height} pixels and {bytes} bytes")]
+#[remedy(
+    "poses are estimated from {SIDE} x {SIDE} RGB pictures of 8 bits a channel ({} bytes), so scale it to that size or record it again",
+    SIDE * SIDE * 3
 )]
 pub struct PictureError {
     width: usize,

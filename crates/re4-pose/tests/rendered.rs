@@ -6,6 +6,7 @@ use std::sync::LazyLock;
 
 use common::{PUSHER, block_alone, drawn, error, estimator, outline, paint_disc, view};
 use proptest::prelude::*;
+use re4_fault::Remedy as _;
 use re4_geometry::{Point2, Pose2};
 use re4_pose::{AnchorBuilder, AnchorError, Flag, LogPolarEstimator, Picture};
 use re4_sim::{GOAL, PushT, ResetOrder, Scene, Simulator as _};
@@ -112,7 +113,7 @@ fn pictures_of_another_size_are_refused() {
         (27_648 - 1, 96, 96),
         (4 * 96 * 96, 96, 96),
     ] {
-        let refusal = Picture::new(&vec![0; bytes], width, height).err().unwrap().to_string();
+        let refusal = Picture::new(&vec![0; bytes], width, height).err().unwrap().sentence();
         assert!(
             refusal.contains(&format!("{width} x {height} pixels and {bytes} bytes")),
             "{refusal}"
@@ -154,7 +155,7 @@ fn pictures_that_cannot_calibrate_are_refused_in_one_sentence() {
         pixel.swap(0, 2);
     }
     let floats: Vec<u8> = good.iter().map(|byte| byte / 255).collect();
-    let refusal = |pictures: &[Vec<u8>], goal| calibrated(pictures, goal).unwrap_err().to_string();
+    let refusal = |pictures: &[Vec<u8>], goal| calibrated(pictures, goal).unwrap_err().sentence();
     assert!(refusal(&[], GOAL).contains("no picture"));
     assert!(refusal(&[bgr], GOAL).contains("blue before red"));
     assert!(refusal(&[floats], GOAL).contains("light green"));

@@ -1,18 +1,20 @@
 //! What can go wrong.
 
+use re4_fault::Remedy;
 use re4_index::IndexError;
 use thiserror::Error;
 
 /// Why scenes could not be chosen.
-#[derive(Debug, Error, PartialEq)]
+#[derive(Debug, Error, PartialEq, Remedy)]
 pub enum ScenesError {
     /// The frames cannot be searched.
     #[error("cannot choose scenes: {0}")]
     Frames(#[from] IndexError),
     /// The grid has too few poses that are far enough from each other.
     #[error(
-        "cannot choose scenes: only {found} of the {wanted} poses asked for keep a separation of {separation}, out of {candidates} on the grid; lower scenes.separation or scenes.poses"
+        "cannot choose scenes: only {found} of the {wanted} poses asked for keep a separation of {separation}, out of {candidates} on the grid"
     )]
+    #[remedy("lower scenes.separation or scenes.poses")]
     TooFewPoses {
         /// Poses that keep the separation.
         found: u32,
@@ -25,8 +27,9 @@ pub enum ScenesError {
     },
     /// There is no free place for the pusher.
     #[error(
-        "cannot choose scenes: the block at ({x:.1}, {y:.1}) px, turned by {theta:.2} rad, leaves the pusher no place at a clearance of {clearance} px; lower scenes.clearance"
+        "cannot choose scenes: the block at ({x:.1}, {y:.1}) px, turned by {theta:.2} rad, leaves the pusher no place at a clearance of {clearance} px"
     )]
+    #[remedy("lower scenes.clearance")]
     NoPlace {
         /// Position of the block, x.
         x: f64,
@@ -38,6 +41,7 @@ pub enum ScenesError {
         clearance: f64,
     },
     /// The caller asked to stop.
-    #[error("the choice of scenes was interrupted; nothing was written, run it again")]
+    #[error("the choice of scenes was interrupted")]
+    #[remedy("nothing was written, run it again")]
     Interrupted,
 }

@@ -5,6 +5,7 @@
 use std::f64::consts::TAU;
 
 use proptest::prelude::*;
+use re4_fault::Remedy as _;
 use re4_geometry::{Pose2, distance_point_to_convex, periodic_distance};
 use re4_index::AngleMetric;
 use re4_scenes::{ObjectFrame, ScenesConfig, ScenesError, SparseScene, sparse_scenes};
@@ -236,7 +237,7 @@ fn an_angle_at_the_seam_is_one_pose() {
 #[test]
 fn what_cannot_be_done_is_said() {
     let some = frames(&[(200.0, 200.0, 0.1), (300.0, 300.0, 2.0)]);
-    let say = |frames: &[ObjectFrame], config: ScenesConfig| scenes(frames, &config).unwrap_err().to_string();
+    let say = |frames: &[ObjectFrame], config: ScenesConfig| scenes(frames, &config).unwrap_err().sentence();
     assert_eq!(
         say(
             &some,

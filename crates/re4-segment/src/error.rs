@@ -1,11 +1,14 @@
 //! What can go wrong with segmentation.
 
+use re4_fault::Remedy;
+
 /// Why an episode could not be segmented.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum SegmentError {
     /// A threshold is out of range.
-    #[error("cannot segment: segment.{field} is {value}; set it to a finite number {range}")]
+    #[error("cannot segment: segment.{field} is {value}")]
+    #[remedy("set it to a finite number {range}")]
     Config {
         /// Name of the threshold.
         field: &'static str,
@@ -15,20 +18,19 @@ pub enum SegmentError {
         range: &'static str,
     },
     /// A rule that asks for a gripper where there is none.
-    #[error(
-        "cannot segment by the gripper's command: Push-T has no gripper; set segment.rule to always_transit or rigid_motion"
-    )]
+    #[error("cannot segment by the gripper's command: Push-T has no gripper")]
+    #[remedy("set segment.rule to always_transit or rigid_motion")]
     NoGripper,
     /// An episode without frames.
-    #[error("cannot segment {demo}: it has no frames; leave it out by ingest.select")]
+    #[error("cannot segment {demo}: it has no frames")]
+    #[remedy("leave it out by ingest.select")]
     Empty {
         /// Name of the demonstration in its source.
         demo: String,
     },
     /// A coordinate that is no number.
-    #[error(
-        "cannot segment {demo}: {column} is {value} at frame {frame}; repair that frame, or leave {demo} out by ingest.select"
-    )]
+    #[error("cannot segment {demo}: {column} is {value} at frame {frame}")]
+    #[remedy("repair that frame, or leave {demo} out by ingest.select")]
     NotFinite {
         /// Name of the demonstration in its source.
         demo: String,

@@ -7,6 +7,7 @@ use Mode::{Transfer, Transit};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::{Mode, PlanarEpisode, PlanarFrame};
+use re4_fault::Remedy as _;
 use re4_geometry::{Point2, Pose2};
 use re4_segment::{
     ObjectDistance, Pair, Rule, SegmentConfig, SegmentError, SegmentedEpisode, SpatialPair, rigid_motion_modes,
@@ -313,14 +314,14 @@ fn what_cannot_be_segmented_is_named() {
         frames: Vec::new(),
     };
     assert_eq!(
-        segment_planar(&empty, &rigid()).unwrap_err().to_string(),
+        segment_planar(&empty, &rigid()).unwrap_err().sentence(),
         "cannot segment episode 5: it has no frames; leave it out by ingest.select"
     );
     let mut s = scene();
     s.reach(1.0, 1.0, 4);
     s.frames[2].object.theta = f64::NAN;
     assert_eq!(
-        segment_planar(&s.episode(), &rigid()).unwrap_err().to_string(),
+        segment_planar(&s.episode(), &rigid()).unwrap_err().sentence(),
         "cannot segment episode 3: object_theta is NaN at frame 2; repair that frame, or leave episode 3 out by ingest.select"
     );
     for (field, config) in [
@@ -360,7 +361,7 @@ fn what_cannot_be_segmented_is_named() {
         );
         assert!(
             error
-                .to_string()
+                .sentence()
                 .starts_with(&format!("cannot segment: segment.{field} is ")),
             "{error}"
         );

@@ -7,6 +7,7 @@ use Mode::{Transfer, Transit};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::{Mode, SpatialEpisode, SpatialFrame};
+use re4_fault::Remedy as _;
 use re4_segment::{Command, GripperConfig, Rule, SegmentConfig, SegmentError, SegmentedSpatial, segment_spatial};
 
 /// Width of the object between the fingers.
@@ -224,7 +225,7 @@ fn what_makes_no_sense_is_refused() {
     assert_eq!(
         segment_spatial(&broken, &SegmentConfig::spatial())
             .unwrap_err()
-            .to_string(),
+            .sentence(),
         "cannot segment demo_7: finger position is NaN at frame 5; repair that frame, or leave demo_7 out by ingest.select"
     );
 }

@@ -7,10 +7,11 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use re4_artifact::Store;
+use re4_fault::{Fault, fault};
 
 use crate::notes;
 
@@ -35,17 +36,17 @@ struct Asked {
     /// Where there may be something half-written.
     store: Mutex<Option<Store>>,
     /// How the watchdog says that it ended the run.
-    say: OnceLock<fn(&str)>,
+    say: OnceLock<fn(Fault)>,
 }
 
 impl Interrupt {
     /// Listens to Ctrl-C and to requests to terminate from now on. The watchdog clears up in this store.
     pub fn listen(store: Option<&Store>) -> Self {
-        Self::listen_and_say(store, |sentence| notes::print_error(&anyhow::anyhow!("{sentence}")))
+        Self::listen_and_say(store, |fault| notes::print_error(&fault.into()))
     }
 
     /// The same for a process that does not speak to people.
-    pub fn listen_and_say(store: Option<&Store>, say: fn(&str)) -> Self {
+    pub fn listen_and_say(store: Option<&Store>, say: fn(Fault)) -> Self {
         let interrupt = Self::default();
         *interrupt.store() = store.cloned();
         let _ = interrupt.0.say.set(say);
@@ -86,7 +87,7 @@ impl Interrupt {
         // Held until the process has ended, so that nothing more is published.
         let _locked = store.as_ref().map(Store::abandon);
         if let Some(say) = self.0.say.get() {
-            say(SENTENCE);
+            say(interrupted("the run"));
         }
         #[allow(
             clippy::exit,
@@ -111,17 +112,16 @@ impl Interrupt {
     /// When the user asked to stop: the sentence that says so.
     pub fn check(&self, stage: &str) -> Result<()> {
         if self.requested() {
-            bail!("{stage} {SENTENCE_OF_STAGE}");
+            return Err(interrupted(stage).into());
         }
         Ok(())
     }
 }
 
-/// What a stage says that was interrupted.
-const SENTENCE_OF_STAGE: &str = "was interrupted; nothing half-written was left, run the same command again to go on";
-
-/// What the watchdog says.
-const SENTENCE: &str = "the run was interrupted; nothing half-written was left, run the same command again to go on";
+/// What is said where the user asked to stop.
+fn interrupted(what: &str) -> Fault {
+    fault!("{what} was interrupted"; "nothing half-written was left, run the same command again to go on")
+}
 
 /// Takes the right to give the program's answer; false where it is being given.
 pub fn answer() -> bool {

@@ -18,7 +18,7 @@ pub mod testing;
 
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
-pub use notes::{Notes, print_error, sentence};
+pub use notes::{Notes, print_error, told};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
     RolloutSection, Seeds, Task, Variant, schema,

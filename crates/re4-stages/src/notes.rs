@@ -1,8 +1,11 @@
 //! What people are told while stages work, on standard error.
 
+use std::borrow::Cow;
+use std::error::Error;
 use std::io::{IsTerminal as _, Write as _};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use re4_fault::{Fault, Remedy as _};
 
 /// Notes and progress bars, or none of them.
 #[derive(Debug, Clone, Copy)]
@@ -43,28 +46,47 @@ impl Notes {
 
 /// Prints an error as one sentence.
 pub fn print_error(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr(), "error: {}", sentence(error));
+    let _ = writeln!(std::io::stderr(), "error: {}", told(error).sentence());
 }
 
-/// What, where and how to mend: contexts are written `what; mend`, and their cause stands between the two. A cause that
-/// the sentence already tells is not told again.
-pub fn sentence(error: &anyhow::Error) -> String {
-    let (mut text, mut mend) = (String::new(), String::new());
-    for words in error.chain().map(ToString::to_string) {
-        if text.contains(&words) || mend.contains(&words) {
-            continue;
+/// What an error and all that led to it say, one after the other, and how to mend it. What was told already is not told again.
+pub fn told(error: &anyhow::Error) -> Fault {
+    let (mut what, mut remedies) = (String::new(), Vec::<String>::new());
+    for error in error.chain() {
+        let words = error.to_string();
+        let remedy = remedy_of(error);
+        if !what.contains(&words) {
+            what.push_str(if what.is_empty() { "" } else { ": " });
+            what.push_str(&words);
         }
-        let (what, how) = words
-            .split_once("; ")
-            .map_or((words.as_str(), None), |(what, how)| (what, Some(how)));
-        if !text.contains(what) {
-            text.push_str(if text.is_empty() { "" } else { ": " });
-            text.push_str(what);
-        }
-        if let Some(how) = how.filter(|how| !mend.contains(how)) {
-            mend.push_str("; ");
-            mend.push_str(how);
+        if let Some(remedy) = remedy.filter(|remedy| !remedies.iter().any(|told| told.contains(&**remedy))) {
+            remedies.push(remedy.into_owned());
         }
     }
-    text + &mend
+    Fault::new(what, (!remedies.is_empty()).then(|| remedies.join("; ")))
+}
+
+/// How to mend one of the errors that the crates below have.
+fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
+    macro_rules! first {
+        ($($kind:ty),* $(,)?) => {
+            $(if let Some(error) = error.downcast_ref::<$kind>() {
+                return error.remedy();
+            })*
+        };
+    }
+    first!(
+        Fault,
+        re4_artifact::ArtifactError,
+        re4_audit::AuditError,
+        re4_encoder::EncoderError,
+        re4_index::IndexError,
+        re4_mujoco::MujocoError,
+        re4_pose::AnchorError,
+        re4_pose::PictureError,
+        re4_scenes::ScenesError,
+        re4_segment::SegmentError,
+        crate::stages::FellOver,
+    );
+    None
 }

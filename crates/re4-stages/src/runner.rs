@@ -4,8 +4,9 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_artifact::{Artifact, Facts, Key, Recipe, Stage, Store, Writer};
+use re4_fault::{OrFault as _, bail, fault};
 use re4_ingest::{IngestError, Stop};
 use serde_json::{Value, json};
 use tracing::{debug, info, info_span};
@@ -82,14 +83,13 @@ impl Runner {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(jobs.get())
                 .build_global()
-                .with_context(|| format!("cannot start {jobs} worker threads; give a smaller --jobs"))?;
+                .or_fault(|| fault!("cannot start {jobs} worker threads"; "give a smaller --jobs"))?;
         }
         let artifacts = settings.artifacts;
         if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
-            anyhow::bail!(
-                "cannot keep artifacts in {}: {} is a file; name a folder with --artifacts",
-                artifacts.display(),
-                file.display()
+            bail!(
+                "cannot keep artifacts in {}: {} is a file", artifacts.display(), file.display();
+                "name a folder with --artifacts"
             );
         }
         let store = Store::open(artifacts)?;

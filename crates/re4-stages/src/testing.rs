@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, bail};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
+use re4_fault::Remedy as _;
 use re4_rollout::{
     ArmAction, ArmState, Env, Estimator, Image, PolicyError, Space, SpaceFirst, Told, put_renderer_away,
 };
@@ -184,5 +185,5 @@ fn runner(pipeline: &Path, overrides: &[String], artifacts: &Path) -> Result<Run
 
 #[expect(clippy::needless_pass_by_value, reason = "errors are mapped by it")]
 fn told(error: anyhow::Error) -> String {
-    crate::notes::sentence(&error)
+    crate::notes::told(&error).sentence()
 }

@@ -1,6 +1,7 @@
 //! `re4-pipe fetch`: download a dataset, or weights.
 
 use anyhow::Result;
+use re4_fault::Fault;
 use re4_fetch::{Outcome as Fetched, find};
 use serde_json::json;
 
@@ -17,7 +18,7 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
         .clone()
         .or_else(|| data_folders().into_iter().next())
         .unwrap_or_default();
-    let mut dataset = find(&arguments.dataset)?;
+    let mut dataset = find(&arguments.dataset).map_err(|error| Fault::of(&error))?;
     if let Some(url) = &arguments.url {
         dataset = dataset.with_url(url);
     }
@@ -30,11 +31,13 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
         ));
     }
     tracing::info!(provides = %dataset.provides, destination = %destination.display(), "looking for what is there");
+    tracing::info!(provides = %dataset.provides, destination = %destination.display(), "looking for what is there");
     let bar = console.progress(0, "bytes");
     let report = re4_fetch::fetch(&dataset, &destination, &mut |done, length| {
         bar.set_length(length.unwrap_or(done));
         bar.set_position(done);
-    })?;
+    })
+    .map_err(|error| Fault::of(&error))?;
     bar.finish_and_clear();
     let path = report.path.display();
     let (text, facts) = match &report.outcome {

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result};
 use re4_artifact::{Row as _, col_f64, col_u32};
+use re4_fault::ensure;
 use re4_ingest::Convention;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_report::{Findings, divergence_plot};
@@ -50,10 +51,11 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
     let planar = runner.pipeline.task.is_planar();
-    anyhow::ensure!(
+    ensure!(
         runner.pipeline.pose()?.source != PoseSource::Recorded,
-        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose; for poses from pictures set variant = \"image\" and pose.source = \"{}\"",
-        arguments.pipeline.display(),
+        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose",
+        arguments.pipeline.display();
+        "for poses from pictures set variant = \"image\" and pose.source = \"{}\"",
         if planar { "log_polar" } else { "encoder" }
     );
     let episodes = runner.ingest()?;
@@ -85,14 +87,16 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
-    anyhow::ensure!(
+    ensure!(
         runner.pipeline.task.is_planar(),
-        "no scenes to choose: they are for Push-T; rollouts of robosuite's tasks start from rollout.seeds"
+        "no scenes to choose: they are for Push-T";
+        "rollouts of robosuite's tasks start from rollout.seeds"
     );
-    anyhow::ensure!(
+    ensure!(
         runner.pipeline.scenes.is_some(),
-        "no scenes to choose: {} has no table [scenes], its rollouts start from the scenes of seeds; add one with kind = \"sparse_observations\", and leave rollout.seeds out",
-        arguments.pipeline.display()
+        "no scenes to choose: {} has no table [scenes], its rollouts start from the scenes of seeds",
+        arguments.pipeline.display();
+        "add one with kind = \"sparse_observations\", and leave rollout.seeds out"
     );
     let built = runner.scenes(&runner.ingest()?)?.context("no table [scenes]")?;
     answer(console, &built)
@@ -112,10 +116,10 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     if runner.pipeline.rollout.is_some() {
         return roll_out(&runner, arguments);
     }
-    anyhow::ensure!(
+    ensure!(
         arguments.report.is_none() && arguments.record.is_none(),
-        "no rollouts to report or to record: {} has no table [rollout]; leave --report and --record out",
-        arguments.stage.pipeline.display()
+        "no rollouts to report or to record: {} has no table [rollout]", arguments.stage.pipeline.display();
+        "leave --report and --record out"
     );
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
@@ -182,16 +186,16 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
     if let Some(path) = &arguments.record {
-        anyhow::ensure!(
+        ensure!(
             !path.exists(),
-            "cannot record to {}: there is something at that path; give one that does not exist yet",
-            path.display()
+            "cannot record to {}: there is something at that path", path.display();
+            "give one that does not exist yet"
         );
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-        anyhow::ensure!(
+        ensure!(
             parent.is_none_or(Path::is_dir),
-            "cannot record to {}: there is no folder to put it into; create it, or give another path",
-            path.display()
+            "cannot record to {}: there is no folder to put it into", path.display();
+            "create it, or give another path"
         );
     }
     let page = Page::at(runner, arguments)?;
@@ -237,9 +241,10 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     if !runner.pipeline.task.is_planar() {
         return spatial::replay(&runner, arguments);
     }
-    anyhow::ensure!(
+    ensure!(
         arguments.least.is_none(),
-        "--fail-under is for robosuite's tasks; Push-T's demonstrations end before success"
+        "--fail-under is for robosuite's tasks";
+        "Push-T's demonstrations end before success"
     );
     let built = runner.replay(&runner.ingest()?)?;
     if let Some(path) = &arguments.plot {

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::fs;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_artifact::{Manifest, json_description};
+use re4_fault::{OrFault as _, fault};
 use re4_stages::tables;
 use serde_json::json;
 
@@ -35,16 +36,12 @@ pub(crate) fn schemas(arguments: &SchemasArguments) -> Result<Outcome> {
         ))?;
         return Ok(Outcome::GateFailed);
     }
-    fs::create_dir_all(folder).with_context(|| {
-        format!(
-            "cannot make the folder {}; name one that can be written",
-            folder.display()
-        )
-    })?;
+    fs::create_dir_all(folder)
+        .or_fault(|| fault!("cannot make the folder {}", folder.display(); "name one that can be written"))?;
     for (name, text) in &files {
         let path = folder.join(name);
         fs::write(&path, text)
-            .with_context(|| format!("cannot write {}; name a folder that can be written", path.display()))?;
+            .or_fault(|| fault!("cannot write {}", path.display(); "name a folder that can be written"))?;
     }
     console.answer(&json!({ "written": files.keys().collect::<Vec<_>>() }))?;
     console.say(&format!("wrote {} files to {}", files.len(), folder.display()))?;

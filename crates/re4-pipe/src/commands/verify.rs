@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_artifact::{MANIFEST_NAME, verify as verify_artifact};
+use re4_fault::{OrFault as _, Remedy, ensure, fault};
 use serde_json::json;
 
 use super::Outcome;
@@ -37,7 +38,7 @@ pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
     }
     console.answer(&json!({
         "intact": verified,
-        "damaged": damaged.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "damaged": damaged.iter().map(Remedy::sentence).collect::<Vec<_>>(),
     }))?;
     // Every damaged artifact is named; the first is the error that the command ends with.
     let mut errors = damaged.into_iter().map(anyhow::Error::from);
@@ -52,11 +53,8 @@ pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
 
 fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {
     let listing = |folder: &Path| -> Result<Vec<PathBuf>> {
-        let entries = std::fs::read_dir(folder).with_context(|| {
-            format!(
-                "cannot verify: {} is not a folder with artifacts; name one with --artifacts",
-                folder.display()
-            )
+        let entries = std::fs::read_dir(folder).or_fault(|| {
+            fault!("cannot verify: {} is not a folder with artifacts", folder.display(); "name one with --artifacts")
         })?;
         let mut paths = entries
             .map(|entry| entry.map(|e| e.path()))
@@ -72,10 +70,6 @@ fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {
                 .filter(|path| path.join(MANIFEST_NAME).exists()),
         );
     }
-    anyhow::ensure!(
-        !found.is_empty(),
-        "cannot verify: there is no artifact below {}; run a pipeline first",
-        root.display()
-    );
+    ensure!(!found.is_empty(), "cannot verify: there is no artifact below {}", root.display(); "run a pipeline first");
     Ok(found)
 }

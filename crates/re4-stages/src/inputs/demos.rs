@@ -1,9 +1,12 @@
 //! Spatial demonstrations out of artifacts, one after the other, so that a dataset need not fit in memory.
 
-use anyhow::{Context as _, Result, ensure};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
 use re4_artifact::Artifact;
 use re4_audit::SpatialDemo;
 use re4_episode::{SpatialEpisode, episode_name};
+use re4_fault::{Fault, OrFault as _, ensure, fault};
 use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
 use re4_policy::DemoNames;
 use re4_segment::{ModeRow, SegmentRow, SegmentedSpatial, SpatialEvidence, SpatialSegment};
@@ -32,10 +35,10 @@ fn names(episodes: &Artifact) -> Result<Vec<String>> {
 }
 
 /// That a stage needs what the dataset has not.
-pub(super) fn no_object(episodes: &Artifact) -> String {
-    format!(
-        "the demonstrations of {} have no object pose, which this stage reads; ingest a dataset that has it",
-        episodes.path().display()
+pub(super) fn no_object(episodes: &Path) -> Fault {
+    fault!(
+        "the demonstrations of {} have no object pose, which this stage reads", episodes.display();
+        "ingest a dataset that has it"
     )
 }
 
@@ -43,8 +46,8 @@ pub(super) fn no_object(episodes: &Artifact) -> String {
 pub(crate) struct SpatialEpisodes {
     rows: ByEpisode<FrameRow<SpatialColumns>>,
     names: Vec<String>,
-    /// What is said where the object's pose is not known.
-    no_object: String,
+    /// Of the artifact.
+    path: PathBuf,
 }
 
 impl SpatialEpisodes {
@@ -53,7 +56,7 @@ impl SpatialEpisodes {
         Ok(Self {
             rows: ByEpisode::open(artifact, |row: &FrameRow<_>| row.episode)?,
             names: names(artifact)?,
-            no_object: no_object(artifact),
+            path: artifact.path().to_owned(),
         })
     }
 
@@ -63,13 +66,14 @@ impl SpatialEpisodes {
     }
 
     fn read(&self, number: u32, rows: &[FrameRow<SpatialColumns>]) -> Result<(u32, SpatialEpisode)> {
-        let name = self.names.get(number as usize).cloned().with_context(|| {
-            format!(
-                "table frames names demonstration {number} of the artifact, which table demos lacks; ingest the dataset anew"
+        let name = self.names.get(number as usize).cloned().or_fault(|| {
+            fault!(
+                "table frames names demonstration {number} of the artifact, which table demos lacks";
+                "ingest the dataset anew"
             )
         })?;
         let frames = rows.iter().map(|row| row.recorded.frame()).collect::<Option<_>>();
-        let frames = frames.with_context(|| self.no_object.clone())?;
+        let frames = frames.or_fault(|| no_object(&self.path))?;
         Ok((number, SpatialEpisode { name, frames }))
     }
 }
@@ -102,7 +106,7 @@ impl SegmentedEpisodes {
 
     fn join(&mut self, number: u32, episode: SpatialEpisode) -> Result<SpatialDemo> {
         let name = episode.name.clone();
-        let missing = || format!("{name} is not segmented; segment the dataset anew");
+        let missing = || fault!("{name} is not segmented"; "segment the dataset anew");
         let (modes_of, modes) = self.modes.next().with_context(missing)??;
         let (segments_of, segments) = self.segments.next().with_context(missing)??;
         let segmented = SegmentedSpatial::from_rows(modes, segments);
@@ -112,7 +116,8 @@ impl SegmentedEpisodes {
                 .segments
                 .last()
                 .is_some_and(|last| last.segment.frames.end == frames),
-            "table segments does not end where modes does; segment the dataset anew"
+            "table segments does not end where modes does";
+            "segment the dataset anew"
         );
         ensure!(
             modes_of == number && segments_of == number && frames == episode.frames.len(),

@@ -1,8 +1,9 @@
 //! Push-T's demonstrations out of an `episodes` artifact.
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_artifact::{Artifact, Row as _, columns};
 use re4_episode::{PlanarEpisode, PlanarFrame};
+use re4_fault::OrFault as _;
 use re4_geometry::{Point2, Pose2};
 use re4_ingest::{EpisodeRow, FrameRow, PlanarColumns};
 
@@ -45,7 +46,7 @@ pub(crate) fn read_episodes(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
         };
         episode.frames.push(PlanarFrame {
             eef: row.eef,
-            object: row.object.with_context(|| super::demos::no_object(artifact))?,
+            object: row.object.or_fault(|| super::demos::no_object(artifact.path()))?,
             action: row.action,
             contacts: row.contacts.unwrap_or(f64::NAN),
         });

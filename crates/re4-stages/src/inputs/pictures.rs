@@ -1,9 +1,10 @@
 //! What stages that look at pictures of robosuite's tasks need of an `episodes` artifact.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use re4_artifact::Artifact;
+use re4_fault::ensure;
 use re4_ingest::ImageRow;
 
 /// Refuses demonstrations without pictures of a camera.
@@ -22,8 +23,9 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
     };
     ensure!(
         episodes.has::<ImageRow>() && cameras.contains(&camera),
-        "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}; set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera",
-        episodes.path().display()
+        "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}",
+        episodes.path().display();
+        "set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera"
     );
     Ok(())
 }

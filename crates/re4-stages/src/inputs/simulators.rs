@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result};
 use re4_artifact::Artifact;
+use re4_fault::{bail, ensure};
 use re4_ingest::{DemoRow, ModelRow};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
@@ -57,8 +58,9 @@ pub(crate) fn profile(episodes: &Artifact) -> Result<Profile> {
     let named = episodes.manifest().source["robosuite_version"].as_str();
     let Some(named) = named else {
         bail!(
-            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args",
-            episodes.path().display()
+            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it",
+            episodes.path().display();
+            "give its env_args, with env_version, as ingest.env_args"
         );
     };
     Profile::of(named).with_context(|| {
@@ -80,8 +82,8 @@ impl Scenes {
         let demos = episodes.read::<DemoRow>()?;
         ensure!(
             episodes.has::<ModelRow>(),
-            "cannot simulate the demonstrations of {}: they have no model_file; ingest a file whose demonstrations have that attribute",
-            episodes.path().display()
+            "cannot simulate the demonstrations of {}: they have no model_file", episodes.path().display();
+            "ingest a file whose demonstrations have that attribute"
         );
         let folder = assets_folder();
         let mut mjcf = Vec::new();

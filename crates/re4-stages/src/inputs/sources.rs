@@ -4,16 +4,18 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use re4_artifact::Artifact;
+use re4_fault::{bail, fault};
 use re4_ingest::LeftOut;
 use tracing::debug;
 
 /// A file of weights, looked for as sources are.
 pub(crate) fn find_weights(weights: &Path) -> Result<PathBuf> {
     find_source(weights).map_err(|_| {
-        anyhow::anyhow!(
-            "cannot start from the weights {}: there is no such file; get ResNet-18's with re4-pipe fetch resnet18, or leave pose.encoder.weights out to start from random ones",
-            weights.display()
+        fault!(
+            "cannot start from the weights {}: there is no such file", weights.display();
+            "get ResNet-18's with re4-pipe fetch resnet18, or leave pose.encoder.weights out to start from random ones"
         )
+        .into()
     })
 }
 
@@ -41,10 +43,11 @@ pub(crate) fn find_source(source: &Path) -> Result<PathBuf> {
     } else {
         ""
     };
-    anyhow::bail!(
-        "cannot ingest {}: it is not below {} (seen from the current folder), nor in the current folder itself; set RE4_DATA to the folder that it is below, or give its absolute path{fetch}",
+    bail!(
+        "cannot ingest {}: it is not below {} (seen from the current folder), nor in the current folder itself",
         source.display(),
-        looked_below.join(" or ")
+        looked_below.join(" or ");
+        "set RE4_DATA to the folder that it is below, or give its absolute path{fetch}"
     )
 }
 

@@ -1,8 +1,9 @@
 //! Values that fit their type and still make no sense.
 
-use anyhow::{Result, bail, ensure};
+use anyhow::Result;
 use re4_encoder::EncoderConfig;
 use re4_encoder::loss::GROUP;
+use re4_fault::{bail, ensure};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
@@ -18,7 +19,8 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     pipeline.audit.check()?;
     ensure!(
         pipeline.policy.is_none() || pipeline.rollout.is_some(),
-        "there is a table [policy] and none [rollout] that would roll it out; leave it out"
+        "there is a table [policy] and none [rollout] that would roll it out";
+        "leave it out"
     );
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
@@ -27,7 +29,8 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     let Some(rollout) = &pipeline.rollout else {
         ensure!(
             pipeline.scenes.is_none(),
-            "there is a table [scenes] and none [rollout] that would start from it; leave it out"
+            "there is a table [scenes] and none [rollout] that would start from it";
+            "leave it out"
         );
         return Ok(());
     };
@@ -36,10 +39,10 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
         (Some(_), Some(_)) => {
-            bail!("both rollout.seeds and a table [scenes] say where rollouts start; leave one of the two out")
+            bail!("both rollout.seeds and a table [scenes] say where rollouts start"; "leave one of the two out")
         }
         (None, None) => {
-            bail!("nothing says where rollouts start; give rollout.seeds, such as \"500..600\", or a table [scenes]")
+            bail!("nothing says where rollouts start"; "give rollout.seeds, such as \"500..600\", or a table [scenes]")
         }
     }
 }
@@ -59,31 +62,29 @@ const ABOUT_THE_OBJECT: [&str; 8] = [
 /// What robosuite's tasks need, and what they do not have.
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     let ingest = &pipeline.ingest;
-    ensure!(
-        ingest.pusht.is_default(),
-        "ingest.pusht belongs to Push-T; leave it out"
-    );
+    ensure!(ingest.pusht.is_default(), "ingest.pusht belongs to Push-T"; "leave it out");
     ensure!(
         ingest.object.is_none() || pipeline.task == Task::Robosuite,
-        "ingest.object is given and the task says which object it is; leave it out, or set task = \"robosuite\""
+        "ingest.object is given and the task says which object it is";
+        "leave it out, or set task = \"robosuite\""
     );
     ensure!(
         ingest.images || ingest.cameras.is_none(),
-        "ingest.images is false and ingest.cameras names cameras; leave one of the two out"
+        "ingest.images is false and ingest.cameras names cameras";
+        "leave one of the two out"
     );
     ensure!(
         renders_own(pipeline),
-        "ingest.render names the camera \"image\", which is Push-T's; robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
+        "ingest.render names the camera \"image\", which is Push-T's";
+        "robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
     );
     ensure!(
         ingest.render.is_empty() || ingest.cameras.is_none(),
-        "ingest.cameras chooses recorded pictures and ingest.render has pictures drawn; leave one of the two out"
+        "ingest.cameras chooses recorded pictures and ingest.render has pictures drawn";
+        "leave one of the two out"
     );
     check_render(ingest)?;
-    ensure!(
-        pipeline.scenes.is_none(),
-        "the table [scenes] is for Push-T; leave it out, and give rollout.seeds"
-    );
+    ensure!(pipeline.scenes.is_none(), "the table [scenes] is for Push-T"; "leave it out, and give rollout.seeds");
     check_spatial_pose(pipeline)?;
     let Some(rollout) = &pipeline.rollout else {
         return Ok(());
@@ -95,13 +96,11 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     );
     ensure!(
         pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
-        "variant is \"image\" and rollout.noise gives errors to recorded poses; leave it out"
+        "variant is \"image\" and rollout.noise gives errors to recorded poses";
+        "leave it out"
     );
     check_rollout(pipeline, rollout)?;
-    ensure!(
-        rollout.seeds.is_some(),
-        "nothing says where rollouts start; give rollout.seeds, such as \"500..600\""
-    );
+    ensure!(rollout.seeds.is_some(), "nothing says where rollouts start"; "give rollout.seeds, such as \"500..600\"");
     if let Some(noise) = &rollout.noise {
         standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
         standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
@@ -115,7 +114,8 @@ fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     pipeline.pose()?;
     ensure!(
         pipeline.variant.is_some(),
-        "nothing says what the policy observes; give variant = \"state\" or variant = \"image\""
+        "nothing says what the policy observes";
+        "give variant = \"state\" or variant = \"image\""
     );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
     if let Err(error) = pipeline.policy()?.check(pipeline.variant == Some(Variant::Image)) {
@@ -131,20 +131,24 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
     };
     ensure!(
         pose.encoder.is_none() || pose.source == PoseSource::Encoder,
-        "the table [pose.encoder] is for pose.source = \"encoder\"; leave it out, or set pose.source to it"
+        "the table [pose.encoder] is for pose.source = \"encoder\"";
+        "leave it out, or set pose.source to it"
     );
     if let Some(encoder) = &pose.encoder {
         check_settings(encoder)?;
     }
     match (pipeline.variant, pose.source) {
         (_, PoseSource::LogPolar) => bail!(
-            "pose.source is \"log_polar\", which reads Push-T's pictures; set it to \"encoder\", or to \"recorded\""
+            "pose.source is \"log_polar\", which reads Push-T's pictures";
+            "set it to \"encoder\", or to \"recorded\""
         ),
         (Some(Variant::State), PoseSource::Encoder) => bail!(
-            "variant is \"state\" and pose.source is \"encoder\"; poses from pictures belong to variant = \"image\""
+            "variant is \"state\" and pose.source is \"encoder\"";
+            "poses from pictures belong to variant = \"image\""
         ),
         (Some(Variant::Image), PoseSource::Recorded) => bail!(
-            "variant is \"image\" and pose.source is \"recorded\"; what pictures show is estimated, so set pose.source = \"encoder\""
+            "variant is \"image\" and pose.source is \"recorded\"";
+            "what pictures show is estimated, so set pose.source = \"encoder\""
         ),
         (_, PoseSource::Encoder) => check_encoder(pipeline, &pose.encoder().camera),
         _ => Ok(()),
@@ -168,8 +172,8 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     count("pose.encoder.batch", encoder.batch, GROUP as u32, LARGEST_BATCH)?;
     ensure!(
         encoder.batch.is_multiple_of(GROUP),
-        "pose.encoder.batch is {}; give a multiple of {GROUP}: groups of two demonstrations with four pictures each",
-        encoder.batch
+        "pose.encoder.batch is {}", encoder.batch;
+        "give a multiple of {GROUP}: groups of two demonstrations with four pictures each"
     );
     between("pose.encoder.epochs", encoder.epochs, 1, MOST_STEPS)?;
     if let Some(steps) = encoder.steps {
@@ -177,19 +181,19 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     }
     ensure!(
         encoder.learning_rate > 0.0,
-        "pose.encoder.learning_rate is {}; give a number above 0",
-        encoder.learning_rate
+        "pose.encoder.learning_rate is {}", encoder.learning_rate;
+        "give a number above 0"
     );
     ensure!(
         (0.0..=0.5).contains(&encoder.held_out),
-        "pose.encoder.held_out is {}; it is a share, from 0 to 0.5",
-        encoder.held_out
+        "pose.encoder.held_out is {}", encoder.held_out;
+        "it is a share, from 0 to 0.5"
     );
     let losses = &encoder.losses;
     ensure!(
         (0.0..=1.0).contains(&losses.absolute_held),
-        "pose.encoder.losses.absolute_held is {}; it is a share, from 0 to 1",
-        losses.absolute_held
+        "pose.encoder.losses.absolute_held is {}", losses.absolute_held;
+        "it is a share, from 0 to 1"
     );
     for (name, value) in [
         ("weight_decay", encoder.weight_decay),
@@ -211,21 +215,25 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
     let ingest = &pipeline.ingest;
     ensure!(
         ingest.images,
-        "pose.source is \"encoder\" and ingest.images is false, so there would be no pictures; leave it out"
+        "pose.source is \"encoder\" and ingest.images is false, so there would be no pictures";
+        "leave it out"
     );
     ensure!(
         ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
-        "pose.encoder.camera is {camera:?}, of which ingest.render draws no pictures; set ingest.render = [{camera:?}]"
+        "pose.encoder.camera is {camera:?}, of which ingest.render draws no pictures";
+        "set ingest.render = [{camera:?}]"
     );
     if let Some(cameras) = &ingest.cameras {
         ensure!(
             cameras.iter().any(|taken| taken == camera),
-            "pose.encoder.camera is {camera:?}, whose pictures ingest.cameras leaves out; name it there"
+            "pose.encoder.camera is {camera:?}, whose pictures ingest.cameras leaves out";
+            "name it there"
         );
     }
     ensure!(
         pipeline.segment.rule == Rule::GripperCommand,
-        "pose.source is \"encoder\" and segment.rule reads recorded object poses; set it to \"gripper_command\""
+        "pose.source is \"encoder\" and segment.rule reads recorded object poses";
+        "set it to \"gripper_command\""
     );
     let leave_out = pipeline
         .index
@@ -236,7 +244,8 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
         .find(|check| ABOUT_THE_OBJECT.contains(&check.as_str()))
     {
         Some(check) => bail!(
-            "index.leave_out names the check {check:?}, which reads recorded object poses, and pose.source is \"encoder\"; leave it out (missed_grasp and lost_grasp are then found by the fingers alone)"
+            "index.leave_out names the check {check:?}, which reads recorded object poses, and pose.source is \"encoder\"";
+            "leave it out (missed_grasp and lost_grasp are then found by the fingers alone)"
         ),
         None => Ok(()),
     }
@@ -250,10 +259,11 @@ fn renders_own(pipeline: &Pipeline) -> bool {
 
 fn check_render(ingest: &IngestSection) -> Result<()> {
     let repeated = (1..ingest.render.len()).any(|i| ingest.render[..i].contains(&ingest.render[i]));
-    ensure!(!repeated, "ingest.render names a camera twice; name each once");
+    ensure!(!repeated, "ingest.render names a camera twice"; "name each once");
     ensure!(
         ingest.images || ingest.render.is_empty(),
-        "ingest.images is false and ingest.render names a camera; leave one of the two out"
+        "ingest.images is false and ingest.render names a camera";
+        "leave one of the two out"
     );
     Ok(())
 }
@@ -262,7 +272,8 @@ fn check_render(ingest: &IngestSection) -> Result<()> {
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ensure!(
         pipeline.segment.rule != Rule::GripperCommand && pipeline.segment.gripper.is_none(),
-        "Push-T has no gripper; set segment.rule to \"always_transit\" or \"rigid_motion\", and leave segment.gripper out"
+        "Push-T has no gripper";
+        "set segment.rule to \"always_transit\" or \"rigid_motion\", and leave segment.gripper out"
     );
     let ingest = &pipeline.ingest;
     let foreign = [
@@ -274,22 +285,20 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
         ("conventions", ingest.conventions != Conventions::default()),
     ];
     if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
-        bail!("ingest.{key} belongs to robosuite's tasks; leave it out");
+        bail!("ingest.{key} belongs to robosuite's tasks"; "leave it out");
     }
     if let Err(why) = ingest.pusht.check() {
         bail!("ingest.pusht.{why}");
     }
     ensure!(
         renders_own(pipeline),
-        "ingest.render names a camera of robosuite's tasks; Push-T's only one is \"image\""
+        "ingest.render names a camera of robosuite's tasks";
+        "Push-T's only one is \"image\""
     );
     check_render(ingest)?;
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
-        ensure!(
-            index.leave_out.is_empty(),
-            "index.leave_out belongs to robosuite's tasks; leave it out"
-        );
+        ensure!(index.leave_out.is_empty(), "index.leave_out belongs to robosuite's tasks"; "leave it out");
     }
     match (&pipeline.pose, pipeline.variant) {
         (Some(pose), Some(variant)) => check_variant(pipeline, pose, variant),
@@ -302,31 +311,36 @@ fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> R
     let ingest = &pipeline.ingest;
     match (variant, pose.source) {
         (_, PoseSource::Encoder) => bail!(
-            "pose.source is \"encoder\", which is trained on robosuite's tasks; set it to \"log_polar\", or to \"recorded\""
+            "pose.source is \"encoder\", which is trained on robosuite's tasks";
+            "set it to \"log_polar\", or to \"recorded\""
         ),
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {
             ensure!(
                 ingest.images,
-                "variant is \"image\" and ingest.images is false, so there would be no pictures; leave it out"
+                "variant is \"image\" and ingest.images is false, so there would be no pictures";
+                "leave it out"
             );
             // Other rules look at the recorded pose of the object.
             ensure!(
                 pipeline.segment.rule == Rule::AlwaysTransit,
-                "variant is \"image\" and segment.rule reads recorded object poses; set it to \"always_transit\""
+                "variant is \"image\" and segment.rule reads recorded object poses";
+                "set it to \"always_transit\""
             );
             ensure!(
                 pose.goal.iter().all(|number| number.is_finite()),
-                "pose.goal is {:?}; give x, y and theta as finite numbers",
-                pose.goal
+                "pose.goal is {:?}", pose.goal;
+                "give x, y and theta as finite numbers"
             );
             Ok(())
         }
         (Variant::State, PoseSource::LogPolar) => bail!(
-            "variant is \"state\" and pose.source is \"log_polar\"; poses from pictures belong to variant = \"image\""
+            "variant is \"state\" and pose.source is \"log_polar\"";
+            "poses from pictures belong to variant = \"image\""
         ),
         (Variant::Image, PoseSource::Recorded) => bail!(
-            "variant is \"image\" and pose.source is \"recorded\"; what pictures show is estimated, so set pose.source = \"log_polar\""
+            "variant is \"image\" and pose.source is \"recorded\"";
+            "what pictures show is estimated, so set pose.source = \"log_polar\""
         ),
     }
 }
@@ -356,37 +370,28 @@ fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
 }
 
 fn between(name: &str, value: u32, least: u32, most: u32) -> Result<()> {
-    ensure!(
-        (least..=most).contains(&value),
-        "{name} is {value}; give {least} to {most}"
-    );
+    ensure!((least..=most).contains(&value), "{name} is {value}"; "give {least} to {most}");
     Ok(())
 }
 
 /// Less would cut demonstrated poses off, more would leave the plane of the simulator or go round more than once.
 fn padding(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
-    ensure!(
-        (0.0..=most).contains(&value),
-        "{name} is {value} {unit}; give 0 to {most:.2}"
-    );
+    ensure!((0.0..=most).contains(&value), "{name} is {value} {unit}"; "give 0 to {most:.2}");
     Ok(())
 }
 
 /// More would put the object where nothing is.
 fn standard_deviation(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
-    ensure!(
-        (0.0..=most).contains(&value),
-        "{name} is {value} {unit}; give 0 to {most:.2}"
-    );
+    ensure!((0.0..=most).contains(&value), "{name} is {value} {unit}"; "give 0 to {most:.2}");
     Ok(())
 }
 
 fn at_least_one(name: &str, value: u64) -> Result<()> {
-    ensure!(value >= 1, "{name} is {value}; give 1 or more");
+    ensure!(value >= 1, "{name} is {value}"; "give 1 or more");
     Ok(())
 }
 
 fn not_negative(name: &str, value: f64) -> Result<()> {
-    ensure!(value >= 0.0, "{name} is {value}; give 0 or more");
+    ensure!(value >= 0.0, "{name} is {value}"; "give 0 or more");
     Ok(())
 }

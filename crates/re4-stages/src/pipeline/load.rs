@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
+use re4_fault::{OrFault as _, bail, fault};
 use re4_policy::kinds::{Kinds, PlanePolicy, SpacePolicy};
 use re4_segment::SegmentConfig;
 use serde_json::{Map, Value};
@@ -17,10 +18,10 @@ use super::{Pipeline, Policy, checks};
 /// When the file cannot be read, is not TOML, has an unknown key (named, with the nearest known one) or a value that
 /// does not fit.
 pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
-    let text = std::fs::read_to_string(path).with_context(|| {
-        format!(
-            "cannot read the pipeline file {}; give the path of a TOML file such as pipelines/demo.toml",
-            path.display()
+    let text = std::fs::read_to_string(path).or_fault(|| {
+        fault!(
+            "cannot read the pipeline file {}", path.display();
+            "give the path of a TOML file such as pipelines/demo.toml"
         )
     })?;
     parse(&text, path, overrides)
@@ -125,13 +126,14 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
     let depth = path.split('.').count();
     if depth > DEEPEST {
         bail!(
-            "cannot apply --set: the key has {depth} parts, and no setting has more than {DEEPEST}; write stage.key=value"
+            "cannot apply --set: the key has {depth} parts, and no setting has more than {DEEPEST}";
+            "write stage.key=value"
         );
     }
     let mut at = document;
     for key in moved(path.trim()).split('.') {
         if key.is_empty() {
-            bail!("cannot apply --set {text}: the key is empty; write stage.key=value");
+            bail!("cannot apply --set {text}: the key is empty"; "write stage.key=value");
         }
         if !at.is_object() {
             *at = Value::Object(Map::new());
@@ -196,7 +198,8 @@ fn move_policy(document: &mut Value) -> Result<()> {
     };
     if map.contains_key("policy") {
         bail!(
-            "both rollout.{old} and a table [policy] say what the policy is; write policy.{new}, and leave rollout.{old} out"
+            "both rollout.{old} and a table [policy] say what the policy is";
+            "write policy.{new}, and leave rollout.{old} out"
         );
     }
     map.insert("policy".to_owned(), Value::Object(policy));
@@ -230,16 +233,16 @@ fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<Option<K>
 fn kind_of<K: Kinds>(policy: &Value) -> Result<String> {
     let kinds = K::NAMES.join(", ");
     if !policy.is_object() {
-        bail!("policy is {policy}; give a table, such as {{ kind = \"re4\" }}; the kinds are {kinds}");
+        bail!("policy is {policy}"; "give a table, such as {{ kind = \"re4\" }}; the kinds are {kinds}");
     }
     match policy.get("kind") {
-        None => bail!("nothing says of which kind the policy is; give policy.kind; the kinds are {kinds}"),
+        None => bail!("nothing says of which kind the policy is"; "give policy.kind; the kinds are {kinds}"),
         Some(Value::String(kind)) if K::NAMES.contains(&kind.as_str()) => Ok(kind.clone()),
         Some(Value::String(kind)) => bail!(
-            "unknown policy {kind:?} in policy.kind{}; the kinds are {kinds}",
-            suggestion(kind, K::NAMES.iter().copied())
+            "unknown policy {kind:?} in policy.kind{}", suggestion(kind, K::NAMES.iter().copied());
+            "the kinds are {kinds}"
         ),
-        Some(other) => bail!("policy.kind is {other}; the kinds are {kinds}"),
+        Some(other) => bail!("policy.kind is {other}"; "the kinds are {kinds}"),
     }
 }
 
@@ -265,7 +268,7 @@ fn merge(default: Value, own: Option<Value>) -> Option<Value> {
 /// JSON cannot say nan and inf and has null in their place, which an optional setting would take for absence.
 fn refuse_not_finite(document: &Value, place: &str) -> Result<()> {
     match document {
-        Value::Null => bail!("{place} is nan or inf; give a finite number, or leave it out"),
+        Value::Null => bail!("{place} is nan or inf"; "give a finite number, or leave it out"),
         Value::Object(map) => map.iter().try_for_each(|(key, value)| {
             let dot = if place.is_empty() { "" } else { "." };
             refuse_not_finite(value, &format!("{place}{dot}{key}"))
@@ -305,9 +308,8 @@ fn refuse_unknown(walk: &Walk<'_>, schema: &Value, document: &Value, place: &str
         match properties.get(key).filter(|inner| here(inner)) {
             Some(inner) => refuse_unknown(walk, inner, value, &path)?,
             None => bail!(
-                "unknown key {path}{}; known here: {}",
-                suggestion(key, known()),
-                known().collect::<Vec<_>>().join(", ")
+                "unknown key {path}{}", suggestion(key, known());
+                "known here: {}", known().collect::<Vec<_>>().join(", ")
             ),
         }
     }

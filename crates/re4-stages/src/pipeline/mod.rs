@@ -8,8 +8,9 @@ mod sections;
 mod seeds;
 mod task;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_audit::AuditConfig;
+use re4_fault::{Fault, OrFault as _, fault};
 use re4_scenes::ScenesConfig;
 use re4_segment::SegmentConfig;
 use schemars::JsonSchema;
@@ -57,9 +58,10 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    fn missing(table: &str) -> String {
-        format!(
-            "the pipeline file has no table [{table}], which this command needs; add it, or stop at an earlier stage"
+    fn missing(table: &str) -> Fault {
+        fault!(
+            "the pipeline file has no table [{table}], which this command needs";
+            "add it, or stop at an earlier stage"
         )
     }
 
@@ -68,7 +70,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[pose]`.
     pub fn pose(&self) -> Result<&PoseSection> {
-        self.pose.as_ref().with_context(|| Self::missing("pose"))
+        self.pose.as_ref().or_fault(|| Self::missing("pose"))
     }
 
     /// How the index is made.
@@ -76,7 +78,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[index]`.
     pub fn index(&self) -> Result<&IndexSection> {
-        self.index.as_ref().with_context(|| Self::missing("index"))
+        self.index.as_ref().or_fault(|| Self::missing("index"))
     }
 
     /// The policy.
@@ -84,7 +86,7 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[policy]`.
     pub fn policy(&self) -> Result<&Policy> {
-        self.policy.as_ref().with_context(|| Self::missing("policy"))
+        self.policy.as_ref().or_fault(|| Self::missing("policy"))
     }
 
     /// How it is rolled out.
@@ -92,6 +94,6 @@ impl Pipeline {
     /// # Errors
     /// When the pipeline has no table `[rollout]`.
     pub fn rollout(&self) -> Result<&RolloutSection> {
-        self.rollout.as_ref().with_context(|| Self::missing("rollout"))
+        self.rollout.as_ref().or_fault(|| Self::missing("rollout"))
     }
 }

@@ -3,7 +3,8 @@
 use std::borrow::Cow;
 use std::str::FromStr;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
+use re4_fault::{bail, fault};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -32,9 +33,9 @@ impl FromStr for Seeds {
         for part in text.split(',').map(str::trim) {
             let number = |word: &str| {
                 word.trim().parse::<u32>().map_err(|_| {
-                    anyhow::anyhow!(
-                        "seeds {text:?}: {word:?} is not a number from 0 to {}; write 500..600, or 1,2,3",
-                        u32::MAX
+                    fault!(
+                        "seeds {text:?}: {word:?} is not a number from 0 to {}", u32::MAX;
+                        "write 500..600, or 1,2,3"
                     )
                 })
             };
@@ -43,13 +44,13 @@ impl FromStr for Seeds {
                     let (from, to) = (number(from)?, number(to)?);
                     if from >= to {
                         bail!(
-                            "seeds {text:?}: the range {part} is empty; its end is exclusive, so write {from}..{}",
-                            from.saturating_add(1)
+                            "seeds {text:?}: the range {part} is empty";
+                            "its end is exclusive, so write {from}..{}", from.saturating_add(1)
                         );
                     }
                     // Before memory is reserved: a short text can name all seeds that there are, many times.
                     if (to - from) as usize > MOST.saturating_sub(seeds.len()) {
-                        bail!("seeds up to {part} are more than 10,000,000; split them over several runs");
+                        bail!("seeds up to {part} are more than 10,000,000"; "split them over several runs");
                     }
                     seeds.extend(from..to);
                 }
@@ -59,7 +60,7 @@ impl FromStr for Seeds {
         let mut sorted = seeds.clone();
         sorted.sort_unstable();
         if let Some((seed, _)) = sorted.iter().zip(sorted.iter().skip(1)).find(|(one, next)| one == next) {
-            bail!("seeds {text:?}: seed {seed} occurs twice; name each seed once");
+            bail!("seeds {text:?}: seed {seed} occurs twice"; "name each seed once");
         }
         Ok(Self {
             text: text.to_owned(),

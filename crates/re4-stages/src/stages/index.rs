@@ -8,6 +8,7 @@ use std::collections::BTreeSet;
 use anyhow::Result;
 use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Writer, columns};
 use re4_episode::Mode;
+use re4_fault::ensure;
 use re4_geometry::Pose2;
 use re4_index::{AngleMetric, IndexRow, IndexedFrame, Normalization, PlanarState, ScaleRow};
 use re4_policy::{DemoSet, collect_chunks};
@@ -115,18 +116,18 @@ fn read_demos(
             .take(count)
             .map(|row| Ok(row?.mode))
             .collect::<Result<Vec<Mode>>>()?;
-        anyhow::ensure!(
+        ensure!(
             modes_of.len() == count,
-            "cannot read {}: table modes has fewer frames than the episodes; build it again",
-            modes.path().display()
+            "cannot read {}: table modes has fewer frames than the episodes", modes.path().display();
+            "build it again"
         );
         if let Some(poses) = &mut poses {
             let clear = |row: PoseRow<Estimate>| row.estimate.pose.filter(|_| row.estimate.flag == Flag::Clear);
             let known: Vec<Option<Pose2>> = poses.by_ref().take(count).map(clear).collect();
-            anyhow::ensure!(
+            ensure!(
                 known.len() == count,
-                "cannot index {}: it has more frames than there are poses; build the poses again",
-                episodes.path().display()
+                "cannot index {}: it has more frames than there are poses", episodes.path().display();
+                "build the poses again"
             );
             blanks.extend(
                 (0..)
@@ -143,10 +144,10 @@ fn read_demos(
         }
         demos.push((number, episode.frames.into_iter().zip(modes_of).collect()));
     }
-    anyhow::ensure!(
+    ensure!(
         !demos.is_empty(),
-        "cannot index {}: no frame of it has a clear pose; look at the table poses",
-        episodes.path().display()
+        "cannot index {}: no frame of it has a clear pose", episodes.path().display();
+        "look at the table poses"
     );
     Ok((DemoSet::new(demos), blanks))
 }

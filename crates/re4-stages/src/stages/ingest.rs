@@ -11,8 +11,9 @@ mod zarr;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::Result;
 use re4_artifact::{Artifact, Key, Recipe, Stage};
+use re4_fault::{bail, ensure};
 use re4_ingest::robomimic::RobomimicSource;
 use re4_ingest::{DemoSource as _, OnBad, refusal};
 use serde_json::{Value, json};
@@ -22,6 +23,7 @@ use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
 pub use hdf5::serve_ingest;
+pub(crate) use worker::FellOver;
 pub use worker::SUBCOMMAND as INGEST_WORKER;
 
 /// Raised whenever the same input gives other bytes.
@@ -40,8 +42,8 @@ impl Runner {
         // What is of another format than its task is read from says so when it is opened.
         match (self.pipeline.task.is_planar(), RobomimicSource::probe(&path)) {
             (true, true) => bail!(
-                "cannot ingest {}: it is an HDF5 file, and Push-T is read from a zarr store; give one, or set task to the file's own, such as \"can\"",
-                path.display()
+                "cannot ingest {}: it is an HDF5 file, and Push-T is read from a zarr store", path.display();
+                "give one, or set task to the file's own, such as \"can\""
             ),
             (true, false) => self.ingest_zarr(&path),
             (false, _) => self.ingest_hdf5(path),

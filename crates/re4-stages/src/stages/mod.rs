@@ -9,6 +9,7 @@ mod scenes;
 mod segment;
 mod train_pose;
 
+pub(crate) use ingest::FellOver;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 pub use rollout::{BudgetRow, metrics, read_rollouts};

@@ -12,6 +12,7 @@ use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns};
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::{Pose2, periodic_distance};
 use re4_ingest::{FrameRow, ImageRow, PlanarColumns};
 use re4_policy::DemoNames;
@@ -152,10 +153,10 @@ struct Pictures {
 impl Pictures {
     fn open(episodes: &Artifact) -> Result<Self> {
         let path = episodes.path().to_owned();
-        anyhow::ensure!(
+        ensure!(
             episodes.has::<ImageRow>(),
-            "cannot estimate poses: {} holds no pictures; set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]",
-            path.display()
+            "cannot estimate poses: {} holds no pictures", path.display();
+            "set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]"
         );
         Ok(Self {
             table: episodes.table(ImageRow::table())?,
@@ -204,7 +205,7 @@ impl Pictures {
             .par_iter()
             .map(|&row| {
                 let picture = image::load_from_memory_with_format(encoded.value(row), ImageFormat::Png)
-                    .with_context(|| format!("{} is not a PNG picture; ingest again", place(row)))?;
+                    .or_fault(|| fault!("{} is not a PNG picture", place(row); "ingest again"))?;
                 look(picture.into_rgb8()).with_context(|| place(row))
             })
             // In order, so that of several errors the first is told, whichever thread met one first.

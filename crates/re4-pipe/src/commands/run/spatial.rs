@@ -3,8 +3,9 @@
 use std::fmt::Write as _;
 use std::time::Instant;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use re4_artifact::Row as _;
+use re4_fault::ensure;
 use re4_rollout::{SpaceResultRow, SpaceStepRow};
 use serde_json::{Value, json};
 
@@ -18,10 +19,7 @@ use re4_stages::{Built, Runner};
 pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
-    ensure!(
-        arguments.record.is_none(),
-        "--record writes Push-T's own format; leave it out for robosuite's tasks"
-    );
+    ensure!(arguments.record.is_none(), "--record writes Push-T's own format"; "leave it out for robosuite's tasks");
     let page = Page::at(runner, arguments)?;
     let (built, _) = runner.roll_out()?;
     if let Some(page) = &page {
@@ -78,7 +76,8 @@ pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Out
     let console = Console::new(&arguments.stage.common);
     ensure!(
         arguments.plot.is_none(),
-        "--plot draws Push-T's replays; for robosuite's tasks, table spatial_divergence holds the distances"
+        "--plot draws Push-T's replays";
+        "for robosuite's tasks, table spatial_divergence holds the distances"
     );
     let built = runner.replay_spatial(&runner.ingest()?)?;
     console.answer(&built.to_json())?;

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Row as _, columns};
 use re4_audit::{CHECKS, SpatialDemo};
+use re4_fault::ensure;
 use re4_pose::{PoseRow, SpatialEstimate, by_mode};
 use re4_segment::{SegmentConfig, segment_spatial};
 
@@ -44,8 +45,9 @@ impl EstimatedPoses {
             let (start, count) = rows.entry(episode).or_insert((row, 0));
             ensure!(
                 frame as usize == *count && *start + *count == row,
-                "cannot index: table poses of {} is not sorted by episode and frame, or lacks a frame, in row {row} (episode {episode}, frame {frame}); train the encoder anew",
-                artifact.path().display()
+                "cannot index: table poses of {} is not sorted by episode and frame, or lacks a frame, in row {row} (episode {episode}, frame {frame})",
+                artifact.path().display();
+                "train the encoder anew"
             );
             *count += 1;
         }
@@ -65,9 +67,10 @@ impl EstimatedPoses {
         let (start, count) = self.rows.get(&demo.number).copied().unwrap_or_default();
         ensure!(
             count == frames,
-            "cannot index: table poses of {} has {count} rows of {}, which has {frames} frames; the poses are those of other demonstrations, so train the encoder on these",
+            "cannot index: table poses of {} has {count} rows of {}, which has {frames} frames",
             self.path,
-            demo.episode.name
+            demo.episode.name;
+            "the poses are those of other demonstrations, so train the encoder on these"
         );
         let own = &self.poses[start..start + count];
         let eef: Vec<Isometry3<f64>> = demo.episode.frames.iter().map(|frame| frame.eef).collect();
@@ -85,9 +88,10 @@ impl EstimatedPoses {
     pub(super) fn check_count(&self, demos: u64) -> Result<()> {
         ensure!(
             self.rows.len() as u64 == demos,
-            "cannot index: table poses of {} has {} episodes, and there are {demos} demonstrations; the poses are those of other demonstrations, so train the encoder on these",
+            "cannot index: table poses of {} has {} episodes, and there are {demos} demonstrations",
             self.path,
-            self.rows.len()
+            self.rows.len();
+            "the poses are those of other demonstrations, so train the encoder on these"
         );
         Ok(())
     }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use re4_artifact::{Artifact, Facts, Recipe, SixAxis, Stage};
 use re4_audit::{CheckRow, FindingRow, SpatialDemo};
+use re4_fault::bail;
 use re4_index::{IndexRow, SpatialState};
 use serde_json::json;
 
@@ -82,8 +83,8 @@ impl Runner {
             }
             if retrievable == 0 {
                 bail!(
-                    "cannot index {}: every frame is left out by index.leave_out; name fewer checks",
-                    episodes.artifact.path().display()
+                    "cannot index {}: every frame is left out by index.leave_out", episodes.artifact.path().display();
+                    "name fewer checks"
                 );
             }
             Ok(Facts {
@@ -125,8 +126,8 @@ pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a
     let known: Vec<&str> = known.collect();
     match checks.iter().find(|check| !known.contains(&check.as_str())) {
         Some(check) => bail!(
-            "index.leave_out names the check {check:?}, which the audit does not have; its checks are {}",
-            known.join(", ")
+            "index.leave_out names the check {check:?}, which the audit does not have";
+            "its checks are {}", known.join(", ")
         ),
         None => Ok(()),
     }

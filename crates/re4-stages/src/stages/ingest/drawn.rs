@@ -5,7 +5,8 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Scope, ScopedJoinHandle};
 
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use anyhow::{Context as _, Result};
+use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_ingest::{Episode, Matrix};
 use re4_mujoco::{Data, Footprint, Gl, Kind, Library, Model, Renderer};
 use re4_robosuite::env_args::EnvArgs;
@@ -48,7 +49,8 @@ pub(super) fn settings(cameras: &[Camera], gl: Option<&str>) -> Value {
 fn profile(env: &EnvArgs) -> Result<Profile> {
     let Some(named) = env.env_version.as_deref() else {
         bail!(
-            "the file does not say which robosuite recorded it; give its env_args, with env_version, as ingest.env_args"
+            "the file does not say which robosuite recorded it";
+            "give its env_args, with env_version, as ingest.env_args"
         );
     };
     Profile::of(named)
@@ -179,7 +181,10 @@ impl<'a> Drawing<'a> {
                 if missing.is_empty() {
                     return Ok(());
                 }
-                let lacks = |what| anyhow!("it has no {what}; leave ingest.render out").context(self.cannot(&name));
+                let lacks = |what| {
+                    anyhow::Error::from(fault!("it has no {what}"; "leave ingest.render out"))
+                        .context(self.cannot(&name))
+                };
                 let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
                 let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&name))?;
@@ -203,7 +208,7 @@ impl<'a> Drawing<'a> {
                 };
                 crew.jobs
                     .send(job)
-                    .map_err(|_| anyhow!("no thread draws any more; run again"))
+                    .map_err(|_| fault!("no thread draws any more"; "run again").into())
             })
         });
         if let Some((_, error)) = failed().take() {
@@ -228,9 +233,7 @@ impl<'a> Drawing<'a> {
         for &camera in &self.cameras {
             for (episode, &frames) in (0_u32..).zip(lengths) {
                 let pictures = spool.get(camera, episode, frames)?;
-                let pictures = pictures.context(
-                    "pictures that were just drawn are gone; another run of the same artifact may have removed them, so run again",
-                )?;
+                let pictures = pictures.or_fault(|| fault!("pictures that were just drawn are gone"; "another run of the same artifact may have removed them, so run again"))?;
                 let places: Vec<(u32, u32)> = (0..frames as u32).map(|frame| (episode, frame)).collect();
                 table.write(camera, &places, pictures)?;
             }
@@ -251,9 +254,10 @@ fn draw_demo(
     let (nq, nv) = (model.nq(), model.nv());
     ensure!(
         job.states.columns == 1 + nq + nv,
-        "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities; states and model_file do not belong together",
+        "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities",
         job.states.columns,
-        1 + nq + nv
+        1 + nq + nv;
+        "states and model_file do not belong together"
     );
     let renderer = match renderer {
         Some(renderer) => renderer,

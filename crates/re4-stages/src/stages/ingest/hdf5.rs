@@ -4,10 +4,11 @@ use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result, anyhow, ensure};
+use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
 use nix::sys::resource::{Resource, setrlimit};
 use re4_artifact::{Artifact, Stage, Store};
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_ingest::robomimic::{
     Access, Comparison, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources,
 };
@@ -22,7 +23,7 @@ use super::write::{Ingest, Pictures};
 use super::{STAGE, recipe};
 use crate::inputs::sources::find_source;
 use crate::interrupt::Interrupt;
-use crate::notes::sentence;
+use crate::notes::told;
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
@@ -83,7 +84,7 @@ impl Runner {
         }
         order.identity = sources.identity();
         order.hash = Some(match early {
-            Some(hashed) => hashed.map_err(|_| anyhow!("the hashing stopped; run again"))??,
+            Some(hashed) => hashed.map_err(|_| fault!("the hashing stopped"; "run again"))??,
             None => hash(&sources)?,
         });
         order.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
@@ -113,10 +114,10 @@ impl Runner {
         }
         self.attended(&order, |bar| worker::run(&order, &self.interrupt, bar))?;
         let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
-        let artifact = artifact.with_context(|| {
-            format!(
-                "cannot ingest {}: its artifact is gone; another process may have removed it, so run again",
-                order.source.display()
+        let artifact = artifact.or_fault(|| {
+            fault!(
+                "cannot ingest {}: its artifact is gone", order.source.display();
+                "another process may have removed it, so run again"
             )
         })?;
         self.made(artifact, &recipe, start)
@@ -174,14 +175,14 @@ pub fn serve_ingest() -> Result<()> {
         .take(LONGEST_ORDER)
         .read_line(&mut line)
         .context("cannot read the order")?;
-    let order: Order =
-        serde_json::from_str(&line).context("ingest-worker is started by re4-pipe itself; use re4-pipe ingest")?;
+    let order: Order = serde_json::from_str(&line)
+        .or_fault(|| fault!("ingest-worker is started by re4-pipe itself"; "use re4-pipe ingest"))?;
     // A process may always lower its own limits; where the system refuses, the file's sizes are checked all the same.
     let memory = worker::memory(&order);
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
     let store = Store::open(&order.artifacts)?;
-    let interrupt = Interrupt::listen_and_say(Some(&store), |sentence| tell(&Word::Failed(sentence.to_owned())));
+    let interrupt = Interrupt::listen_and_say(Some(&store), |fault| tell(&Word::failed(&fault)));
     let stop = interrupt.clone();
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut input, &mut std::io::sink());
@@ -197,7 +198,7 @@ pub fn serve_ingest() -> Result<()> {
     });
     let word = match serve(&order, &interrupt) {
         Ok(word) => word,
-        Err(error) => Word::Failed(sentence(&error)),
+        Err(error) => Word::failed(&told(&error)),
     };
     tell(&word);
     Ok(())
@@ -207,7 +208,7 @@ fn serve(order: &Order, interrupt: &Interrupt) -> Result<Word> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(order.threads)
         .build_global()
-        .with_context(|| format!("cannot start {} worker threads; give a smaller --jobs", order.threads))?;
+        .or_fault(|| fault!("cannot start {} worker threads", order.threads; "give a smaller --jobs"))?;
     let sources = Sources::open_again(&order.source, &order.identity)?;
     let reader = RobomimicReader::open(&sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
     if order.hash.is_none() {
@@ -307,9 +308,8 @@ fn drawing<'a>(order: &'a Order, reader: &RobomimicReader, env: &EnvArgs) -> Res
     let recorded = reader.cameras(None)?;
     ensure!(
         recorded.is_empty(),
-        "cannot render pictures for {}: it holds recorded ones ({}); leave ingest.render out",
-        order.source.display(),
-        recorded.join(", ")
+        "cannot render pictures for {}: it holds recorded ones ({})", order.source.display(), recorded.join(", ");
+        "leave ingest.render out"
     );
     Ok(Some(Drawing::new(render, env, &order.source)?))
 }

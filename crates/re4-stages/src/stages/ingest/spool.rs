@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 use re4_artifact::Key;
+use re4_fault::fault;
 
 /// Folder of the spools, below that of the artifacts.
 const FOLDER: &str = "spool";
@@ -54,7 +55,7 @@ impl Spool {
             contents.extend(picture);
         }
         let path = self.path(camera, episode);
-        let failed = || format!("cannot write {}; free some space and run again", path.display());
+        let failed = || fault!("cannot write {}", path.display(); "free some space and run again");
         let mut file = tempfile::NamedTempFile::new_in(&self.folder).with_context(failed)?;
         file.write_all(&self.hash(camera, episode, &contents))
             .with_context(failed)?;

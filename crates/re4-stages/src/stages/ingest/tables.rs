@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use re4_artifact::{Row, RowWriter, Writer};
+use re4_fault::fault;
 use re4_ingest::{
     DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, Matrix, ModelRow, PlanarColumns, SpatialColumns,
     StateRow, Tally,
@@ -71,8 +72,9 @@ pub(super) fn write_tables(
         });
         drop((to_frames, to_states, to_models));
         let gone =
-            || anyhow!("cannot write tables: a thread stopped; run again, and report it where that does not help");
-        let ended = [frames.join(), states.join(), models.join()].map(|ended| ended.unwrap_or_else(|_| Err(gone())));
+            || fault!("cannot write tables: a thread stopped"; "run again, and report it where that does not help");
+        let ended =
+            [frames.join(), states.join(), models.join()].map(|ended| ended.unwrap_or_else(|_| Err(gone().into())));
         result?;
         ended.into_iter().collect::<Result<()>>()?;
         writer.write_rows(episodes)?;

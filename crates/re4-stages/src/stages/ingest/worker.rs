@@ -13,9 +13,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result, anyhow, bail};
+use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
 use re4_artifact::Key;
+use re4_fault::{Fault, OrFault as _, Remedy, bail, fault};
 use re4_ingest::robomimic::SourcesIdentity;
 use serde::{Deserialize, Serialize};
 use tracing::info;
@@ -97,8 +98,13 @@ pub(crate) enum Word {
     Models(Vec<String>),
     /// The artifact is published.
     Done,
-    /// Why it stopped, in one sentence.
-    Failed(String),
+    /// Why it stopped, and how to mend it.
+    Failed {
+        /// What is wrong.
+        what: String,
+        /// How to mend it, where that is known.
+        remedy: Option<String>,
+    },
 }
 
 /// One line of JSON for the process that started this one.
@@ -107,6 +113,16 @@ pub(super) fn tell(word: &Word) {
         let mut output = std::io::stdout().lock();
         // Where nobody listens any more, this process is about to stop, too.
         let _ = writeln!(output, "{text}").and_then(|()| output.flush());
+    }
+}
+
+impl Word {
+    /// Why a worker stopped.
+    pub(super) fn failed(fault: &Fault) -> Self {
+        Self::Failed {
+            what: fault.to_string(),
+            remedy: fault.remedy().map(Into::into),
+        }
     }
 }
 
@@ -144,10 +160,7 @@ pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Re
 pub(super) fn models(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
     match work(order, interrupt, bar)? {
         Word::Models(names) => Ok(names),
-        _ => bail!(
-            "the process that reads {} did not say which models it names; run again",
-            order.source.display()
-        ),
+        _ => bail!("the process that reads {} did not say which models it names", order.source.display(); "run again"),
     }
 }
 
@@ -167,12 +180,13 @@ fn work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word>
 }
 
 /// The library fell over.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Remedy)]
 #[error("{0}")]
-struct FellOver(String);
+#[remedy(_0.remedy())]
+pub(crate) struct FellOver(Fault);
 
 fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word> {
-    let refuse = |why: String| anyhow!("cannot ingest {}: {why}", order.source.display());
+    let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", order.source.display()));
     let program =
         std::env::current_exe().context("cannot find this program's own file to read HDF5 in another process")?;
     let mut command = Command::new(program);
@@ -193,7 +207,7 @@ fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Resul
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .context("cannot start another process to read HDF5 in; end other programs and run again")?;
+        .or_fault(|| fault!("cannot start another process to read HDF5 in"; "end other programs and run again"))?;
     info!(process = child.id(), source = %order.source.display(), cautious = order.cautious, "worker started to read HDF5");
     interrupt.set_worker(Some(child.id()));
     let mut line = serde_json::to_vec(order)?;
@@ -226,22 +240,26 @@ fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Resul
     match ended {
         // The artifact is published, however long the worker took to go.
         Ended::Word(word @ (Word::Done | Word::Models(_))) => return Ok(word),
-        Ended::Word(Word::Failed(sentence)) => {
+        Ended::Word(Word::Failed { what, remedy }) => {
             interrupt.check("ingest")?;
-            bail!(sentence)
+            return Err(Fault::new(what, remedy).into());
         }
-        Ended::Silent => bail!(refuse(format!(
-            "the HDF5 library made no headway for {} s, so the file may be damaged or its disk may not answer; copy the file to a local disk or download it again",
-            patience.as_secs()
-        ))),
+        Ended::Silent => {
+            return Err(refuse(fault!(
+                "the HDF5 library made no headway for {} s, so the file may be damaged or its disk may not answer",
+                patience.as_secs();
+                "copy the file to a local disk or download it again"
+            ))
+            .into());
+        }
         // Ctrl-C in a terminal reaches the worker, too.
         Ended::Interrupted | Ended::Word(_) | Ended::Gone => interrupt.check("ingest")?,
     }
     let last_words = last_words.join().unwrap_or_default();
     let refusal = refuse(how_it_ended(status, &last_words));
     Err(match status.signal() {
-        Some(SIGABRT | SIGBUS | SIGSEGV) => FellOver(refusal.to_string()).into(),
-        _ => refusal,
+        Some(SIGABRT | SIGBUS | SIGSEGV) => FellOver(refusal).into(),
+        _ => refusal.into(),
     })
 }
 
@@ -330,27 +348,36 @@ fn end(child: &mut Child) -> std::io::Result<ExitStatus> {
 }
 
 /// What is said of a worker that ended without a word of its own.
-fn how_it_ended(status: ExitStatus, last_words: &str) -> String {
+fn how_it_ended(status: ExitStatus, last_words: &str) -> Fault {
     if last_words.contains("memory allocation of") {
-        return format!(
-            "reading it takes more than {} GiB of memory, so it is damaged or far larger than robomimic's files; copy or download it again, or ingest fewer demonstrations with ingest.select",
-            MEMORY >> 30
+        return fault!(
+            "reading it takes more than {} GiB of memory, so it is damaged or far larger than robomimic's files",
+            MEMORY >> 30;
+            "copy or download it again, or ingest fewer demonstrations with ingest.select"
         );
     }
     match (status.signal(), status.code()) {
-        (Some(9), _) => "the process that read it was ended from outside (signal 9), perhaps for lack of memory; free some memory and run again".to_owned(),
-        (Some(signal @ (2 | 15)), _) => {
-            format!("the process that read it was ended from outside (signal {signal}); run again")
+        (Some(9), _) => {
+            fault!("the process that read it was ended from outside (signal 9), perhaps for lack of memory"; "free some memory and run again")
         }
-        (Some(25), _) => "the process that read it was ended for writing more than a file may hold (signal 25); raise that limit (ulimit -f) and run again".to_owned(),
-        (Some(signal), _) => format!(
-            "the HDF5 library fell over (signal {signal}), so the file is damaged; copy or download it again"
+        (Some(signal @ (2 | 15)), _) => {
+            fault!("the process that read it was ended from outside (signal {signal})"; "run again")
+        }
+        (Some(25), _) => {
+            fault!("the process that read it was ended for writing more than a file may hold (signal 25)"; "raise that limit (ulimit -f) and run again")
+        }
+        (Some(signal), _) => fault!(
+            "the HDF5 library fell over (signal {signal}), so the file is damaged";
+            "copy or download it again"
         ),
         (None, code) => {
-            let said = last_words.lines().find(|line| !line.trim().is_empty()).unwrap_or("nothing");
-            format!(
-                "the process that read it stopped with exit code {} and said: {said}; run again, and report it where that does not help",
-                code.unwrap_or_default()
+            let said = last_words
+                .lines()
+                .find(|line| !line.trim().is_empty())
+                .unwrap_or("nothing");
+            fault!(
+                "the process that read it stopped with exit code {} and said: {said}", code.unwrap_or_default();
+                "run again, and report it where that does not help"
             )
         }
     }

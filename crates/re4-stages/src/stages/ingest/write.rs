@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::Result;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Facts, Recipe, Store, Writer};
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_ingest::robomimic::GoalErrors;
 use re4_ingest::{Convention, DemoName, DemoSource, Frames, LeftOut, OnBad, Tally, WarningCode, refusal};
 use re4_sim::{Canvas, OBSERVATION_SIDE};
@@ -108,9 +109,10 @@ impl Ingest<'_> {
         if let Some(compare) = self.compare {
             ensure!(
                 !tally.goal_errors.is_empty(),
-                "cannot compare with {}: it holds none of the demonstrations of {}; leave ingest.compare out, or give the file of the same demonstrations",
+                "cannot compare with {}: it holds none of the demonstrations of {}",
                 compare.display(),
-                self.source.display()
+                self.source.display();
+                "leave ingest.compare out, or give the file of the same demonstrations"
             );
         }
         let pictures = match &self.pictures {
@@ -256,9 +258,7 @@ impl Ingest<'_> {
             let encoded = frames
                 .par_iter()
                 .map_init(Canvas::new, |canvas, frame| {
-                    let object = frame.object.context(
-                        "cannot render pictures of demonstrations whose object pose is not known; leave ingest.render out",
-                    )?;
+                    let object = frame.object.or_fault(|| fault!("cannot render pictures of demonstrations whose object pose is not known"; "leave ingest.render out"))?;
                     canvas.draw_state(frame.eef, object);
                     encode_png(&canvas.observation(), side, side)
                 })

@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use re4_artifact::Key;
+use re4_fault::ensure;
 use re4_ingest::pusht::{PushtOptions, PushtReader, PushtSource};
 use re4_ingest::{Fault, IngestError};
 use serde_json::json;
@@ -27,8 +28,8 @@ impl Runner {
         let hash = reader.source_hash(&stop).map_err(or_interrupted)?;
         ensure!(
             section.render.is_empty() || !reader.has_images(),
-            "cannot render pictures for {}: it holds recorded ones; leave ingest.render out",
-            path.display()
+            "cannot render pictures for {}: it holds recorded ones", path.display();
+            "leave ingest.render out"
         );
         let recipe = recipe(
             &self.pipeline,

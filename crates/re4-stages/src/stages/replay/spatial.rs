@@ -1,9 +1,10 @@
 //! Open-loop replays of robosuite demonstrations.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use rayon::prelude::*;
 use re4_artifact::{Artifact, Facts, Recipe, Stage};
 use re4_episode::SpatialEpisode;
+use re4_fault::{ensure, fault};
 use re4_ingest::{Convention, EpisodeRow, StateRow};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
@@ -80,8 +81,9 @@ impl Runner {
             .with_context(|| format!("cannot replay: {}", RobosuiteTask::known()))?;
         ensure!(
             episodes.artifact.has::<StateRow>(),
-            "cannot replay {}: the demonstrations have no recorded states to start from; ingest a file that has /data/demo_*/states",
-            episodes.artifact.path().display()
+            "cannot replay {}: the demonstrations have no recorded states to start from",
+            episodes.artifact.path().display();
+            "ingest a file that has /data/demo_*/states"
         );
         let profile = profile(&episodes.artifact)?;
         let recipe = Recipe::new(Stage::Replay, CODE_VERSION)
@@ -181,7 +183,7 @@ impl Iterator for Recordings {
         let episode = self.episodes.next()?;
         Some(episode.and_then(|(number, episode)| {
             let name = episode.name.clone();
-            let missing = || format!("table states lacks {name}; ingest the dataset anew");
+            let missing = || fault!("table states lacks {name}"; "ingest the dataset anew");
             let (of, rows) = self.states.next().with_context(missing)??;
             let states: Vec<Vec<f64>> = rows.into_iter().map(|row| row.state).collect();
             ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Facts, Recipe, Stage};
 use re4_episode::PlanarFrame;
+use re4_fault::bail;
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_rollout::{Batch, Env, Plane, PlaneResultRow, PlaneStepRow, PushTEnv, Source, Start};
@@ -163,9 +164,8 @@ pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
     for row in results {
         let Some((steps, others)) = rest.split_at_checked(row.core.steps as usize) else {
             bail!(
-                "cannot read {}: table steps ends in the rollout of seed {}; build it again",
-                artifact.path().display(),
-                row.core.seed
+                "cannot read {}: table steps ends in the rollout of seed {}", artifact.path().display(), row.core.seed;
+                "build it again"
             );
         };
         rest = others;

@@ -3,7 +3,7 @@
 //! Until the poses are written, only the columns of [`EefOf`], modes and images are read: no recorded object
 //! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result};
 use image::ImageFormat;
 use nalgebra::{Isometry3, UnitQuaternion};
 use rayon::prelude::*;
@@ -14,6 +14,7 @@ use re4_encoder::pictures::{MIDDLE, PictureFile};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
+use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
 use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
@@ -165,7 +166,10 @@ impl Runner {
                 warnings.push(json!({
                     "code": "no_grasp",
                     "demo_name": names.of(demo.episode),
-                    "message": format!("{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on", names.of(demo.episode)),
+                    "message": format!(
+                        "{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on",
+                        names.of(demo.episode),
+                    ),
                 }));
                 continue;
             };
@@ -181,8 +185,9 @@ impl Runner {
         }
         ensure!(
             !taught.is_empty(),
-            "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame; look at its modes with re4-pipe audit",
-            episodes.path().display()
+            "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame",
+            episodes.path().display();
+            "look at its modes with re4-pipe audit"
         );
         // A backend that is not there is told before pictures are unpacked. The one in pure Rust computes in the program's threads.
         config.backend.device()?;
@@ -271,13 +276,13 @@ impl Runner {
                             )
                         };
                         let picture = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
-                            .with_context(|| format!("{} is not a PNG picture; ingest again", place()))?
+                            .or_fault(|| fault!("{} is not a PNG picture", place(); "ingest again"))?
                             .into_rgb8();
                         let (width, height) = picture.dimensions();
                         ensure!(
                             picture.as_raw().len() == PICTURE_BYTES && width == height,
-                            "{} is {width} x {height} pixels where the encoder reads 84 x 84; render them with ingest.render",
-                            place()
+                            "{} is {width} x {height} pixels where the encoder reads 84 x 84", place();
+                            "render them with ingest.render"
                         );
                         Ok(picture.into_raw())
                     })
@@ -293,18 +298,18 @@ impl Runner {
         if pictures.count() == 0 {
             let names: Vec<String> = cameras.into_iter().collect();
             bail!(
-                "cannot train on {}: it has no pictures of camera {:?}; it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
-                path.display(),
-                config.camera,
+                "cannot train on {}: it has no pictures of camera {:?}", path.display(), config.camera;
+                "it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
                 names.join(", ")
             );
         }
         ensure!(
             pictures.count() == frames as u64,
-            "cannot train on {}: it has {} pictures of camera {:?} for {frames} frames; ingest again",
+            "cannot train on {}: it has {} pictures of camera {:?} for {frames} frames",
             path.display(),
             pictures.count(),
-            config.camera
+            config.camera;
+            "ingest again"
         );
         Ok(pictures)
     }
@@ -386,9 +391,8 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     let ids = frames.iter().map(|row| (row.episode, row.frame));
     ensure!(
         ids.eq(modes_of.iter().map(|row| (row.episode, row.frame))),
-        "cannot train: {} and {} are not of the same frames; segment again",
-        episodes.path().display(),
-        modes.path().display()
+        "cannot train: {} and {} are not of the same frames", episodes.path().display(), modes.path().display();
+        "segment again"
     );
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();

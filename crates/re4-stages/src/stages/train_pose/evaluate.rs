@@ -1,10 +1,11 @@
 //! How good an encoder's poses are: table `pose_errors`, and a summary. After training, and the one place of it that reads
 //! recorded object poses.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::Result;
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Writer};
 use re4_episode::Mode;
+use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::spatial::rotation_vector;
 use re4_pose::PoseErrorRow;
 use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPhase, Measured, evaluate as measure};
@@ -59,12 +60,13 @@ fn read(
         let demo = demo?;
         let frames = &demo.episode.frames;
         let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
-        let (poses, &trained_on) = own.with_context(|| {
-            format!(
-                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}; train again",
+        let (poses, &trained_on) = own.or_fault(|| {
+            fault!(
+                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}",
                 frames.len(),
                 demo.episode.name,
-                episodes.path().display()
+                episodes.path().display();
+                "train again"
             )
         })?;
         let held: Vec<bool> = demo
@@ -83,8 +85,8 @@ fn read(
     }
     ensure!(
         estimates.next().is_none(),
-        "cannot evaluate the estimated poses: they are of more demonstrations than {} holds; train again",
-        episodes.path().display()
+        "cannot evaluate the estimated poses: they are of more demonstrations than {} holds", episodes.path().display();
+        "train again"
     );
     Ok(demonstrations)
 }
