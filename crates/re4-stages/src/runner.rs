@@ -137,6 +137,7 @@ impl Runner {
             info!(key = %recipe.key(), "no such artifact yet, so it is made");
             return Ok(None);
         };
+        crate::tables::refuse_newer(&artifact)?;
         info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact is there, and whole");
         self.notes.note(&format!(
             "{:>10}  {}  unchanged, skipped",

@@ -1,6 +1,6 @@
 //! The tables of every artifact.
 
-use re4_artifact::{Artifact, Row as _, Stage, TableSpec};
+use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_ingest::{
@@ -88,6 +88,27 @@ pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> 
     // Tables in space had names of their own before files told the domain, and so the plane comes first.
     let first = named.iter().filter(of_domain).min_by_key(|spec| spec.domain);
     first.or(former.first()).copied()
+}
+
+/// Refuses an artifact of which a table has a newer version than this build knows.
+///
+/// # Errors
+/// [`ArtifactError::NewerTable`].
+pub fn refuse_newer(artifact: &Artifact) -> Result<(), ArtifactError> {
+    for (name, facts) in &artifact.manifest().tables {
+        let versions = all()
+            .filter(|(_, spec)| spec.name == name)
+            .map(|(_, spec)| spec.version);
+        if let Some(supported) = versions.max().filter(|newest| facts.schema_version > *newest) {
+            return Err(ArtifactError::NewerTable {
+                folder: artifact.path().to_path_buf(),
+                table: name.clone(),
+                found: facts.schema_version,
+                supported,
+            });
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
