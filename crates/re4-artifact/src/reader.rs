@@ -88,12 +88,10 @@ impl Artifact {
 
     /// The table by the name that older versions had.
     fn formerly(&self, spec: &'static TableSpec) -> Option<&TableFacts> {
-        // Tables in space had names of their own; those in the plane have kept theirs.
-        let facts = self
-            .manifest
-            .tables
-            .get(spec.formerly)
-            .filter(|_| spec.domain != "plane")?;
+        // Rows that differ in their domain alone name one former table, and those of these names were in space.
+        let in_space = spec.formerly.starts_with("spatial_");
+        let facts = self.manifest.tables.get(spec.formerly);
+        let facts = facts.filter(|_| !in_space || spec.domain != "plane")?;
         (facts.schema_version < spec.version).then_some(facts)
     }
 
