@@ -269,6 +269,25 @@ table! {
     }
 }
 
+table! {
+    /// A part of the older table that has become a table of its own.
+    #[table("details", version = 2, formerly = "measurements")]
+    pub struct DetailOfPlane {
+        /// Where it was.
+        pub place: Option<Pose2>,
+    }
+}
+
+#[test]
+fn a_table_of_the_plane_may_have_had_another_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = Some(Pose2::new(1.0, 2.0, 0.5));
+    let artifact = made(&folder, |writer| {
+        writer.write_rows([OfPlane { place }]).unwrap();
+    });
+    assert_eq!(artifact.read::<DetailOfPlane>().unwrap(), [DetailOfPlane { place }]);
+}
+
 #[test]
 fn a_table_of_another_domain_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
