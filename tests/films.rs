@@ -57,8 +57,8 @@ fn film(place: &Place, name: &str) -> Film {
 
 /// The pictures of the states of a rollout: before each step and after the last.
 fn pictures(artifact: &Artifact, seed: u32) -> Vec<Canvas> {
-    let results = crate::support::results(&artifact);
-    let steps = crate::support::steps(&artifact);
+    let results = crate::support::results(artifact);
+    let steps = crate::support::steps(artifact);
     let row = |table, seed| col_u32(table, "seed").unwrap().iter().position(|s| *s == seed).unwrap();
     let state = |table, at: usize, names: [&str; 5]| {
         let [x, y, u, v, theta] = names.map(|name| col_f64(table, name).unwrap()[at]);

@@ -232,7 +232,7 @@ fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
 }
 
 fn results_are_equal(artifact: &Artifact, shown: &Value) {
-    let results = crate::support::results(&artifact);
+    let results = crate::support::results(artifact);
     for (name, column) in [
         ("score", "score_max"),
         ("coverage", "coverage_max"),
@@ -248,13 +248,13 @@ fn results_are_equal(artifact: &Artifact, shown: &Value) {
 }
 
 fn traces_are_equal(artifact: &Artifact, shown: &Value) {
-    let steps = crate::support::steps(&artifact);
+    let steps = crate::support::steps(artifact);
     assert_eq!(f64s(&shown["steps"]["coverage"]), col_f64(&steps, "coverage").unwrap());
     let eef = f32s(&shown["steps"]["eef"]);
     let x: Vec<f32> = eef.iter().step_by(2).copied().collect();
     let expected: Vec<f32> = col_f64(&steps, "eef_x").unwrap().iter().map(|v| *v as f32).collect();
     assert_eq!(x, expected);
-    let decisions = crate::support::decisions(&artifact);
+    let decisions = crate::support::decisions(artifact);
     assert_eq!(
         f64s(&shown["decisions"]["predicted_coverage"]),
         col_f64(&decisions, "predicted_coverage").unwrap()

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use re4_artifact::Artifact;
-use re4_episode::{DemoNames, Mode, PlanarFrame};
+use re4_episode::{DemoNames, PlanarFrame};
 use re4_geometry::spatial::Symmetry;
 use re4_index::{IndexRow, IndexedFrame, Normalization, PlanarState, Range, RetrievalIndex, ScaleRow, SpatialState};
 
@@ -39,10 +39,10 @@ fn open_states(
     artifact: &Artifact,
     retrieve: &RetrieveConfig,
     names: DemoNames,
-) -> Result<(DemoSet, RetrievalIndex), OpenError> {
+) -> Result<(DemoSet<PlanarFrame>, RetrievalIndex), OpenError> {
     let rows: Vec<IndexRow<PlanarState>> = artifact.read()?;
     let mut indexed = Vec::with_capacity(rows.len());
-    let mut demos: Vec<(u32, Vec<(PlanarFrame, Mode)>)> = Vec::new();
+    let mut demos: Vec<(u32, Vec<PlanarFrame>)> = Vec::new();
     for row in rows {
         let PlanarState {
             eef, object, action, ..
@@ -63,8 +63,8 @@ fn open_states(
             contacts: f64::NAN,
         };
         match demos.last_mut().filter(|(number, _)| *number == row.episode) {
-            Some((_, frames)) => frames.push((frame, row.mode)),
-            None => demos.push((row.episode, vec![(frame, row.mode)])),
+            Some((_, frames)) => frames.push(frame),
+            None => demos.push((row.episode, vec![frame])),
         }
     }
     let normalization = Normalization {

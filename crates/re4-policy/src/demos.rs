@@ -1,37 +1,31 @@
 //! The demonstrations a policy replays from.
 
-use std::ops::Range;
-
-use re4_episode::{Mode, PlanarFrame};
-
 use re4_episode::DemoNames;
 
-/// Frames of all demonstrations, one after the other, with their modes.
-#[derive(Debug, Clone, Default)]
-pub struct DemoSet {
-    frames: Vec<PlanarFrame>,
-    modes: Vec<Mode>,
-    /// Number and frames of each demonstration, in ascending order of the number.
-    demos: Vec<(u32, Range<usize>)>,
+/// Frames of all demonstrations, in ascending order of their numbers.
+#[derive(Debug, Clone)]
+pub struct DemoSet<F> {
+    demos: Vec<(u32, Vec<F>)>,
     names: DemoNames,
 }
 
-impl DemoSet {
-    /// Collects demonstrations, given in ascending order of their numbers; those without frames are left out.
-    pub fn new(demos: impl IntoIterator<Item = (u32, Vec<(PlanarFrame, Mode)>)>) -> Self {
-        let mut set = Self::default();
-        for (number, frames) in demos {
-            let start = set.frames.len();
-            for (frame, mode) in frames {
-                set.frames.push(frame);
-                set.modes.push(mode);
-            }
-            if set.frames.len() > start {
-                set.demos.push((number, start..set.frames.len()));
-            }
+impl<F> Default for DemoSet<F> {
+    fn default() -> Self {
+        Self::new([])
+    }
+}
+
+impl<F> DemoSet<F> {
+    /// Collects demonstrations, each with its number and all its frames; those without frames are left out, and of those with
+    /// the same number all but the first.
+    pub fn new(demos: impl IntoIterator<Item = (u32, Vec<F>)>) -> Self {
+        let mut demos: Vec<_> = demos.into_iter().filter(|(_, frames)| !frames.is_empty()).collect();
+        demos.sort_by_key(|(number, _)| *number);
+        demos.dedup_by_key(|(number, _)| *number);
+        Self {
+            demos,
+            names: DemoNames::default(),
         }
-        set.demos.sort_by_key(|(number, _)| *number);
-        set
     }
 
     /// The same demonstrations with the names that they have in their source.
@@ -47,31 +41,23 @@ impl DemoSet {
     }
 
     /// Number and frames of every demonstration.
-    pub fn iter(&self) -> impl Iterator<Item = (u32, &[PlanarFrame])> {
-        self.demos
-            .iter()
-            .map(|(number, range)| (*number, &self.frames[range.clone()]))
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &[F])> {
+        self.demos.iter().map(|(number, frames)| (*number, frames.as_slice()))
     }
 
     /// Frames of one demonstration.
-    pub fn demo(&self, number: u32) -> Option<&[PlanarFrame]> {
+    pub fn demo(&self, number: u32) -> Option<&[F]> {
         let at = self.demos.binary_search_by_key(&number, |(number, _)| *number).ok()?;
-        Some(&self.frames[self.demos[at].1.clone()])
+        Some(&self.demos[at].1)
     }
 
-    /// Modes of one demonstration, frame by frame.
-    pub fn modes(&self, number: u32) -> Option<&[Mode]> {
-        let at = self.demos.binary_search_by_key(&number, |(number, _)| *number).ok()?;
-        Some(&self.modes[self.demos[at].1.clone()])
-    }
-
-    /// Number of frames in all demonstrations.
+    /// Number of demonstrations.
     pub fn len(&self) -> usize {
-        self.frames.len()
+        self.demos.len()
     }
 
-    /// Whether there is no frame at all.
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
-        self.frames.is_empty()
+        self.demos.is_empty()
     }
 }

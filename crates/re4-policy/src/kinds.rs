@@ -189,6 +189,7 @@ impl SettingError {
     ///
     /// # Errors
     /// When it is not.
+    #[expect(clippy::needless_pass_by_value, reason = "callers have numbers")]
     pub fn unless(sound: bool, setting: &'static str, value: impl ToString, mend: &'static str) -> Result<(), Self> {
         if sound {
             return Ok(());

@@ -17,6 +17,8 @@ use re4_geometry::{Point2, Pose2, polygon_area};
 use re4_sim::tee_rectangles;
 
 use crate::LookupError;
+use re4_episode::PlanarFrame;
+
 use crate::demos::DemoSet;
 use crate::replan::Obstacle;
 
@@ -106,7 +108,7 @@ pub struct ChunkLibrary {
 
 /// Collects the chunks of up to `longest` frames from a set of demonstrations, in the order of demonstration, first and
 /// last frame.
-pub fn collect_chunks(demos: &DemoSet, longest: usize) -> Vec<Chunk> {
+pub fn collect_chunks(demos: &DemoSet<PlanarFrame>, longest: usize) -> Vec<Chunk> {
     let body = Body::tee();
     let mut chunks = Vec::new();
     for (demo, frames) in demos.iter() {

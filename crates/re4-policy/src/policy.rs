@@ -39,7 +39,7 @@ const CORNER_TOLERANCE: f64 = 0.5;
 /// What a policy knows: demonstrations, their index, and the chunks searchable by outcome. Shared between rollouts.
 pub struct Knowledge {
     /// Demonstrations.
-    pub demos: DemoSet,
+    pub demos: DemoSet<PlanarFrame>,
     /// Retrieve.
     pub index: RetrievalIndex,
     /// Chunks by outcome, where the selector needs them.
@@ -168,7 +168,7 @@ struct Selected {
 }
 
 /// The frames of a demonstration from `frame` on; at least one.
-fn demo_frames(demos: &DemoSet, demo: u32, frame: u32) -> Result<&[PlanarFrame], LookupError> {
+fn demo_frames(demos: &DemoSet<PlanarFrame>, demo: u32, frame: u32) -> Result<&[PlanarFrame], LookupError> {
     demos
         .demo(demo)
         .and_then(|frames| frames.get(frame as usize..))

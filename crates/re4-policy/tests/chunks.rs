@@ -10,15 +10,15 @@ use re4_geometry::{Point2, Pose2};
 use re4_policy::{Body, Chunk, ChunkLibrary, DemoSet, LookupError, collect_chunks, reframe};
 use re4_sim::{PushT, ResetOrder, Scene, Simulator as _};
 
-fn chunks() -> (DemoSet, Vec<Chunk>) {
-    let demos = DemoSet::new(scripted(8));
+fn chunks() -> (DemoSet<PlanarFrame>, Vec<Chunk>) {
+    let demos = DemoSet::new(common::frames_alone(scripted(8)));
     let chunks = collect_chunks(&demos, LONGEST);
     assert!(chunks.len() > 500, "{}", chunks.len());
     (demos, chunks)
 }
 
 #[expect(clippy::unwrap_used, reason = "only tests call it, and they may end")]
-fn frames_of<'a>(demos: &'a DemoSet, chunk: &Chunk) -> &'a [PlanarFrame] {
+fn frames_of<'a>(demos: &'a DemoSet<PlanarFrame>, chunk: &Chunk) -> &'a [PlanarFrame] {
     &demos.demo(chunk.demo).unwrap()[chunk.start as usize..=chunk.end as usize]
 }
 
@@ -199,14 +199,11 @@ fn a_carried_chunk_pushes_the_block_as_recorded() {
 #[test]
 fn demonstrations_without_a_push_hold_no_chunks() {
     let resting: Vec<_> = (0..30)
-        .map(|i| {
-            let frame = PlanarFrame {
-                eef: Point2::new(30.0 + f64::from(i), 40.0),
-                object: Pose2::new(300.0, 300.0, 1.0),
-                action: Point2::new(31.0 + f64::from(i), 40.0),
-                contacts: 0.0,
-            };
-            (frame, Mode::Transit)
+        .map(|i| PlanarFrame {
+            eef: Point2::new(30.0 + f64::from(i), 40.0),
+            object: Pose2::new(300.0, 300.0, 1.0),
+            action: Point2::new(31.0 + f64::from(i), 40.0),
+            contacts: 0.0,
         })
         .collect();
     let chunks = collect_chunks(&DemoSet::new([(0, resting)]), LONGEST);

@@ -214,7 +214,7 @@ fn a_caller_can_stop_the_rollouts() {
 }
 
 /// Demonstrations in which the pusher passes by and the block rests.
-fn without_a_push(mode: Mode) -> (DemoSet, RetrievalIndex) {
+fn without_a_push(mode: Mode) -> (DemoSet<PlanarFrame>, RetrievalIndex) {
     let frames: Vec<PlanarFrame> = (0..30)
         .map(|i| PlanarFrame {
             eef: Point2::new(30.0 + 5.0 * f64::from(i), 40.0),
@@ -231,13 +231,13 @@ fn without_a_push(mode: Mode) -> (DemoSet, RetrievalIndex) {
         object: frame.object,
     });
     let index = RetrievalIndex::build(indexed.collect(), AngleMetric::Raw).unwrap();
-    let demos = DemoSet::new([(4, frames.into_iter().map(|frame| (frame, mode)).collect())]);
+    let demos = DemoSet::new([(4, frames)]);
     (demos, index)
 }
 
 #[test]
 fn what_cannot_be_followed_is_refused_in_one_sentence() {
-    let refusal = |name: &str, mode: Mode, demos: Option<DemoSet>| {
+    let refusal = |name: &str, mode: Mode, demos: Option<DemoSet<PlanarFrame>>| {
         let (own, index) = without_a_push(mode);
         let knowledge = Arc::new(Knowledge {
             demos: demos.unwrap_or(own),

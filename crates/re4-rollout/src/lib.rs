@@ -19,8 +19,8 @@ pub use env::{Env, Image, PushTEnv, RobosuiteEnv};
 pub use noise::PoseNoise;
 pub use policy::{Act, Phase, Policy, PolicyError, PolicyFactory};
 pub use record::{Batch, Explained, Explanation, Named, Opened, RecordError, Recording};
-pub use rollout::{Harness, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
-pub use senses::{Asked, Estimator, Senses, Source, Told};
+pub use rollout::{Harness, MakeEnv, MakeSource, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
+pub use senses::{Asked, Errors, Estimator, Senses, Source, Told};
 pub use studio::{Lens, Studio, put_renderer_away, set_state};
 pub use tables::{
     DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, Recorded, ResultCore, SpaceDecisionRow,

@@ -118,7 +118,7 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     source: Source<D>,
     start: Start<D>,
     max_steps: u32,
-) -> Result<Rollout<D, <F::Policy as Policy<D>>::Decision>, RolloutError> {
+) -> Result<RolloutOf<D, F>, RolloutError> {
     let scene = start.seed;
     let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
     let first = env.reset(&start.scene).map_err(refused(0))?;
@@ -153,12 +153,21 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     })
 }
 
+/// A rollout of the policies that a factory starts.
+type RolloutOf<D, F> = Rollout<D, <<F as PolicyFactory<D>>::Policy as Policy<D>>::Decision>;
+
+/// Makes the simulation of a start.
+pub type MakeEnv<'a, 'e, D> = dyn Fn(&Start<D>) -> Result<Box<dyn Env<D> + 'e>, SimError> + Sync + 'a;
+
+/// Says where the object's pose comes from in the episode of a seed.
+pub type MakeSource<'a, D> = dyn Fn(u32) -> Source<D> + Sync + 'a;
+
 /// What policies are rolled out in.
 pub struct Harness<'a, 'e, D: Domain> {
     /// Makes the simulation of a start, in the thread that rolls it out.
-    pub env: &'a (dyn Fn(&Start<D>) -> Result<Box<dyn Env<D> + 'e>, SimError> + Sync),
+    pub env: &'a MakeEnv<'a, 'e, D>,
     /// Where the object's pose comes from in the episode of a seed.
-    pub source: &'a (dyn Fn(u32) -> Source<D> + Sync),
+    pub source: &'a MakeSource<'a, D>,
     /// Control steps an episode lasts at most.
     pub max_steps: u32,
     /// Called after every episode; says whether to go on.
@@ -177,7 +186,7 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
     factory: &F,
     harness: &Harness<'_, '_, D>,
     starts: &[Start<D>],
-) -> Result<Vec<Rollout<D, <F::Policy as Policy<D>>::Decision>>, RolloutError> {
+) -> Result<Vec<RolloutOf<D, F>>, RolloutError> {
     let one = |start: &Start<D>| {
         let refused = |source| RolloutError::Simulator {
             scene: start.seed,

@@ -44,12 +44,15 @@ pub trait Estimator<D: Domain> {
     fn estimate(&mut self, image: &Image) -> Result<Told<D>, PolicyError>;
 }
 
+/// Puts an error on a pose, at every call anew.
+pub type Errors<D> = Box<dyn FnMut(&<D as Domain>::Pose) -> <D as Domain>::Pose>;
+
 /// Where the object's pose comes from in one episode.
 pub enum Source<D: Domain> {
     /// The simulator.
     Recorded,
     /// The simulator, with errors made on purpose.
-    Noisy(Box<dyn FnMut(&D::Pose) -> D::Pose>),
+    Noisy(Errors<D>),
     /// What an estimator says of the images of a camera. Nothing else leads from the true pose to the policy.
     Image {
         /// Name of the camera.

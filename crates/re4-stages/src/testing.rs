@@ -19,7 +19,7 @@ use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner, Settings};
-use crate::stages::{Made, Watching, studio};
+use crate::stages::{Made, MakeEstimator, Watching, studio};
 
 /// What an invented encoder says: of an image, and, as no real one can, of the object's true pose in it.
 pub type Estimate = Arc<dyn Fn(&[u8], &Isometry3<f64>) -> Isometry3<f64> + Send + Sync>;
@@ -112,7 +112,7 @@ impl Invented<'_> {
     /// # Errors
     /// The sentence that the program would print.
     pub fn roll_out(&self, estimate: &Estimate) -> Result<PathBuf, String> {
-        let open = || -> Result<Box<dyn Fn() -> Box<dyn Estimator<Space>> + Sync>> {
+        let open = || -> Result<Box<MakeEstimator>> {
             let estimate = Arc::clone(estimate);
             Ok(Box::new(move || Box::new(InventedEncoder(Arc::clone(&estimate)))))
         };

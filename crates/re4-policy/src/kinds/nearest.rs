@@ -1,7 +1,7 @@
 //! The nearest neighbour: replays the actions of the frame whose state is nearest, as they were recorded. It knows no chunks of
 //! effects, carries nothing into the frame of the object, and plans no way: what a policy comes to without any of that.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use re4_artifact::{Stage, table};
@@ -267,7 +267,7 @@ impl States<Space> for SpatialKnowledge {
         let (eef, object) = (arm.eef, *object);
         let query = SpatialQuery { mode, eef, object };
         // The nearest state of the nearest demonstration by that same distance is the nearest of all.
-        let found = self.index().retrieve(&query, Stage2::State, &Default::default())?;
+        let found = self.index().retrieve(&query, Stage2::State, &BTreeSet::new())?;
         let found = found.ok_or(LookupError::NoFrameOfMode { mode })?;
         let frames = self.demos().demo(found.episode).unwrap_or_default();
         let chunk = frames.iter().skip(found.frame as usize).take(horizon);

@@ -5,8 +5,8 @@ use re4_episode::{Mode, SpatialFrame};
 use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_sound, rotation_from_vector};
 use re4_index::{IndexError, IndexedSpatialFrame, SpatialIndex};
 
+use crate::DemoSet;
 use crate::spatial::config::SpatialRetrieveConfig;
-use re4_episode::DemoNames;
 
 /// A frame as a policy replays it. World frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,59 +38,8 @@ impl SpatialDemoFrame {
     }
 }
 
-/// Frames of all demonstrations, in ascending order of their numbers.
-#[derive(Debug, Clone, Default)]
-pub struct SpatialDemoSet {
-    demos: Vec<(u32, Vec<SpatialDemoFrame>)>,
-    names: DemoNames,
-}
-
-impl SpatialDemoSet {
-    /// Collects demonstrations, each with its number and all its frames; those without frames are left out, and of those with
-    /// the same number all but the first.
-    pub fn new(demos: impl IntoIterator<Item = (u32, Vec<SpatialDemoFrame>)>) -> Self {
-        let mut demos: Vec<_> = demos.into_iter().filter(|(_, frames)| !frames.is_empty()).collect();
-        demos.sort_by_key(|(number, _)| *number);
-        demos.dedup_by_key(|(number, _)| *number);
-        Self {
-            demos,
-            names: DemoNames::default(),
-        }
-    }
-
-    /// The same demonstrations with the names that they have in their source.
-    #[must_use]
-    pub fn with_names(mut self, names: DemoNames) -> Self {
-        self.names = names;
-        self
-    }
-
-    /// Names of the demonstrations.
-    pub fn names(&self) -> &DemoNames {
-        &self.names
-    }
-
-    /// Number and frames of every demonstration.
-    pub fn iter(&self) -> impl Iterator<Item = (u32, &[SpatialDemoFrame])> {
-        self.demos.iter().map(|(number, frames)| (*number, frames.as_slice()))
-    }
-
-    /// Frames of one demonstration.
-    pub fn demo(&self, number: u32) -> Option<&[SpatialDemoFrame]> {
-        let at = self.demos.binary_search_by_key(&number, |(number, _)| *number).ok()?;
-        Some(&self.demos[at].1)
-    }
-
-    /// Number of demonstrations.
-    pub fn len(&self) -> usize {
-        self.demos.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.demos.is_empty()
-    }
-}
+/// Frames of all demonstrations.
+pub type SpatialDemoSet = DemoSet<SpatialDemoFrame>;
 
 /// The frame of the last release: the last transfer frame, whose action opens the gripper. None where the object is never
 /// held, or held to the end.
@@ -118,7 +67,7 @@ impl SpatialKnowledge {
         symmetry: Symmetry,
         excluded: impl Fn(u32, u32) -> bool,
     ) -> Result<Self, IndexError> {
-        let named = |error: IndexError| error.named(|episode| demos.names.get(episode).map(str::to_owned));
+        let named = |error: IndexError| error.named(|episode| demos.names().get(episode).map(str::to_owned));
         let mut frames = Vec::new();
         for (episode, all) in demos.iter() {
             let end = match last_release(all) {

@@ -118,6 +118,12 @@ pub(crate) fn scripted(count: u32) -> Demos {
         .collect()
 }
 
+/// Demonstrations without their modes.
+pub(crate) fn frames_alone(demos: Demos) -> impl Iterator<Item = (u32, Vec<PlanarFrame>)> {
+    let alone = |frames: Vec<(PlanarFrame, Mode)>| frames.into_iter().map(|(frame, _)| frame).collect();
+    demos.into_iter().map(move |(number, frames)| (number, alone(frames)))
+}
+
 /// Everything a policy of either selector needs.
 pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
     let indexed = demos
@@ -132,7 +138,7 @@ pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
             })
         })
         .collect();
-    let demos = DemoSet::new(demos);
+    let demos = DemoSet::new(frames_alone(demos));
     let chunks = ChunkLibrary::build(collect_chunks(&demos, LONGEST)).unwrap();
     Arc::new(Knowledge {
         demos,

@@ -39,7 +39,9 @@ pub fn schema() -> Value {
 /// The schema of a file with a policy of this kind.
 pub(super) fn schema_with<K: Kinds>(kind: Option<&str>) -> Value {
     let mut schema = json!(schemars::schema_for!(Pipeline));
-    let mut table = kind.and_then(K::schema).map_or_else(|| json!({}), described);
+    let mut table = kind
+        .and_then(K::schema)
+        .map_or_else(|| json!({}), |schema| described(&schema));
     if let Some(properties) = table.get_mut("properties") {
         properties["kind"] = json!({});
     }
@@ -49,12 +51,12 @@ pub(super) fn schema_with<K: Kinds>(kind: Option<&str>) -> Value {
 }
 
 fn settings<K: Kinds>() -> Vec<(&'static str, Value)> {
-    let schema = |kind: &&'static str| Some((*kind, described(K::schema(kind)?)));
+    let schema = |kind: &&'static str| Some((*kind, described(&K::schema(kind)?)));
     K::NAMES.iter().filter_map(schema).collect()
 }
 
 /// Settings of a policy, none of which need be there.
-fn described(schema: schemars::Schema) -> Value {
+fn described(schema: &schemars::Schema) -> Value {
     let mut schema = json!(schema);
     let tables = schema.get_mut("$defs").and_then(Value::as_object_mut);
     for table in tables.into_iter().flat_map(Map::values_mut) {

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use anyhow::Result;
 use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Writer, columns};
-use re4_episode::Mode;
+use re4_episode::{Mode, PlanarFrame};
 use re4_fault::ensure;
 use re4_geometry::Pose2;
 use re4_index::{AngleMetric, IndexRow, IndexedFrame, Normalization, PlanarState, ScaleRow};
@@ -43,8 +43,7 @@ impl Runner {
             let estimated = poses
                 .map(|poses| poses.artifact.read::<PoseRow<Estimate>>())
                 .transpose()?;
-            let (demos, blanks) = read_demos(&episodes.artifact, &modes.artifact, estimated)?;
-            let mut frames = indexed_frames(&demos);
+            let (demos, mut frames, blanks) = read_demos(&episodes.artifact, &modes.artifact, estimated)?;
             // The ranges do not depend on how angles are compared; the policy chooses that when it opens the index.
             let normalization = Normalization::over(&frames, AngleMetric::default());
             write_index(&demos, &frames, &blanks, &normalization, writer)?;
@@ -55,7 +54,7 @@ impl Runner {
                     .next()
                     .is_none()
             });
-            writer.write_rows(chunks.iter().cloned())?;
+            writer.write_rows(chunks.iter().copied())?;
             frames.retain(|frame| !blanks.contains(&(frame.episode, frame.frame)));
             let summary = json!({
                 "episodes": demos.iter().count(),
@@ -68,23 +67,6 @@ impl Runner {
             })
         })
     }
-}
-
-fn indexed_frames(demos: &DemoSet) -> Vec<IndexedFrame> {
-    let mut indexed = Vec::with_capacity(demos.len());
-    for (episode, frames) in demos.iter() {
-        let modes = demos.modes(episode).unwrap_or_default();
-        for (frame, (row, &mode)) in frames.iter().zip(modes).enumerate() {
-            indexed.push(IndexedFrame {
-                episode,
-                frame: frame as u32,
-                mode,
-                eef: row.eef,
-                object: row.object,
-            });
-        }
-    }
-    indexed
 }
 
 /// Frames, as (episode, frame), whose pose is not clear.
@@ -104,11 +86,11 @@ fn read_demos(
     episodes: &Artifact,
     modes: &Artifact,
     estimated: Option<Vec<PoseRow<Estimate>>>,
-) -> Result<(DemoSet, Blanks)> {
+) -> Result<(DemoSet<PlanarFrame>, Vec<IndexedFrame>, Blanks)> {
     let mut labels = modes.table(ModeRow::<Evidence>::table())?.stream::<ModeOf>()?;
     let mut poses = estimated.map(Vec::into_iter);
     let mut blanks = Blanks::new();
-    let mut demos = Vec::new();
+    let (mut demos, mut indexed) = (Vec::new(), Vec::new());
     for (number, mut episode) in (0..).zip(read_episodes(episodes)?) {
         let count = episode.frames.len();
         let modes_of = labels
@@ -142,18 +124,26 @@ fn read_demos(
                 frame.object = pose;
             }
         }
-        demos.push((number, episode.frames.into_iter().zip(modes_of).collect()));
+        let frames = (0..).zip(episode.frames.iter().zip(modes_of));
+        indexed.extend(frames.map(|(frame, (row, mode))| IndexedFrame {
+            episode: number,
+            frame,
+            mode,
+            eef: row.eef,
+            object: row.object,
+        }));
+        demos.push((number, episode.frames));
     }
     ensure!(
         !demos.is_empty(),
         "cannot index {}: no frame of it has a clear pose", episodes.path().display();
         "look at the table poses"
     );
-    Ok((DemoSet::new(demos), blanks))
+    Ok((DemoSet::new(demos), indexed, blanks))
 }
 
 fn write_index(
-    demos: &DemoSet,
+    demos: &DemoSet<PlanarFrame>,
     frames: &[IndexedFrame],
     blanks: &Blanks,
     normalization: &Normalization,

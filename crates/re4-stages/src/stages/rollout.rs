@@ -9,8 +9,7 @@ use anyhow::{Result, bail};
 use re4_artifact::{Artifact, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
-use re4_rollout::{Batch, Env, Harness, Recorded, Source, Start};
-use re4_sim::SimError;
+use re4_rollout::{Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
@@ -19,7 +18,7 @@ use crate::runner::{Built, Runner};
 
 pub use budgets::BudgetRow;
 pub use plane::read_rollouts;
-pub(crate) use space::{Watching, studio};
+pub(crate) use space::{MakeEstimator, Watching, studio};
 
 /// Raised whenever the same input gives other bytes.
 const CODE_VERSION: u32 = 6;
@@ -51,8 +50,8 @@ impl Made<'_> {
 struct Play<'a, 'e, D: Recorded> {
     policy: &'a dyn Settings<D>,
     symmetry: Symmetry,
-    env: &'a (dyn Fn(&Start<D>) -> Result<Box<dyn Env<D> + 'e>, SimError> + Sync),
-    source: &'a (dyn Fn(u32) -> Source<D> + Sync),
+    env: &'a MakeEnv<'a, 'e, D>,
+    source: &'a MakeSource<'a, D>,
 }
 
 impl Runner {

@@ -24,12 +24,15 @@ const DRAWING_VERSION: u32 = 1;
 /// Makes the estimator of an episode.
 pub(crate) type MakeEstimator = dyn Fn() -> Box<dyn Estimator<Space>> + Sync;
 
+/// What stands between a simulation and who senses it.
+type Through = for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>;
+
 /// Who looks at images.
 pub(crate) struct Watching<'a> {
     /// Opens the estimators.
     pub(crate) open: &'a dyn Fn() -> Result<Box<MakeEstimator>>,
     /// What the simulation is seen through.
-    pub(crate) through: for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>,
+    pub(crate) through: Through,
 }
 
 /// What the key of an artifact says of pictures drawn in rollouts.
@@ -168,7 +171,7 @@ impl Runner {
                 }),
             )?;
             Ok(Facts {
-                summary: summary.state(protocol, watching.is_some()),
+                summary: summary.state(&protocol, watching.is_some()),
                 warnings: Vec::new(),
             })
         })
@@ -196,7 +199,7 @@ impl Summary {
         self.losses += decisions.iter().filter(lost).count() as u64;
     }
 
-    fn state(&self, protocol: Value, watched: bool) -> Value {
+    fn state(&self, protocol: &Value, watched: bool) -> Value {
         let successes = self.success_steps.len() as u64;
         let mut summary = json!({
             "rollouts": self.rollouts,
