@@ -80,12 +80,18 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_artifact::ArtifactError,
         re4_audit::AuditError,
         re4_encoder::EncoderError,
+        re4_geometry::spatial::SymmetryError,
         re4_index::IndexError,
         re4_mujoco::MujocoError,
+        re4_policy::LookupError,
+        re4_policy::kinds::OpenError,
         re4_pose::AnchorError,
         re4_pose::PictureError,
+        re4_rollout::PolicyError,
+        re4_rollout::RolloutError,
         re4_scenes::ScenesError,
         re4_segment::SegmentError,
+        re4_sim::SimError,
         crate::stages::FellOver,
     );
     None
