@@ -7,10 +7,10 @@ use std::process::Command;
 
 use crate::support::{Place, invented, repository};
 use re4_artifact::Row as _;
+use re4_artifact::episodes::{FrameRow, SpatialColumns};
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null};
-use re4_audit::AuditedEpisodeRow;
-use re4_ingest::{FrameRow, SpatialColumns};
-use re4_report::html::audit::{Audit, Severity, page};
+use re4_audit::{AuditedEpisodeRow, Severity};
+use re4_report::html::audit::{Audit, page};
 use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use serde_json::{Map, Value, json};
 
@@ -23,24 +23,25 @@ fn expected(audit: &Audit) -> Value {
     let codes: Map<String, Value> = audit
         .checks
         .iter()
-        .map(|check| (check.code.clone(), json!([check.findings, check.episodes])))
+        .map(|check| (check.code.to_string(), json!([check.findings, check.episodes])))
         .collect();
     let mut outcomes = Map::new();
     for grasp in &audit.grasps {
         let count = outcomes.entry(grasp.outcome.clone()).or_insert(json!(0));
         *count = json!(count.as_u64().unwrap() + 1);
     }
-    let sum = |value: fn(&re4_report::html::audit::Demo) -> u32| audit.demos.iter().map(value).sum::<u32>();
+    let severities = [Severity::Error, Severity::Warning, Severity::Note];
+    let sum = |value: fn(&AuditedEpisodeRow) -> usize| audit.demos.iter().map(value).sum::<usize>();
     json!({
         "frames": sum(|d| d.frames),
         "transit_frames": sum(|d| d.transit_frames),
         "transfer_frames": sum(|d| d.transfer_frames),
-        "severities": Severity::ALL.map(|s| (s.as_str().to_owned(), of(s).into())).into_iter().collect::<Map<_, _>>(),
+        "severities": severities.map(|s| (s.as_str().to_owned(), of(s).into())).into_iter().collect::<Map<_, _>>(),
         "codes": codes,
         "grasps": audit.grasps.len(),
         "outcomes": outcomes,
         "demos": audit.demos.iter().map(|d| json!({
-            "number": d.number, "name": d.name, "frames": d.frames, "transfer_frames": d.transfer_frames,
+            "number": d.episode, "name": d.demo, "frames": d.frames, "transfer_frames": d.transfer_frames,
             "segments": d.segments, "grasp_frame": d.grasp_frame,
             "error": d.errors, "warning": d.warnings, "note": d.notes,
         })).collect::<Vec<_>>(),

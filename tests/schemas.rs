@@ -27,7 +27,7 @@ fn the_committed_schemas_are_up_to_date() {
 fn a_check_finds_what_is_stale_and_writes_nothing() {
     let place = Place::empty();
     place.run("schemas described").done();
-    let file = place.path().join("described/frames.json");
+    let file = place.path().join("described/frames-plane.json");
     let stale = fs::read_to_string(&file).unwrap().replace("px", "pixel");
     fs::write(&file, &stale).unwrap();
     fs::remove_file(place.path().join("described/modes-plane.json")).unwrap();
@@ -35,11 +35,14 @@ fn a_check_finds_what_is_stale_and_writes_nothing() {
     assert_eq!(answer.code, Some(1));
     assert_eq!(
         answer.stdout,
-        "out of date in described: frames.json, modes-plane.json; run re4-pipe schemas\n"
+        "out of date in described: frames-plane.json, modes-plane.json; run re4-pipe schemas\n"
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), stale);
     let object = place.run("schemas described --check --json").json();
-    assert_eq!(object["stale"], serde_json::json!(["frames.json", "modes-plane.json"]));
+    assert_eq!(
+        object["stale"],
+        serde_json::json!(["frames-plane.json", "modes-plane.json"])
+    );
 }
 
 /// Read with the Parquet library alone, so that the descriptions are compared with the files and not with themselves.

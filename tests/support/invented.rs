@@ -1,8 +1,8 @@
 //! An invented audit: pick-and-place demonstrations with faults, as the page of an audit takes them.
 
-use re4_report::html::audit::{
-    Audit, Check, Convention, Demo, Finding, Flag, Grasp, Measure, Panel, Segment, Series, Severity,
-};
+use re4_artifact::episodes::Convention;
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
+use re4_report::html::audit::{Audit, Flag, Grasp, Measure, Panel, Segment, Series};
 
 /// A small generator of numbers, the same for the same seed.
 struct Draws(u64);
@@ -78,8 +78,8 @@ pub(crate) fn audit(count: u32) -> Audit {
 
 #[derive(Default)]
 struct Invented {
-    demos: Vec<Demo>,
-    findings: Vec<Finding>,
+    demos: Vec<AuditedEpisodeRow>,
+    findings: Vec<FindingRow>,
     segments: Vec<Segment>,
     grasps: Vec<Grasp>,
     closes: Vec<Option<bool>>,
@@ -93,7 +93,6 @@ struct Invented {
 
 impl Invented {
     fn demo(&mut self, number: u32, draws: &mut Draws) {
-        let place = number as usize;
         let missed = number % 10 == 3;
         let lost = number % 37 == 5;
         let mut runs = vec![(false, draws.frames(35, 60))];
@@ -110,7 +109,7 @@ impl Invented {
                 (true, _, _, true) => "lost",
                 _ => "held",
             };
-            self.segment(place, i as u32, first, length, outcome, draws);
+            self.segment(number, i as u32, first, length, outcome, draws);
             first += length;
         }
         let mut found = Vec::new();
@@ -141,15 +140,15 @@ impl Invented {
             .map(|(_, length)| length)
             .sum();
         let count = |severity| found.iter().filter(|(kind, ..)| KINDS[*kind].1 == severity).count() as u32;
-        self.demos.push(Demo {
-            number,
-            name: format!("demo_{number}"),
-            frames,
-            transit_frames: frames - transfer,
-            transfer_frames: transfer,
-            segments: runs.len() as u32,
-            transfers: runs.iter().filter(|(transfer, _)| *transfer).count() as u32,
-            grasp_frame: Some(runs[0].1),
+        self.demos.push(AuditedEpisodeRow {
+            episode: number,
+            demo: format!("demo_{number}"),
+            frames: frames as usize,
+            transit_frames: (frames - transfer) as usize,
+            transfer_frames: transfer as usize,
+            segments: runs.len(),
+            transfers: runs.iter().filter(|(transfer, _)| *transfer).count(),
+            grasp_frame: Some(runs[0].1 as usize),
             object_displacement: draws.about(0.4, 0.1),
             errors: count(Severity::Error),
             warnings: count(Severity::Warning),
@@ -157,15 +156,16 @@ impl Invented {
         });
         for (kind, first_frame, end_frame) in found {
             let (code, severity, words, threshold, unit) = KINDS[kind];
-            self.findings.push(Finding {
+            self.findings.push(FindingRow {
+                finding: self.findings.len() as u32,
+                demo_name: None,
                 severity,
-                code: code.to_owned(),
-                demo: place,
-                first_frame,
-                end_frame,
+                code: code.into(),
+                episode: number,
+                frames: first_frame..end_frame,
                 value: Some(draws.about(threshold * 1.7, threshold * 0.2)),
                 threshold: Some(threshold),
-                unit: unit.to_owned(),
+                unit: unit.into(),
                 message: format!(
                     "demo_{number}, frames {first_frame} to {}: {words} </script> & more",
                     end_frame - 1
@@ -174,7 +174,7 @@ impl Invented {
         }
     }
 
-    fn segment(&mut self, demo: usize, number: u32, first: u32, length: u32, outcome: &str, draws: &mut Draws) {
+    fn segment(&mut self, episode: u32, number: u32, first: u32, length: u32, outcome: &str, draws: &mut Draws) {
         let transfer = !outcome.is_empty();
         let held = outcome == "held" || outcome == "lost";
         let closed = if held { 0.031 } else { 0.001 };
@@ -219,7 +219,7 @@ impl Invented {
             });
         }
         self.segments.push(Segment {
-            demo,
+            episode,
             number,
             transfer,
             first_frame: first,
@@ -234,7 +234,7 @@ impl Invented {
         if transfer {
             let off = if outcome == "missed" { 0.03 } else { 0.0 };
             self.grasps.push(Grasp {
-                demo,
+                episode,
                 segment: number,
                 first_frame: first,
                 end_frame: first + length,
@@ -250,22 +250,22 @@ impl Invented {
 
     fn finish(self) -> Audit {
         let checks = KINDS.map(|(code, severity, words, threshold, unit)| {
-            let mut demos: Vec<usize> = self
+            let mut demos: Vec<u32> = self
                 .findings
                 .iter()
                 .filter(|f| f.code == code)
-                .map(|f| f.demo)
+                .map(|f| f.episode)
                 .collect();
             let findings = demos.len() as u32;
             demos.dedup();
-            Check {
-                code: code.to_owned(),
+            CheckRow {
+                code: code.into(),
                 severity,
                 meaning: format!("A finding says that {words}. Look at the frames and decide."),
                 measure: "what is invented here".to_owned(),
                 threshold: Some(threshold),
-                unit: unit.to_owned(),
-                origin: "data".to_owned(),
+                unit: unit.into(),
+                origin: "data".into(),
                 derivation: "invented".to_owned(),
                 findings,
                 episodes: demos.len() as u32,
@@ -306,14 +306,14 @@ impl Invented {
             outline: None,
             contacts: None,
             conventions: vec![Convention {
-                name: "quaternion_order".to_owned(),
-                value: "xyzw".to_owned(),
-                basis: "proven".to_owned(),
-                evidence: "The recorded relative pose equals the one that was computed.".to_owned(),
+                convention: "quaternion_order".into(),
+                value: "xyzw".into(),
+                basis: "proven".into(),
+                evidence: "The recorded relative pose equals the one that was computed.".into(),
                 residual: Some(3.1e-8),
                 runner_up: Some(0.41),
                 threshold: Some(1e-5),
-                unit: "m".to_owned(),
+                unit: "m".into(),
                 frames: 30_000,
             }],
             flags: vec![

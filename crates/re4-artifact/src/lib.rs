@@ -41,6 +41,7 @@ mod canonical;
 mod columns;
 mod contained;
 mod disk;
+pub mod episodes;
 mod error;
 mod key;
 mod manifest;

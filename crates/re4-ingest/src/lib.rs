@@ -17,7 +17,6 @@ pub mod robomimic;
 mod selection;
 mod source;
 mod store;
-mod tables;
 mod warning;
 mod zarr;
 
@@ -25,10 +24,11 @@ pub use demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Matrix,
 pub use error::{Fault, IngestError};
 pub use left_out::{OnBad, refusal};
 pub use name::{Pick, SourceName};
-pub use selection::{EpisodeRange, Selection, SelectionError};
-pub use source::{SourceFile, Stop};
-pub use tables::{
+use re4_artifact::episodes as tables;
+pub use re4_artifact::episodes::{
     Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, ModelRow, PlanarColumns, SpatialColumns,
     StateRow,
 };
+pub use selection::{EpisodeRange, Selection, SelectionError};
+pub use source::{SourceFile, Stop};
 pub use warning::{Warning, WarningCode};

@@ -2,8 +2,14 @@
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use re4_geometry::{Point2, Pose2};
+use re4_rollout::Phase;
+use re4_sim::{AGENT_RADIUS, tee_rectangles};
 use re4_stats::{quantile, sorted};
 use thiserror::Error;
+
+use crate::html::rollouts::plane::Plane;
+use crate::html::rollouts::{Rollout, demo_name};
 
 /// Why a picture could not be drawn.
 #[derive(Debug, Error)]
@@ -18,40 +24,6 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for Pictu
             reason: error.to_string(),
         }
     }
-}
-
-/// A decision in a [`RolloutPicture`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct PictureDecision {
-    /// Control step at which it was taken.
-    pub step: u32,
-    /// Name of the demonstration that it follows.
-    pub demo: String,
-    /// Plan to the start of the chunk, world frame, pixels.
-    pub plan: Vec<[f64; 2]>,
-}
-
-/// What the picture of a rollout shows; world frame, pixels and radians, y down.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RolloutPicture {
-    /// Seed of the scene.
-    pub seed: u32,
-    /// Greatest scaled score.
-    pub score: f64,
-    /// Pose of the block before each step and after the last.
-    pub blocks: Vec<[f64; 3]>,
-    /// Position of the pusher before each step and after the last.
-    pub pusher: Vec<[f64; 2]>,
-    /// Whether each step replays a chunk (else it follows a plan).
-    pub replaying: Vec<bool>,
-    /// Decisions.
-    pub decisions: Vec<PictureDecision>,
-    /// Goal pose of the block.
-    pub goal: [f64; 3],
-    /// Convex parts of the block, in its own frame.
-    pub outline: Vec<Vec<[f64; 2]>>,
-    /// Radius of the pusher.
-    pub pusher_radius: f64,
 }
 
 /// Side of the workspace in pixels, and of its drawing.
@@ -69,7 +41,22 @@ const REPLAY: RGBColor = RGBColor(40, 80, 200);
 ///
 /// # Errors
 /// When the drawing library refuses.
-pub fn rollout_picture(rollout: &RolloutPicture) -> Result<String, PictureError> {
+pub fn rollout_picture(rollout: &Rollout<Plane>) -> Result<String, PictureError> {
+    let Rollout {
+        result,
+        steps,
+        decisions,
+        ..
+    } = rollout;
+    let blocks: Vec<Pose2> = [result.object]
+        .into_iter()
+        .chain(steps.iter().map(|step| step.object))
+        .collect();
+    let pusher: Vec<Point2> = [result.eef]
+        .into_iter()
+        .chain(steps.iter().map(|step| step.eef))
+        .collect();
+    let last = steps.len();
     let mut svg = String::new();
     {
         let size = (WORKSPACE + 2 * MARGIN, WORKSPACE + 2 * MARGIN + LEGEND);
@@ -78,45 +65,41 @@ pub fn rollout_picture(rollout: &RolloutPicture) -> Result<String, PictureError>
         let area = root.margin(MARGIN, MARGIN + LEGEND, MARGIN, MARGIN);
         let side = WORKSPACE as i32;
         area.draw(&Rectangle::new([(0, 0), (side, side)], BLACK.mix(0.2).stroke_width(1)))?;
-        tee(&area, rollout, rollout.goal, GOAL.filled())?;
-        let last = rollout.blocks.len().saturating_sub(1);
-        let shown: Vec<usize> = rollout
-            .decisions
+        tee(&area, re4_sim::GOAL, GOAL.filled())?;
+        let shown: Vec<usize> = decisions
             .iter()
-            .map(|d| (d.step as usize).min(last))
+            .map(|d| (d.core().step as usize).min(last))
             .chain([last])
             .collect();
         for (i, &at) in shown.iter().enumerate() {
             let strength = 0.15 + 0.55 * (i + 1) as f64 / shown.len() as f64;
-            tee(&area, rollout, rollout.blocks[at], BLOCK.mix(strength).filled())?;
+            tee(&area, blocks[at], BLOCK.mix(strength).filled())?;
         }
-        for decision in &rollout.decisions {
-            let path: Vec<(i32, i32)> = decision.plan.iter().map(|&p| pixel(p)).collect();
+        for decision in decisions {
+            let path: Vec<(i32, i32)> = decision.path().map(|[x, y]| pixel(Point2::new(x, y))).collect();
             area.draw(&PathElement::new(path, PLAN.mix(0.5).stroke_width(1)))?;
         }
-        for (pair, &replaying) in rollout.pusher.windows(2).zip(&rollout.replaying) {
-            let colour = if replaying { REPLAY } else { PLAN };
+        for (pair, step) in pusher.windows(2).zip(steps) {
+            let colour = if step.core.phase == Phase::Replay { REPLAY } else { PLAN };
             area.draw(&PathElement::new(
                 vec![pixel(pair[0]), pixel(pair[1])],
                 colour.stroke_width(2),
             ))?;
             area.draw(&Circle::new(pixel(pair[1]), 2, colour.filled()))?;
         }
-        for (point, colour) in [(rollout.pusher.first(), PLAN), (rollout.pusher.last(), REPLAY)] {
+        for (point, colour) in [(pusher.first(), PLAN), (pusher.last(), REPLAY)] {
             if let Some(&point) = point {
-                area.draw(&Circle::new(
-                    pixel(point),
-                    rollout.pusher_radius as i32,
-                    colour.stroke_width(2),
-                ))?;
+                area.draw(&Circle::new(pixel(point), AGENT_RADIUS as i32, colour.stroke_width(2)))?;
             }
         }
-        let demos: Vec<String> = rollout
-            .decisions
+        let demos: Vec<String> = decisions
             .iter()
-            .map(|d| format!("step {}: {}", d.step, d.demo))
+            .map(|d| format!("step {}: {}", d.core().step, demo_name(d.core())))
             .collect();
-        let caption = format!("seed {}, score {:.3} after {last} steps", rollout.seed, rollout.score);
+        let caption = format!(
+            "seed {}, score {:.3} after {last} steps",
+            result.core.seed, result.score_max
+        );
         let font = ("sans-serif", 14).into_font();
         let y = (WORKSPACE + 2 * MARGIN + 4) as i32;
         root.draw(&Text::new(caption, (MARGIN as i32, y), font.clone()))?;
@@ -130,25 +113,16 @@ pub fn rollout_picture(rollout: &RolloutPicture) -> Result<String, PictureError>
     Ok(svg)
 }
 
-fn pixel([x, y]: [f64; 2]) -> (i32, i32) {
-    (x.round() as i32, y.round() as i32)
+fn pixel(point: Point2) -> (i32, i32) {
+    (point.x.round() as i32, point.y.round() as i32)
 }
 
-fn tee<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    rollout: &RolloutPicture,
-    [x, y, theta]: [f64; 3],
-    style: ShapeStyle,
-) -> Result<(), PictureError>
+fn tee<B: DrawingBackend>(area: &DrawingArea<B, Shift>, pose: Pose2, style: ShapeStyle) -> Result<(), PictureError>
 where
     B::ErrorType: 'static,
 {
-    let (s, c) = theta.sin_cos();
-    for part in &rollout.outline {
-        let corners: Vec<(i32, i32)> = part
-            .iter()
-            .map(|[u, v]| pixel([x + c * u - s * v, y + s * u + c * v]))
-            .collect();
+    for part in tee_rectangles() {
+        let corners: Vec<(i32, i32)> = part.iter().map(|corner| pixel(pose.transform_point(*corner))).collect();
         area.draw(&Polygon::new(corners, style))?;
     }
     Ok(())
@@ -269,34 +243,18 @@ const FLOOR: f64 = 1e-5;
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn sample() -> RolloutPicture {
-        RolloutPicture {
-            seed: 7,
-            score: 0.5,
-            blocks: vec![[100.0, 100.0, 0.0], [110.0, 100.0, 0.1]],
-            pusher: vec![[50.0, 50.0], [60.0, 60.0]],
-            replaying: vec![true],
-            decisions: vec![PictureDecision {
-                step: 0,
-                demo: "episode 3".to_owned(),
-                plan: vec![[50.0, 50.0], [55.0, 55.0]],
-            }],
-            goal: [256.0, 256.0, 0.7],
-            outline: vec![vec![[-60.0, 0.0], [60.0, 0.0], [60.0, 30.0], [-60.0, 30.0]]],
-            pusher_radius: 15.0,
-        }
-    }
+    use crate::html::rollouts::plane::tests::rollout;
 
     #[test]
     fn a_rollout_shows_goal_block_plan_and_caption() {
-        let svg = rollout_picture(&sample()).unwrap();
+        let rollout = rollout(7, &[0.475]);
+        let svg = rollout_picture(&rollout).unwrap();
         assert!(svg.starts_with("<svg"));
-        // The goal and the block at the decision and at the end: one polygon each for a block of one part.
-        assert_eq!(svg.matches("<polygon").count(), 3);
+        // The goal and the block at the decision and at the end: one polygon each for each of the two parts of the block.
+        assert_eq!(svg.matches("<polygon").count(), 6);
         assert!(svg.contains("seed 7, score 0.500 after 1 steps"));
-        assert!(svg.contains("step 0: episode 3"));
-        assert_eq!(svg, rollout_picture(&sample()).unwrap());
+        assert!(svg.contains("step 0: episode 31"));
+        assert_eq!(svg, rollout_picture(&rollout).unwrap());
     }
 
     #[test]

@@ -9,15 +9,13 @@ mod inputs;
 mod interrupt;
 mod notes;
 mod pipeline;
+mod redraw;
 mod runner;
 mod stages;
 pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
-pub use inputs::pictures::encode_png;
-pub use inputs::poses::from_numbers;
-pub use inputs::simulators::Scenes;
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
 pub use notes::{Notes, print_error, told};
@@ -25,6 +23,7 @@ pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
     RolloutSection, Seeds, Task, Variant, schema,
 };
+pub use redraw::{Redrawn, add_pictures};
 pub use runner::{Built, Runner, Settings};
 pub use stages::{
     BudgetRow, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,

@@ -1,9 +1,12 @@
 //! `re4-pipe audit`.
 
 use anyhow::Result;
+use re4_audit::Severity;
+use re4_report::{AuditSources, Findings, LARGE_PAGE, audit_page};
+use re4_stages::{Built, Runner};
 
-use super::{Outcome, audit_page, audit_text};
-use crate::arguments::{AuditArguments, FailOn};
+use super::Outcome;
+use crate::arguments::{AuditArguments, FailOn, StageArguments};
 use crate::console::Console;
 use crate::output::Output;
 
@@ -25,17 +28,54 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
     let modes = runner.segment(&episodes)?;
     let built = runner.audit(&episodes, &modes)?;
     if let Some(output) = &page {
-        let sources = audit_page::Sources::of(&runner, &arguments.stage, [&episodes, &modes, &built]);
-        audit_page::write(&sources, output, console)?;
+        write_page(&runner, &arguments.stage, [&episodes, &modes, &built], output, console)?;
     }
-    let told = audit_text::Told::read(&built.artifact)?;
-    console.answer(&told.to_json(built.to_json()))?;
-    console.say(&told.text()?)?;
+    let found = Findings::read(&built.artifact)?;
+    console.answer(&found.to_json(built.to_json()))?;
+    console.say(&found.text()?)?;
     // The gate comes last: whatever it says, everything is written and told.
+    let errors = found.count(Severity::Error);
     let failed = match arguments.fail_on {
         None => false,
-        Some(FailOn::Error) => told.count("error") > 0,
-        Some(FailOn::Warning) => told.count("error") + told.count("warning") > 0,
+        Some(FailOn::Error) => errors > 0,
+        Some(FailOn::Warning) => errors + found.count(Severity::Warning) > 0,
     };
     Ok(if failed { Outcome::GateFailed } else { Outcome::Done })
+}
+
+/// Writes the page of a pipeline's `episodes`, `modes` and `audit`, whole or not at all.
+fn write_page(
+    runner: &Runner,
+    arguments: &StageArguments,
+    [episodes, modes, audit]: [&Built; 3],
+    output: &Output,
+    console: Console,
+) -> Result<()> {
+    let ingest = &runner.pipeline.ingest;
+    let source = ingest.source.display();
+    let settings: String = arguments
+        .set
+        .iter()
+        .map(|setting| [" --set ", setting].concat())
+        .collect();
+    let text = audit_page(&AuditSources {
+        task: runner.pipeline.task,
+        dataset: match &ingest.filter {
+            Some(filter) => format!("{source}, filter {filter}"),
+            None => source.to_string(),
+        },
+        command: format!("re4-pipe audit {}{settings}", arguments.pipeline.display()),
+        episodes: &episodes.artifact,
+        modes: &modes.artifact,
+        audit: &audit.artifact,
+    })?;
+    output.write(&text)?;
+    let size = text.len() as f64 / 1e6;
+    console.note(&format!("{:>10}  {}  {size:.1} MB", "page", output.named().display()));
+    if text.len() > LARGE_PAGE {
+        console.note(&format!(
+            "warning: the page is {size:.0} MB large and may open slowly; ingest.filter or ingest.select limits the demonstrations"
+        ));
+    }
+    Ok(())
 }

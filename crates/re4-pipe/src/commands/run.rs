@@ -11,11 +11,10 @@ use re4_artifact::{Row as _, col_f64, col_u32};
 use re4_fault::ensure;
 use re4_ingest::Convention;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
-use re4_report::divergence_plot;
+use re4_report::{Findings, divergence_plot};
 use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
-use super::audit_text::Told;
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
 use crate::console::Console;
@@ -38,7 +37,7 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let audit = runner.audit(&episodes, &modes)?;
-    let told = Told::read(&audit.artifact)?;
+    let told = Findings::read(&audit.artifact)?;
     let mut both = modes.to_json();
     both["audit"] = audit.to_json();
     console.answer(&both)?;

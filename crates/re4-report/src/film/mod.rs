@@ -5,13 +5,13 @@
 //! films are small; frames are encoded one by one, so memory does not grow with their number.
 
 mod paint;
+mod reel;
 mod scene;
 mod text;
 
-use std::borrow::Cow;
 use std::io::Write;
 
-use gif::{DisposalMethod, Encoder, EncodingError, Frame, Repeat};
+use gif::EncodingError;
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, SUCCESS_COVERAGE};
 use thiserror::Error;
@@ -19,6 +19,7 @@ use thiserror::Error;
 pub use scene::{DrawScene, SceneRollout, SceneState, write_scene_film};
 
 use paint::{Palette, Shrink, line_pixels};
+use reel::{Reel, check_settings};
 
 /// Colour of plans, red, green and blue.
 pub(crate) const PLAN: [u8; 3] = [214, 126, 20];
@@ -142,86 +143,20 @@ pub fn write_film(
         rollouts.iter().map(|rollout| (rollout.seed, rollout.states.len())),
         settings,
     )?;
-    let columns = (1..=FILM_TILES).find(|c| c * c >= rollouts.len()).unwrap_or(1);
-    let rows = rollouts.len().div_ceil(columns);
-    let tile_height = settings.size + strip_height(settings.size);
-    let (width, height) = (columns as u32 * settings.size, rows as u32 * tile_height);
     let palette = Palette::new(
         &[INK, BAR, SUCCEEDED],
         &[&Canvas::COLOURS[..], &[PLAN, REPLAY]].concat(),
     );
-    let mut encoder = Encoder::new(out, width as u16, height as u16, &palette.bytes())?;
-    encoder.set_repeat(Repeat::Infinite)?;
-
+    let (colours, transparent) = (palette.bytes(), palette.transparent());
+    let lasts: Vec<usize> = rollouts.iter().map(|rollout| rollout.states.len() - 1).collect();
+    let reel = Reel::new(&lasts, settings, strip_height(settings.size), STEP_CS);
     let mut tiles: Vec<Tile> = rollouts
         .iter()
         .map(|rollout| Tile::new(rollout, settings.size))
         .collect();
     let mut painter = Painter::new(settings.size, palette);
-    let mut page = Page::new(width as usize, height as usize);
-    let last = rollouts.iter().map(|r| r.states.len() - 1).max().unwrap_or(0);
-    let times = shown(last, settings.speed, STEP_CS);
-    for (i, &(state, delay)) in times.iter().enumerate() {
-        if !going() {
-            return Err(FilmError::Interrupted);
-        }
-        for (number, tile) in tiles.iter_mut().enumerate() {
-            let corner = (
-                number % columns * settings.size as usize,
-                number / columns * tile_height as usize,
-            );
-            if let Some(pixels) = painter.paint(tile, state) {
-                page.put(pixels, settings.size as usize, corner);
-            }
-        }
-        encoder.write_frame(&page.changes(painter.palette.transparent(), delay, i == 0))?;
-    }
-    encoder.into_inner()?.flush().map_err(EncodingError::from)?;
-    Ok(FilmFacts {
-        width,
-        height,
-        frames: times.len() as u32,
-        duration_cs: times.iter().map(|(_, delay)| u32::from(*delay)).sum(),
-    })
-}
-
-/// Checks the settings, and the rollouts by their seeds and counts of states.
-fn check_settings(
-    rollouts: impl ExactSizeIterator<Item = (u32, usize)>,
-    settings: FilmSettings,
-) -> Result<(), FilmError> {
-    let refuse = |text: String| Err(FilmError::Settings(text));
-    let count = rollouts.len();
-    if count == 0 || count > FILM_TILES {
-        return refuse(format!("a film shows 1 to {FILM_TILES} rollouts, not {count}"));
-    }
-    for (seed, states) in rollouts {
-        if states == 0 {
-            return refuse(format!("the rollout of seed {seed} has no states to show"));
-        }
-    }
-    if !FILM_SIZES.contains(&settings.size) {
-        let (least, most) = (FILM_SIZES.start(), FILM_SIZES.end());
-        return refuse(format!("a film's size is {least} to {most} px, not {}", settings.size));
-    }
-    if !FILM_SPEEDS.contains(&settings.speed) {
-        let (least, most) = (FILM_SPEEDS.start(), FILM_SPEEDS.end());
-        return refuse(format!("a film's speed is {least} to {most}, not {}", settings.speed));
-    }
-    Ok(())
-}
-
-/// Which states are shown, and each for how many hundredths of a second, so that times add up to those of the rollout, whose
-/// steps last `step` hundredths.
-fn shown(last: usize, speed: f64, step: f64) -> Vec<(usize, u16)> {
-    let stride = (SHORTEST_CS * speed / step).ceil().max(1.0) as usize;
-    let time = |state: usize| (step * state as f64 / speed).round() as u64;
-    let mut times: Vec<(usize, u16)> = (0..last)
-        .step_by(stride)
-        .map(|state| (state, (time((state + stride).min(last)) - time(state)) as u16))
-        .collect();
-    times.push((last, LAST_CS));
-    times
+    let mut paint = |number: usize, state: usize| Ok(painter.paint(&mut tiles[number], state).to_vec());
+    reel.write(out, &colours, transparent, &mut paint, going)
 }
 
 fn text_scale(size: u32) -> u32 {
@@ -239,13 +174,12 @@ fn strip_height(size: u32) -> u32 {
 /// Pixels of the canvas that lines cover, with the lines' colours.
 type Lines = Vec<(usize, [u8; 3])>;
 
-/// A rollout and what of it was painted last.
+/// A rollout and the lines over its pictures.
 struct Tile<'a> {
     rollout: &'a FilmRollout,
     size: u32,
     /// A decision and its lines.
     overlay: Option<(usize, Lines)>,
-    painted: Option<usize>,
 }
 
 impl<'a> Tile<'a> {
@@ -254,7 +188,6 @@ impl<'a> Tile<'a> {
             rollout,
             size,
             overlay: None,
-            painted: None,
         }
     }
 
@@ -318,13 +251,8 @@ impl Painter {
         }
     }
 
-    /// The pixels of a tile in a state, as positions in the palette; nothing if it looks as it did.
-    fn paint(&mut self, tile: &mut Tile, state: usize) -> Option<&[u8]> {
-        let at = state.min(tile.rollout.states.len() - 1);
-        if tile.painted == Some(at) {
-            return None;
-        }
-        tile.painted = Some(at);
+    /// The pixels of a tile in a state, as positions in the palette.
+    fn paint(&mut self, tile: &mut Tile, at: usize) -> &[u8] {
         let shown = tile.rollout.states[at];
         self.canvas.draw_state(shown.pusher, shown.block);
         self.picture.clear();
@@ -336,7 +264,7 @@ impl Painter {
         self.indices.clear();
         self.palette.index(&self.small, &mut self.indices);
         self.strip(tile, at);
-        Some(&self.indices)
+        &self.indices
     }
 
     /// Adds the strip below the picture.
@@ -369,70 +297,6 @@ impl Painter {
             text::write(strip, side, (margin, 8 * scale), scale, &seed, ink);
             text::write(strip, side, (right, 8 * scale), scale, &coverage, ink);
             text::write(strip, side, (margin, 18 * scale), scale, &demo, self.palette.of(colour));
-        }
-    }
-}
-
-/// The film's current frame and the one before.
-struct Page {
-    width: usize,
-    now: Vec<u8>,
-    before: Vec<u8>,
-}
-
-impl Page {
-    fn new(width: usize, height: usize) -> Self {
-        Self {
-            width,
-            now: vec![0; width * height],
-            before: vec![0; width * height],
-        }
-    }
-
-    fn put(&mut self, tile: &[u8], side: usize, (left, top): (usize, usize)) {
-        for (row, pixels) in tile.chunks_exact(side).enumerate() {
-            let start = (top + row) * self.width + left;
-            self.now[start..start + side].copy_from_slice(pixels);
-        }
-    }
-
-    /// The least rectangle that holds what changed, see-through where nothing did; the whole page if it is the first.
-    fn changes(&mut self, transparent: u8, delay: u16, first: bool) -> Frame<'static> {
-        let rows = || {
-            self.now
-                .chunks_exact(self.width)
-                .zip(self.before.chunks_exact(self.width))
-        };
-        let (mut left, mut right, mut top, mut bottom) = (self.width, 0, usize::MAX, 0);
-        for (y, (now, before)) in rows().enumerate() {
-            let differs = |(a, b): (&u8, &u8)| first || a != b;
-            if let Some(x) = now.iter().zip(before).position(differs) {
-                left = left.min(x);
-                right = right.max(now.iter().zip(before).rposition(differs).unwrap_or(x));
-                (top, bottom) = (top.min(y), y);
-            }
-        }
-        if top == usize::MAX {
-            // A frame has at least one pixel.
-            (left, right, top, bottom) = (0, 0, 0, 0);
-        }
-        let buffer: Vec<u8> = rows()
-            .skip(top)
-            .take(bottom + 1 - top)
-            .flat_map(|(now, before)| now[left..=right].iter().zip(&before[left..=right]))
-            .map(|(now, before)| if first || now != before { *now } else { transparent })
-            .collect();
-        self.before.copy_from_slice(&self.now);
-        Frame {
-            delay,
-            dispose: DisposalMethod::Keep,
-            transparent: Some(transparent),
-            left: left as u16,
-            top: top as u16,
-            width: (right + 1 - left) as u16,
-            height: (bottom + 1 - top) as u16,
-            buffer: Cow::Owned(buffer),
-            ..Frame::default()
         }
     }
 }

@@ -4,12 +4,10 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 
-use gif::{Encoder, EncodingError, Repeat};
-
 use super::paint::{Palette, median_cut};
-use super::{BAR, FILM_TILES, FilmError, FilmFacts, FilmSettings, INK, PLAN, Page, REPLAY, SUCCEEDED};
-use super::{check_settings, shown, text, text_scale};
-use crate::html::spatial::SpatialPhase;
+use super::reel::{Reel, check_settings};
+use super::{BAR, FilmError, FilmFacts, FilmSettings, INK, PLAN, REPLAY, SUCCEEDED, text, text_scale};
+use re4_rollout::Phase;
 
 /// Hundredths of a second that a control step lasts.
 const STEP_CS: f64 = 5.0;
@@ -27,7 +25,7 @@ pub struct SceneState {
     /// Demonstration that the next action follows (in the last state, the action before it); none on the way home.
     pub demo: Option<u32>,
     /// What that action is part of.
-    pub phase: SpatialPhase,
+    pub phase: Phase,
 }
 
 /// A rollout to be filmed.
@@ -63,47 +61,20 @@ pub fn write_scene_film(
         settings,
     )?;
     let side = settings.size as usize;
-    let columns = (1..=FILM_TILES).find(|c| c * c >= rollouts.len()).unwrap_or(1);
-    let rows = rollouts.len().div_ceil(columns);
-    let tile_height = settings.size + strip_height(settings.size);
-    let (width, height) = (columns as u32 * settings.size, rows as u32 * tile_height);
     let mut palette = palette(rollouts, draw)?;
-    let mut encoder = Encoder::new(out, width as u16, height as u16, &palette.bytes())?;
-    encoder.set_repeat(Repeat::Infinite)?;
-    let mut page = Page::new(width as usize, height as usize);
-    let last = rollouts.iter().map(|r| r.states.len() - 1).max().unwrap_or(0);
-    let times = shown(last, settings.speed, STEP_CS);
-    let mut painted = vec![None; rollouts.len()];
+    let lasts: Vec<usize> = rollouts.iter().map(|rollout| rollout.states.len() - 1).collect();
+    let reel = Reel::new(&lasts, settings, strip_height(settings.size), STEP_CS);
+    let (colours, transparent) = (palette.bytes(), palette.transparent());
     let mut pixels = Vec::new();
-    for (i, &(state, delay)) in times.iter().enumerate() {
-        if !going() {
-            return Err(FilmError::Interrupted);
-        }
-        for (number, rollout) in rollouts.iter().enumerate() {
-            let at = state.min(rollout.states.len() - 1);
-            if painted[number].replace(at) == Some(at) {
-                continue;
-            }
-            let picture = draw(number, at).map_err(FilmError::Picture)?;
-            pixels.clear();
-            palette.index(&picture, &mut pixels);
-            pixels.resize(side * side, palette.of(PAPER));
-            strip(&mut pixels, settings.size, rollout, at, &mut palette);
-            page.put(
-                &pixels,
-                side,
-                (number % columns * side, number / columns * tile_height as usize),
-            );
-        }
-        encoder.write_frame(&page.changes(palette.transparent(), delay, i == 0))?;
-    }
-    encoder.into_inner()?.flush().map_err(EncodingError::from)?;
-    Ok(FilmFacts {
-        width,
-        height,
-        frames: times.len() as u32,
-        duration_cs: times.iter().map(|(_, delay)| u32::from(*delay)).sum(),
-    })
+    let mut paint = |number: usize, state: usize| {
+        let picture = draw(number, state).map_err(FilmError::Picture)?;
+        pixels.clear();
+        palette.index(&picture, &mut pixels);
+        pixels.resize(side * side, palette.of(PAPER));
+        strip(&mut pixels, settings.size, &rollouts[number], state, &mut palette);
+        Ok(pixels.clone())
+    };
+    reel.write(out, &colours, transparent, &mut paint, going)
 }
 
 /// The strip's own colours, and those that stand best for some pictures of some rollouts.
@@ -200,11 +171,11 @@ fn strip(pixels: &mut Vec<u8>, size: u32, rollout: &SceneRollout, at: usize, pal
     }
 }
 
-fn phase_of(phase: SpatialPhase) -> (&'static str, [u8; 3]) {
+fn phase_of(phase: Phase) -> (&'static str, [u8; 3]) {
     match phase {
-        SpatialPhase::Bridge => ("BRIDGE", PLAN),
-        SpatialPhase::Replay => ("REPLAY", REPLAY),
-        SpatialPhase::Home => ("HOME", HOME),
+        Phase::Plan | Phase::Bridge => ("BRIDGE", PLAN),
+        Phase::Replay => ("REPLAY", REPLAY),
+        Phase::Home => ("HOME", HOME),
     }
 }
 
@@ -215,11 +186,7 @@ mod tests {
     fn rollout(states: usize) -> SceneRollout {
         let state = |i| SceneState {
             demo: (i % 3 != 2).then_some(i as u32 / 3),
-            phase: if i % 3 == 2 {
-                SpatialPhase::Home
-            } else {
-                SpatialPhase::Replay
-            },
+            phase: if i % 3 == 2 { Phase::Home } else { Phase::Replay },
         };
         SceneRollout {
             seed: 200_000,

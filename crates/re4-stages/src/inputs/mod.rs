@@ -5,7 +5,6 @@ pub(crate) mod demos;
 pub(crate) mod episodes;
 pub(crate) mod estimators;
 pub(crate) mod pictures;
-pub(crate) mod poses;
 pub(crate) mod simulators;
 pub(crate) mod sources;
 pub(crate) mod starts;

@@ -34,7 +34,7 @@ pub(crate) fn check_pictures(episodes: &Artifact, camera: &str) -> Result<()> {
 ///
 /// # Errors
 /// When there are more or fewer bytes than pixels of this size have.
-pub fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
+pub(crate) fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(4096);
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(pixels, width, height, ExtendedColorType::Rgb8)

@@ -38,7 +38,7 @@ pub(crate) fn library(profile: Profile) -> Result<Library> {
 }
 
 /// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
-pub struct Scenes {
+pub(crate) struct Scenes {
     task: RobosuiteTask,
     profile: Profile,
     library: Library,
@@ -76,7 +76,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When MuJoCo's library or an asset is missing, or the artifact has no models.
-    pub fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
+    pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
         let profile = profile(episodes)?;
         let library = library(profile)?;
         let demos = episodes.read::<DemoRow>()?;
@@ -121,7 +121,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When none has one.
-    pub fn first_mjcf(&self) -> Result<&str> {
+    pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
         Ok(text.context("no demonstration has a model")?)
@@ -131,7 +131,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When no demonstration has a model, or an asset is missing.
-    pub fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+    pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
         let models = episodes.read::<ModelRow>()?;
@@ -144,7 +144,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When MuJoCo cannot compile it.
-    pub fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
+    pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
         Ok(model.with_fidelity(self.fidelity))
     }
@@ -153,7 +153,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When it has no model, or MuJoCo cannot compile it.
-    pub fn of(&self, demo: u32) -> Result<RobosuiteModel> {
+    pub(crate) fn of(&self, demo: u32) -> Result<RobosuiteModel> {
         let number = self
             .of_demo
             .get(demo as usize)

@@ -1,29 +1,36 @@
 //! The data that the page's script draws from: one JSON object, its columns by frame packed as base64.
 
+use re4_audit::{AuditedEpisodeRow, FindingRow, Severity};
 use serde_json::{Value, json};
 
-use super::{Audit, Demo, Finding, Flag, Grasp, Panel, Segment, Severity};
-use crate::html::common::{f32s, u8s};
+use super::{Audit, Flag, Grasp, Panel, SEVERITIES, Segment, Series};
+use crate::html::pack::{Pack, f32s};
 
 /// A flag that is not known at a frame.
 const UNKNOWN: u8 = 2;
 
 /// The JSON.
 pub(super) fn json(audit: &Audit) -> Value {
+    let place = |episode: u32| {
+        audit
+            .demos
+            .binary_search_by_key(&episode, |demo| demo.episode)
+            .unwrap_or_default()
+    };
     json!({
         "dataset": audit.dataset,
         "frame_seconds": audit.frame_seconds,
         "length": { "unit": audit.length.unit, "factor": audit.length.factor },
-        "severities": Severity::ALL.map(Severity::as_str),
+        "severities": SEVERITIES.map(Severity::as_str),
         "checks": audit.checks.iter().map(|check| json!({
-            "code": check.code,
+            "code": check.code.to_string(),
             "severity": severity(check.severity),
             "meaning": check.meaning,
         })).collect::<Vec<_>>(),
         "demos": demos(&audit.demos),
-        "findings": findings(&audit.findings),
-        "segments": segments(&audit.segments),
-        "grasps": grasps(&audit.grasps),
+        "findings": findings(&audit.findings, place),
+        "segments": segments(&audit.segments, place),
+        "grasps": grasps(&audit.grasps, place),
         "outline": audit.outline,
         "flags": audit.flags.iter().map(flag).collect::<Vec<_>>(),
         "panels": audit.panels.iter().map(panel).collect::<Vec<_>>(),
@@ -31,82 +38,84 @@ pub(super) fn json(audit: &Audit) -> Value {
 }
 
 fn severity(severity: Severity) -> usize {
-    severity as usize
+    SEVERITIES
+        .iter()
+        .position(|known| *known == severity)
+        .unwrap_or_default()
 }
 
-fn demos(demos: &[Demo]) -> Value {
-    let count = |value: fn(&Demo) -> u32| demos.iter().map(value).collect::<Vec<_>>();
-    json!({
-        "number": count(|d| d.number),
-        "name": demos.iter().map(|d| d.name.as_str()).collect::<Vec<_>>(),
-        "frames": count(|d| d.frames),
-        "transit": count(|d| d.transit_frames),
-        "transfer": count(|d| d.transfer_frames),
-        "segments": count(|d| d.segments),
-        "transfers": count(|d| d.transfers),
-        "grasp": demos.iter().map(|d| d.grasp_frame).collect::<Vec<_>>(),
-        "displacement": demos.iter().map(|d| d.object_displacement).collect::<Vec<_>>(),
-        "errors": count(|d| d.errors),
-        "warnings": count(|d| d.warnings),
-        "notes": count(|d| d.notes),
-    })
+fn demos(demos: &[AuditedEpisodeRow]) -> Value {
+    Pack::of(demos)
+        .list("number", |d| d.episode)
+        .list("name", |d| d.demo.as_str())
+        .list("frames", |d| d.frames)
+        .list("transit", |d| d.transit_frames)
+        .list("transfer", |d| d.transfer_frames)
+        .list("segments", |d| d.segments)
+        .list("transfers", |d| d.transfers)
+        .list("grasp", |d| d.grasp_frame)
+        .list("displacement", |d| d.object_displacement)
+        .list("errors", |d| d.errors)
+        .list("warnings", |d| d.warnings)
+        .list("notes", |d| d.notes)
+        .json()
 }
 
-fn findings(findings: &[Finding]) -> Value {
-    json!({
-        "severity": findings.iter().map(|f| severity(f.severity)).collect::<Vec<_>>(),
-        "code": findings.iter().map(|f| f.code.as_str()).collect::<Vec<_>>(),
-        "demo": findings.iter().map(|f| f.demo).collect::<Vec<_>>(),
-        "first": findings.iter().map(|f| f.first_frame).collect::<Vec<_>>(),
-        "end": findings.iter().map(|f| f.end_frame).collect::<Vec<_>>(),
-        "value": findings.iter().map(|f| f.value).collect::<Vec<_>>(),
-        "threshold": findings.iter().map(|f| f.threshold).collect::<Vec<_>>(),
-        "unit": findings.iter().map(|f| f.unit.as_str()).collect::<Vec<_>>(),
-        "message": findings.iter().map(|f| f.message.as_str()).collect::<Vec<_>>(),
-    })
+fn findings(findings: &[FindingRow], place: impl Fn(u32) -> usize) -> Value {
+    Pack::of(findings)
+        .list("severity", |f| severity(f.severity))
+        .list("code", |f| f.code.to_string())
+        .list("demo", |f| place(f.episode))
+        .list("first", |f| f.frames.start)
+        .list("end", |f| f.frames.end)
+        .list("value", |f| f.value)
+        .list("threshold", |f| f.threshold)
+        .list("unit", |f| f.unit.to_string())
+        .list("message", |f| f.message.as_str())
+        .json()
 }
 
-fn segments(segments: &[Segment]) -> Value {
-    let number = |value: fn(&Segment) -> Option<f64>| segments.iter().map(value).collect::<Vec<_>>();
-    json!({
-        "demo": segments.iter().map(|s| s.demo).collect::<Vec<_>>(),
-        "number": segments.iter().map(|s| s.number).collect::<Vec<_>>(),
-        "transfer": segments.iter().map(|s| u8::from(s.transfer)).collect::<Vec<_>>(),
-        "first": segments.iter().map(|s| s.first_frame).collect::<Vec<_>>(),
-        "end": segments.iter().map(|s| s.end_frame).collect::<Vec<_>>(),
-        "settled": segments.iter().map(|s| s.settled_frame).collect::<Vec<_>>(),
-        "separation": number(|s| s.finger_separation),
-        "residual": number(|s| s.residual),
-        "residual_rotation": number(|s| s.residual_rotation),
-        "displacement": number(|s| Some(s.object_displacement)),
-        "rise": number(|s| s.object_rise),
-    })
+fn segments(segments: &[Segment], place: impl Fn(u32) -> usize) -> Value {
+    Pack::of(segments)
+        .list("demo", |s| place(s.episode))
+        .list("number", |s| s.number)
+        .list("transfer", |s| u8::from(s.transfer))
+        .list("first", |s| s.first_frame)
+        .list("end", |s| s.end_frame)
+        .list("settled", |s| s.settled_frame)
+        .list("separation", |s| s.finger_separation)
+        .list("residual", |s| s.residual)
+        .list("residual_rotation", |s| s.residual_rotation)
+        .list("displacement", |s| s.object_displacement)
+        .list("rise", |s| s.object_rise)
+        .json()
 }
 
-fn grasps(grasps: &[Grasp]) -> Value {
-    json!({
-        "demo": grasps.iter().map(|g| g.demo).collect::<Vec<_>>(),
-        "segment": grasps.iter().map(|g| g.segment).collect::<Vec<_>>(),
-        "first": grasps.iter().map(|g| g.first_frame).collect::<Vec<_>>(),
-        "end": grasps.iter().map(|g| g.end_frame).collect::<Vec<_>>(),
-        "outcome": grasps.iter().map(|g| g.outcome.as_str()).collect::<Vec<_>>(),
-        "position": grasps.iter().map(|g| g.position).collect::<Vec<_>>(),
-    })
+fn grasps(grasps: &[Grasp], place: impl Fn(u32) -> usize) -> Value {
+    Pack::of(grasps)
+        .list("demo", |g| place(g.episode))
+        .list("segment", |g| g.segment)
+        .list("first", |g| g.first_frame)
+        .list("end", |g| g.end_frame)
+        .list("outcome", |g| g.outcome.as_str())
+        .list("position", |g| g.position)
+        .json()
 }
 
 fn flag(flag: &Flag) -> Value {
-    let codes: Vec<u8> = flag.values.iter().map(|v| v.map_or(UNKNOWN, u8::from)).collect();
-    json!({ "label": flag.label, "values": u8s(&codes) })
+    let code = |value: &Option<bool>| value.map_or(UNKNOWN, u8::from);
+    Pack::of(&flag.values)
+        .u8("values", code)
+        .with("label", json!(flag.label))
+        .json()
 }
 
 fn panel(panel: &Panel) -> Value {
+    let series = |series: &Series| json!({ "label": series.label, "values": f32s(series.values.iter().copied()) });
     json!({
         "title": panel.title,
         "unit": panel.measure.unit,
         "factor": panel.measure.factor,
-        "series": panel.series.iter().map(|series| json!({
-            "label": series.label,
-            "values": f32s(series.values.iter().copied()),
-        })).collect::<Vec<_>>(),
+        "series": panel.series.iter().map(series).collect::<Vec<_>>(),
     })
 }

@@ -9,8 +9,10 @@ mod data;
 mod sections;
 
 use maud::{Markup, html};
+use re4_artifact::episodes::Convention;
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
 
-use super::common::Document;
+use super::shell::Document;
 
 /// What the page shows.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,11 +32,11 @@ pub struct Audit {
     /// How lengths are given and shown.
     pub length: Measure,
     /// Demonstrations, by number.
-    pub demos: Vec<Demo>,
+    pub demos: Vec<AuditedEpisodeRow>,
     /// Checks, in the order of the artifact.
-    pub checks: Vec<Check>,
+    pub checks: Vec<CheckRow>,
     /// Findings, in the order of the artifact.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<FindingRow>,
     /// Segments, by demonstration and frame.
     pub segments: Vec<Segment>,
     /// Grasps: where the end effector took the object, in the object's frame. In the plane, where contact begins.
@@ -60,118 +62,11 @@ pub struct Measure {
     pub factor: f64,
 }
 
-/// A demonstration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Demo {
-    /// Number in the artifact.
-    pub number: u32,
-    /// Name in its source.
-    pub name: String,
-    /// Frames.
-    pub frames: u32,
-    /// Frames in transit.
-    pub transit_frames: u32,
-    /// Frames in transfer.
-    pub transfer_frames: u32,
-    /// Segments.
-    pub segments: u32,
-    /// Transfer segments.
-    pub transfers: u32,
-    /// First transfer frame.
-    pub grasp_frame: Option<u32>,
-    /// Distance of the object's origin at the end from where it was at the start, in the artifact's unit.
-    pub object_displacement: f64,
-    /// Findings of severity error.
-    pub errors: u32,
-    /// Findings of severity warning.
-    pub warnings: u32,
-    /// Findings of severity note.
-    pub notes: u32,
-}
-
-/// How bad a finding is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Severity {
-    /// The segmentation or the data is wrong here.
-    Error,
-    /// Probably not what the demonstrator wanted.
-    Warning,
-    /// Worth knowing.
-    Note,
-}
-
-impl Severity {
-    /// All of them, the worst first.
-    pub const ALL: [Self; 3] = [Self::Error, Self::Warning, Self::Note];
-
-    /// The word of tables and of the page.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Error => "error",
-            Self::Warning => "warning",
-            Self::Note => "note",
-        }
-    }
-
-    /// The severity of that word.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|severity| severity.as_str() == name)
-    }
-}
-
-/// A check that was made.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Check {
-    /// Kind of finding that it makes.
-    pub code: String,
-    /// Severity of its findings.
-    pub severity: Severity,
-    /// What such a finding means, and what to do about it.
-    pub meaning: String,
-    /// What is measured.
-    pub measure: String,
-    /// What it is compared with.
-    pub threshold: Option<f64>,
-    /// Unit of the threshold.
-    pub unit: String,
-    /// Where the threshold comes from: data, setting or default.
-    pub origin: String,
-    /// How it was derived.
-    pub derivation: String,
-    /// How many findings it made.
-    pub findings: u32,
-    /// In how many demonstrations.
-    pub episodes: u32,
-}
-
-/// A finding.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Finding {
-    /// How bad it is.
-    pub severity: Severity,
-    /// Its kind.
-    pub code: String,
-    /// Place of its demonstration in [`Audit::demos`].
-    pub demo: usize,
-    /// First frame.
-    pub first_frame: u32,
-    /// Frame after the last one.
-    pub end_frame: u32,
-    /// What was measured.
-    pub value: Option<f64>,
-    /// What it was compared with.
-    pub threshold: Option<f64>,
-    /// Unit of both.
-    pub unit: String,
-    /// The finding in one sentence.
-    pub message: String,
-}
-
 /// A segment; lengths in the artifact's unit, angles in rad.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Segment {
-    /// Place of its demonstration in [`Audit::demos`].
-    pub demo: usize,
+    /// Number of its demonstration.
+    pub episode: u32,
     /// Number in its demonstration.
     pub number: u32,
     /// Whether it is transfer; else transit.
@@ -197,8 +92,8 @@ pub struct Segment {
 /// A grasp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grasp {
-    /// Place of its demonstration in [`Audit::demos`].
-    pub demo: usize,
+    /// Number of its demonstration.
+    pub episode: u32,
     /// Number of its segment.
     pub segment: u32,
     /// First frame of the segment, or of the contact.
@@ -224,29 +119,6 @@ pub struct Contacts {
     pub neither: u64,
     /// Steps with both over steps with either; `None` where there are none.
     pub jaccard: Option<f64>,
-}
-
-/// A convention of the dataset.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Convention {
-    /// What it is about.
-    pub name: String,
-    /// How it is.
-    pub value: String,
-    /// Why that is believed: proven, setting or declared.
-    pub basis: String,
-    /// The evidence in words.
-    pub evidence: String,
-    /// What the test measured.
-    pub residual: Option<f64>,
-    /// What it measured for the next best value.
-    pub runner_up: Option<f64>,
-    /// What the residual has to be below.
-    pub threshold: Option<f64>,
-    /// Unit of the three.
-    pub unit: String,
-    /// Frames that the test was made on.
-    pub frames: u32,
 }
 
 /// A fact of each frame that holds or not.
@@ -277,6 +149,9 @@ pub struct Series {
     /// For all frames of all demonstrations, in order; not a number where there is none.
     pub values: Vec<f64>,
 }
+
+/// Severities, the worst first.
+pub(crate) const SEVERITIES: [Severity; 3] = [Severity::Error, Severity::Warning, Severity::Note];
 
 /// The script, part by part, after what all pages share.
 const SCRIPT: [&str; 7] = [

@@ -1,9 +1,10 @@
 //! The parts of the page.
 
 use maud::{Markup, html};
+use re4_audit::{CheckRow, Severity};
 
-use super::{Audit, Check, Contacts, Convention, Severity};
-use crate::html::common::{choice, exact, plural};
+use super::{Audit, Contacts, SEVERITIES};
+use crate::html::shell::{self, choice, exact, plural, table};
 use re4_stats::median;
 
 /// The shape that tells a severity apart where colour does not; the script draws it.
@@ -53,9 +54,9 @@ fn thousands(count: u64) -> String {
 
 /// The title, what was audited, and what share of it is which mode.
 pub(super) fn header(audit: &Audit) -> Markup {
-    let frames: u64 = audit.demos.iter().map(|d| u64::from(d.frames)).sum();
-    let transit: u64 = audit.demos.iter().map(|d| u64::from(d.transit_frames)).sum();
-    let transfer: u64 = audit.demos.iter().map(|d| u64::from(d.transfer_frames)).sum();
+    let frames: u64 = audit.demos.iter().map(|d| d.frames as u64).sum();
+    let transit: u64 = audit.demos.iter().map(|d| d.transit_frames as u64).sum();
+    let transfer: u64 = audit.demos.iter().map(|d| d.transfer_frames as u64).sum();
     let share = |part: u64| {
         if frames == 0 {
             0.0
@@ -64,45 +65,42 @@ pub(super) fn header(audit: &Audit) -> Markup {
         }
     };
     let clean = audit.demos.iter().filter(|d| d.errors + d.warnings == 0).count();
-    html! {
-        header.page {
-            p.eyebrow { "re4-pipe · audit" }
-            h1 { (audit.dataset) }
-            p.lead {
-                strong { (audit.task) } ": "
-                strong data-fact="demos" data-value=(audit.demos.len()) { (plural(audit.demos.len(), "demonstration", "demonstrations")) }
-                ", "
-                strong data-fact="frames" data-value=(frames) { (thousands(frames)) " frames" }
-                ". "
-                span data-fact="clean" data-value=(clean) {
-                    @if audit.demos.is_empty() {}
-                    @else if clean == audit.demos.len() { "None of them has an error or a warning." }
-                    @else if clean == 0 { "Each of them has an error or a warning." }
-                    @else { (clean) " demonstrations have neither error nor warning." }
-                }
-            }
-            div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % transfer", share(transit), share(transfer))) {
-                @for (mode, part) in [("transit", transit), ("transfer", transfer)].into_iter().filter(|(_, part)| *part > 0) {
-                    div class={ "mode " (mode) } style=(format!("flex-grow: {part}")) {}
-                }
-            }
-            ul.legend.modes {
-                @for (mode, part) in [("transit", transit), ("transfer", transfer)] {
-                    li data-fact={ (mode) "_frames" } data-value=(part) {
-                        span class={ "swatch " (mode) } {}
-                        (mode) " " b { (format!("{:.1} %", share(part))) } " · " (thousands(part)) " frames"
-                    }
-                }
-            }
-            noscript { p.notice { "The timelines and plots need JavaScript; the tables of checks and conventions do not." } }
-            p.notice.gone #address-notice role="alert" {}
+    let lead = html! {
+        strong { (audit.task) } ": "
+        strong data-fact="demos" data-value=(audit.demos.len()) { (plural(audit.demos.len(), "demonstration", "demonstrations")) }
+        ", "
+        strong data-fact="frames" data-value=(frames) { (thousands(frames)) " frames" }
+        ". "
+        span data-fact="clean" data-value=(clean) {
+            @if audit.demos.is_empty() {}
+            @else if clean == audit.demos.len() { "None of them has an error or a warning." }
+            @else if clean == 0 { "Each of them has an error or a warning." }
+            @else { (clean) " demonstrations have neither error nor warning." }
         }
-    }
+    };
+    let modes = html! {
+        div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % transfer", share(transit), share(transfer))) {
+            @for (mode, part) in [("transit", transit), ("transfer", transfer)].into_iter().filter(|(_, part)| *part > 0) {
+                div class={ "mode " (mode) } style=(format!("flex-grow: {part}")) {}
+            }
+        }
+        ul.legend.modes {
+            @for (mode, part) in [("transit", transit), ("transfer", transfer)] {
+                li data-fact={ (mode) "_frames" } data-value=(part) {
+                    span class={ "swatch " (mode) } {}
+                    (mode) " " b { (format!("{:.1} %", share(part))) } " · " (thousands(part)) " frames"
+                }
+            }
+        }
+        p.notice.gone #address-notice role="alert" {}
+    };
+    let without_script = "The timelines and plots need JavaScript; the tables of checks and conventions do not.";
+    shell::header("audit", &audit.dataset, &lead, without_script, &modes)
 }
 
 /// What was found, by severity and by kind; buttons that filter.
 pub(super) fn findings(audit: &Audit) -> Markup {
-    let silent: Vec<&Check> = audit.checks.iter().filter(|check| check.findings == 0).collect();
+    let silent: Vec<&CheckRow> = audit.checks.iter().filter(|check| check.findings == 0).collect();
     html! {
         section #found aria-labelledby="found-title" {
             div.heading {
@@ -110,7 +108,7 @@ pub(super) fn findings(audit: &Audit) -> Markup {
                 button.link.gone #clear-filters type="button" { "Show all demonstrations" }
             }
             div.kinds {
-                @for severity in Severity::ALL {
+                @for severity in SEVERITIES {
                     @let count = audit.findings.iter().filter(|f| f.severity == severity).count();
                     @let checks = sorted_checks(audit, severity);
                     div.card.kind {
@@ -160,8 +158,8 @@ fn meaning(severity: Severity) -> &'static str {
 }
 
 /// Checks of a severity that found something, the most frequent first.
-fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&Check> {
-    let mut checks: Vec<&Check> = audit
+fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&CheckRow> {
+    let mut checks: Vec<&CheckRow> = audit
         .checks
         .iter()
         .filter(|check| check.severity == severity && check.findings > 0)
@@ -172,13 +170,9 @@ fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&Check> {
 
 /// Codes of the notes that more than half of the demonstrations have.
 fn usual_notes(audit: &Audit) -> Vec<&str> {
-    let is_usual = |check: &&Check| check.severity == Severity::Note && 2 * check.episodes as usize > audit.demos.len();
-    let mut codes: Vec<&str> = audit
-        .checks
-        .iter()
-        .filter(is_usual)
-        .map(|check| check.code.as_str())
-        .collect();
+    let is_usual =
+        |check: &&CheckRow| check.severity == Severity::Note && 2 * check.episodes as usize > audit.demos.len();
+    let mut codes: Vec<&str> = audit.checks.iter().filter(is_usual).map(|check| &*check.code).collect();
     codes.sort_unstable();
     codes
 }
@@ -216,7 +210,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                     ul.legend {
                         li { span.swatch.transit {} "transit" }
                         li { span.swatch.transfer {} "transfer" }
-                        @for severity in Severity::ALL { li { (glyph(severity)) (severity.as_str()) } }
+                        @for severity in SEVERITIES { li { (glyph(severity)) (severity.as_str()) } }
                     }
                     @if !usual.is_empty() {
                         p.hint { "Not drawn here, since more than half of the demonstrations have it: " (usual.join(", ")) ". Press it above to see where." }
@@ -363,88 +357,77 @@ fn lengths(audit: &Audit, transfer: bool) -> Vec<f64> {
 
 /// Every check with its threshold.
 pub(super) fn checks(audit: &Audit) -> Markup {
+    let columns = [
+        ("Check", false),
+        ("Findings", true),
+        ("Demos", true),
+        ("Threshold", true),
+        ("Origin", false),
+        ("What is measured, what a finding means", false),
+    ];
+    let rows = html! {
+        @for check in &audit.checks {
+            tr data-check=(check.code) {
+                th scope="row" { span.name { (glyph(check.severity)) (words(&check.code)) } }
+                td.figure { (check.findings) }
+                td.figure { (check.episodes) }
+                td.figure { (measured(check.threshold, &check.unit)) }
+                td { (check.origin) }
+                td.text { p { (check.measure) } p.soft { (check.meaning) } @if !check.derivation.is_empty() { p.soft { "Threshold: " (check.derivation) } } }
+            }
+        }
+    };
     html! {
         section #checks aria-labelledby="checks-title" {
             h2 #checks-title { "Checks and their thresholds" }
             p.note { "A threshold is derived from this dataset (data), set in the pipeline file (setting), or built in (default)." }
-            div.card.scroll tabindex="0" role="region" aria-label="Checks" {
-                table.plain.wide {
-                    thead { tr {
-                        th scope="col" { "Check" }
-                        th.figure scope="col" { "Findings" }
-                        th.figure scope="col" { "Demos" }
-                        th.figure scope="col" { "Threshold" }
-                        th scope="col" { "Origin" }
-                        th scope="col" { "What is measured, what a finding means" }
-                    } }
-                    tbody {
-                        @for check in &audit.checks {
-                            tr data-check=(check.code) {
-                                th scope="row" { span.name { (glyph(check.severity)) (words(&check.code)) } }
-                                td.figure { (check.findings) }
-                                td.figure { (check.episodes) }
-                                td.figure { (measured(check.threshold, &check.unit)) }
-                                td { (check.origin) }
-                                td.text { p { (check.measure) } p.soft { (check.meaning) } @if !check.derivation.is_empty() { p.soft { "Threshold: " (check.derivation) } } }
-                            }
-                        }
-                    }
-                }
-            }
+            (table("Checks", "card scroll", "plain wide", &columns, &rows))
         }
     }
 }
 
 /// How the dataset's values are meant, and why that is believed.
 pub(super) fn conventions(audit: &Audit) -> Markup {
+    let columns = [
+        ("Convention", false),
+        ("Here", false),
+        ("Basis", false),
+        ("Residual", true),
+        ("Limit", true),
+        ("Next best", true),
+        ("Evidence", false),
+    ];
+    let rows = html! {
+        @for convention in &audit.conventions {
+            tr data-convention=(convention.convention) {
+                th scope="row" { (words(&convention.convention)) }
+                td { b { (convention.value) } }
+                td { span.badge.good[convention.basis == "proven"] { (convention.basis) } }
+                @for value in [convention.residual, convention.threshold, convention.runner_up] {
+                    td.figure { (measured(value, &convention.unit)) }
+                }
+                td.text { p { (convention.evidence) } @if convention.frames > 0 { p.soft { "On " (thousands(convention.frames as u64)) " frames." } } }
+            }
+        }
+    };
     html! {
         @if !audit.conventions.is_empty() {
             section #conventions aria-labelledby="conventions-title" {
                 h2 #conventions-title { "Conventions of the dataset" }
                 p.note { "What its numbers mean, each with why that is believed." }
-                div.card.scroll tabindex="0" role="region" aria-label="Conventions" {
-                    table.plain.wide {
-                        thead { tr {
-                            th scope="col" { "Convention" }
-                            th scope="col" { "Here" }
-                            th scope="col" { "Basis" }
-                            th.figure scope="col" { "Residual" }
-                            th.figure scope="col" { "Limit" }
-                            th.figure scope="col" { "Next best" }
-                            th scope="col" { "Evidence" }
-                        } }
-                        tbody { @for convention in &audit.conventions { (convention_row(convention)) } }
-                    }
-                }
+                (table("Conventions", "card scroll", "plain wide", &columns, &rows))
             }
-        }
-    }
-}
-
-fn convention_row(convention: &Convention) -> Markup {
-    html! {
-        tr data-convention=(convention.name) {
-            th scope="row" { (words(&convention.name)) }
-            td { b { (convention.value) } }
-            td { span.badge.good[convention.basis == "proven"] { (convention.basis) } }
-            td.figure { (measured(convention.residual, &convention.unit)) }
-            td.figure { (measured(convention.threshold, &convention.unit)) }
-            td.figure { (measured(convention.runner_up, &convention.unit)) }
-            td.text { p { (convention.evidence) } @if convention.frames > 0 { p.soft { "On " (thousands(u64::from(convention.frames))) " frames." } } }
         }
     }
 }
 
 /// Where the page is from.
 pub(super) fn footer(audit: &Audit) -> Markup {
-    html! {
-        footer.page {
-            p { "Made by re4-pipe " (audit.tool_version) " with " code { (audit.command) } "; the same artifacts give the same page." }
-            ul {
-                @for (kind, key) in &audit.artifacts {
-                    li { code { (kind) "/" (key.get(..16).unwrap_or(key)) } }
-                }
-            }
-        }
-    }
+    shell::footer(
+        &html! { (audit.tool_version) " with " code { (audit.command) } },
+        audit
+            .artifacts
+            .iter()
+            .map(|(kind, key)| ("", kind.as_str(), key.as_str())),
+    )
 }

@@ -15,19 +15,13 @@ const svg = (name, attributes = {}, ...children) => fill(document.createElementN
 
 const digits = (value, count = 3) => (Number.isFinite(value) ? value.toFixed(count).replace("-", "−") : "–");
 const degrees = (angle) => `${digits((angle * 180) / Math.PI, 1)}°`;
+const counted = (count, one, many = `${one}s`) => `${count} ${count === 1 ? one : many}`;
 const titled = (word) => word[0].toUpperCase() + word.slice(1);
 const around = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const near = (value) => Math.round(value * 100) / 100;
 
 const line = (points) => points.map(([x, y], i) => `${i === 0 ? "M" : "L"}${near(x)} ${near(y)}`).join("");
-
-// The motion [x, y, angle] turns about the origin and then moves.
-const carry = ([x, y, angle], [u, v]) => {
-  const c = Math.cos(angle);
-  const s = Math.sin(angle);
-  return [x + c * u - s * v, y + s * u + c * v];
-};
 
 // The shapes that tell artifacts apart where colour does not.
 const MARKS = [

@@ -1,3 +1,6 @@
+// The page's data.
+const REPORT = JSON.parse(document.getElementById("report-data").textContent);
+
 // Columns packed as base64 of little-endian numbers, unpacked where they are needed.
 const ARRAYS = { f32: Float32Array, f64: Float64Array, u32: Uint32Array, u8: Uint8Array };
 

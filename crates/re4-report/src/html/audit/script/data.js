@@ -1,5 +1,4 @@
 // The page's data: demonstrations by place in the artifact, their findings, segments and grasps, and evidence by frame.
-const REPORT = JSON.parse(document.getElementById("report-data").textContent);
 const DEMOS = REPORT.demos;
 const COUNT = DEMOS.number.length;
 const SEVERITIES = REPORT.severities;
@@ -36,7 +35,6 @@ const flagValues = remember((flag) => unpack(REPORT.flags[flag].values));
 
 const nameOf = (demo) => DEMOS.name[demo];
 const wordsOf = (code) => code.replaceAll(/[_-]/g, " ");
-const counted = (count, one, many = `${one}s`) => `${count} ${count === 1 ? one : many}`;
 
 // Frames in words, both ends included.
 const spanWords = ({ first, end }) => (end - first <= 1 ? `frame ${first}` : `frames ${first}–${end - 1}`);

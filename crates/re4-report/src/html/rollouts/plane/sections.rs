@@ -1,0 +1,165 @@
+//! What only the page of Push-T has.
+
+use maud::{Markup, html};
+use re4_stats::Interval;
+
+use super::paper::{self, Demonstrations};
+use super::{Curve, Plane, Starts, Taken};
+use crate::html::rollouts::Rollouts;
+use crate::html::rollouts::sections::{figure, named};
+use crate::html::shell::{choice, exact, short, table};
+
+/// Figures, and the paper's beside them.
+pub(super) fn score_cells(artifact: &Rollouts<Plane>) -> Markup {
+    let printed = paper_counterpart(artifact);
+    let metrics = &artifact.scene.metrics;
+    html! {
+        (figure("score_scaled_mean", metrics.score_scaled_mean, printed.map(|(_, value)| value)))
+        (figure("coverage_raw_mean", metrics.coverage_raw_mean, None))
+        (figure("iou_mean", metrics.iou_mean, None))
+        (figure("success_rate", metrics.success_rate, None))
+        td.figure.paper {
+            @match printed {
+                Some((method, value)) => {
+                    span.value data-paper=(exact(value)) { (short(value)) }
+                    span.interval { (method) ", " (artifact.variant) }
+                }
+                None => { span.value { "–" } span.interval { "has no such figure" } }
+            }
+        }
+    }
+}
+
+/// The paper's figure for the same experiment: its dataset, scenes from seeds, its number of steps, a preset as it is.
+fn paper_counterpart(artifact: &Rollouts<Plane>) -> Option<(&'static str, f64)> {
+    let experiment = (artifact.scene.in_dataset, artifact.scene.starts, artifact.max_steps);
+    if experiment != (Some(paper::DEMONSTRATIONS), Starts::Seeds, paper::MAX_STEPS) {
+        return None;
+    }
+    if artifact.altered {
+        return None;
+    }
+    let demonstrations = match artifact.scene.taken {
+        Taken::All => Demonstrations::All,
+        Taken::First(50) => Demonstrations::First50,
+        _ => return None,
+    };
+    paper::counterpart(&artifact.preset, &artifact.variant, demonstrations)
+}
+
+/// All that the paper prints.
+pub(super) fn paper_table() -> Markup {
+    let cell = |value: Option<f64>| {
+        html! { td.figure { @match value { Some(value) => span data-paper=(exact(value)) { (short(value)) }, None => "–" } } }
+    };
+    html! {
+        details.card {
+            summary { "What the paper reports for Push-T" }
+            div.scroll tabindex="0" role="region" aria-label="Figures of the paper" {
+                table.plain {
+                    thead {
+                        tr {
+                            th rowspan="2" scope="col" { "Method" }
+                            th.figure colspan="2" scope="colgroup" { "All 206 demonstrations" }
+                            th.figure colspan="2" scope="colgroup" { "First 50" }
+                        }
+                        tr { @for _ in 0..2 { th.figure scope="col" { "State" } th.figure scope="col" { "Image" } } }
+                    }
+                    tbody {
+                        @for row in paper::ROWS {
+                            tr {
+                                th scope="row" { (row.method) }
+                                @for value in row.all { (cell(value)) }
+                                @for value in row.first_50 { (cell(value)) }
+                            }
+                        }
+                    }
+                }
+            }
+            p.note { (paper::SOURCE) ". Mean over 100 seeds of each episode’s greatest coverage." }
+        }
+    }
+}
+
+/// Places for the plots, which the script draws, and the figures behind the budget curve.
+pub(super) fn plots(labels: &[String]) -> Markup {
+    html! {
+        section #plots aria-labelledby="plots-title" {
+            div.heading {
+                h2 #plots-title { "Every rollout" }
+                ul.legend { @for (i, label) in labels.iter().enumerate() { li { (named(i, label)) } } }
+            }
+            div.columns {
+                figure.card {
+                    figcaption {
+                        h3 { "One mark a rollout" }
+                        div.choices {
+                            (choice("measure", "Measure", &[("score", "Score"), ("coverage", "Coverage"), ("iou", "IoU")]))
+                            (choice("order", "Order", &[("rank", "By value"), ("seed", "By seed")]))
+                        }
+                    }
+                    div.plot #seed-plot {}
+                    p.hint { "Filled marks succeeded. Click one, or use the arrow keys in the plot, to see it in the viewer." }
+                }
+                figure.card {
+                    figcaption {
+                        h3 { "What fewer steps would reach" }
+                        div.choices { (choice("budget-measure", "Measure", &[("score", "Score"), ("coverage", "Coverage")])) }
+                    }
+                    div.plot #budget-plot {}
+                    p.hint { "Mean of the running maximum; a rollout that succeeded keeps its own. Bars are 95 % intervals." }
+                }
+            }
+        }
+    }
+}
+
+/// The recorded chunk, and the figures of a decision; the script fills both.
+pub(super) fn evidence() -> Markup {
+    html! {
+        div.evidence {
+            figure.demo {
+                div #demo {}
+                figcaption #demo-note {}
+            }
+            dl.facts #facts {}
+        }
+    }
+}
+
+/// The figures of the budget curves.
+pub(super) fn budgets(labels: &[String], curves: &[Curve]) -> Markup {
+    let columns = [
+        ("Policy", false),
+        ("Steps", true),
+        ("Scaled score", true),
+        ("Raw coverage", true),
+    ];
+    let rows = html! { @for (i, curve) in curves.iter().enumerate() { (budget_rows(i, &labels[i], curve)) } };
+    html! {
+        details.card #budgets {
+            summary { "Mean of the running maximum by step budget" }
+            (table("Step budgets", "scroll", "plain", &columns, &rows))
+        }
+    }
+}
+
+fn budget_rows(number: usize, label: &str, curve: &Curve) -> Markup {
+    let cell = |name: &str, Interval { value, low, high }: Interval| {
+        html! {
+            td.figure data-budget-metric=(name) data-value=(exact(value)) data-low=(exact(low)) data-high=(exact(high)) {
+                (short(value)) " " span.interval { "[" (short(low)) ", " (short(high)) "]" }
+            }
+        }
+    };
+    html! {
+        @for (i, budget) in curve.budgets.iter().enumerate() {
+            tr data-series=(number) data-budget=(budget) {
+                th scope="row" { span.name { (named(number, label)) } }
+                td.figure { (budget) }
+                (cell("score", curve.score[i]))
+                (cell("coverage", curve.coverage[i]))
+            }
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! The parts of the page.
+
+use maud::{Markup, html};
+use re4_stats::Interval;
+
+use super::facts::{Facts, Row};
+use super::{Scene, Words};
+use crate::html::shell::{self, exact, plural, short, table};
+
+/// Distinct marks for this many artifacts; further ones repeat them.
+const MARKS: usize = 8;
+
+/// The page's first sentence names this many artifacts at most.
+const MOST_NAMED: usize = 4;
+
+/// The mark of an artifact, and its name.
+pub(super) fn named(artifact: usize, label: &str) -> Markup {
+    html! {
+        svg class={ "mark series-" (artifact % MARKS) } viewBox="-6 -6 12 12" width="12" height="12" aria-hidden="true" {
+            path data-mark=(artifact % MARKS) {}
+        }
+        (label)
+    }
+}
+
+/// The title, and what the page is about.
+pub(super) fn header<S: Scene>(facts: &Facts<S>) -> Markup {
+    let Facts { report, labels, .. } = facts;
+    let rollouts: usize = report.artifacts.iter().map(|artifact| artifact.rollouts.len()).sum();
+    let lead = html! {
+        (plural(rollouts, "rollout", "rollouts")) " of "
+        @if labels.len() > MOST_NAMED {
+            strong { (labels.len()) } " policies and protocols"
+        } @else {
+            @for (i, label) in labels.iter().enumerate() {
+                @if i > 0 { @if i + 1 == labels.len() { " and " } @else { ", " } }
+                strong { (label) }
+            }
+        }
+        (S::WORDS.of) ". Every action can be traced to the demonstration that it was taken from."
+    };
+    let without_script = "The plots and the viewer need JavaScript; the tables do not.";
+    shell::header(
+        "rollouts",
+        &S::title(&report.artifacts),
+        &lead,
+        without_script,
+        &html! {},
+    )
+}
+
+/// One row an artifact, and what differs between them.
+pub(super) fn scores<S: Scene>(facts: &Facts<S>) -> Markup {
+    let Words {
+        scores: [title, name, class],
+        note,
+        score_columns,
+        ..
+    } = S::WORDS;
+    let differences = facts.differences();
+    let rows = html! {
+        @for (i, artifact) in facts.report.artifacts.iter().enumerate() {
+            tr data-artifact=(artifact.key) {
+                th scope="row" {
+                    span.name { (named(i, &facts.labels[i])) }
+                    @for line in S::details(artifact) { span.detail { (line) } }
+                }
+                (S::score_cells(artifact))
+            }
+        }
+    };
+    html! {
+        section #scores aria-labelledby="scores-title" {
+            h2 #scores-title { (title) }
+            p.note { (note) }
+            @if !differences.is_empty() {
+                p.notice #protocol-differs data-differences=(differences.join(" ")) {
+                    strong { "These rollouts were not made under one protocol." }
+                    " They differ in " (differences.join(", ").replace('_', " ")) ". Compare rows with that in mind; "
+                    a href="#protocol" { "the protocol" } " has the details."
+                }
+            }
+            (table(name, "scroll", class, score_columns, &rows))
+            (facts.tables[0])
+        }
+    }
+}
+
+/// A figure with its interval, in digits and as a bar from 0 to 1 on which a tick marks the paper's figure.
+pub(super) fn figure(metric: &str, interval: Interval, paper: Option<f64>) -> Markup {
+    let at = |value: f64| format!("{:.2}", 100.0 * value.clamp(0.0, 1.0));
+    let Interval { value, low, high } = interval;
+    html! {
+        td.figure data-metric=(metric) data-value=(exact(value)) data-low=(exact(low)) data-high=(exact(high)) {
+            span.value { (short(value)) }
+            span.interval { "[" (short(low)) ", " (short(high)) "]" }
+            @if value.is_finite() {
+                svg.bar viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true" {
+                    line.track x1="0" x2="100" y1="4" y2="4" {}
+                    line.span x1=(at(low)) x2=(at(high)) y1="4" y2="4" {}
+                    @if let Some(paper) = paper { line.tick x1=(at(paper)) x2=(at(paper)) y1="0" y2="8" {} }
+                    line.dot x1=(at(value)) x2=(at(value)) y1="4" y2="4" {}
+                }
+            }
+        }
+    }
+}
+
+/// The viewer; the script fills it.
+pub(super) fn viewer<S: Scene>(facts: &Facts<S>) -> Markup {
+    html! {
+        section #viewer aria-labelledby="viewer-title" tabindex="-1" {
+            div.heading {
+                h2 #viewer-title { "Rollout viewer" }
+                div.pick {
+                    label { span { "Policy" } select #pick-artifact {
+                        @for (i, label) in facts.labels.iter().enumerate() { option value=(i) { (label) } }
+                    } }
+                    label { span #seed-noun { "Seed" } select #pick-seed {} }
+                    div.pair {
+                        button #previous-seed type="button" aria-label="Previous rollout" title="Previous rollout" { "‹" }
+                        button #next-seed type="button" aria-label="Next rollout" title="Next rollout" { "›" }
+                    }
+                }
+            }
+            @if facts.report.artifacts.iter().all(|artifact| artifact.shown().next().is_none()) {
+                p.notice { "No rollout is embedded in this page." }
+            }
+            div class=(S::WORDS.stage) {
+                figure.card.scene {
+                    figcaption {
+                        h3 { "Scene" }
+                        p #scene-caption {}
+                    }
+                    div #scene {}
+                    ul.legend #legend {}
+                }
+                (transport())
+                div.card.why {
+                    div.row {
+                        h3 #decision-title {}
+                        span.badge #phase {}
+                    }
+                    p.reason #reason aria-live="polite" {}
+                    (S::evidence(facts.report))
+                }
+            }
+        }
+    }
+}
+
+fn transport() -> Markup {
+    let button = |id: &str, name: &str, keys: &str, sign: &str| {
+        html! { button id=(id) type="button" aria-label=(name) title={ (name) " (" (keys) ")" } { (sign) } }
+    };
+    html! {
+        div.card.transport {
+            div.row {
+                div.buttons {
+                    (button("previous-decision", "Previous decision", "↑ or [", "⇤"))
+                    (button("previous-step", "Previous step", "←", "←"))
+                    button.primary #play type="button" title="Play or pause (k)" { "Play" }
+                    (button("next-step", "Next step", "→", "→"))
+                    (button("next-decision", "Next decision", "↓ or ]", "⇥"))
+                }
+                label.speed { span { "Speed" } select #speed {
+                    option value="0.5" { "½×" }
+                    option value="1" selected { "1×" }
+                    option value="2" { "2×" }
+                    option value="5" { "5×" }
+                } }
+            }
+            output #step-text {}
+            label.hidden for="scrubber" { "Control step" }
+            input #scrubber type="range" min="0" max="0" value="0" step="1";
+            div.plot #timeline {}
+            p.hint.keys {
+                span { kbd { "←" } kbd { "→" } " step" }
+                span { kbd { "↑" } kbd { "↓" } " decision" }
+                span { kbd { "k" } " play" }
+                span { kbd { "Home" } kbd { "End" } }
+            }
+        }
+    }
+}
+
+/// The table of rollouts, which the script fills, and further figures.
+pub(super) fn tables<S: Scene>(facts: &Facts<S>) -> Markup {
+    html! {
+        section #tables aria-labelledby="tables-title" {
+            h2 #tables-title { "Figures" }
+            details.card open {
+                summary { "Rollouts of " span #seeds-of { (facts.labels.first().map_or("", String::as_str)) } }
+                div.scroll.tall tabindex="0" role="region" aria-label="Seeds" {
+                    table.plain.sortable #seeds {
+                        thead { tr {
+                            @for (column, words, precise) in S::WORDS.columns {
+                                th.figure scope="col" { button type="button" data-column=(column) data-precise[*precise] { (words) } }
+                            }
+                        } }
+                        tbody {}
+                    }
+                }
+            }
+            (facts.tables[1])
+        }
+    }
+}
+
+/// Protocol and settings, fact by fact.
+pub(super) fn protocol<S: Scene>(facts: &Facts<S>) -> Markup {
+    html! {
+        section #protocol aria-labelledby="protocol-title" {
+            h2 #protocol-title { "Protocol" }
+            p.note {
+                @if facts.labels.len() > 1 && facts.differences().is_empty() { "All rollouts were made under one protocol. " }
+                (S::WORDS.comparison)
+            }
+            div.card { (fact_table("Protocol", &facts.protocol, &facts.labels)) }
+            details.card {
+                summary { "Settings of the policies" }
+                (fact_table("Settings", &facts.settings, &facts.labels))
+            }
+        }
+    }
+}
+
+fn fact_table(name: &str, rows: &[Row], labels: &[String]) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label=(name) {
+            table.plain.facts {
+                thead { tr {
+                    th scope="col" { (name) }
+                    @for (i, label) in labels.iter().enumerate() { th scope="col" { span.name { (named(i, label)) } } }
+                } }
+                tbody {
+                    @for row in rows {
+                        tr.differs[row.differs()] data-fact=(row.name) {
+                            th scope="row" { (row.name.replace('_', " ")) @if row.differs() { span.badge { "differs" } } }
+                            @if row.differs() {
+                                @for value in &row.values { td { (stated(value)) } }
+                            } @else if let Some(value) = row.values.first() {
+                                td colspan=(row.values.len()) { (stated(value)) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn stated(value: &str) -> &str {
+    if value.is_empty() { "–" } else { value }
+}
+
+/// Where the page is from.
+pub(super) fn footer<S: Scene>(facts: &Facts<S>) -> Markup {
+    let artifacts = facts.report.artifacts.iter().zip(&facts.labels);
+    shell::footer(
+        &html! { (facts.report.tool_version) " from these artifacts" },
+        artifacts.map(|(artifact, label)| (label.as_str(), "rollouts", artifact.key.as_str())),
+    )
+}

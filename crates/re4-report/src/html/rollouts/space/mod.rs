@@ -1,0 +1,349 @@
+//! Rollouts of robosuite's tasks: the timeline of retrieved demonstrations (paper, Figure 2), the scene from above and from
+//! behind the robot. World frame, metres, radians; quaternions x, y, z, w.
+
+mod sections;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
+use maud::Markup;
+use nalgebra::Isometry3;
+use re4_episode::Mode;
+use re4_index::{IndexRow, SpatialState};
+use re4_policy::kinds::{SpacePolicy, SpaceRe4Row};
+use re4_rollout::{DecisionCore, ResultCore, SpaceDecisionRow, SpaceResultRow, SpaceStepRow, StepCore};
+use re4_stats::Interval;
+use re4_task::{RobosuiteTask, Solid};
+use serde_json::{Value, json};
+
+use super::facts::told_apart;
+use super::{Decided, NONE, Report, Rollout, Rollouts, Scene, Words};
+use crate::html::pack::{Pack, f32s, u32s};
+use crate::html::shell::plural;
+
+/// What an artifact states of rollouts in space.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Space {
+    /// The task.
+    pub task: RobosuiteTask,
+    /// The seeds in words.
+    pub seeds: String,
+    /// Share of rollouts that succeed, with its Wilson interval.
+    pub success_rate: Interval,
+    /// Rollouts that succeed.
+    pub successes: u64,
+    /// Median of the steps of those.
+    pub median_steps: Option<f64>,
+    /// How often a grasp was lost, all rollouts together.
+    pub losses: u64,
+    /// Which demonstrations were used, in words.
+    pub demonstrations: String,
+    /// The file that they come from, in words.
+    pub dataset: String,
+    /// What was simulated with what, in words.
+    pub simulator: String,
+    /// What the camera saw at decisions, by seed and number of the decision.
+    pub pictures: BTreeMap<(u32, u32), DecisionPicture>,
+}
+
+/// What a camera saw when a decision was taken.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DecisionPicture {
+    /// Name of the camera.
+    pub camera: &'static str,
+    /// Its side in pixels.
+    pub side: u32,
+    /// The picture as the bytes of a PNG file.
+    pub png: Vec<u8>,
+    /// The object's frame as the policy was told it.
+    pub told: FrameInPicture,
+    /// The object's frame as it was in the simulator.
+    pub simulated: FrameInPicture,
+}
+
+/// Origin and ends of the three axes of a frame in a picture, in pixels from its corner at the top left; none for what is
+/// behind the camera.
+pub type FrameInPicture = [Option<[f64; 2]>; 4];
+
+impl Decided<Space> {
+    /// A whole number that RE4 states of what was retrieved.
+    fn count(&self, value: fn(&SpaceRe4Row) -> Option<u32>) -> u32 {
+        self.detail.as_ref().and_then(value).unwrap_or(NONE)
+    }
+
+    /// A number likewise.
+    fn number(&self, value: fn(&SpaceRe4Row) -> Option<f64>) -> [f64; 1] {
+        [self.detail.as_ref().and_then(value).unwrap_or(f64::NAN)]
+    }
+}
+
+impl Rollout<Space> {
+    /// The object before a step.
+    pub fn object_before(&self, step: usize) -> Isometry3<f64> {
+        let before = step.checked_sub(1).and_then(|last| self.steps.get(last));
+        before.map_or(self.result.object, |step| step.object)
+    }
+
+    /// How often the grasp was lost.
+    fn losses(&self) -> usize {
+        let kinds = self
+            .decisions
+            .iter()
+            .filter_map(|decision| decision.core().kind.as_ref());
+        kinds.filter(|kind| **kind == "grasp_lost").count()
+    }
+
+    /// Demonstrations that were followed.
+    fn demos(&self) -> usize {
+        let followed: BTreeSet<u32> = self
+            .decisions
+            .iter()
+            .filter_map(|decision| decision.core().demo)
+            .collect();
+        followed.len()
+    }
+
+    /// Demonstrations that were not followed again at the end.
+    fn banned(&self) -> u32 {
+        let last = self.decisions.last().and_then(|decision| decision.detail.as_ref());
+        last.map_or(0, |detail| detail.banned)
+    }
+
+    /// Whether the policy was told of another object pose than the simulator had.
+    fn told_otherwise(&self) -> bool {
+        let away = |a: Isometry3<f64>, b: Isometry3<f64>| (a.translation.vector - b.translation.vector).amax() > 1e-6;
+        let mut steps = self.steps.iter().enumerate();
+        steps.any(|(i, step)| step.seen.is_some_and(|seen| away(seen, self.object_before(i))))
+    }
+}
+
+/// Position, then quaternion.
+fn pose(pose: Isometry3<f64>) -> [f64; 7] {
+    let (t, q) = (pose.translation.vector, pose.rotation.coords);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
+impl Scene for Space {
+    type Result = SpaceResultRow;
+    type Step = SpaceStepRow;
+    type Decision = SpaceDecisionRow;
+    type Detail = SpaceRe4Row;
+    type Frame = IndexRow<SpatialState>;
+    type Policies = SpacePolicy;
+    type Extra = ();
+
+    const WORDS: Words = Words {
+        of: " in robosuite’s scene",
+        scores: ["Success", "Success table", "scores spatial"],
+        note: "A rollout succeeds when the task’s own rule holds after any control step, which ends it. \
+            Intervals are Wilson’s, at 95 %. A second holds 20 control steps.",
+        score_columns: &[
+            ("Policy", false),
+            ("Success rate", true),
+            ("Succeeded", true),
+            ("Median steps", true),
+            ("Grasps lost", true),
+            ("Demonstrations and simulator", false),
+        ],
+        comparison: "Success rates of different protocols, or with other demonstrations, must not be compared.",
+        stage: "stage spatial",
+        columns: &[
+            ("seed", "Seed", false),
+            ("success", "Success", false),
+            ("steps", "Steps", false),
+            ("decisions", "Decisions", false),
+            ("demos", "Demonstrations", false),
+            ("losses", "Grasps lost", false),
+            ("banned", "Not followed again", false),
+        ],
+    };
+    const STYLE: &'static str = include_str!("page.css");
+    const SCRIPT: &'static [&'static str] = &[
+        include_str!("script/data.js"),
+        include_str!("script/grid.js"),
+        include_str!("script/views.js"),
+        include_str!("script/camera.js"),
+        include_str!("script/decision.js"),
+        include_str!("script/timeline.js"),
+    ];
+
+    fn noun(&self) -> &'static str {
+        "seed"
+    }
+
+    fn title(artifacts: &[Rollouts<Self>]) -> String {
+        let mut tasks: Vec<&str> = artifacts.iter().map(|artifact| artifact.scene.task.title).collect();
+        tasks.dedup();
+        tasks.join(", ")
+    }
+
+    fn labels(artifacts: &[Rollouts<Self>]) -> Vec<String> {
+        // Where there are several tasks, a policy's name alone says too little.
+        let several = artifacts
+            .iter()
+            .any(|artifact| artifact.scene.task != artifacts[0].scene.task);
+        told_apart(
+            artifacts,
+            |artifact| match several {
+                true => format!("{} {}", artifact.scene.task.title, artifact.preset),
+                false => artifact.preset.clone(),
+            },
+            &[
+                &|artifact| artifact.scene.simulator.clone(),
+                &|artifact| format!("seeds {}", artifact.scene.seeds),
+                &|artifact| artifact.scene.demonstrations.clone(),
+            ],
+        )
+    }
+
+    fn extra(_: &Rollouts<Self>) {}
+
+    fn details(artifact: &Rollouts<Self>) -> Vec<String> {
+        let steps = plural(artifact.max_steps as usize, "step", "steps");
+        vec![
+            format!(
+                "{} · {}{}",
+                artifact.scene.task.title,
+                artifact.variant,
+                artifact.changed()
+            ),
+            format!("seeds {} · at most {steps}", artifact.scene.seeds),
+        ]
+    }
+
+    fn score_cells(artifact: &Rollouts<Self>) -> Markup {
+        sections::score_cells(artifact)
+    }
+
+    fn overview(labels: &[String]) -> Markup {
+        sections::grid(labels)
+    }
+
+    fn evidence(report: &Report<Self>) -> Markup {
+        sections::evidence(
+            report
+                .artifacts
+                .iter()
+                .any(|artifact| pictures(artifact) != Value::Null),
+        )
+    }
+
+    fn result(row: &SpaceResultRow) -> &ResultCore {
+        &row.core
+    }
+
+    fn step(row: &SpaceStepRow) -> &StepCore {
+        &row.core
+    }
+
+    fn decision(row: &SpaceDecisionRow) -> &DecisionCore {
+        &row.core
+    }
+
+    fn frame(frame: &IndexRow<SpatialState>) -> (u32, Vec<f64>) {
+        let state = &frame.state;
+        (
+            frame.episode,
+            [state.eef.translation.vector.as_slice(), &pose(state.object)].concat(),
+        )
+    }
+
+    /// The artifact holds no orientation of the end effector at the start; it is that of the first query.
+    fn start(rollout: &Rollout<Self>) -> Vec<f64> {
+        let turned = rollout
+            .decisions
+            .first()
+            .map_or(Isometry3::identity(), |decision| decision.core.query_eef);
+        [
+            rollout.result.eef.as_slice(),
+            &pose(turned)[3..],
+            &pose(rollout.result.object),
+        ]
+        .concat()
+    }
+
+    fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>> {
+        pack.list("demos", Rollout::demos)
+            .list("losses", Rollout::losses)
+            .list("banned", Rollout::banned)
+    }
+
+    fn pack_steps<'a>(pack: Pack<'a, SpaceStepRow>, artifact: &Rollouts<Self>) -> Pack<'a, SpaceStepRow> {
+        let pack = pack
+            .f32("goal", |s| [s.action.0[0], s.action.0[1], s.action.0[2]])
+            .f32("eef", |s| pose(s.eef))
+            .f32("object", |s| pose(s.object))
+            .f32("fingers", |s| [(s.finger[0] - s.finger[1]).abs()])
+            .u8("closing", |s| u8::from(s.gripper > 0.0));
+        if artifact.shown().any(Rollout::told_otherwise) {
+            return pack.f32("seen", |s| s.seen.map_or([f64::NAN; 7], pose));
+        }
+        pack
+    }
+
+    fn pack_decisions(pack: Pack<'_, Decided<Self>>) -> Pack<'_, Decided<Self>> {
+        let detail = |d: &Decided<Self>, value: fn(&SpaceRe4Row) -> bool| d.detail.as_ref().is_some_and(value);
+        pack.u32("banned", |d| d.count(|d| Some(d.banned)))
+            .u8("transfer", |d| u8::from(detail(d, |d| d.mode == Mode::Transfer)))
+            .u8("bridge", |d| u8::from(detail(d, |d| d.bridge)))
+            .f64("fingers", |d| d.number(|d| Some(d.finger_separation)))
+            .f32("object", |d| d.core.query_object.map_or([f64::NAN; 7], pose))
+            .f64("set_point", |d| {
+                d.detail.as_ref().map_or([f64::NAN; 7], |d| pose(d.set_point))
+            })
+            .u32("compared", |d| d.count(|d| d.compared))
+            .u32("replay_steps", |d| d.count(|d| d.replay_steps))
+            .f64("d_q", |d| d.number(|d| d.d_q))
+            .f64("d_o", |d| d.number(|d| d.d_o))
+            .f64("d_e", |d| d.number(|d| d.d_e))
+            .f64("turn", |d| d.number(|d| d.symmetry_turn))
+            .f64("delta", |d| {
+                d.detail
+                    .as_ref()
+                    .and_then(|d| d.delta)
+                    .map_or([f64::NAN; 6], |delta| delta.0)
+            })
+    }
+
+    fn pack_more<'a>(pack: Pack<'a, Self>, artifact: &Rollouts<Self>, (): &()) -> Pack<'a, Self> {
+        let task = artifact.scene.task;
+        pack.with("task", json!(task.title))
+            .with("fixtures", solids(task.fixtures))
+            .with("object", solids(task.shape))
+            .with("pictures", pictures(artifact))
+    }
+}
+
+fn solids(solids: &[Solid]) -> Value {
+    let solid = |s: &Solid| json!({ "kind": s.kind, "centre": s.centre, "half": s.half, "round": s.round });
+    solids.iter().map(solid).collect()
+}
+
+/// Pictures of some decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers each, the
+/// places of both frames. Null where there are none.
+fn pictures(artifact: &Rollouts<Space>) -> Value {
+    let decisions = artifact
+        .shown()
+        .flat_map(|r| (0..).zip(&r.decisions).map(|(i, _)| (r.core().seed, i)));
+    let shown: Vec<(u32, &DecisionPicture)> = (0..)
+        .zip(decisions)
+        .filter_map(|(number, place)| Some((number, artifact.scene.pictures.get(&place)?)))
+        .collect();
+    let Some((_, first)) = shown.first() else {
+        return Value::Null;
+    };
+    let places = shown
+        .iter()
+        .flat_map(|(_, picture)| picture.told.iter().chain(&picture.simulated));
+    json!({
+        "camera": first.camera,
+        "side": first.side,
+        "decision": u32s(shown.iter().map(|(number, _)| *number)),
+        "places": f32s(places.flat_map(|place| place.unwrap_or([f64::NAN; 2]))),
+        "png": shown.iter().map(|(_, picture)| BASE64_STANDARD.encode(&picture.png)).collect::<Vec<_>>(),
+    })
+}
+
+#[cfg(test)]
+mod tests;

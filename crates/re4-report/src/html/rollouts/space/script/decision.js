@@ -1,0 +1,58 @@
+// The words and figures of a decision and of a step.
+const SIDES = ", from above and from behind the robot";
+
+const captionOf = (rollouts, rollout, ending) => `${ending} · ${counted(rollouts.demos[rollout], "demonstration")}`;
+
+const inCentimetres = ([x, y, z]) => `${[x, y, z].map((value) => digits(100 * value, 1)).join(", ")} cm`;
+
+const KINDS = {
+  retrieve: "retrieved", continue: "followed further", grasp_lost: "grasp lost: back to the start", demo_ended: "demonstration ended: back to the start",
+};
+
+const chosenFacts = (decision) => [
+  fact("d_q", digits(decision.dq, 4), "d_q", decision.dq, "Distance of the full object-augmented states, without unit"),
+  fact("d_o", digits(decision.do, 4), "d_o", decision.do, "Distance of the object poses alone"),
+  fact("d_e", digits(decision.de, 4), "d_e", decision.de, "Distance of the end effectors as seen from the object"),
+  fact("Compared", counted(decision.compared, "demonstration"), "compared", decision.compared),
+  fact("δ", `${inCentimetres(decision.delta)}, ${degrees(Math.hypot(...decision.delta.slice(3)))}`, "delta", decision.delta.join(" "),
+    "Motion that carries the demonstration's object onto ours: translation, and angle about the world's origin"),
+  fact("Symmetry turn", degrees(decision.turn), "symmetry_turn", decision.turn, "Turn about the object's symmetry axis"),
+];
+
+const decisionFacts = (decision) => [
+  fact("Decided", KINDS[decision.kind] ?? decision.kind.replaceAll("_", " "), "kind", decision.kind),
+  ...(decision.detailed ? [fact("Mode", decision.transfer ? "transfer: the object is held" : "transit", "mode", decision.transfer ? "transfer" : "transit")] : []),
+  ...demoFacts(decision),
+  ...(decision.detailed ? detailFacts(decision) : []),
+];
+
+const detailFacts = (decision) => [
+  ...(decision.demo === undefined ? [] : chosenFacts(decision)),
+  fact("Set point", inCentimetres(decision.setPoint), "set_point", decision.setPoint.join(" ")),
+  fact("Fingers", `${millimetres(decision.fingers)} apart`, "finger_separation", decision.fingers),
+  ...(decision.demo === undefined ? [] : [fact("Chunk", counted(decision.replaySteps, "action"), "replay_steps", decision.replaySteps)]),
+  fact("Not followed again", counted(decision.banned, "demonstration"), "banned", decision.banned),
+];
+
+const stepFacts = (data, step) => {
+  if (!data.seen?.[step]?.every(Number.isFinite)) return [];
+  const away = apart(data.seen[step], data.object[step]);
+  return [fact("Pose told", `off by ${millimetres(away)}`, "pose_error", away)];
+};
+
+const showEvidence = (data, decision, chunk, lacking) => {
+  showPicture(data, decision);
+  byId("demo-note").textContent = decision?.demo === undefined || chunk !== undefined ? "" : `The recording of ${decision.name} ${lacking}`;
+};
+
+const stepWords = (data, step, { demo, name } = {}) => {
+  const height = heightOf(data.artifact, data.object[step][2]);
+  const fingers = data.fingers[step];
+  return {
+    facts: { demo: demo === undefined ? "" : name, height, fingers },
+    words: [
+      demo === undefined ? " · on the way home" : html("span", {}, " · ", html("i", { class: "swatch", style: demoStyle(demo) }), " ", html("b", {}, name)),
+      ` · fingers ${millimetres(fingers, 0)} apart · object ${digits(100 * height, 1)} cm above the table`,
+    ],
+  };
+};

@@ -1,0 +1,343 @@
+//! The HTML page of an audit: what its tables and those of its inputs hold, put into the page's own terms.
+
+use anyhow::{Result, ensure};
+use re4_artifact::episodes::{Convention, FrameRow, PlanarColumns, SpatialColumns};
+use re4_artifact::{Artifact, Row as _, TableSpec, col_bool, col_f64_or_null, columns};
+use re4_audit::{AuditedEpisodeRow, FindingRow, GraspRow};
+use re4_episode::Mode;
+use re4_geometry::{Point2, Pose2};
+use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+use re4_task::Task;
+
+use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, page};
+use crate::html::rollouts::plane::block_outline;
+
+/// The artifacts that a page is made of, and what it says of them.
+#[derive(Debug)]
+pub struct AuditSources<'a> {
+    /// Task of the pipeline.
+    pub task: Task,
+    /// The dataset as the pipeline names it.
+    pub dataset: String,
+    /// The command that makes the page, without the page's own place.
+    pub command: String,
+    /// Demonstrations.
+    pub episodes: &'a Artifact,
+    /// Their modes.
+    pub modes: &'a Artifact,
+    /// What was found.
+    pub audit: &'a Artifact,
+}
+
+/// Makes the page.
+///
+/// # Errors
+/// When tables cannot be read, or are not of the same demonstrations.
+pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
+    let planar = sources.task.is_planar();
+    let demos: Vec<AuditedEpisodeRow> = sources.audit.read()?;
+    let places = Places(demos.iter().map(|demo| demo.episode).collect());
+    let segments = segments(sources.modes, planar)?;
+    places.hold(
+        sources.modes,
+        SegmentRow::<SegmentFacts>::NAME,
+        segments.iter().map(|segment| segment.episode),
+    )?;
+    let findings: Vec<FindingRow> = sources.audit.read()?;
+    places.hold(
+        sources.audit,
+        FindingRow::NAME,
+        findings.iter().map(|finding| finding.episode),
+    )?;
+    let grasps = if planar {
+        contact_begins(sources.episodes, sources.modes, &segments)?
+    } else {
+        grasps(sources.audit)?
+    };
+    places.hold(sources.audit, GraspRow::NAME, grasps.iter().map(|grasp| grasp.episode))?;
+    let frames: u64 = demos.iter().map(|demo| demo.frames as u64).sum();
+    let (flags, panels) = if planar {
+        PLANAR.read(
+            sources.modes,
+            sources.episodes,
+            [ModeRow::<Evidence>::table(), FrameRow::<PlanarColumns>::table()],
+        )?
+    } else {
+        SPATIAL.read(
+            sources.modes,
+            sources.episodes,
+            [ModeRow::<SpatialEvidence>::table(), FrameRow::<SpatialColumns>::table()],
+        )?
+    };
+    let rows = panels
+        .first()
+        .and_then(|panel| panel.series.first())
+        .map_or(0, |series| series.values.len());
+    ensure!(
+        rows as u64 == frames,
+        "cannot make a page of {}: it counts {frames} frames, and the modes in {} are those of {rows}; run the audit again",
+        sources.audit.path().display(),
+        sources.modes.path().display()
+    );
+    Ok(page(&Audit {
+        tool_version: env!("CARGO_PKG_VERSION").to_owned(),
+        dataset: sources.dataset.clone(),
+        task: sources.task.environment().to_owned(),
+        command: sources.command.clone(),
+        artifacts: [sources.audit, sources.modes, sources.episodes]
+            .map(|artifact| (artifact.manifest().artifact.clone(), artifact.key().to_string()))
+            .to_vec(),
+        frame_seconds: 1.0 / sources.task.control_rate() as f64,
+        length: if planar {
+            measure("px", 1.0)
+        } else {
+            measure("mm", 1000.0)
+        },
+        checks: sources.audit.read()?,
+        findings,
+        grasps,
+        outline: planar.then(block_outline),
+        contacts: contacts(sources.audit),
+        conventions: if sources.episodes.has::<Convention>() {
+            sources.episodes.read()?
+        } else {
+            Vec::new()
+        },
+        demos,
+        segments,
+        flags,
+        panels,
+    }))
+}
+
+fn measure(unit: &str, factor: f64) -> Measure {
+    Measure {
+        unit: unit.to_owned(),
+        factor,
+    }
+}
+
+/// Numbers of the demonstrations on the page, ascending.
+struct Places(Vec<u32>);
+
+impl Places {
+    /// Refuses a table that names others.
+    fn hold(&self, artifact: &Artifact, table: &str, mut episodes: impl Iterator<Item = u32>) -> Result<()> {
+        let foreign = episodes.find(|episode| self.0.binary_search(episode).is_err());
+        ensure!(
+            foreign.is_none(),
+            "cannot make a page of {}: table {table} names episode {}, which table {} lacks; run the audit again",
+            artifact.path().display(),
+            foreign.unwrap_or_default(),
+            AuditedEpisodeRow::NAME
+        );
+        Ok(())
+    }
+}
+
+fn segments(modes: &Artifact, planar: bool) -> Result<Vec<Segment>> {
+    if planar {
+        let rows: Vec<SegmentRow<SegmentFacts>> = modes.read()?;
+        let segments = rows.into_iter().map(|row| Segment {
+            residual: row.facts.rigidity_residual,
+            object_displacement: row.facts.object_displacement,
+            ..segment(row.episode, row.segment, &row.facts.segment)
+        });
+        return Ok(segments.collect());
+    }
+    let rows: Vec<SegmentRow<SpatialSegment>> = modes.read()?;
+    let segments = rows.into_iter().map(|row| Segment {
+        settled_frame: row.facts.settled_frame.map(|frame| frame as u32),
+        finger_separation: row.facts.grasp.map(|grasp| grasp.finger_separation),
+        residual: row.facts.grasp.map(|grasp| grasp.residual),
+        residual_rotation: row.facts.grasp.map(|grasp| grasp.residual_rotation),
+        object_displacement: row.facts.object_displacement,
+        object_rise: Some(row.facts.object_rise),
+        ..segment(row.episode, row.segment, &row.facts.segment)
+    });
+    Ok(segments.collect())
+}
+
+/// What both domains say of a segment.
+fn segment(episode: u32, number: u32, segment: &re4_episode::Segment) -> Segment {
+    Segment {
+        episode,
+        number,
+        transfer: segment.mode == Mode::Transfer,
+        first_frame: segment.frames.start as u32,
+        end_frame: segment.frames.end as u32,
+        ..Segment::default()
+    }
+}
+
+fn grasps(audit: &Artifact) -> Result<Vec<Grasp>> {
+    let rows: Vec<GraspRow> = audit.read()?;
+    let grasps = rows.into_iter().map(|row| Grasp {
+        episode: row.episode,
+        segment: row.segment as u32,
+        first_frame: row.frames.start as u32,
+        end_frame: row.frames.end as u32,
+        outcome: row.outcome.to_string(),
+        position: row.grasp.translation.vector.into(),
+    });
+    Ok(grasps.collect())
+}
+
+columns! {
+    /// Pusher and block at a frame.
+    pub struct Seen {
+        /// Pusher.
+        pub eef: Point2,
+        /// Block.
+        pub object: Option<Pose2>,
+    }
+}
+
+/// Where the pusher is in the block's frame as contact begins.
+fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment]) -> Result<Vec<Grasp>> {
+    let seen: Vec<Seen> = episodes.table(FrameRow::<PlanarColumns>::table())?.read()?;
+    let touches: Vec<ModeRow<Evidence>> = modes.read()?;
+    let touching = |touch: &ModeRow<Evidence>| touch.evidence.contact == Some(true);
+    let mut begins = Vec::new();
+    for row in 1..touches.len().min(seen.len()) {
+        let ModeRow { episode, frame, .. } = touches[row];
+        if frame == 0 || touches[row - 1].evidence.contact != Some(false) || !touching(&touches[row]) {
+            continue;
+        }
+        let lasting = touches[row..]
+            .iter()
+            .take_while(|later| later.episode == episode && touching(later));
+        let of_demo = segments
+            .iter()
+            .filter(|segment| segment.episode == episode && segment.first_frame <= frame);
+        let Some(block) = seen[row].object else { continue };
+        let position = block.inverse_transform_point(seen[row].eef);
+        begins.push(Grasp {
+            episode,
+            segment: of_demo.map(|segment| segment.number).max().unwrap_or(0),
+            first_frame: frame,
+            end_frame: frame + lasting.count() as u32,
+            outcome: String::new(),
+            position: [position.x, position.y, 0.0],
+        });
+    }
+    Ok(begins)
+}
+
+/// What the audit's summary says of contact and motion; nothing where contacts are not recorded.
+fn contacts(audit: &Artifact) -> Option<Contacts> {
+    let stated = audit.manifest().summary.get("contacts")?;
+    let count = |name: &str| stated.get(name)?.as_u64();
+    Some(Contacts {
+        both: count("contact_and_motion")?,
+        contact_alone: count("contact_alone")?,
+        motion_alone: count("motion_alone")?,
+        neither: count("neither")?,
+        jaccard: stated.get("jaccard")?.as_f64(),
+    })
+}
+
+/// Evidence by frame: names of columns, with what they are called on the page.
+struct Shown {
+    flags: &'static [(&'static str, &'static str)],
+    panels: &'static [(&'static str, &'static str, f64, &'static [Curve])],
+}
+
+/// A curve: whether it is of the recorded frames and not of the modes, its column, its name on the page.
+type Curve = (bool, &'static str, &'static str);
+
+const DEGREES: f64 = 180.0 / std::f64::consts::PI;
+
+const SPATIAL: Shown = Shown {
+    flags: &[
+        ("command_closes", "gripper closes"),
+        ("holds", "evidence holds"),
+        ("object_moving", "object moves"),
+    ],
+    panels: &[
+        ("Fingers apart", "mm", 1e3, &[(false, "finger_separation", "")]),
+        (
+            "Height",
+            "mm",
+            1e3,
+            &[(true, "eef_z", "end effector"), (true, "object_z", "object")],
+        ),
+        (
+            "Speed",
+            "mm/frame",
+            1e3,
+            &[(false, "eef_step", "end effector"), (false, "object_step", "object")],
+        ),
+        (
+            "Relative translation",
+            "mm/frame",
+            1e3,
+            &[(false, "relative_translation", "")],
+        ),
+        (
+            "Relative rotation",
+            "°/frame",
+            DEGREES,
+            &[(false, "relative_rotation", "")],
+        ),
+        ("Grip to object", "mm", 1e3, &[(false, "eef_object_distance", "")]),
+    ],
+};
+
+const PLANAR: Shown = Shown {
+    flags: &[("contact", "in contact"), ("object_moving", "object moves")],
+    panels: &[
+        ("Contact points", "", 1.0, &[(false, "contacts", "")]),
+        (
+            "Speed",
+            "px/frame",
+            1.0,
+            &[(false, "eef_step", "pusher"), (false, "object_step", "block")],
+        ),
+        ("Block turns", "°/frame", DEGREES, &[(false, "object_turn", "")]),
+        (
+            "Relative translation",
+            "px/frame",
+            1.0,
+            &[(false, "relative_translation", "")],
+        ),
+        ("Pusher to block", "px", 1.0, &[(false, "eef_object_distance", "")]),
+    ],
+};
+
+impl Shown {
+    fn read(
+        &self,
+        modes: &Artifact,
+        frames: &Artifact,
+        [of_modes, of_frames]: [&'static TableSpec; 2],
+    ) -> Result<(Vec<Flag>, Vec<Panel>)> {
+        let modes = modes.table(of_modes)?.read_all()?;
+        let frames = frames.table(of_frames)?;
+        let flags = self.flags.iter().map(|(name, label)| {
+            Ok(Flag {
+                label: (*label).to_owned(),
+                values: col_bool(&modes, name)?.iter().collect(),
+            })
+        });
+        let series = |(recorded, name, label): &Curve| {
+            let values = if *recorded {
+                col_f64_or_null(&frames.read_columns(&[name])?, name)?
+            } else {
+                col_f64_or_null(&modes, name)?
+            };
+            Ok(Series {
+                label: (*label).to_owned(),
+                values: values.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect(),
+            })
+        };
+        let panels = self.panels.iter().map(|(title, unit, factor, curves)| {
+            Ok(Panel {
+                title: (*title).to_owned(),
+                measure: measure(unit, *factor),
+                series: curves.iter().map(series).collect::<Result<_>>()?,
+            })
+        });
+        Ok((flags.collect::<Result<_>>()?, panels.collect::<Result<_>>()?))
+    }
+}

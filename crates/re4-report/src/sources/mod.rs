@@ -1,0 +1,208 @@
+//! What artifacts hold, put into the terms of pages, films and pictures.
+
+pub(crate) mod audit;
+pub(crate) mod findings;
+pub(crate) mod plane;
+pub(crate) mod report;
+pub(crate) mod space;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use anyhow::{Context as _, Result, anyhow, ensure};
+use re4_artifact::{Artifact, Key, MANIFEST_NAME, Row, Stage};
+use re4_policy::kinds::Kinds;
+use re4_rollout::SpaceResultRow;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::html::rollouts::{Decided, Demonstration, Rollout, Rollouts, Scene};
+
+/// What the manifest states under a name, which lies at `place` in it.
+///
+/// # Errors
+/// When it states nothing of that kind there.
+pub fn stated<T: DeserializeOwned>(artifact: &Artifact, place: &str, values: &Value, name: &str) -> Result<T> {
+    serde_json::from_value(values[name].clone()).map_err(|_| {
+        anyhow!(
+            "cannot report on {}: its manifest states no usable {place}.{name}; run the rollout again",
+            artifact.path().display()
+        )
+    })
+}
+
+/// Whether an artifact holds rollouts of a robosuite task.
+pub fn is_spatial(artifact: &Artifact) -> bool {
+    let domain = || artifact.table_named(SpaceResultRow::NAME).ok()?.domain();
+    artifact.manifest().tables.contains_key(SpaceResultRow::FORMERLY) || domain().as_deref() == Some("space")
+}
+
+/// An artifact that rollouts were made from: beside them, or in the artifacts folder `store`.
+///
+/// # Errors
+/// When their manifest names none, or what lies there is another one or damaged.
+pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Option<Artifact>> {
+    let key = input_key(rollouts, stage)?;
+    let beside = std::fs::canonicalize(rollouts.path())
+        .ok()
+        .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
+    let folders = beside.into_iter().chain([store.to_path_buf()]);
+    for folder in folders.map(|root| root.join(stage.artifact()).join(key.short())) {
+        if !folder.join(MANIFEST_NAME).exists() {
+            continue;
+        }
+        let input = Artifact::open(&folder)?;
+        ensure!(
+            input.key() == key,
+            "cannot read {}: it is the {} {}, and the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
+            folder.display(),
+            stage.artifact(),
+            input.key(),
+            rollouts.path().display()
+        );
+        input.verify_bytes()?;
+        return Ok(Some(input));
+    }
+    Ok(None)
+}
+
+fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
+    rollouts.manifest().inputs.get(stage.artifact()).with_context(|| {
+        format!(
+            "cannot read the rollouts in {}: their manifest names no {}; run the rollout again",
+            rollouts.path().display(),
+            stage.artifact()
+        )
+    })
+}
+
+/// A scene whose page is made of artifacts.
+pub(crate) trait Source: Scene {
+    /// What the manifest of an artifact states; `index` is what its demonstrations were retrieved from, where that is there.
+    fn stated(artifact: &Artifact, index: Option<&Artifact>) -> Result<Self>;
+}
+
+/// A `rollouts` artifact.
+fn rollouts<S: Source>(artifact: &Artifact, index: Option<&Artifact>) -> Result<Rollouts<S>> {
+    let manifest = artifact.manifest();
+    let config = &manifest.config;
+    let mut settings = config["policy"].clone();
+    // Older versions state the kind beside the settings.
+    let preset: String = match settings.as_object_mut().and_then(|settings| settings.remove("kind")) {
+        Some(Value::String(kind)) => kind,
+        _ => stated(artifact, "config", config, "preset")?,
+    };
+    let mut defaults = serde_json::to_value(S::Policies::defaults(&preset))?;
+    if let Some(defaults) = defaults.as_object_mut() {
+        defaults.remove("kind");
+    }
+    Ok(Rollouts {
+        key: artifact.key().to_string(),
+        index_key: input_key(artifact, Stage::Index)?.to_string(),
+        altered: defaults != settings,
+        preset,
+        variant: stated(artifact, "config", config, "variant")?,
+        max_steps: stated(artifact, "config", config, "max_steps")?,
+        protocol: manifest.summary["protocol"].clone(),
+        settings,
+        scene: S::stated(artifact, index)?,
+        rollouts: traces(artifact)?,
+    })
+}
+
+/// The rollouts of an artifact, each with its steps and decisions, in the order of its results.
+fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
+    let results: Vec<S::Result> = artifact.read()?;
+    let mut steps = artifact.read::<S::Step>()?.into_iter();
+    let cores: Vec<S::Decision> = artifact.read()?;
+    let details: Vec<Option<S::Detail>> = if artifact.has::<S::Detail>() {
+        artifact.read()?.into_iter().map(Some).collect()
+    } else {
+        vec![None; cores.len()]
+    };
+    let mut decisions = cores
+        .into_iter()
+        .zip(details)
+        .map(|(core, detail)| Decided { core, detail });
+    let traces = results.into_iter().map(|result| {
+        let &core = S::result(&result);
+        let (seed, name) = (core.seed, S::Step::NAME);
+        let steps = of_seed(artifact, name, &mut steps, seed, core.steps, |step| S::step(step).seed)?;
+        let name = S::Decision::NAME;
+        let decisions = of_seed(artifact, name, &mut decisions, seed, core.decisions, |d| d.core().seed)?;
+        Ok(Rollout {
+            result,
+            shown: true,
+            steps,
+            decisions,
+        })
+    });
+    traces.collect()
+}
+
+/// The next rows of a table that lists them in the order of the results: those of a seed.
+fn of_seed<R>(
+    artifact: &Artifact,
+    table: &str,
+    rows: &mut impl Iterator<Item = R>,
+    seed: u32,
+    count: u32,
+    seed_of: fn(&R) -> u32,
+) -> Result<Vec<R>> {
+    let found: Vec<R> = rows.take(count as usize).collect();
+    ensure!(
+        found.len() == count as usize && found.iter().all(|row| seed_of(row) == seed),
+        "cannot report on {}: table {table} does not hold the rows of seed {seed} that table results counts; run the rollout again",
+        artifact.path().display()
+    );
+    Ok(found)
+}
+
+/// The rollout of a seed. `what` names in errors what is made of it.
+fn trace_of<'a, S: Scene>(
+    artifact: &Artifact,
+    traces: &'a [Rollout<S>],
+    seed: u32,
+    what: &str,
+) -> Result<&'a Rollout<S>> {
+    let found = traces.iter().find(|trace| trace.core().seed == seed);
+    found.with_context(|| {
+        format!(
+            "cannot {what} seed {seed}: the artifact {} has no such rollout; give one of its seeds",
+            artifact.path().display()
+        )
+    })
+}
+
+/// The frames of the demonstrations that the shown rollouts of some sets refer to, where they are those of this index.
+fn demonstrations<S: Scene>(index: &Artifact, sets: &[Rollouts<S>]) -> Result<BTreeMap<u32, Demonstration>> {
+    let key = index.key().to_string();
+    let needed: BTreeSet<u32> = sets
+        .iter()
+        .filter(|set| set.index_key == key)
+        .flat_map(|set| set.shown().flat_map(|rollout| &rollout.decisions))
+        .filter_map(|decision| decision.core().demo)
+        .collect();
+    let mut demonstrations: BTreeMap<u32, Demonstration> = BTreeMap::new();
+    for frame in index.table(S::Frame::table())?.stream::<S::Frame>()? {
+        let (demo, numbers) = S::frame(&frame?);
+        if needed.contains(&demo) {
+            demonstrations.entry(demo).or_default().push(numbers);
+        }
+    }
+    Ok(demonstrations)
+}
+
+/// Half-open ranges as readers of a page expect them: `500..600` is 500–599.
+fn inclusive(seeds: &str) -> String {
+    let part = |part: &str| {
+        let (start, end) = part.split_once("..")?;
+        let last = end.trim().parse::<u64>().ok()?.checked_sub(1)?;
+        Some(format!("{}–{last}", start.trim()))
+    };
+    let parts = seeds.split(',').map(str::trim);
+    parts
+        .map(|text| part(text).unwrap_or_else(|| text.to_owned()))
+        .collect::<Vec<_>>()
+        .join(", ")
+}

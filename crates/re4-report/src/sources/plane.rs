@@ -1,0 +1,135 @@
+//! Rollouts in the plane.
+
+use std::path::Path;
+
+use anyhow::Result;
+use re4_artifact::{Artifact, Stage};
+use re4_episode::Mode;
+use re4_geometry::{Point2, Pose2};
+use re4_index::{IndexRow, PlanarState};
+use re4_rollout::Phase;
+use re4_sim::{GOAL, coverage};
+use serde_json::Value;
+
+use super::{Source, find_input, inclusive, stated, trace_of, traces};
+use crate::film::{FilmDecision, FilmRollout, FilmState};
+use crate::html::rollouts::plane::{Plane, Starts, Taken};
+use crate::html::rollouts::{Decided, Rollout, demo_name};
+
+impl Source for Plane {
+    fn stated(artifact: &Artifact, _: Option<&Artifact>) -> Result<Self> {
+        let manifest = artifact.manifest();
+        let protocol = &manifest.summary["protocol"];
+        let (taken, demonstrations) = demonstrations(protocol);
+        let (starts, scenes) = starts(&manifest.config);
+        Ok(Self {
+            demonstrations,
+            taken,
+            in_dataset: protocol["dataset"]["episodes"].as_u64(),
+            starts,
+            scenes,
+            metrics: stated(artifact, "summary", &manifest.summary, "metrics")?,
+        })
+    }
+}
+
+/// Which demonstrations were taken, and how many these are.
+fn demonstrations(protocol: &Value) -> (Taken, Option<u64>) {
+    let select = &protocol["demonstrations"]["select"];
+    let in_dataset = protocol["dataset"]["episodes"].as_u64();
+    let length = |range: &str| -> Option<u64> {
+        let (start, end) = range.split_once("..")?;
+        end.trim().parse::<u64>().ok()?.checked_sub(start.trim().parse().ok()?)
+    };
+    if select == "all" {
+        (Taken::All, in_dataset)
+    } else if let Some(count) = select["first"].as_u64() {
+        (Taken::First(count), Some(count))
+    } else {
+        let listed = select["episodes"].as_array().map(|list| list.len() as u64);
+        let count = select["last"].as_u64().or(listed);
+        (
+            Taken::Other,
+            count.or_else(|| select["range"].as_str().and_then(length)),
+        )
+    }
+}
+
+/// What the rollouts start from, and that in words.
+fn starts(config: &Value) -> (Starts, String) {
+    match (&config["scenes"], &config["seeds"]) {
+        (Value::Null, Value::String(seeds)) => (Starts::Seeds, format!("seeds {}", inclusive(seeds))),
+        (Value::Null, seeds) => (Starts::Seeds, format!("seeds {seeds}")),
+        (scenes, _) => {
+            let kind = scenes["kind"].as_str().unwrap_or("chosen").replace('_', " ");
+            (Starts::Scenes, format!("scenes: {kind}"))
+        }
+    }
+}
+
+/// The rollout of a seed in the plane, to be drawn.
+///
+/// # Errors
+/// When the artifact has no such rollout, or its tables cannot be read.
+pub fn planar_rollout(artifact: &Artifact, seed: u32) -> Result<Rollout<Plane>> {
+    Ok(trace_of(artifact, &traces(artifact)?, seed, "draw")?.clone())
+}
+
+/// Films of the rollouts of some seeds, in that order, and whether they show chunks: only where the index that these come from
+/// is beside the rollouts or in `store`.
+///
+/// # Errors
+/// When the artifact has no such rollout, or tables cannot be read.
+pub fn planar_films(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result<(Vec<FilmRollout>, bool)> {
+    let traces = traces::<Plane>(artifact)?;
+    let index = find_input(artifact, Stage::Index, store)?;
+    let frames: Option<Vec<IndexRow<PlanarState>>> = index.map(|index| index.read()).transpose()?;
+    let films = seeds.iter().map(|&seed| {
+        let trace = trace_of(artifact, &traces, seed, "film")?;
+        Ok(FilmRollout {
+            seed,
+            states: states(trace),
+            decisions: trace.decisions.iter().map(|d| decision(d, frames.as_deref())).collect(),
+        })
+    });
+    Ok((films.collect::<Result<_>>()?, frames.is_some()))
+}
+
+/// The states of a rollout, each with the action that follows on it; the last one with that of the action before it.
+fn states(trace: &Rollout<Plane>) -> Vec<FilmState> {
+    let result = &trace.result;
+    let first = (result.eef, result.object, coverage(result.object, GOAL));
+    let after = trace.steps.iter().map(|step| (step.eef, step.object, step.coverage));
+    let actions = trace.steps.iter().chain(trace.steps.last()).map(Some);
+    let states = [first].into_iter().chain(after).zip(actions.chain([None]));
+    states
+        .map(|((pusher, block, coverage), action)| FilmState {
+            pusher,
+            block,
+            coverage,
+            decision: action.map_or(0, |step| step.core.decision as usize),
+            replaying: action.is_some_and(|step| step.core.phase == Phase::Replay),
+        })
+        .collect()
+}
+
+fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>) -> FilmDecision {
+    // What is replayed in transfer is not carried (re4-policy's `reframe`).
+    let carry = match &decision.detail {
+        Some(detail) if detail.mode == Mode::Transit => detail.delta,
+        _ => Pose2::IDENTITY,
+    };
+    let core = decision.core();
+    let [demo, first, last] = [core.demo, core.demo_frame, core.demo_end].map(Option::unwrap_or_default);
+    let chunk = frames.filter(|_| core.demo.is_some()).map_or(&[][..], |frames| {
+        let start = frames.partition_point(|at| (at.episode, at.frame) < (demo, first));
+        let end = frames.partition_point(|at| (at.episode, at.frame) <= (demo, last));
+        frames.get(start..end).unwrap_or_default()
+    });
+    FilmDecision {
+        demo: demo_name(core),
+        frames: (first, last),
+        plan: decision.path().map(|[x, y]| Point2::new(x, y)).collect(),
+        chunk: chunk.iter().map(|row| carry.transform_point(row.state.eef)).collect(),
+    }
+}
