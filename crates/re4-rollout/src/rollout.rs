@@ -85,6 +85,7 @@ impl<X> Rollout<Plane, X> {
 pub enum RolloutError {
     /// The simulator refused.
     #[error("rollout of scene {scene} failed at step {step}: {source}")]
+    #[remedy(source.remedy())]
     Simulator {
         /// Number of the scene.
         scene: u32,
@@ -95,6 +96,7 @@ pub enum RolloutError {
     },
     /// The policy had no action.
     #[error("rollout of scene {scene} failed at step {step}: {source}")]
+    #[remedy(source.remedy())]
     Policy {
         /// Number of the scene.
         scene: u32,

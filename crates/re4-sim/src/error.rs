@@ -53,6 +53,7 @@ pub enum SimError {
     },
     /// A robosuite task cannot be simulated.
     #[error("cannot simulate {task}: {source}")]
+    #[remedy(source.remedy())]
     Mujoco {
         /// The task.
         task: &'static str,

@@ -87,6 +87,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_policy::kinds::OpenError,
         re4_pose::AnchorError,
         re4_pose::PictureError,
+        re4_robosuite::models::AssetsError,
         re4_rollout::PolicyError,
         re4_rollout::RolloutError,
         re4_scenes::ScenesError,
