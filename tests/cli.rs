@@ -81,6 +81,18 @@ fn what_is_done_is_told_where_asked() {
     assert_eq!(logged(&named("[span{a=1}]=")), 0);
 }
 
+/// What is wrong and how to mend it are one sentence for people, and two fields for programs.
+#[test]
+fn errors_say_how_to_mend_them() {
+    let place = Place::empty();
+    let answer = place.run("run missing.toml --json");
+    let what = "cannot read the pipeline file missing.toml: No such file or directory (os error 2)";
+    let remedy = "give the path of a TOML file such as pipelines/demo.toml";
+    assert_eq!(answer.code, Some(2));
+    assert_eq!(answer.stderr, format!("error: {what}; {remedy}\n"));
+    assert_eq!(answer.json(), serde_json::json!({ "error": what, "remedy": remedy }));
+}
+
 #[test]
 fn version() {
     let place = Place::empty();

@@ -144,6 +144,7 @@ pub enum IndexError {
     },
     /// A symmetry that is none.
     #[error("cannot build the index: {0}")]
+    #[remedy(_0.remedy())]
     Symmetry(#[from] re4_geometry::spatial::SymmetryError),
     /// A query coordinate is not a finite number, or absurdly far from the demonstrations.
     #[error("cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration")]

@@ -72,11 +72,13 @@ impl Command {
     /// What all commands share, but for the one that people do not use.
     pub(crate) fn common(&self) -> Option<&Common> {
         match self {
-            Self::Ingest(stage) | Self::Segment(stage) | Self::TrainPose(stage) => Some(&stage.common),
-            Self::Index(stage) | Self::Scenes(stage) => Some(&stage.common),
-            Self::Audit(AuditArguments { stage, .. }) | Self::Replay(ReplayArguments { stage, .. }) => {
-                Some(&stage.common)
-            }
+            Self::Ingest(stage)
+            | Self::Segment(stage)
+            | Self::TrainPose(stage)
+            | Self::Index(stage)
+            | Self::Scenes(stage)
+            | Self::Audit(AuditArguments { stage, .. })
+            | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
             Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
             Self::Film(FilmArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })

@@ -12,6 +12,7 @@ use std::path::PathBuf;
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
 use re4_episode::DemoNames;
+use re4_fault::Remedy;
 use re4_geometry::spatial::Symmetry;
 use re4_index::{IndexError, Normalization};
 use re4_rollout::{Opened, Plane, Recorded, Space};
@@ -173,8 +174,9 @@ pub trait Kinds: Serialize + Sized {
 }
 
 /// A setting that makes no sense.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{setting} is {value}; {mend}")]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
+#[error("{setting} is {value}")]
+#[remedy("{mend}")]
 pub struct SettingError {
     /// Its name in the pipeline file, below the policy's table.
     pub setting: &'static str,
@@ -226,34 +228,39 @@ impl Inputs<'_> {
 }
 
 /// Why a policy could not be opened.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, Remedy)]
 pub enum OpenError {
     /// An artifact that it needs was not made.
-    #[error("cannot open the policy: it needs what stage {stage} makes; report this together with the pipeline file")]
+    #[error("cannot open the policy: it needs what stage {stage} makes")]
+    #[remedy("report this together with the pipeline file")]
     Missing {
         /// The stage.
         stage: &'static str,
     },
     /// An artifact cannot be read.
     #[error(transparent)]
+    #[remedy(_0.remedy())]
     Artifact(#[from] ArtifactError),
     /// Normalised coordinates that are of other dimensions.
     #[error(
-        "cannot read {}: table scales names other dimensions than {}; build it again",
+        "cannot read {}: table scales names other dimensions than {}",
         folder.display(),
         Normalization::DIMENSIONS.join(", ")
     )]
+    #[remedy("build it again")]
     Scales {
         /// Folder of the artifact.
         folder: PathBuf,
     },
     /// The frames cannot be searched.
     #[error(transparent)]
+    #[remedy(_0.remedy())]
     Index(#[from] IndexError),
     /// The demonstrations hold nothing to choose from.
     #[error(transparent)]
+    #[remedy(_0.remedy())]
     Lookup(#[from] LookupError),
     /// Reasons of the policy's own.
-    #[error(transparent)]
+    #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),
 }

@@ -23,6 +23,7 @@ pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
 pub use policy::{Decision, Knowledge, Re4, Re4Factory};
 pub use pusher::{PusherModel, PusherState};
+use re4_fault::Remedy;
 pub use reframe::{Reframed, reframe, without_reframe};
 pub use replan::{Obstacle, Plan, PlanKind, plan};
 
@@ -33,23 +34,22 @@ use re4_rollout::PolicyError;
 use thiserror::Error;
 
 /// Why a policy that looks demonstrations up has no action.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 pub enum LookupError {
     /// Retrieve failed.
     #[error(transparent)]
+    #[remedy(_0.remedy())]
     Retrieve(#[from] re4_index::IndexError),
     /// The index knows no frame of the mode that the query is in.
-    #[error(
-        "cannot retrieve: no indexed frame is in mode {mode}; segment the episodes so that it occurs, or index more of them"
-    )]
+    #[error("cannot retrieve: no indexed frame is in mode {mode}")]
+    #[remedy("segment the episodes so that it occurs, or index more of them")]
     NoFrameOfMode {
         /// Mode of the query.
         mode: Mode,
     },
     /// What is retrieved is not among the demonstrations.
-    #[error(
-        "cannot replay {demo} at frame {frame}: the index names a frame that it does not hold; build the index again"
-    )]
+    #[error("cannot replay {demo} at frame {frame}: the index names a frame that it does not hold")]
+    #[remedy("build the index again")]
     UnknownDemo {
         /// Name of the demonstration that the index names.
         demo: String,
@@ -58,17 +58,20 @@ pub enum LookupError {
     },
     /// The outcome selector has nothing to choose from.
     #[error(
-        "cannot retrieve by outcome: no demonstration holds a push that starts with the pusher clear of the object; use the two_stage selector"
+        "cannot retrieve by outcome: no demonstration holds a push that starts with the pusher clear of the object"
     )]
+    #[remedy("use the two_stage selector")]
     NoChunks,
     /// The search structure over chunks could not be built.
-    #[error("cannot retrieve by outcome: {reason}; check the chunks table of the index artifact")]
+    #[error("cannot retrieve by outcome: {reason}")]
+    #[remedy("check the chunks table of the index artifact")]
     Chunks {
         /// What the tree library reports.
         reason: String,
     },
     /// A decision gave no command.
-    #[error("cannot act: the decision gave no command; report this together with the pipeline file")]
+    #[error("cannot act: the decision gave no command")]
+    #[remedy("report this together with the pipeline file")]
     NothingToDo,
 }
 

@@ -161,11 +161,7 @@ fn what_cannot_be_seen_is_an_error() {
     let world = World::new(block(0.0, 0.0, 0.0));
     let seen = world.feel();
     let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&known), world.eef);
-    let blind = look(&mut policy, seen, &mut || {
-        Err(PolicyError::Look {
-            reason: "it is dark".to_owned(),
-        })
-    });
+    let blind = look(&mut policy, seen, &mut || Err(PolicyError::look("it is dark")));
     assert_eq!(
         blind.unwrap_err().to_string(),
         "cannot retrieve: the object's pose is not known, since it is dark"

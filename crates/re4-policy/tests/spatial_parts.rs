@@ -9,6 +9,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::Mode;
+use re4_fault::Remedy as _;
 use re4_geometry::spatial::{Symmetry, pose_distance, rotation_vector};
 use re4_policy::kinds::{Kinds as _, SpacePolicy};
 use re4_policy::spatial::{
@@ -327,7 +328,7 @@ fn presets_are_sound_and_bad_settings_are_named() {
     for (edit, told) in edits {
         let mut config = SpatialPolicyConfig::re4();
         edit(&mut config);
-        assert_eq!(config.check(false).unwrap_err().to_string(), told);
+        assert_eq!(config.check(false).unwrap_err().sentence(), told);
     }
 }
 

@@ -4,6 +4,7 @@
 //! itself does when it loads a demonstration, everything up to and including the last path element `robosuite` is replaced by
 //! the folder that holds the same files here.
 
+use re4_fault::Remedy;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ use thiserror::Error;
 const PACKAGE: &str = "robosuite";
 
 /// Why the files that a model names cannot be found. The caller says in which file and demonstration the model is.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[derive(Debug, Clone, PartialEq, Eq, Error, Remedy)]
 pub enum AssetsError {
     /// The text is not XML.
     #[error("the model is not readable as XML: {0}")]
@@ -23,15 +24,16 @@ pub enum AssetsError {
     #[error("the model's root element is <{0}>, not <mujoco>")]
     Root(String),
     /// Another file would become part of the model.
-    #[error("the model includes another file ({0}); give one that is whole, as mj_saveLastXML writes it")]
+    #[error("the model includes another file ({0})")]
+    #[remedy("give one that is whole, as mj_saveLastXML writes it")]
     Include(String),
     /// The path does not lead through robosuite's package.
     #[error("the model names the file {0}, which is not below a folder {PACKAGE}, so its place here is unknown")]
     Foreign(String),
     /// The file is not there.
-    #[error(
-        "the model names the file {named}, which is not at {}; run scripts/setup-simulators.sh, or name the folder that it made in the environment variable RE4_SIMULATORS",
-        path.display()
+    #[error("the model names the file {named}, which is not at {}", path.display())]
+    #[remedy(
+        "run scripts/setup-simulators.sh, or name the folder that it made in the environment variable RE4_SIMULATORS"
     )]
     Missing {
         /// As the model has it.

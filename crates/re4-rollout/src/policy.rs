@@ -1,5 +1,6 @@
 //! What answers actions.
 
+use re4_fault::Remedy;
 use std::error::Error;
 use std::fmt::Debug;
 
@@ -70,28 +71,27 @@ pub trait PolicyFactory<D: Domain>: Sync {
 }
 
 /// Why a policy cannot act.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 pub enum PolicyError {
     /// No block in the first image.
-    #[error("no block is seen in the picture and none was seen before; start from a scene that shows it")]
+    #[error("no block is seen in the picture and none was seen before")]
+    #[remedy("start from a scene that shows it")]
     Blind,
     /// Nobody tells where the object is.
-    #[error("cannot retrieve: the object's pose is not known, since {reason}")]
+    #[error("cannot retrieve: the object's pose is not known, since {source}")]
     Look {
         /// Why, in words that go on from there.
-        reason: String,
+        source: Box<dyn Error + Send + Sync>,
     },
     /// Reasons of the policy's own.
-    #[error(transparent)]
+    #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),
 }
 
 impl PolicyError {
     /// What cannot be seen, by the error that says why.
-    pub fn look(error: impl std::fmt::Display) -> Self {
-        Self::Look {
-            reason: format!("{error:#}"),
-        }
+    pub fn look(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self::Look { source: error.into() }
     }
 
     pub(crate) fn no_camera(camera: &str) -> Self {

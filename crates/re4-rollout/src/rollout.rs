@@ -1,5 +1,6 @@
 //! Rollouts: a policy against a simulation, start after start.
 
+use re4_fault::Remedy;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use re4_sim::{PushTObservation, ResetOrder, SeedScheme, SimError, Step, scene_from_seed};
@@ -80,10 +81,11 @@ impl<X> Rollout<Plane, X> {
 }
 
 /// Why a rollout could not be carried out.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 pub enum RolloutError {
     /// The simulator refused.
     #[error("rollout of scene {scene} failed at step {step}: {source}")]
+    #[remedy(source.remedy())]
     Simulator {
         /// Number of the scene.
         scene: u32,
@@ -94,6 +96,7 @@ pub enum RolloutError {
     },
     /// The policy had no action.
     #[error("rollout of scene {scene} failed at step {step}: {source}")]
+    #[remedy(source.remedy())]
     Policy {
         /// Number of the scene.
         scene: u32,
@@ -103,7 +106,8 @@ pub enum RolloutError {
         source: PolicyError,
     },
     /// The caller asked to stop.
-    #[error("the rollout was interrupted; nothing was written, run it again")]
+    #[error("the rollout was interrupted")]
+    #[remedy("nothing was written, run it again")]
     Interrupted,
 }
 

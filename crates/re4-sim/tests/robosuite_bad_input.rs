@@ -11,6 +11,7 @@ mod simulators;
 
 use std::fs;
 
+use re4_fault::Remedy;
 use re4_mujoco::{Library, Version};
 use re4_robosuite::models::with_assets;
 use re4_sim::Simulator as _;
@@ -26,8 +27,8 @@ fn folder() -> TempDir {
 }
 
 /// The error as a user reads it.
-fn told<T>(result: Result<T, impl std::fmt::Display>) -> String {
-    let text = result.err().unwrap().to_string();
+fn told<T>(result: Result<T, impl Remedy>) -> String {
+    let text = result.err().unwrap().sentence();
     assert!(!text.contains('\n'), "{text}");
     text
 }

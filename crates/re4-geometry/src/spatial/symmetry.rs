@@ -1,6 +1,7 @@
 //! Objects that look the same after some turns about an axis.
 
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
+use re4_fault::Remedy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -75,20 +76,18 @@ impl From<Symmetry> for Table {
 }
 
 /// Why a symmetry is none.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Error, Remedy)]
 pub enum SymmetryError {
     /// The axis has no direction.
-    #[error(
-        "the symmetry axis {axis:?} has no direction; give three finite numbers that are not all 0, such as [0, 0, 1]"
-    )]
+    #[error("the symmetry axis {axis:?} has no direction")]
+    #[remedy("give three finite numbers that are not all 0, such as [0, 0, 1]")]
     Axis {
         /// What was given.
         axis: [f64; 3],
     },
     /// Not a number of turns.
-    #[error(
-        "a symmetry of kind fold has n = {n}; give a number from 2 to {LARGEST_FOLD}, or kind = \"full\" for any turn"
-    )]
+    #[error("a symmetry of kind fold has n = {n}")]
+    #[remedy("give a number from 2 to {LARGEST_FOLD}, or kind = \"full\" for any turn")]
     Fold {
         /// What was given.
         n: u32,

@@ -2,8 +2,9 @@
 
 use std::io::BufWriter;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Stage};
+use re4_fault::{bail, ensure};
 use re4_report::{
     FilmRollout, FilmSettings, SceneRollout, is_spatial, planar_films, scene_rollout, write_film, write_scene_film,
 };
@@ -24,10 +25,7 @@ pub(crate) fn film(arguments: &FilmArguments) -> Result<Outcome> {
         .extension()
         .is_some_and(|extension| extension.eq_ignore_ascii_case("gif"))
     {
-        bail!(
-            "cannot write a film to {}; films are GIF files, give a name that ends in .gif",
-            out.display()
-        );
+        bail!("cannot write a film to {}", out.display(); "films are GIF files, give a name that ends in .gif");
     }
     let artifact = Artifact::open(&arguments.path)?;
     let kind = &artifact.manifest().artifact;

@@ -2,9 +2,10 @@
 
 use std::fmt::Write as _;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use arrow::util::pretty::pretty_format_batches;
 use re4_artifact::{Artifact, Table, json_description};
+use re4_fault::ensure;
 use re4_report::{is_spatial, planar_rollout, rollout_picture};
 use serde_json::{Value, json};
 
@@ -66,7 +67,8 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     if let (Some(seed), Some(path)) = (arguments.seed, &arguments.picture) {
         ensure!(
             !is_spatial(&artifact),
-            "cannot draw seed {seed}: --picture draws Push-T's rollouts; for those of robosuite's tasks use re4-pipe report or re4-pipe film"
+            "cannot draw seed {seed}: --picture draws Push-T's rollouts";
+            "for those of robosuite's tasks use re4-pipe report or re4-pipe film"
         );
         let svg = rollout_picture(&planar_rollout(&artifact, seed)?)
             .with_context(|| format!("cannot draw {}", path.display()))?;

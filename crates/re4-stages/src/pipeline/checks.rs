@@ -3,7 +3,7 @@
 use anyhow::Result;
 use re4_encoder::EncoderConfig;
 use re4_encoder::loss::GROUP;
-use re4_fault::{bail, ensure};
+use re4_fault::{Fault, bail, ensure};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
@@ -119,7 +119,7 @@ fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
     if let Err(error) = pipeline.policy()?.check(pipeline.variant == Some(Variant::Image)) {
-        bail!("policy.{error}");
+        return Err(Fault::of(&error).at("policy.").into());
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
-use re4_fault::{OrFault as _, bail, fault};
+use re4_fault::{Fault, OrFault as _, bail, fault};
 use re4_policy::kinds::{Kinds, PlanePolicy, SpacePolicy};
 use re4_segment::SegmentConfig;
 use serde_json::{Map, Value};
@@ -57,11 +57,7 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     let policy = policy.with_context(unusable)?;
     let mut pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
         let place = error.path().to_string();
-        anyhow::anyhow!(
-            "cannot use the pipeline file {}: {}",
-            path.display(),
-            placed(&place, &error.into_inner())
-        )
+        placed(&place, &error.into_inner()).at(format!("cannot use the pipeline file {}: ", path.display()))
     })?;
     pipeline.policy = policy;
     checks::check(&pipeline).with_context(unusable)?;
@@ -69,13 +65,13 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
 }
 
 /// What the decoder says of a place.
-fn placed(place: &str, error: &serde_json::Error) -> String {
+fn placed(place: &str, error: &serde_json::Error) -> Fault {
     let place = if place == "." {
         String::new()
     } else {
         format!("{place}: ")
     };
-    format!("{place}{}", in_words(&error.to_string()))
+    Fault::from_sentence(&in_words(&error.to_string())).at(place)
 }
 
 /// The message with line and column, both counted from 1.
@@ -226,7 +222,7 @@ fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<Option<K>
     let mut track = serde_path_to_error::Track::new();
     let read = K::read(&kind, serde_path_to_error::Deserializer::new(settings, &mut track));
     read.map(Some)
-        .map_err(|error| anyhow::anyhow!(placed(&format!("policy.{}", track.path()), &error)))
+        .map_err(|error| placed(&format!("policy.{}", track.path()), &error).into())
 }
 
 /// The kind that a table `[policy]` names.

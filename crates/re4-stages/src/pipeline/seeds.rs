@@ -4,9 +4,11 @@ use std::borrow::Cow;
 use std::str::FromStr;
 
 use anyhow::Result;
-use re4_fault::{bail, fault};
+use re4_fault::{Remedy as _, bail, fault};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::notes::told;
 
 /// Most seeds of a run.
 const MOST: usize = 10_000_000;
@@ -28,7 +30,14 @@ impl Seeds {
 impl FromStr for Seeds {
     type Err = anyhow::Error;
 
+    /// Parsers of arguments and files pass a text on, so the error is the whole sentence.
     fn from_str(text: &str) -> Result<Self> {
+        Self::read(text).map_err(|error| anyhow::Error::msg(told(&error).sentence()))
+    }
+}
+
+impl Seeds {
+    fn read(text: &str) -> Result<Self> {
         let mut seeds = Vec::new();
         for part in text.split(',').map(str::trim) {
             let number = |word: &str| {
