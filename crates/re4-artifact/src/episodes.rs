@@ -6,6 +6,11 @@
 //! closes, whatever the dataset has. What it has in another frame or with another sign is kept in columns `raw_*`, which are
 //! null where it does not differ: every artifact has the same columns, and one of nulls takes no room.
 
+#![allow(
+    clippy::doc_markdown,
+    reason = "documentation of rows and fields is the plain text of descriptions in files"
+)]
+
 use nalgebra::{Isometry3, UnitQuaternion};
 use re4_episode::SpatialFrame;
 use re4_geometry::{Point2, Pose2};
