@@ -552,6 +552,17 @@ pub(crate) fn steps(rollouts: &Artifact) -> RecordBatch {
     rollouts.table(spec).unwrap().read_all().unwrap()
 }
 
+/// Their decisions, with what every policy tells of them.
+pub(crate) fn decisions_of(rollouts: &Artifact) -> RecordBatch {
+    let space = in_space(rollouts);
+    let spec = if space {
+        SpaceDecisionRow::table()
+    } else {
+        PlaneDecisionRow::table()
+    };
+    rollouts.table(spec).unwrap().read_all().unwrap()
+}
+
 /// Their decisions, with what the table of RE4 adds, which has the same rows.
 pub(crate) fn decisions(rollouts: &Artifact) -> RecordBatch {
     let (core, details) = if in_space(rollouts) {
