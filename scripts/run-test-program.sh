@@ -1,12 +1,12 @@
 #!/bin/sh
 # Runs one test program for cargo, so that a test that hangs does not hang the tests behind it: ends it, with all that it
-# started, after RE4_TEST_LIMIT seconds (5400 by default). All that it prints goes to a log below RE4_TEST_LOGS; in the end what
+# started, after RE4_TEST_LIMIT seconds (2700 by default). All that it prints goes to a log below RE4_TEST_LOGS; in the end what
 # tests that passed printed is left out, but for the words of tests that were skipped. In RE4_TEST_LOGS
 #   results   gets a line `seconds exit-code package/program`
 #   failed    gets a line `package/program test` for each test that failed, and for each program that was ended or fell over
 #   skipped   gets a line `package/program test: why` for each test that says so
 set -u
-limit="${RE4_TEST_LIMIT:-5400}"
+limit="${RE4_TEST_LIMIT:-2700}"
 logs="${RE4_TEST_LOGS:-}"
 # Lists of tests are no tests, and without a folder for logs there is nothing to note.
 case " $* " in *' --list '*) exec "$@" ;; esac
