@@ -141,7 +141,7 @@ fn no_recorded_object_pose_reaches_training_or_estimates() {
     let bytes = |artifact: &Artifact, file: &str| std::fs::read(artifact.path().join(file)).unwrap();
     for file in [
         "encoder.safetensors",
-        "spatial_poses.parquet",
+        "poses.parquet",
         "training.parquet",
         "training.svg",
     ] {

@@ -87,15 +87,15 @@ fn the_schemas_describe_the_columns_that_are_written() {
             "left_out",
             "states",
             "models",
+            "poses-space",
+            "training",
+            "pose_errors",
             "results-space",
             "steps-space",
             "decisions-space",
             "decisions_re4-space",
             "replays-space",
             "divergence-space",
-            "poses-space",
-            "training",
-            "pose_errors",
         ],
         "every other table is written by some stage"
     );

@@ -286,12 +286,11 @@ impl Answer {
         self
     }
 
-    /// Asserts a refusal: exit code 2, nothing on standard output, and as last line of standard error one sentence,
-    /// which is returned.
+    /// Asserts a refusal: exit code 2, and as last line of standard error one sentence, which is returned. Standard output is
+    /// empty, or where JSON was asked for tells the same, what is wrong and how to mend it apart.
     #[track_caller]
     pub(crate) fn refused(self) -> String {
         assert_eq!(self.code, Some(2), "stdout {}\nstderr {}", self.stdout, self.stderr);
-        assert_eq!(self.stdout, "", "standard output should stay empty");
         let mut lines = self.stderr.lines().rev();
         let last = lines.next().unwrap_or_default();
         assert!(last.starts_with("error: "), "{}", self.stderr);
@@ -301,6 +300,12 @@ impl Answer {
             self.stderr
         );
         assert!(!last.contains(". "), "more than one sentence: {last}");
+        if !self.stdout.is_empty() {
+            let told = self.json();
+            let part = |name: &str| told[name].as_str().map(str::to_owned);
+            let parts: Vec<String> = ["error", "remedy"].into_iter().filter_map(part).collect();
+            assert_eq!(format!("error: {}", parts.join("; ")), last);
+        }
         last.to_owned()
     }
 

@@ -61,7 +61,7 @@ fn child() {
         }
         "be refused" => {
             let store = Store::open(&root).unwrap();
-            println!("refused: {}", store.begin(&recipe(1)).unwrap_err());
+            println!("refused: {}", store.begin(&recipe(1)).unwrap_err().sentence());
         }
         other => panic!("no such task: {other}"),
     }

@@ -2,6 +2,7 @@
 
 use re4_artifact::{ArtifactError, Label, Row, RowWriter, Writer};
 use re4_episode::DemoNames;
+use re4_fault::Remedy;
 use thiserror::Error;
 
 use crate::{
@@ -72,13 +73,15 @@ pub trait Recording<D: Recorded> {
 }
 
 /// Why rollouts could not be recorded.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 pub enum RecordError {
     /// A rollout failed.
     #[error(transparent)]
+    #[remedy(_0.remedy())]
     Rollout(#[from] RolloutError),
     /// A table could not be written.
     #[error(transparent)]
+    #[remedy(_0.remedy())]
     Artifact(#[from] ArtifactError),
 }
 

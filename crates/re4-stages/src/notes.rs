@@ -89,6 +89,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_pose::PictureError,
         re4_robosuite::models::AssetsError,
         re4_rollout::PolicyError,
+        re4_rollout::RecordError,
         re4_rollout::RolloutError,
         re4_scenes::ScenesError,
         re4_segment::SegmentError,

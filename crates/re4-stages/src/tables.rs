@@ -140,6 +140,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 38);
+        assert_eq!(names.len(), 41);
     }
 }

@@ -53,15 +53,19 @@ enum Table {
 }
 
 impl TryFrom<Table> for Symmetry {
-    type Error = SymmetryError;
+    /// A sentence: all that decoders hand on of an error.
+    type Error = String;
 
-    fn try_from(table: Table) -> Result<Self, SymmetryError> {
+    fn try_from(table: Table) -> Result<Self, String> {
         let symmetry = match table {
             Table::None {} => Self::None,
             Table::Fold { axis, n } => Self::Fold { axis, n },
             Table::Full { axis } => Self::Full { axis },
         };
-        symmetry.group().map(|_| symmetry)
+        match symmetry.group() {
+            Ok(_) => Ok(symmetry),
+            Err(error) => Err(error.sentence()),
+        }
     }
 }
 

@@ -158,6 +158,7 @@ mod tests {
     use re4_artifact::{Facts, Recipe, SixAxis, Stage, Store};
 
     use super::*;
+    use re4_fault::Remedy as _;
 
     #[test]
     fn a_stage_that_reads_the_object_says_so() {
@@ -194,7 +195,8 @@ mod tests {
         let artifact = writer.publish(Facts::default()).unwrap();
         let said = SpatialEpisodes::open(&artifact).unwrap().next().unwrap().unwrap_err();
         assert!(
-            said.to_string()
+            crate::notes::told(&said)
+                .sentence()
                 .ends_with("have no object pose, which this stage reads; ingest a dataset that has it"),
             "{said}"
         );
