@@ -18,7 +18,7 @@ pub struct Findings {
     summary: Value,
     demos: Vec<AuditedEpisodeRow>,
     checks: Vec<CheckRow>,
-    findings: Vec<FindingRow>,
+    found: Vec<FindingRow>,
 }
 
 impl Findings {
@@ -31,7 +31,7 @@ impl Findings {
             summary: artifact.manifest().summary.clone(),
             demos: artifact.read()?,
             checks: artifact.read()?,
-            findings: artifact.read()?,
+            found: artifact.read()?,
         })
     }
 
@@ -42,10 +42,7 @@ impl Findings {
 
     /// Findings of a severity.
     pub fn count(&self, severity: Severity) -> usize {
-        self.findings
-            .iter()
-            .filter(|finding| finding.severity == severity)
-            .count()
+        self.found.iter().filter(|finding| finding.severity == severity).count()
     }
 
     /// All of it, added to what is said of every artifact.
@@ -62,7 +59,7 @@ impl Findings {
             })
             .collect();
         let findings: Vec<Value> = self
-            .findings
+            .found
             .iter()
             .map(|f| {
                 json!({
@@ -190,7 +187,7 @@ impl Findings {
     }
 
     fn write_findings_of(&self, code: &str, text: &mut String) -> Result<()> {
-        let found: Vec<&FindingRow> = self.findings.iter().filter(|finding| finding.code == code).collect();
+        let found: Vec<&FindingRow> = self.found.iter().filter(|finding| finding.code == code).collect();
         for (place, finding) in found.iter().take(SHOWN).enumerate() {
             // A demonstration that was left out has none.
             let frames = match finding.frames.end.checked_sub(1) {

@@ -98,12 +98,10 @@ pub fn report_page(
     Ok(made)
 }
 
-fn make<S: Source>(
-    artifacts: &[Artifact],
-    seeds: Option<&[u32]>,
-    store: &Path,
-    add: &mut dyn FnMut(&Artifact, &mut Rollouts<S>) -> Result<Option<String>>,
-) -> Result<ReportPage> {
+/// Adds to a set of rollouts what its artifact does not hold, or says why it cannot.
+type Add<'a, S> = &'a mut dyn FnMut(&Artifact, &mut Rollouts<S>) -> Result<Option<String>>;
+
+fn make<S: Source>(artifacts: &[Artifact], seeds: Option<&[u32]>, store: &Path, add: Add<'_, S>) -> Result<ReportPage> {
     let mut indices = Vec::new();
     let mut sets = Vec::new();
     for artifact in artifacts {

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::{Source, inclusive, stated, trace_of, traces};
 use crate::film::{SceneRollout, SceneState};
 use crate::html::rollouts::space::Space;
-use crate::html::rollouts::{Rollout, demo_name};
+use crate::html::rollouts::{Decided, Rollout, demo_name};
 
 impl Source for Space {
     fn stated(artifact: &Artifact, index: Option<&Artifact>) -> Result<Self> {
@@ -82,7 +82,7 @@ pub fn spatial_rollouts(artifact: &Artifact, seeds: &[u32]) -> Result<Vec<Rollou
 
 /// A rollout as the strip of a film takes it. States have the action that follows; the last one has that of the action before it.
 pub fn scene_rollout(rollout: &Rollout<Space>) -> SceneRollout {
-    let decisions: Vec<_> = rollout.decisions.iter().map(|decision| decision.core()).collect();
+    let decisions: Vec<_> = rollout.decisions.iter().map(Decided::core).collect();
     let steps = rollout.steps.iter().chain(rollout.steps.last());
     let states = steps.map(|step| SceneState {
         demo: decisions

@@ -93,11 +93,14 @@ impl<'a, S: Scene> Facts<'a, S> {
     }
 }
 
+/// A part of an artifact's name.
+pub(super) type Part<'a, S> = &'a dyn Fn(&Rollouts<S>) -> String;
+
 /// Names of artifacts with as many of the parts appended, and of their steps and keys, as it takes to tell them apart.
 pub(super) fn told_apart<S: Scene>(
     artifacts: &[Rollouts<S>],
     name: impl Fn(&Rollouts<S>) -> String,
-    parts: &[&dyn Fn(&Rollouts<S>) -> String],
+    parts: &[Part<'_, S>],
 ) -> Vec<String> {
     let mut labels: Vec<String> = artifacts.iter().map(name).collect();
     let steps = |artifact: &Rollouts<S>| format!("{} steps", artifact.max_steps);

@@ -228,7 +228,7 @@ pub trait Scene: Clone + std::fmt::Debug {
     /// Numbers of a rollout's first state.
     fn start(rollout: &Rollout<Self>) -> Vec<f64>;
     /// What the script reads of rollouts, beside what all scenes say.
-    fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>>;
+    fn pack_results(pack: Pack<'_, Rollout<Self>>) -> Pack<'_, Rollout<Self>>;
     /// What it reads of control steps.
     fn pack_steps<'a>(pack: Pack<'a, Self::Step>, artifact: &'a Rollouts<Self>) -> Pack<'a, Self::Step>;
     /// What it reads of decisions.

@@ -233,7 +233,7 @@ impl Scene for Plane {
         [&point(result.eef)[..], &pose(result.object)].concat()
     }
 
-    fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>> {
+    fn pack_results(pack: Pack<'_, Rollout<Self>>) -> Pack<'_, Rollout<Self>> {
         pack.list("score", |r| r.result.score_max)
             .list("coverage", |r| r.result.coverage_max)
             .list("iou", |r| r.result.iou_max)

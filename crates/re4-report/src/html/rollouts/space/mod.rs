@@ -185,9 +185,12 @@ impl Scene for Space {
             .any(|artifact| artifact.scene.task != artifacts[0].scene.task);
         told_apart(
             artifacts,
-            |artifact| match several {
-                true => format!("{} {}", artifact.scene.task.title, artifact.preset),
-                false => artifact.preset.clone(),
+            |artifact| {
+                if several {
+                    format!("{} {}", artifact.scene.task.title, artifact.preset)
+                } else {
+                    artifact.preset.clone()
+                }
             },
             &[
                 &|artifact| artifact.scene.simulator.clone(),
@@ -263,7 +266,7 @@ impl Scene for Space {
         .concat()
     }
 
-    fn pack_results<'a>(pack: Pack<'a, Rollout<Self>>) -> Pack<'a, Rollout<Self>> {
+    fn pack_results(pack: Pack<'_, Rollout<Self>>) -> Pack<'_, Rollout<Self>> {
         pack.list("demos", Rollout::demos)
             .list("losses", Rollout::losses)
             .list("banned", Rollout::banned)
