@@ -87,7 +87,7 @@ pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> 
     let of_domain = |spec: &&&TableSpec| domain.as_deref().is_none_or(|domain| spec.domain == domain);
     // Tables in space had names of their own before files told the domain, and so the plane comes first.
     let first = named.iter().filter(of_domain).min_by_key(|spec| spec.domain);
-    first.or(former.first()).copied()
+    first.or(former.iter().find(|spec| artifact.has_table(spec))).copied()
 }
 
 /// Refuses an artifact of which a table has a newer version than this build knows.
@@ -114,7 +114,51 @@ pub fn refuse_newer(artifact: &Artifact) -> Result<(), ArtifactError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeSet;
+    use re4_artifact::{ColumnSpec, Facts, Recipe, Store, verify};
+    use std::collections::{BTreeMap, BTreeSet};
+
+    #[test]
+    fn tables_of_older_artifacts_are_described_by_their_former_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let mut described_so = 0;
+        for (stage, spec) in all().filter(|(_, spec)| !spec.formerly.is_empty() && spec.domain != "plane") {
+            // Two tables may have been one.
+            let was = all().filter(|(_, other)| (other.formerly, other.domain) == (spec.formerly, spec.domain));
+            let columns = was.flat_map(|(_, part)| part.columns_at(1).map(|column| (part.name_at(column, 1), column)));
+            let columns: BTreeMap<&str, ColumnSpec> = columns
+                .map(|(name, column)| {
+                    let formerly = "";
+                    (
+                        name,
+                        ColumnSpec {
+                            name,
+                            formerly,
+                            ..*column
+                        },
+                    )
+                })
+                .collect();
+            let old: &'static TableSpec = Box::leak(Box::new(TableSpec {
+                name: spec.formerly,
+                version: 1,
+                domain: "",
+                formerly: "",
+                description: spec.description,
+                columns: columns.into_values().collect::<Vec<_>>().leak(),
+            }));
+            let recipe = Recipe::new(stage, 1).config(&spec.title()).unwrap();
+            let writer = store.begin(&recipe).unwrap();
+            writer.table(old).unwrap().finish().unwrap();
+            let artifact = writer.publish(Facts::default()).unwrap();
+            let found = described(&artifact, spec.formerly).unwrap();
+            assert_eq!((found.formerly, found.domain), (spec.formerly, spec.domain));
+            artifact.table(spec).unwrap();
+            verify(artifact.path(), &described).unwrap();
+            described_so += 1;
+        }
+        assert_eq!(described_so, 12);
+    }
 
     #[test]
     fn declarations_hold_together() {
