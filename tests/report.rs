@@ -163,6 +163,8 @@ fn figures_are_those_of_the_artifacts() {
     for (number, folder) in folders.iter().enumerate() {
         let artifact = Artifact::open(&place.path().join(folder)).unwrap();
         let shown = &data["artifacts"][number];
+        let counted = &artifact.manifest().summary["protocol"]["dataset"]["demonstrations"];
+        assert!(page.contains(&format!("all {counted} demonstrations")));
         stated_metrics(&page, &artifact, number);
         budgets_are_equal(&artifact, &shown["curve"]);
         results_are_equal(&artifact, &shown["rollouts"]);

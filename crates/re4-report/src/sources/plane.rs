@@ -25,7 +25,7 @@ impl Source for Plane {
         Ok(Self {
             demonstrations,
             taken,
-            in_dataset: protocol["dataset"]["episodes"].as_u64(),
+            in_dataset: in_dataset(protocol),
             starts,
             scenes,
             metrics: stated(artifact, "summary", &manifest.summary, "metrics")?,
@@ -33,10 +33,18 @@ impl Source for Plane {
     }
 }
 
+/// How many demonstrations the dataset has. Older artifacts call them episodes.
+fn in_dataset(protocol: &Value) -> Option<u64> {
+    let dataset = &protocol["dataset"];
+    dataset["demonstrations"]
+        .as_u64()
+        .or_else(|| dataset["episodes"].as_u64())
+}
+
 /// Which demonstrations were taken, and how many these are.
 fn demonstrations(protocol: &Value) -> (Taken, Option<u64>) {
     let select = &protocol["demonstrations"]["select"];
-    let in_dataset = protocol["dataset"]["episodes"].as_u64();
+    let in_dataset = in_dataset(protocol);
     let length = |range: &str| -> Option<u64> {
         let (start, end) = range.split_once("..")?;
         end.trim().parse::<u64>().ok()?.checked_sub(start.trim().parse().ok()?)
@@ -131,5 +139,27 @@ fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>)
         frames: (first, last),
         plan: decision.path().map(|[x, y]| Point2::new(x, y)).collect(),
         chunk: chunk.iter().map(|row| carry.transform_point(row.state.eef)).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn demonstrations_are_counted_in_artifacts_of_any_version() {
+        let count = |dataset: Value, select: Value| {
+            let protocol = json!({ "dataset": dataset, "demonstrations": { "select": select } });
+            let (taken, count) = demonstrations(&protocol);
+            (taken == Taken::All, count)
+        };
+        assert_eq!(count(json!({ "demonstrations": 206 }), json!("all")), (true, Some(206)));
+        assert_eq!(count(json!({ "episodes": 206 }), json!("all")), (true, Some(206)));
+        assert_eq!(count(json!({}), json!("all")), (true, None));
+        assert_eq!(
+            count(json!({ "demonstrations": 206 }), json!({ "first": 50 })),
+            (false, Some(50))
+        );
     }
 }
