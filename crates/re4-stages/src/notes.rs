@@ -53,14 +53,24 @@ pub fn print_error(error: &anyhow::Error) {
 pub fn told(error: &anyhow::Error) -> Fault {
     let (mut what, mut remedies) = (String::new(), Vec::<String>::new());
     for error in error.chain() {
-        let words = error.to_string();
-        let remedy = remedy_of(error);
+        let mut words = error.to_string();
+        let mut remedy = remedy_of(error);
+        // Its text says it all: what is wrong with the dataset, and after the first semicolon how to mend it.
+        let last = error.is::<re4_ingest::IngestError>();
+        if last {
+            let fault = Fault::from_sentence(&words);
+            remedy = fault.remedy().map(|remedy| Cow::Owned(remedy.into_owned()));
+            words = fault.to_string();
+        }
         if !what.contains(&words) {
             what.push_str(if what.is_empty() { "" } else { ": " });
             what.push_str(&words);
         }
         if let Some(remedy) = remedy.filter(|remedy| !remedies.iter().any(|told| told.contains(&**remedy))) {
             remedies.push(remedy.into_owned());
+        }
+        if last {
+            break;
         }
     }
     Fault::new(what, (!remedies.is_empty()).then(|| remedies.join("; ")))

@@ -13,9 +13,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use re4_artifact::{Artifact, Key, Recipe, Stage};
-use re4_fault::{bail, ensure};
+use re4_fault::{Fault, bail};
 use re4_ingest::robomimic::RobomimicSource;
-use re4_ingest::{DemoSource as _, OnBad, refusal};
+use re4_ingest::{DemoSource as _, LeftOut, OnBad, refusal};
 use serde_json::{Value, json};
 
 use crate::inputs::sources::{find_source, left_out};
@@ -67,14 +67,16 @@ impl Runner {
     fn refuse_left_out(&self, artifact: &Artifact, path: &Path) -> Result<()> {
         let left = left_out(artifact)?;
         let kept = artifact.manifest().summary["episodes"].as_u64().unwrap_or_default();
-        ensure!(
-            left.is_empty() || self.pipeline.ingest.on_bad == OnBad::LeaveOut,
-            "cannot ingest {}: {}",
-            path.display(),
-            refusal(&left, kept as usize + left.len())
-        );
-        Ok(())
+        if left.is_empty() || self.pipeline.ingest.on_bad == OnBad::LeaveOut {
+            return Ok(());
+        }
+        Err(refused(path, &left, kept as usize + left.len()).into())
     }
+}
+
+/// Why a dataset of so many demonstrations is refused for these.
+fn refused(path: &Path, left: &[LeftOut], of: usize) -> Fault {
+    Fault::from_sentence(&refusal(left, of)).at(format_args!("cannot ingest {}: ", path.display()))
 }
 
 /// Everything that decides the bytes of the artifact: the hash of the source, all settings but where it lies and what becomes of

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use re4_artifact::{Artifact, Facts, Recipe, Store, Writer};
 use re4_fault::{OrFault as _, ensure, fault};
 use re4_ingest::robomimic::GoalErrors;
-use re4_ingest::{Convention, DemoName, DemoSource, Frames, LeftOut, OnBad, Tally, WarningCode, refusal};
+use re4_ingest::{Convention, DemoName, DemoSource, Frames, LeftOut, OnBad, Tally, WarningCode};
 use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::{Map, Value, json};
 
@@ -175,13 +175,10 @@ impl Ingest<'_> {
 
     /// Refuses the dataset for these demonstrations.
     fn refuse(&self, left: &[LeftOut], of: usize, refuse: bool) -> Result<()> {
-        ensure!(
-            left.is_empty() || !refuse,
-            "cannot ingest {}: {}",
-            self.source.display(),
-            refusal(left, of)
-        );
-        Ok(())
+        if left.is_empty() || !refuse {
+            return Ok(());
+        }
+        Err(super::refused(self.source, left, of).into())
     }
 
     /// Writes the recorded images; the demonstrations whose images cannot be decoded, where there are any.
