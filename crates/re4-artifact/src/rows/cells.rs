@@ -19,18 +19,20 @@ use crate::columns::{first_null, table_name};
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, ColumnSpec};
 
-macro_rules! numbers {
-    ($($type:ty: $arrow:ty, $kind:ident;)*) => {$(
+/// Cells of one Arrow array: of each the builder, the array, the kind of column, and how a value goes in and comes out.
+macro_rules! cells {
+    ($($(#[doc = $doc:literal])* $type:ty: $builder:ty, $array:ty, $kind:ident, $into:expr, $out:expr;)*) => {$(
+        $(#[doc = $doc])*
         impl Cell for $type {
-            type Buffers = PrimitiveBuilder<$arrow>;
-            type View = PrimitiveArray<$arrow>;
+            type Buffers = $builder;
+            type View = $array;
 
             fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
                 columns.push(at.column(ColumnKind::$kind));
             }
 
             fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
-                buffers.append_option(value.copied());
+                buffers.append_option(value.map($into));
             }
 
             fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
@@ -42,17 +44,22 @@ macro_rules! numbers {
             }
 
             fn get(view: &Self::View, row: usize) -> Option<Self> {
-                view.is_valid(row).then(|| view.value(row))
+                view.is_valid(row).then(|| $out(view.value(row)))
             }
         }
     )*};
 }
 
-numbers! {
-    u32: UInt32Type, U32;
-    u64: UInt64Type, U64;
-    i64: Int64Type, I64;
-    f64: Float64Type, F64;
+cells! {
+    u32: PrimitiveBuilder<UInt32Type>, PrimitiveArray<UInt32Type>, U32, |value| *value, |value| value;
+    u64: PrimitiveBuilder<UInt64Type>, PrimitiveArray<UInt64Type>, U64, |value| *value, |value| value;
+    i64: PrimitiveBuilder<Int64Type>, PrimitiveArray<Int64Type>, I64, |value| *value, |value| value;
+    f64: PrimitiveBuilder<Float64Type>, PrimitiveArray<Float64Type>, F64, |value| *value, |value| value;
+    bool: BooleanBuilder, BooleanArray, Bool, |value| *value, |value| value;
+    /// Text of many distinct values.
+    String: StringBuilder, StringArray, Text, |value| value, str::to_owned;
+    /// Bytes, such as those of an image file.
+    Vec<u8>: BinaryBuilder, BinaryArray, Binary, |value| value, <[u8]>::to_vec;
 }
 
 /// Cells that are stored as another type.
@@ -143,83 +150,6 @@ columns! {
         /// Its frames.
         #[prefix = ""]
         pub frames: Range<usize>,
-    }
-}
-
-impl Cell for bool {
-    type Buffers = BooleanBuilder;
-    type View = BooleanArray;
-
-    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
-        columns.push(at.column(ColumnKind::Bool));
-    }
-
-    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
-        buffers.append_option(value.copied());
-    }
-
-    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
-        arrays.push(Arc::new(buffers.finish()));
-    }
-
-    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
-        Ok(source.next(required)?.0)
-    }
-
-    fn get(view: &Self::View, row: usize) -> Option<Self> {
-        view.is_valid(row).then(|| view.value(row))
-    }
-}
-
-/// Text of many distinct values.
-impl Cell for String {
-    type Buffers = StringBuilder;
-    type View = StringArray;
-
-    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
-        columns.push(at.column(ColumnKind::Text));
-    }
-
-    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
-        buffers.append_option(value);
-    }
-
-    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
-        arrays.push(Arc::new(buffers.finish()));
-    }
-
-    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
-        Ok(source.next(required)?.0)
-    }
-
-    fn get(view: &Self::View, row: usize) -> Option<Self> {
-        view.is_valid(row).then(|| view.value(row).to_owned())
-    }
-}
-
-/// Bytes, such as those of an image file.
-impl Cell for Vec<u8> {
-    type Buffers = BinaryBuilder;
-    type View = BinaryArray;
-
-    fn describe(at: &Place, columns: &mut Vec<ColumnSpec>) {
-        columns.push(at.column(ColumnKind::Binary));
-    }
-
-    fn push(value: Option<&Self>, buffers: &mut Self::Buffers) {
-        buffers.append_option(value);
-    }
-
-    fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>) {
-        arrays.push(Arc::new(buffers.finish()));
-    }
-
-    fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError> {
-        Ok(source.next(required)?.0)
-    }
-
-    fn get(view: &Self::View, row: usize) -> Option<Self> {
-        view.is_valid(row).then(|| view.value(row).to_owned())
     }
 }
 

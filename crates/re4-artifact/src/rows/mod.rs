@@ -119,12 +119,8 @@ pub trait Row: Cell {
 
     /// Description of the table.
     fn table() -> &'static TableSpec {
-        /// Row types are generic, and a static inside of a generic function is one for all of them.
-        static KNOWN: Mutex<BTreeMap<TypeId, &'static TableSpec>> = Mutex::new(BTreeMap::new());
-        let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-        known.entry(TypeId::of::<Self>()).or_insert_with(|| {
-            let mut columns = Vec::new();
-            Self::describe(&Place::default(), &mut columns);
+        static KNOWN: Known<&'static TableSpec> = Mutex::new(BTreeMap::new());
+        once::<Self, _>(&KNOWN, || {
             // One description a type for the life of the process.
             Box::leak(Box::new(TableSpec {
                 name: Self::NAME,
@@ -132,10 +128,37 @@ pub trait Row: Cell {
                 domain: Self::DOMAIN,
                 formerly: Self::FORMERLY,
                 description: leak(Self::description()),
-                columns: Vec::leak(columns),
+                columns: columns_of::<Self>(),
             }))
         })
     }
+}
+
+/// What is known of types. Row types are generic, and a static inside of a generic function is one for all of them.
+type Known<T> = Mutex<BTreeMap<TypeId, T>>;
+
+/// What is known of a type, made when it is asked for first: descriptions stay for the life of the process, one a type.
+fn once<C: 'static, T: Copy>(known: &Known<T>, make: impl FnOnce() -> T) -> T {
+    let id = TypeId::of::<C>();
+    let found = known.lock().unwrap_or_else(PoisonError::into_inner).get(&id).copied();
+    found.unwrap_or_else(|| {
+        let made = make();
+        *known
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .entry(id)
+            .or_insert(made)
+    })
+}
+
+/// Descriptions of the columns of a struct.
+fn columns_of<C: Cell>() -> &'static [ColumnSpec] {
+    static KNOWN: Known<&'static [ColumnSpec]> = Mutex::new(BTreeMap::new());
+    once::<C, _>(&KNOWN, || {
+        let mut columns = Vec::new();
+        C::describe(&Place::default(), &mut columns);
+        Vec::leak(columns)
+    })
 }
 
 fn leak(text: String) -> &'static str {
@@ -226,18 +249,16 @@ pub fn trimmed(lines: &str) -> String {
 /// Columns of a batch, by the names that a struct gives them, one after the other.
 pub struct ColumnSource<'a> {
     batch: &'a RecordBatch,
-    columns: std::vec::IntoIter<ColumnSpec>,
+    columns: std::slice::Iter<'static, ColumnSpec>,
 }
 
 impl<'a> ColumnSource<'a> {
     /// Those of `C` in a batch.
     #[must_use]
     pub fn new<C: Cell>(batch: &'a RecordBatch) -> Self {
-        let mut columns = Vec::new();
-        C::describe(&Place::default(), &mut columns);
         Self {
             batch,
-            columns: columns.into_iter(),
+            columns: columns_of::<C>().iter(),
         }
     }
 
@@ -252,10 +273,8 @@ impl<'a> ColumnSource<'a> {
 
     fn any(&mut self, required: bool) -> Result<(&'a ArrayRef, ColumnSpec), ArtifactError> {
         // A cell takes as many columns as it describes.
-        let spec = self
-            .columns
-            .next()
-            .unwrap_or_else(|| Place::default().column(ColumnKind::F64));
+        let spec = self.columns.next().copied();
+        let spec = spec.unwrap_or(ColumnSpec::new("", ColumnKind::F64, ""));
         let array = column(self.batch, spec.name)?;
         if required {
             complete(self.batch, spec.name, array.as_ref())?;
@@ -386,4 +405,16 @@ macro_rules! table {
             }
         }
     };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_type_is_described_once() {
+        // Descriptions are never freed: each batch that is read may not make them again.
+        assert!(std::ptr::eq(columns_of::<Vec<f64>>(), columns_of::<Vec<f64>>()));
+        assert!(!std::ptr::eq(columns_of::<u32>(), columns_of::<bool>()));
+    }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use arrow::array::RecordBatch;
 
 use super::cells::missing;
-use super::{Cell, ColumnSource, Place, Row};
+use super::{Cell, ColumnSource, Row, columns_of};
 use crate::columns::table_name;
 use crate::error::ArtifactError;
 use crate::reader::{Artifact, Batches, Table};
@@ -26,9 +26,7 @@ fn rows_of<C: Cell>(batch: &RecordBatch) -> Result<Vec<C>, ArtifactError> {
 }
 
 fn names<C: Cell>() -> Vec<&'static str> {
-    let mut columns = Vec::new();
-    C::describe(&Place::default(), &mut columns);
-    columns.iter().map(|column| column.name).collect()
+    columns_of::<C>().iter().map(|column| column.name).collect()
 }
 
 impl Artifact {
