@@ -4,9 +4,10 @@
 use std::cmp::Reverse;
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
+use re4_fault::{OrFault as _, Remedy as _, bail, ensure, fault};
 use re4_mujoco::{Data, Model, Renderer, View};
 use re4_report::html::rollouts::space::{DecisionPicture, FrameInPicture, Space};
 use re4_report::html::rollouts::{Rollout, Rollouts};
@@ -20,6 +21,7 @@ use re4_sim::robosuite::{
 
 use crate::inputs::pictures::encode_png;
 use crate::inputs::simulators::Scenes;
+use crate::notes::told;
 
 /// robosuite's camera in front of the robot.
 const CAMERA: &str = "agentview";
@@ -57,11 +59,12 @@ impl Redrawn {
         let config = &artifact.manifest().config;
         let task: RobosuiteTask = stated(artifact, "config", config, "task")?;
         let fidelity: Fidelity = stated(artifact, "config", config, "fidelity")?;
-        let episodes = find_input(artifact, Stage::Ingest, store)?.with_context(|| {
-            format!(
-                "cannot draw the rollouts of {}: the episodes artifact with their models is neither beside it nor in {}; name the artifacts folder with --artifacts",
+        let episodes = find_input(artifact, Stage::Ingest, store)?.or_fault(|| {
+            fault!(
+                "cannot draw the rollouts of {}: the episodes artifact with their models is neither beside it nor in {}",
                 artifact.path().display(),
-                store.display()
+                store.display();
+                "name the artifacts folder with --artifacts"
             )
         })?;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
@@ -118,8 +121,9 @@ fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) 
     let (seed, path) = (rollout.core().seed, artifact.path().display());
     let Some(start) = rollout.result.state.get(1..=nq) else {
         bail!(
-            "cannot draw seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates; run the rollout again",
-            rollout.result.state.len()
+            "cannot draw seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates",
+            rollout.result.state.len();
+            "run the rollout again"
         );
     };
     simulation.reset(&RobosuiteScene::Placed(start.to_vec()), FirstTorques::AsRobosuite)?;
@@ -132,7 +136,8 @@ fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) 
         let away = (after.observation.object.translation.vector - step.object.translation.vector).amax();
         ensure!(
             away <= TOLERANCE,
-            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table steps has it after step {number}, so pictures would show another rollout; run the rollout again on this machine"
+            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table steps has it after step {number}, so pictures would show another rollout";
+            "run the rollout again on this machine"
         );
         coordinates.push(simulation.data().qpos().to_vec());
     }
@@ -156,15 +161,12 @@ pub fn add_pictures(
     if count == 0 {
         return Ok(None);
     }
-    let drawn = pictures(artifact, set, count, store).with_context(|| {
-        format!(
-            "cannot show pictures of {}; leave --pictures out, or make it 0",
-            artifact.path().display()
-        )
-    });
+    let drawn = pictures(artifact, set, count, store).or_fault(
+        || fault!("cannot show pictures of {}", artifact.path().display(); "leave --pictures out, or make it 0"),
+    );
     match drawn {
         Ok(()) => Ok(None),
-        Err(error) if wanted.is_none() => Ok(Some(format!("the page shows no pictures: {error:#}"))),
+        Err(error) if wanted.is_none() => Ok(Some(format!("the page shows no pictures: {}", told(&error).sentence()))),
         Err(error) => Err(error),
     }
 }
