@@ -4,7 +4,7 @@
         [--threads 2] [--backends flex torch] [--cuda]
 
 `PYTHON` is one with torch 2.9.0, by default the one that runs this. Both sides have the same network (ResNet-18 with another
-first width, an embedding of 256 and nine numbers), random pictures of 76 x 76 that stay the same, the mean square as loss, and
+first width, an embedding of 256 and nine numbers), random images of 76 x 76 that stay the same, the mean square as loss, and
 AdamW; a step is forward, loss, backward and update. The programs run in turn, `rounds` times each, with the same number of
 threads; the first step of every run only warms up. Medians over all other steps are compared. PyTorch is timed twice, as it comes
 and with its memory format channels_last.
@@ -58,11 +58,11 @@ def pytorch_side(width: int, batch: int, steps: int, threads: int, layout: str, 
     form = getattr(torch, layout)
     network = nn.Sequential(*layers).to(device=device, memory_format=form)
     optimiser = torch.optim.AdamW(network.parameters(), 3e-4, weight_decay=1e-4)
-    pictures = torch.randn(batch, 3, 76, 76, device=device).contiguous(memory_format=form)
+    images = torch.randn(batch, 3, 76, 76, device=device).contiguous(memory_format=form)
     seconds = []
     for _ in range(steps + 1):
         start = time.perf_counter()
-        loss = network(pictures).square().mean()
+        loss = network(images).square().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -120,7 +120,7 @@ def main(arguments: argparse.Namespace) -> None:
         for layout in ("contiguous_format", "channels_last")
     } | {f"burn {name}": [programs[name], *sizes, "--backend", name] for name in arguments.backends}
     print(f"training images a second, batch {arguments.batch}, 76 x 76, {arguments.threads} threads, {device}, "
-          f"medians of {arguments.rounds} x {arguments.steps} steps (least-most)")
+          f"medians of {arguments.rounds} x {arguments.steps} steps (min-max)")
     for width in arguments.widths:
         seconds = {name: [] for name in sides}
         memory = dict.fromkeys(sides, 0.0)

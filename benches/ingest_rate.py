@@ -1,4 +1,4 @@
-"""Times reading all pictures of a Push-T dataset as bytes: re4-ingest and zarr-python in turn, in one run.
+"""Times reading all images of a Push-T dataset as bytes: re4-ingest and zarr-python in turn, in one run.
 
 usage: ingest_rate.py DATASET [ROUNDS]   (needs zarr 2 and numpy; builds the example `decode_rate` with cargo)
 

@@ -1,8 +1,8 @@
-"""Poses from pictures: re4-pipe train-pose against the paper's closed form written with OpenCV and numpy.
+"""Poses from images: re4-pipe train-pose against the paper's closed form written with OpenCV and numpy.
 
     python benches/poses.py <pusht_cchi_v7_replay.zarr> [binary]
 
-Both estimate the pose of all 25,650 frames on one thread. The rival has its pictures as bytes in memory; re4-pipe reads them
+Both estimate the pose of all 25,650 frames on one thread. The rival has its images as bytes in memory; re4-pipe reads them
 from the artifact, decodes them, estimates and writes the poses. Errors are against the recorded poses.
 """
 
@@ -41,8 +41,8 @@ def largest_region(mask):
     return labels == chosen, centroids[chosen]
 
 
-def estimate(picture, anchor):
-    red, green, blue = (picture[..., i].astype(np.int16) for i in range(3))
+def estimate(image, anchor):
+    red, green, blue = (image[..., i].astype(np.int16) for i in range(3))
     excess = blue - red
     mask, centroid = largest_region((excess >= 17) & (excess <= 50) & (red - green <= 6))
     correlation = np.fft.irfft((polar(mask, centroid) * anchor.conj()).sum(axis=1), n=ANGLES)
@@ -63,14 +63,14 @@ def main():
     binary = sys.argv[2] if len(sys.argv) > 2 else "target/release/re4-pipe"
     cv2.setNumThreads(1)
     store = zarr.open(dataset, "r")
-    pictures = np.concatenate([store["data/img"][i : i + 1000].astype(np.uint8) for i in range(0, len(store["data/img"]), 1000)])
+    images = np.concatenate([store["data/img"][i : i + 1000].astype(np.uint8) for i in range(0, len(store["data/img"]), 1000)])
     states = store["data/state"][:]
 
     start = time.perf_counter()
-    green = pictures[::16].astype(np.int16)
+    green = images[::16].astype(np.int16)
     goal = (green[..., 1] - np.maximum(green[..., 0], green[..., 2])).max(axis=0) > 47
     anchor = polar(*largest_region(goal))
-    poses = np.array([estimate(picture, anchor) for picture in pictures])
+    poses = np.array([estimate(image, anchor) for image in images])
     rival = time.perf_counter() - start
     position = np.hypot(*(poses[:, :2] - states[:, 2:4]).T)
     angle = np.degrees(np.abs((poses[:, 2] - states[:, 4] + np.pi) % (2 * np.pi) - np.pi))

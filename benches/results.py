@@ -77,7 +77,7 @@ FROM_PAPER = [
     ("Retrieve by outcome", STATE, change("paper", "retrieve.selector=outcome", "retrieve.candidates=256", "retrieve.step_cost=0.8", "retrieve.motion_cost=0.05", "replay.horizon=200")),
     ("periodic angle", STATE, change("paper", "retrieve.angle=periodic")),
     ("shortest path for RRT, keep-out 18", STATE, change("paper", "replan.planner=visibility", "replan.keepout=18")),
-    ("way-points every 15 px", STATE, change("paper", "replan.spacing=15")),
+    ("waypoints every 15 px", STATE, change("paper", "replan.spacing=15")),
     ("path tracking at 20 px a step", STATE, change("paper", "replay.tracking=path", "replan.spacing=60")),
     ("every 2nd action, n = 16", STATE, change("paper", "replay.stride=2", "replay.horizon=16")),
     ("without epsilon filter", STATE, change("paper", "retrieve.epsilon=1000")),
@@ -115,7 +115,7 @@ PROTOCOL = [
 
 TABLES = {
     "main": ("Scores", MAIN, ["100", "300"]),
-    "image": ("From pictures", FROM_PICTURES, ["100", "300"]),
+    "image": ("From images", FROM_PICTURES, ["100", "300"]),
     "paper": ("The `paper` preset, one setting changed at a time", FROM_PAPER, ["400"]),
     "re4": ("The `re4` preset, one setting changed at a time", FROM_RE4, ["400"]),
     "protocol": ("Other protocols", PROTOCOL, ["400"]),
@@ -124,7 +124,7 @@ TABLES = {
 
 def print_poses(artifacts):
     """How far the estimated poses are from the recorded ones, over every frame."""
-    print("\nPoses from pictures, over every frame\n")
+    print("\nPoses from images, over every frame\n")
     print("| estimate | frames | not clear | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
     print("|---|---|---|---|---|---|")
     for label, refine in [("aligned with the outline", "true"), ("the paper's closed form alone", "false")]:

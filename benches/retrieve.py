@@ -61,8 +61,8 @@ class Columns:
         d_o = (q[2] - x) ** 2 + (q[3] - y) ** 2 + turn**2
         d_q = (q[0] - eef_x) ** 2 + (q[1] - eef_y) ** 2 + d_o
         if np.isfinite(epsilon):
-            least = np.minimum.reduceat(d_o, self.starts)
-            limit = np.maximum((np.sqrt(least) + epsilon) ** 2, least)
+            minimum = np.minimum.reduceat(d_o, self.starts)
+            limit = np.maximum((np.sqrt(minimum) + epsilon) ** 2, minimum)
             d_q = np.where(d_o <= np.repeat(limit, self.lengths), d_q, np.inf)
         nearest = np.minimum.reduceat(d_q, self.starts)
         hits = np.flatnonzero(d_q == np.repeat(nearest, self.lengths))

@@ -12,12 +12,12 @@ venv="${VENV:-target/bench-venv}"
 
 echo "== simulator: control steps a second, against gym-pusht"
 "$venv/bin/python" benches/pusht_sim.py 5
-echo "== ingest: all pictures as bytes, against zarr-python"
+echo "== ingest: all images as bytes, against zarr-python"
 "$venv/bin/python" benches/ingest_rate.py "$dataset" 5
 echo "== retrieve: against numpy and scipy"
 "$venv/bin/python" benches/retrieve.py "$dataset"
 cargo build --release -q -p re4-pipe
-echo "== poses from pictures: against OpenCV and numpy"
+echo "== poses from images: against OpenCV and numpy"
 "$venv/bin/python" benches/poses.py "$dataset"
 echo "== stages, whole commands"
 artifacts="$(mktemp -d)"

@@ -20,7 +20,7 @@ for left in 5 4 3 2 1 0; do
     if $run apt-get -o DPkg::Lock::Timeout=600 update -q >/dev/null; then
         break
     elif [ "$left" -eq 0 ]; then
-        echo "$asker: apt-get update fails; mend that and run this again" >&2
+        echo "$asker: apt-get update fails; fix that and run this again" >&2
         exit 2
     fi
     sleep 10

@@ -125,7 +125,7 @@ class Page:
         rows.send_keys(Keys.END)
         return first, self.chosen()
 
-    def picture(self):
+    def image(self):
         """What the timelines look like, as one number."""
         return hash(self.run("return document.getElementById('timeline-canvas').toDataURL()"))
 
@@ -155,21 +155,21 @@ def figures_are_the_audits(page, expected):
 def every_demonstration_has_its_own(page, expected):
     """Choosing a demonstration shows its figures, findings and evidence."""
     worst = sorted(expected["demos"], key=lambda d: [-d[s] for s in SEVERITIES] + [d["number"]])
-    pictures = set()
+    images = set()
     for demo in [*worst[:4], worst[-1]]:
         page.open(address(demo))
         equal(page.chosen(), demo["number"], "chosen demonstration")
         equal(page.one("#evidence-title").text, demo["name"], "title of the evidence")
-        facts = page.one("#evidence-facts").text
-        check(f"{demo['frames']} frame" in facts, f"{demo['name']}: {facts}")
+        summary = page.one("#evidence-summary").text
+        check(f"{demo['frames']} frame" in summary, f"{demo['name']}: {summary}")
         equal(len(page.all("#evidence-findings button")), sum(demo[s] for s in SEVERITIES), f"findings of {demo['name']}")
         for severity in SEVERITIES:
             equal(len(page.all(f"#evidence-findings .glyph.sev-{severity}")), demo[severity], f"{severity}s of {demo['name']}")
         equal(len(page.all("#segments tbody tr")), demo["segments"], f"segments of {demo['name']}")
         equal(page.one("#evidence-plots").get_attribute("data-end"), str(demo["frames"]), "frames in the plots")
-        pictures.add(page.run("return document.getElementById('evidence-plots').innerHTML"))
+        images.add(page.run("return document.getElementById('evidence-plots').innerHTML"))
         check(page.all(".panel .curve[d^=M]"), f"{demo['name']} has no curves")
-    check(len(pictures) == len({demo["number"] for demo in [*worst[:4], worst[-1]]}), "two demonstrations look the same")
+    check(len(images) == len({demo["number"] for demo in [*worst[:4], worst[-1]]}), "two demonstrations look the same")
 
 
 def orders_change_the_rows(page, expected):
@@ -199,7 +199,7 @@ def orders_change_the_rows(page, expected):
 def filters_change_the_rows(page, expected):
     page.open()
     equal(page.shown(), len(expected["demos"]), "rows without a filter")
-    whole = page.picture()
+    whole = page.image()
     for code, (findings, episodes) in expected["codes"].items():
         if findings == 0:
             continue
@@ -226,10 +226,10 @@ def filters_change_the_rows(page, expected):
     check(page.one("#no-rows").is_displayed(), "no word about an empty list")
     page.press("#clear-filters")
     page.settle()
-    equal(page.picture(), whole, "timelines after all filters were taken back")
+    equal(page.image(), whole, "timelines after all filters were taken back")
     page.press("input[name=scale][value=share]")
     lengths = {demo["frames"] for demo in expected["demos"]}
-    check((page.picture() != whole) == (len(lengths) > 1), "the scale changes rows if and only if lengths differ")
+    check((page.image() != whole) == (len(lengths) > 1), "the scale changes rows if and only if lengths differ")
     page.press("input[name=scale][value=frames]")
 
 
@@ -331,7 +331,7 @@ def controls_have_names(page):
 
 
 def widths_and_schemes_hold(page):
-    pictures = set()
+    images = set()
     for width in [1440, 1024, 768, 380]:
         for dark in [False, True]:
             page.resize(width, dark, still=True)
@@ -339,8 +339,8 @@ def widths_and_schemes_hold(page):
             page.settle()
             wide = page.run("return document.documentElement.scrollWidth")
             check(wide <= width, f"at {width} px the page is {wide} px wide")
-            pictures.add(page.picture())
-    equal(len(pictures), 8, "different pictures in four widths and two schemes")
+            images.add(page.image())
+    equal(len(images), 8, "different images in four widths and two schemes")
     page.resize(1440)
     page.settle()
 
@@ -363,7 +363,7 @@ def scrolling_draws_few_rows(page, expected):
     most = max(measured["drawn"])
     print(f"scrolling through {len(expected['demos'])} demonstrations: frames p50 {at(0.5):.1f} ms, p99 {at(0.99):.1f} ms, "
           f"at most {most} rows a frame, {len(measured['long'])} long tasks, longest {max(measured['long'], default=0):.0f} ms")
-    equal(measured["last"], len(expected["demos"]), "row after the last one in sight, at the bottom")
+    equal(measured["last"], len(expected["demos"]), "row after the last one in view, at the bottom")
     check(most <= measured["height"] / 18 + 2, f"{most} rows are drawn in a frame")
     elements = page.run("return document.querySelectorAll('*').length")
     check(elements < 2500, f"the page has {elements} elements")
@@ -377,8 +377,8 @@ def nothing_was_loaded(page):
 
 
 def main():
-    path, facts, *more = sys.argv[1:]
-    expected = json.loads(Path(facts).read_text())
+    path, summary, *more = sys.argv[1:]
+    expected = json.loads(Path(summary).read_text())
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(Path(path), profile)
         try:

@@ -63,11 +63,11 @@ fn python() -> Option<PathBuf> {
 /// Looks at a page in the browser; what the script says.
 #[track_caller]
 fn look(python: &Path, page: &Path, expected: &Value, more: &[&str]) -> String {
-    let facts = page.with_extension("json");
-    fs::write(&facts, expected.to_string()).unwrap();
+    let summary = page.with_extension("json");
+    fs::write(&summary, expected.to_string()).unwrap();
     let output = Command::new(python)
         .arg(repository().join("tests/audit_page.py"))
-        .args([page, &facts])
+        .args([page, &summary])
         .args(more)
         .output()
         .unwrap();
@@ -255,7 +255,7 @@ fn push_t_has_contacts_in_place_of_grasps() {
         &[
             of("Contact points", &["contacts"][..]),
             of("Speed", &["eef_step", "object_step"]),
-            of("Block turns", &["object_turn"]),
+            of("Block turns", &["object_rotation"]),
             of("Relative translation", &["relative_translation"]),
             of("Pusher to block", &["eef_object_distance"]),
         ],

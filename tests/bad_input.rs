@@ -1,5 +1,5 @@
-//! What goes wrong in datasets, artifacts and on disks: exit code 2, one sentence that says what, where and how to mend,
-//! nothing half-written, and once it is mended the same bytes as if nothing had happened.
+//! What goes wrong in datasets, artifacts and on disks: exit code 2, one sentence that says what, where and how to fix,
+//! nothing half-written, and once it is fixed the same bytes as if nothing had happened.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -43,13 +43,13 @@ fn datasets_that_cannot_be_ingested() {
             let bytes = fs::read(&chunk).unwrap();
             fs::write(chunk, &bytes[..bytes.len() / 2]).unwrap();
         }),
-        ("truncated chunk of pictures", |path| {
+        ("truncated chunk of images", |path| {
             fs::write(path.join("data/img/3.0.0.0"), [0; 100]).unwrap();
         }),
         ("missing chunk", |path| {
             fs::remove_file(path.join("data/action/2.0")).unwrap();
         }),
-        ("missing chunk of pictures", |path| {
+        ("missing chunk of images", |path| {
             fs::remove_file(path.join("data/img/8.0.0.0")).unwrap();
         }),
         ("missing array", |path| {
@@ -128,7 +128,7 @@ fn zip_files_that_cannot_be_read() {
 }
 
 #[test]
-fn a_mended_dataset_gives_the_bytes_of_a_sound_one() {
+fn a_fixed_dataset_gives_the_bytes_of_a_sound_one() {
     let place = Place::new();
     let chunk = place.dataset().join("data/img/3.0.0.0");
     let sound = fs::read(&chunk).unwrap();
@@ -236,7 +236,7 @@ fn a_flipped_byte_in_any_file_is_found() {
 }
 
 #[test]
-fn files_that_are_missing_longer_or_foreign_are_found_and_mended_by_deletion() {
+fn files_that_are_missing_longer_or_foreign_are_found_and_fixed_by_deletion() {
     let place = Place::new();
     place.run("run small.toml").done();
     let sound = place.bytes();

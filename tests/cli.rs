@@ -15,7 +15,7 @@ const COMMANDS: [&str; 15] = [
     "rollout",
     "run",
     "replay",
-    "film",
+    "video",
     "verify",
     "inspect",
     "report",
@@ -81,9 +81,9 @@ fn what_is_done_is_told_where_asked() {
     assert_eq!(logged(&named("[span{a=1}]=")), 0);
 }
 
-/// What is wrong and how to mend it are one sentence for people, and two fields for programs.
+/// What is wrong and how to fix it are one sentence for people, and two fields for programs.
 #[test]
-fn errors_say_how_to_mend_them() {
+fn errors_say_how_to_fix_them() {
     let place = Place::empty();
     let answer = place.run("run missing.toml --json");
     let what = "cannot read the pipeline file missing.toml: No such file or directory (os error 2)";
@@ -125,10 +125,10 @@ fn errors_of_the_command_line() {
         "run small.toml --jobs -1",
         "run small.toml --set",
         "run small.toml --max-steps 1.5",
-        "film x out.gif",
-        "film x --seed 500",
-        "film x out.gif --seeds 5..5",
-        "film x out.gif --seed 500 --size small",
+        "video x out.gif",
+        "video x --seed 500",
+        "video x out.gif --seeds 5..5",
+        "video x out.gif --seed 500 --size small",
         "inspect",
         "inspect x --seed 500",
         "inspect x --rows -1",

@@ -1,4 +1,4 @@
-//! The pose encoder, from demonstrations with pictures to the `poses` artifact. These tests train for real, on the five
+//! The pose encoder, from demonstrations with images to the `poses` artifact. These tests train for real, on the five
 //! recorded demonstrations of Lift; they run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data).
 
 use std::fmt::Write as _;
@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
 use arrow::array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Columns, Facts, Recipe, Row as _, Stage, Store, col_f64, col_u32};
+use re4_artifact::{Artifact, ArtifactSummary, Columns, Recipe, Row as _, Stage, Store, col_f64, col_u32};
 use re4_ingest::{FrameRow, SpatialColumns};
 
 const SETTINGS: &str = r#"
@@ -40,7 +40,7 @@ fn train(place: &Place, arguments: &str) -> Answer {
     place.run(&format!("train-pose lift.toml {arguments}"))
 }
 
-/// Lift's five demonstrations with pictures, in a pipeline file.
+/// Lift's five demonstrations with images, in a pipeline file.
 fn lift() -> Option<Place> {
     let data = scripted()?;
     let place = Place::empty();
@@ -110,9 +110,9 @@ fn forge(original: &Artifact, store: &Path) {
         .source(manifest.source_blake3.unwrap().as_bytes(), manifest.source.clone());
     assert_eq!(recipe.key(), manifest.key);
     let writer = Store::open(store).unwrap().begin(&recipe).unwrap();
-    for (name, facts) in &manifest.tables {
+    for (name, summary) in &manifest.tables {
         let spec = re4_stages::tables::described(original, name).unwrap();
-        let mut out = writer.table_in_groups(spec, facts.row_group_rows as usize).unwrap();
+        let mut out = writer.table_in_groups(spec, summary.row_group_rows as usize).unwrap();
         for batch in original.table(spec).unwrap().batches().unwrap() {
             let batch = batch.unwrap();
             let frames = spec.name == FrameRow::<SpatialColumns>::table().name;
@@ -121,7 +121,7 @@ fn forge(original: &Artifact, store: &Path) {
         out.finish().unwrap();
     }
     writer
-        .publish(Facts {
+        .publish(ArtifactSummary {
             summary: manifest.summary.clone(),
             warnings: manifest.warnings.clone(),
         })

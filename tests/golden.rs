@@ -27,11 +27,11 @@ fn demo(pipeline: &str, jobs: &str) -> String {
             let Ok(artifact) = Artifact::open(&path) else { continue };
             let manifest = artifact.manifest();
             writeln!(text, "{} {}", manifest.artifact, manifest.key).unwrap();
-            for (name, facts) in &manifest.tables {
+            for (name, summary) in &manifest.tables {
                 writeln!(
                     text,
                     "  {name} {} rows, {} bytes, {}",
-                    facts.rows, facts.bytes, facts.blake3
+                    summary.rows, summary.bytes, summary.blake3
                 )
                 .unwrap();
             }
@@ -50,7 +50,7 @@ fn the_demo_gives_the_same_bytes_in_every_run() {
 }
 
 #[test]
-fn the_demo_from_pictures_gives_the_same_bytes_in_every_run() {
+fn the_demo_from_images_gives_the_same_bytes_in_every_run() {
     let one = demo("pipelines/demo-image.toml", "1");
     assert_eq!(demo("pipelines/demo-image.toml", "2"), one);
     insta::assert_snapshot!(one);

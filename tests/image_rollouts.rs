@@ -1,4 +1,4 @@
-//! Rollouts of robosuite's tasks from pictures, with an invented encoder in the place of a trained one. They run where `RE4_DATA`
+//! Rollouts of robosuite's tasks from images, with an invented encoder in the place of a trained one. They run where `RE4_DATA`
 //! names the folder of the datasets (or it lies in ../shared/data) and `RE4_SIMULATORS` that of the simulators (or
 //! scripts/setup-simulators.sh has put them into data/simulators).
 
@@ -13,8 +13,8 @@ use crate::support::{Answer, Place, filters, repository, scripted_and_simulators
 use insta::{assert_snapshot, with_settings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{
-    Artifact, Columns, Facts, Recipe, Row as _, Stage, Store, col_binary, col_bool, col_f64, col_f64_list, col_text,
-    col_u32,
+    Artifact, ArtifactSummary, Columns, Recipe, Row as _, Stage, Store, col_binary, col_bool, col_f64, col_f64_list,
+    col_text, col_u32,
 };
 use re4_ingest::{DemoRow, FrameRow, ImageRow, ModelRow, SpatialColumns, StateRow};
 use re4_mujoco::{Library, Version};
@@ -22,10 +22,12 @@ use re4_policy::spatial::{
     SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4Factory,
 };
 use re4_robosuite::models::{looks, with_assets};
-use re4_robosuite::physics::without_pictures;
-use re4_rollout::{Estimator, Image, PolicyError, RobosuiteEnv, Rollout, Source, Space, Start, Studio, Told, rollout};
+use re4_robosuite::physics::without_images;
+use re4_rollout::{
+    Estimator, Image, ObservedPose, PolicyError, RobosuiteEnv, Rollout, SceneRenderer, Source, Space, Start, rollout,
+};
 use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask};
-use re4_stages::testing::{Estimate, Invented, pictures};
+use re4_stages::testing::{Estimate, Invented, images as rendered_images};
 use serde_json::json;
 
 fn pipeline(task: &str, source: &Path, variant: &str, policy: &str) -> String {
@@ -93,11 +95,11 @@ pub(crate) fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, row
     }
     table.write_columns(columns).unwrap();
     table.finish().unwrap();
-    let facts = Facts {
+    let summary = ArtifactSummary {
         summary: json!({}),
         warnings: Vec::new(),
     };
-    writer.publish(facts).unwrap().path().to_owned()
+    writer.publish(summary).unwrap().path().to_owned()
 }
 
 /// The recorded poses of the object.
@@ -161,8 +163,8 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         let state = only(&place, &folder, Stage::Rollout);
         let asked = Arc::new(AtomicU64::new(0));
         let count = Arc::clone(&asked);
-        let truth: Estimate = Arc::new(move |picture, object| {
-            assert_eq!(picture.len(), 84 * 84 * 3);
+        let truth: Estimate = Arc::new(move |image, object| {
+            assert_eq!(image.len(), 84 * 84 * 3);
             count.fetch_add(1, Ordering::Relaxed);
             *object
         });
@@ -174,33 +176,33 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
             poses: &poses,
         };
         let image = Artifact::open(&invented.roll_out(&truth).unwrap()).unwrap();
-        println!("{policy}: {:.1} s from pictures", start.elapsed().as_secs_f64());
+        println!("{policy}: {:.1} s from images", start.elapsed().as_secs_f64());
         let (there, seen) = (actions(&state), actions(&image));
         assert_eq!(there.1, seen.1, "{policy}");
         assert!(seen.1.iter().filter(|success| **success).count() >= 4, "{policy}");
         if policy == "paper" {
             assert!(there.0 == seen.0, "paper: the actions differ");
         }
-        // One picture a decision that depends on the object, and none in between.
+        // One image a decision that depends on the object, and none in between.
         let summary = &image.manifest().summary;
         let steps = crate::support::steps(&image).num_rows() as u64;
-        assert_eq!(summary["pictures"], asked.load(Ordering::Relaxed));
+        assert_eq!(summary["images"], asked.load(Ordering::Relaxed));
         let decisions = crate::support::decisions(&image);
         let kinds = col_text(&decisions, "kind").unwrap();
         let looked = kinds
             .iter()
             .filter(|kind| matches!(kind, Some("retrieve" | "continue")))
             .count() as u64;
-        assert_eq!(summary["pictures"], looked);
-        assert!(10 * looked < steps, "{looked} pictures in {steps} steps");
-        assert!(state.manifest().summary.get("pictures").is_none());
+        assert_eq!(summary["images"], looked);
+        assert!(10 * looked < steps, "{looked} images in {steps} steps");
+        assert!(state.manifest().summary.get("images").is_none());
         assert!(image.manifest().inputs.contains_key("poses"));
     }
 }
 
-/// The picture that the policy sees of a state is the one that robosuite recorded of it.
+/// The image that the policy sees of a state is the one that robosuite recorded of it.
 #[test]
-fn pictures_are_those_of_the_demonstrations() {
+fn images_are_those_of_the_demonstrations() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -232,9 +234,9 @@ fn pictures_are_those_of_the_demonstrations() {
             let rows: Vec<usize> = (0..demos.len()).filter(|row| demos[*row] == demo).step_by(9).collect();
             let of_rows: Vec<Vec<f64>> = rows.iter().map(|row| states[*row].clone()).collect();
             let start = Instant::now();
-            let drawn = pictures(&place.path().join("task.toml"), &place.artifacts(), &boxes, &of_rows).unwrap();
+            let drawn = rendered_images(&place.path().join("task.toml"), &place.artifacts(), &boxes, &of_rows).unwrap();
             println!(
-                "{task}: {} pictures in {:.2} s",
+                "{task}: {} images in {:.2} s",
                 drawn.len(),
                 start.elapsed().as_secs_f64()
             );
@@ -253,9 +255,9 @@ fn pictures_are_those_of_the_demonstrations() {
 struct Always(Isometry3<f64>);
 
 impl Estimator<Space> for Always {
-    fn estimate(&mut self, image: &Image) -> Result<Told<Space>, PolicyError> {
+    fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
         assert_eq!(image.pixels.len(), 84 * 84 * 3);
-        Ok(Told {
+        Ok(ObservedPose {
             pose: self.0,
             confidence: None,
             flag: None,
@@ -278,7 +280,7 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     run(&place, &simulators, "index lift.toml").done();
     let episodes = only(&place, "artifacts", Stage::Ingest);
     let models = episodes.table(ModelRow::table()).unwrap().read_all().unwrap();
-    let mjcf = without_pictures(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
+    let mjcf = without_images(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
     let mjcf = with_assets(&mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
     let lift = RobosuiteTask::named("lift").unwrap();
     let placement = Placement::draw(lift, 200_000);
@@ -302,14 +304,14 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     )
     .unwrap();
     let drawn_model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &drawn).unwrap();
-    let studio = Studio::new(drawn, drawn_model.mujoco().clone(), 84);
+    let scene_renderer = SceneRenderer::new(drawn, drawn_model.mujoco().clone(), 84);
     let factory = SpatialRe4Factory { config, knowledge };
     let roll_out = |scene: &Placement, truthful: bool| -> Rollout<Space, SpatialDecision> {
         let start = Start {
             seed: 200_000,
             scene: scene.clone(),
         };
-        let mut env = RobosuiteEnv::new(&model, Some(&studio)).unwrap();
+        let mut env = RobosuiteEnv::new(&model, Some(&scene_renderer)).unwrap();
         let source = if truthful {
             Source::Recorded
         } else {
@@ -506,9 +508,9 @@ fn what_cannot_be_seen_is_told_in_one_sentence() {
         writeln!(told, "{what}\n  {}", sentence.trim_end()).unwrap();
     };
     for command in ["train-pose", "index", "rollout", "run"] {
-        tell(&format!("{command}, no pictures"), &format!("{command} lift.toml"));
+        tell(&format!("{command}, no images"), &format!("{command} lift.toml"));
     }
-    tell("no pictures at all", "rollout lift.toml --no-images");
+    tell("no images at all", "rollout lift.toml --no-images");
     tell("nothing to train", "train-pose state.toml");
     let settings = [
         ("another camera drawn", "ingest.render=[\"robot0_eye_in_hand\"]"),

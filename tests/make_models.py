@@ -1,4 +1,4 @@
-"""Writes HDF5 files of robosuite demonstrations with one fault each in what pictures are drawn from.
+"""Writes HDF5 files of robosuite demonstrations with one fault each in what images are drawn from.
 
 usage: make_models.py LOW_DIM.hdf5 FOLDER   (needs h5py; the source holds states and model_file)
 """

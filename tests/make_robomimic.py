@@ -1,4 +1,4 @@
-"""Writes HDF5 files with one fault each, and two with pictures, from the first demonstrations of data/can-sample.hdf5.
+"""Writes HDF5 files with one fault each, and two with images, from the first demonstrations of data/can-sample.hdf5.
 
 usage: make_robomimic.py SAMPLE.hdf5 FOLDER   (needs h5py and numpy)
 """
@@ -212,7 +212,7 @@ def no_data(file):
     del file["data"]
 
 
-def pictures(file, shape=(12, 16, 3), dtype=np.uint8, **how):
+def images(file, shape=(12, 16, 3), dtype=np.uint8, **how):
     noise = np.random.default_rng(7)
     for demo in DEMOS:
         frames = file[f"data/{demo}"].attrs["num_samples"]
@@ -221,20 +221,20 @@ def pictures(file, shape=(12, 16, 3), dtype=np.uint8, **how):
             file.create_dataset(f"data/{demo}/obs/{camera}_image", data=values, **how)
 
 
-def pictures_contiguous(file):
-    pictures(file)
+def images_contiguous(file):
+    images(file)
 
 
-def pictures_chunked(file):
-    pictures(file, chunks=(7, 5, 9, 2), compression="gzip")
+def images_chunked(file):
+    images(file, chunks=(7, 5, 9, 2), compression="gzip")
 
 
-def pictures_grey(file):
-    pictures(file, shape=(12, 16, 1))
+def images_grey(file):
+    images(file, shape=(12, 16, 1))
 
 
-def pictures_float(file):
-    pictures(file, dtype=np.float32)
+def images_float(file):
+    images(file, dtype=np.float32)
 
 
 def main():
@@ -248,5 +248,5 @@ def main():
     (folder / "folder.hdf5").mkdir(exist_ok=True)
 
 
-OWN = {"copy", "replace", "fault", "main", "pictures", "Path", "OWN"}
+OWN = {"copy", "replace", "fault", "main", "images", "Path", "OWN"}
 main()

@@ -56,8 +56,8 @@ fn cells(path: &Path) -> Vec<Value> {
     notebook["cells"].as_array().unwrap().clone()
 }
 
-/// Pictures in the notebook as it was executed.
-fn pictures(place: &Place) -> usize {
+/// Images in the notebook as it was executed.
+fn count_images(place: &Place) -> usize {
     cells(&place.path().join("executed.ipynb"))
         .iter()
         .filter_map(|cell| cell["outputs"].as_array())
@@ -100,7 +100,7 @@ fn the_notebook_of_an_audit_runs_and_draws_and_holds_the_manifest_to_its_tables(
         .unwrap();
     Answer::new(&output, place.path()).done();
     execute(&python, &place, "audit.ipynb").done();
-    assert_eq!(pictures(&place), 4, "modes, findings, evidence, grasps");
+    assert_eq!(count_images(&place), 4, "modes, findings, evidence, grasps");
 
     let path = folders_in(&place.artifacts().join("audit"))[0].join("manifest.json");
     let mut manifest: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
@@ -120,7 +120,7 @@ fn the_notebook_runs_and_draws_and_holds_the_manifest_to_its_tables() {
     let Some(python) = python() else { return };
     let place = demo();
     execute(&python, &place, "pusht.ipynb").done();
-    assert_eq!(pictures(&place), 4, "scores, budgets, decisions, demonstrations");
+    assert_eq!(count_images(&place), 4, "scores, budgets, decisions, demonstrations");
 
     // One end of one interval, off in the sixth digit.
     let artifacts = folders_in(&place.artifacts().join("rollouts"));

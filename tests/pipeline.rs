@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use crate::support::dataset::{LENGTH, SIDE, picture};
+use crate::support::dataset::{LENGTH, SIDE, image};
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, Row as _, Stage, col_binary, col_f64, col_f64_or_null, col_text, col_u32};
@@ -91,10 +91,10 @@ fn json_answers_with_one_object_of_the_agreed_keys() {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         let [value, low, high] = ["value", "low", "high"].map(|key| metrics[name][key].as_f64().unwrap());
         assert!((value - mean).abs() < 1e-12, "{name}: {value} is not {mean}");
-        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let greatest = values.iter().copied().fold(0.0, f64::max);
+        let minimum = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let maximum = values.iter().copied().fold(0.0, f64::max);
         assert!(
-            least <= low && low <= value && value <= high && high <= greatest,
+            minimum <= low && low <= value && value <= high && high <= maximum,
             "{name}"
         );
     }
@@ -286,7 +286,7 @@ fn episodes_are_selected_by_number() {
             read(name, FrameRow::<PlanarColumns>::table()),
             read(name, ImageRow::table()),
         );
-        let pictures = col_binary(&images, "image").unwrap();
+        let images = col_binary(&images, "image").unwrap();
         assert_eq!(frames.num_rows(), expected.len() * LENGTH, "{name}");
         for (position, source) in expected.iter().map(|source| *source as usize).enumerate() {
             for column in ["eef_x", "object_theta", "action_y"] {
@@ -297,10 +297,10 @@ fn episodes_are_selected_by_number() {
                     "{name} {column}"
                 );
             }
-            let png = image::load_from_memory(pictures.value(position * LENGTH + 3)).unwrap();
+            let png = image::load_from_memory(images.value(position * LENGTH + 3)).unwrap();
             assert_eq!(
                 png.into_rgb8().into_raw(),
-                picture(source * LENGTH + 3, 12 * LENGTH),
+                image(source * LENGTH + 3, 12 * LENGTH),
                 "{name}"
             );
         }
@@ -308,22 +308,22 @@ fn episodes_are_selected_by_number() {
 }
 
 #[test]
-fn pictures_are_kept_without_loss_or_left_out() {
+fn images_are_kept_without_loss_or_left_out() {
     let place = Place::new();
     place.run("ingest small.toml").done();
     let with = place.artifact(Stage::Ingest);
     let images = with.table(ImageRow::table()).unwrap().read_all().unwrap();
     assert_eq!(images.num_rows(), 12 * LENGTH);
     let (episode, frame) = (col_u32(&images, "episode").unwrap(), col_u32(&images, "frame").unwrap());
-    let pictures = col_binary(&images, "image").unwrap();
+    let pngs = col_binary(&images, "image").unwrap();
     for row in 0..images.num_rows() {
         assert_eq!(
             (episode[row] as usize, frame[row] as usize),
             (row / LENGTH, row % LENGTH)
         );
-        let png = image::load_from_memory(pictures.value(row)).unwrap().into_rgb8();
+        let png = image::load_from_memory(pngs.value(row)).unwrap().into_rgb8();
         assert_eq!(png.dimensions(), (SIDE as u32, SIDE as u32));
-        assert_eq!(png.into_raw(), picture(row, 12 * LENGTH), "row {row}");
+        assert_eq!(png.into_raw(), image(row, 12 * LENGTH), "row {row}");
     }
     place.run("ingest small.toml --artifacts without --no-images").done();
     let folder = folders_in(&place.path().join("without/episodes")).remove(0);
@@ -336,7 +336,7 @@ fn pictures_are_kept_without_loss_or_left_out() {
 }
 
 #[test]
-fn a_dataset_without_pictures_is_ingested_with_a_warning() {
+fn a_dataset_without_images_is_ingested_with_a_warning() {
     let place = Place::new();
     fs::remove_dir_all(place.dataset().join("data/img")).unwrap();
     let object = place.run("ingest small.toml --json").done().json();
@@ -465,8 +465,11 @@ fn inspect_shows_every_artifact() {
         let object = place.run(&format!("inspect {path} --json")).done().json();
         assert_eq!(object["path"], path.as_str());
         assert_eq!(object["manifest"], serde_json::to_value(artifact.manifest()).unwrap());
-        for (name, facts) in &artifact.manifest().tables {
-            let heading = format!("table {name} (version {}): {} rows", facts.schema_version, facts.rows);
+        for (name, summary) in &artifact.manifest().tables {
+            let heading = format!(
+                "table {name} (version {}): {} rows",
+                summary.schema_version, summary.rows
+            );
             assert!(text.stdout.contains(&heading), "{heading}\n{}", text.stdout);
             let columns = object["tables"][name]["columns"].as_array().unwrap();
             let spec = re4_stages::tables::described(&artifact, name).unwrap();
@@ -512,12 +515,12 @@ fn inspect_shows_every_artifact() {
 }
 
 #[test]
-fn pictures_of_rollouts_and_of_divergence_are_drawn() {
+fn images_of_rollouts_and_of_divergence_are_drawn() {
     let place = Place::new();
     place.run("run small.toml").done();
     let path = place.artifact(Stage::Rollout).path().display().to_string();
     place
-        .run(&format!("inspect {path} --seed 502 --picture rollout.svg"))
+        .run(&format!("inspect {path} --seed 502 --image rollout.svg"))
         .done();
     place.run("replay small.toml --plot divergence.svg").done();
     for name in ["rollout.svg", "divergence.svg"] {
@@ -526,8 +529,8 @@ fn pictures_of_rollouts_and_of_divergence_are_drawn() {
         assert!(svg.trim_end().ends_with("</svg>"), "{name}");
     }
     let refusals = [
-        format!("inspect {path} --seed 999 --picture other.svg"),
-        format!("inspect {path} --seed 502 --picture no/folder/other.svg"),
+        format!("inspect {path} --seed 999 --image other.svg"),
+        format!("inspect {path} --seed 502 --image no/folder/other.svg"),
     ]
     .map(|arguments| place.run(&arguments).refused_at_once());
     with_settings!({filters => filters()}, { assert_snapshot!(refusals.join("\n")) });

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use re4_artifact::{Artifact, Facts, Label, Recipe, Stage, Store, col_f64, col_u32, col_u32_or_null, table};
+use re4_artifact::{Artifact, ArtifactSummary, Label, Recipe, Stage, Store, col_f64, col_u32, col_u32_or_null, table};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_policy::kinds::{NearestRow, PlaneRe4Row};
@@ -279,7 +279,7 @@ fn decisions_of_older_artifacts_are_read_as_both_tables() {
         demo_name: Some("episode 3".to_owned()),
     };
     writer.write_rows([old.clone()]).unwrap();
-    let artifact = writer.publish(Facts::default()).unwrap();
+    let artifact = writer.publish(ArtifactSummary::default()).unwrap();
     let core = artifact.read::<PlaneDecisionRow>().unwrap().remove(0);
     assert_eq!((core.core.step, core.core.demo, core.core.kind), (7, Some(3), None));
     assert_eq!((core.query_object, core.core.demo_name), (Some(pose), old.demo_name));

@@ -71,7 +71,7 @@ fn demonstrations_start_from_their_seeds() {
     let (episodes, _) = reader.read_episodes(&Selection::All).unwrap();
     assert_eq!(episodes.episode_count(), 206);
     let mut simulator = PushT::new().unwrap();
-    let (mut farthest, mut most_turned) = (0.0_f64, 0.0_f64);
+    let (mut farthest, mut most_rotated) = (0.0_f64, 0.0_f64);
     for (episode, rows) in episodes.frames.iter().enumerate() {
         let [agent_x, agent_y, block_x, block_y, theta] = episodes.state[rows.start];
         let scene = scene_from_seed(SeedScheme::DiffusionPolicy, episode as u32);
@@ -86,13 +86,13 @@ fn demonstrations_start_from_their_seeds() {
             .abs()
             .max(1.0 - (seen.block.theta - theta).cos());
         farthest = farthest.max((seen.block.x - block_x).hypot(seen.block.y - block_y));
-        most_turned = most_turned.max(turn);
+        most_rotated = most_rotated.max(turn);
         assert!(
-            farthest <= 1e-4 && most_turned <= 1e-6,
-            "demonstration {episode}: {farthest} px, {most_turned} rad"
+            farthest <= 1e-4 && most_rotated <= 1e-6,
+            "demonstration {episode}: {farthest} px, {most_rotated} rad"
         );
     }
-    println!("206 of 206 start from their seed; block within {farthest:e} px and {most_turned:e} rad");
+    println!("206 of 206 start from their seed; block within {farthest:e} px and {most_rotated:e} rad");
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn ingest_holds_every_value_and_little_memory() {
         std::thread::sleep(Duration::from_millis(2));
     };
     assert!(status.success());
-    println!("peak memory of ingest with pictures: {} MiB", peak_kib / 1024);
+    println!("peak memory of ingest with images: {} MiB", peak_kib / 1024);
     assert!(peak_kib > 1024, "the peak was not seen");
     assert!(peak_kib < 1024 * 1024, "{peak_kib} KiB");
 
@@ -174,11 +174,11 @@ fn ingest_holds_every_value_and_little_memory() {
     }
     assert_eq!(compared + 3, reference.len(), "every line of the reference is compared");
     let images = artifact.table(ImageRow::table()).unwrap();
-    assert_eq!(pictures(&images), reference["pictures"][0]);
+    assert_eq!(images_digest(&images), reference["images"][0]);
 }
 
-/// SHA-256 of every 50th picture.
-fn pictures(images: &Table) -> String {
+/// SHA-256 of every 50th image.
+fn images_digest(images: &Table) -> String {
     let mut hasher = Sha256::new();
     let mut row = 0;
     let batches: Batches = images.batches().unwrap();
@@ -187,9 +187,9 @@ fn pictures(images: &Table) -> String {
         let column = col_binary(&batch, "image").unwrap();
         for i in 0..column.len() {
             if row % 50 == 0 {
-                let picture = image::load_from_memory(column.value(i)).unwrap().into_rgb8();
-                assert_eq!(picture.dimensions(), (96, 96));
-                hasher.update(picture.as_raw());
+                let image = image::load_from_memory(column.value(i)).unwrap().into_rgb8();
+                assert_eq!(image.dimensions(), (96, 96));
+                hasher.update(image.as_raw());
             }
             row += 1;
         }
@@ -228,11 +228,11 @@ fn open_loop_replay_stays_near_the_recording() {
         col_u32(&divergence, "episode").unwrap(),
         col_f64(&divergence, "block").unwrap(),
     );
-    for (number, greatest) in col_f64(&replays, "block_max").unwrap().iter().enumerate() {
+    for (number, maximum) in col_f64(&replays, "block_max").unwrap().iter().enumerate() {
         let rows = block.iter().zip(episode).filter(|(_, e)| **e as usize == number);
         assert_eq!(
             rows.map(|(d, _)| *d).fold(0.0, f64::max),
-            *greatest,
+            *maximum,
             "demonstration {number}"
         );
     }
@@ -259,10 +259,10 @@ fn policies_score_as_they_should() {
     );
 }
 
-/// Every recorded picture, against the recorded pose: half of what is asked for is kept as the gate, so that a fault of the
+/// Every recorded image, against the recorded pose: half of what is asked for is kept as the gate, so that a fault of the
 /// estimator shows before its scores do.
 #[test]
-fn poses_from_pictures_are_near_the_recorded_ones() {
+fn poses_from_images_are_near_the_recorded_ones() {
     let Some(data) = real_data() else { return };
     let folder = TempDir::new().unwrap();
     let object = json(&data, folder.path(), "train-pose pipelines/pusht-image.toml");
@@ -284,6 +284,6 @@ fn poses_from_pictures_are_near_the_recorded_ones() {
     let arguments = "run pipelines/pusht-image.toml --seeds 200000..200020";
     let object = json(&data, folder.path(), arguments);
     let score = object["metrics"]["score_scaled_mean"]["value"].as_f64().unwrap();
-    println!("re4 from pictures: {score:.4} on 20 seeds from 200000");
+    println!("re4 from images: {score:.4} on 20 seeds from 200000");
     assert!(score > 0.95, "re4 scores {score}");
 }

@@ -2,7 +2,7 @@
 
 Reads the dataset with zarr-python: python tests/real_data_reference.py <folder>/pusht/pusht_cchi_v7_replay.zarr
 (zarr 2.18 with numcodecs, numpy). One line a column: name, SHA-256 of its values as little-endian float32, sum in
-float64. The line `pictures` holds the SHA-256 of every 50th picture as bytes, row by row.
+float64. The line `images` holds the SHA-256 of every 50th image as bytes, row by row.
 """
 
 import hashlib
@@ -35,9 +35,9 @@ for i in range(keypoint.shape[1]):
     for j, axis in enumerate("xy"):
         column(f"keypoint_{i}_{axis}", keypoint[:, i, j])
 
-pictures = hashlib.sha256()
+images = hashlib.sha256()
 for i in range(0, int(ends[-1]), 50):
-    picture = root["data/img"][i]
-    assert (picture == picture.astype("u1")).all()
-    pictures.update(np.ascontiguousarray(picture, dtype="u1").tobytes())
-print("pictures", pictures.hexdigest())
+    image = root["data/img"][i]
+    assert (image == image.astype("u1")).all()
+    images.update(np.ascontiguousarray(image, dtype="u1").tobytes())
+print("images", images.hexdigest())

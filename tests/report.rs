@@ -119,10 +119,10 @@ fn nothing_but_a_file_is_replaced() {
         format!("report {artifact} --output pipe.html"),
         format!("report {artifact} --output {artifact}/manifest.json"),
         format!("report {artifact} --output {artifact}/page.html"),
-        format!("film {artifact} pipe.gif --seed 500"),
-        format!("film {artifact} {artifact}/film.gif --seed 500"),
-        format!("inspect {artifact} --seed 500 --picture pipe.svg"),
-        format!("inspect {artifact} --seed 500 --picture {artifact}/results.parquet"),
+        format!("video {artifact} pipe.gif --seed 500"),
+        format!("video {artifact} {artifact}/video.gif --seed 500"),
+        format!("inspect {artifact} --seed 500 --image pipe.svg"),
+        format!("inspect {artifact} --seed 500 --image {artifact}/results.parquet"),
         "run small.toml --no-images --report pipe.html".to_owned(),
     ]
     .iter()

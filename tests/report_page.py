@@ -86,7 +86,7 @@ class Page:
     def step(self):
         return int(self.one("#step-text").get_attribute("data-step"))
 
-    def picture(self):
+    def image(self):
         return self.run("return document.querySelector('#scene svg').innerHTML")
 
     def scrub(self, step):
@@ -188,13 +188,13 @@ def seeds_can_be_chosen(page, artifact):
     seeds = artifact.results["seed"].to_list()
     picker = Select(page.one("#pick-seed"))
     equal([int(option.text) for option in picker.options], seeds, "seeds to choose from")
-    pictures = set()
+    images = set()
     for seed in seeds[:3]:
         Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
         check(f" {seed} · " in page.one("#scene-caption").text, f"seed {seed} is not shown")
         equal(page.step(), 0, "step of a rollout that was just chosen")
-        pictures.add(page.picture())
-    equal(len(pictures), 3, "pictures of three seeds")
+        images.add(page.image())
+    equal(len(images), 3, "images of three seeds")
     page.one("#previous-seed").click()
     check(f" {seeds[1]} · " in page.one("#scene-caption").text, "the button for the previous seed does nothing")
     button = page.one(f"#seeds tr[data-seed='{seeds[4]}'] button")
@@ -217,13 +217,13 @@ def scrubbing_shows_each_state(page, artifact):
             coverage = float(page.one("#step-text").get_attribute("data-coverage"))
             equal(coverage, steps["coverage"][step - 1], f"coverage after step {step}")
         decision_is_the_tables(page, artifact.decision(seed, step))
-        seen.add(page.picture())
-    check(len(seen) >= 5, "the picture does not follow the scrubber")
+        seen.add(page.image())
+    check(len(seen) >= 5, "the image does not follow the scrubber")
 
 
 def decision_is_the_tables(page, decision):
     at = f"decision {decision['decision']}"
-    fact = lambda name: page.one(f"#facts [data-fact={name}]").get_attribute("data-value")
+    fact = lambda name: page.one(f"#summary [data-fact={name}]").get_attribute("data-value")
     equal(page.one("#reason").text, decision["reason"] + ".", f"{at}, reason")
     check(page.one("#decision-title").text.startswith(f"Decision {decision['decision'] + 1} of "), f"{at}, title")
     equal(fact("demo_name"), decision["demo_name"], f"{at}, demonstration")
@@ -234,7 +234,7 @@ def decision_is_the_tables(page, decision):
         if decision[name] is not None:
             equal(float(fact(name)), decision[name], f"{at}, {name}")
         else:
-            check(not page.all(f"#facts [data-fact={name}]"), f"{at}: {name} is shown though the artifact has none")
+            check(not page.all(f"#summary [data-fact={name}]"), f"{at}: {name} is shown though the artifact has none")
 
 
 def chunk_is_carried_by_delta(page, artifact):
@@ -293,9 +293,9 @@ def estimates_are_drawn(page):
     outline = page.one("#scene .observed").get_attribute("d")
     check(outline.startswith("M"), "the estimated pose is not drawn")
     check(outline != page.one("#scene .block").get_attribute("d"), "the estimated pose is the true one")
-    away, turn = page.one("#facts [data-fact=pose_error]").get_attribute("data-value").split()
+    away, turn = page.one("#summary [data-fact=pose_error]").get_attribute("data-value").split()
     check(abs(float(away) - 3) < 1e-3 and abs(float(turn) - 0.1) < 1e-3, f"the estimate is off by {away} px, {turn} rad")
-    equal(page.one("#facts [data-fact=pose_confidence]").get_attribute("data-value"), "0.75", "confidence")
+    equal(page.one("#summary [data-fact=pose_confidence]").get_attribute("data-value"), "0.75", "confidence")
     page.press(Keys.END)
     equal(page.one("#scene .observed").get_attribute("d"), "", "estimate after the last action")
 

@@ -2,8 +2,8 @@
 
 usage: robomimic_equal.py ARTIFACT SOURCE.hdf5   (needs h5py, numpy, polars and pillow)
 
-Every column that is recorded is compared as 64-bit patterns, so that the signs of zeros and quaternions count; pictures are
-compared as pixels. Prints one line: how many numbers and pictures were equal. Exit code 1 names the first that differs.
+Every column that is recorded is compared as 64-bit patterns, so that the signs of zeros and quaternions count; images are
+compared as pixels. Prints one line: how many numbers and images were equal. Exit code 1 names the first that differs.
 """
 
 import io
@@ -38,7 +38,7 @@ RECORDED = {
     "actions": [f"{kind}_{axis}" for axis in ["x", "y", "z", "rx", "ry", "rz"]] + [gripper],
     "rewards": ["reward"],
 }
-numbers = pictures = 0
+numbers = images = 0
 
 
 def same(ours, theirs, what):
@@ -102,10 +102,10 @@ with h5py.File(source) as file:
                 theirs = data[demo][f"obs/{camera}_image"][()]
                 for frame in range(length):
                     place, step, name, png = images.row(row)
-                    assert (name, place, step) == (camera, episode, frame), f"picture {row} is out of order"
+                    assert (name, place, step) == (camera, episode, frame), f"image {row} is out of order"
                     if not np.array_equal(np.asarray(Image.open(io.BytesIO(png))), theirs[frame]):
                         sys.exit(f"{demo}, {camera}, frame {frame} differs")
                     row += 1
         assert row == len(images)
-        pictures = row
-print(f"{len(demos)} demonstrations, {numbers} numbers and {pictures} pictures are equal")
+        images = row
+print(f"{len(demos)} demonstrations, {numbers} numbers and {images} images are equal")

@@ -11,7 +11,7 @@ use re4_ingest::IngestError;
 use re4_ingest::robomimic::{Access, Demo, DemoChoice, RobomimicReader, Sources};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::without_pictures;
+use re4_robosuite::physics::without_images;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{FirstTorques, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask};
 use reference::Reference;
@@ -47,7 +47,7 @@ fn demonstrations(path: &Path) -> BTreeMap<u32, Demo> {
     demos
 }
 
-/// Greatest absolute difference.
+/// Maximum absolute difference.
 fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     assert!(ours.iter().all(|number| number.is_finite()));
@@ -92,7 +92,7 @@ fn observations_and_success_are_those_of_robosuite() {
             let mjcf = demo.model.as_ref().unwrap();
             if last.as_ref().is_none_or(|(of, _)| of != mjcf) {
                 let whole = with_assets(mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
-                let text = without_pictures(&whole).unwrap();
+                let text = without_images(&whole).unwrap();
                 let model = RobosuiteModel::compile(&library, task, profile, &text).unwrap();
                 last = Some((Arc::clone(mjcf), Robosuite::new(&model).unwrap()));
             }

@@ -227,7 +227,7 @@ fn what_cannot_be_simulated_is_told_in_one_sentence() {
         ("negative noise", "rollout.noise={translation=-1,rotation=0}"),
         ("no axis", "rollout.symmetry={kind=\"full\",axis=[0,0,0]}"),
         ("unknown check", "index.leave_out=[\"nonsense\"]"),
-        ("pictures", "variant=\"image\""),
+        ("images", "variant=\"image\""),
         ("log-polar", "pose.source=\"log_polar\""),
         ("scenes", "scenes={kind=\"sparse_observations\"}"),
         ("inner name", "spatial_rollout={policy=\"re4\"}"),

@@ -108,9 +108,9 @@ fn the_nearest_frame_is_the_nearest() {
             let angle = angle.min(turn - angle);
             (part(0) / spans[0]).hypot(part(1) / spans[1]).hypot(angle / spans[2])
         };
-        let least = (0..frames.num_rows()).map(distance).fold(f64::MAX, f64::min);
+        let minimum = (0..frames.num_rows()).map(distance).fold(f64::MAX, f64::min);
         let rho = col_f64(&scenes, "rho").unwrap()[scene];
-        assert!((rho - least).abs() < 1e-9, "scene {scene}: {rho} is not {least}");
+        assert!((rho - minimum).abs() < 1e-9, "scene {scene}: {rho} is not {minimum}");
         let named = [
             col_u32(&scenes, "nearest_demo").unwrap()[scene],
             col_u32(&scenes, "nearest_frame").unwrap()[scene],
@@ -118,7 +118,7 @@ fn the_nearest_frame_is_the_nearest() {
         let row = (0..frames.num_rows())
             .find(|&row| [episode[row], frame[row]] == named)
             .unwrap();
-        assert!((distance(row) - least).abs() < 1e-9, "scene {scene}: frame {named:?}");
+        assert!((distance(row) - minimum).abs() < 1e-9, "scene {scene}: frame {named:?}");
     }
 }
 

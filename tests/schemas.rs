@@ -80,7 +80,7 @@ fn the_schemas_describe_the_columns_that_are_written() {
         .filter(|title| title.starts_with("decisions_re4") || !title.starts_with("decisions_"))
         .collect();
     // Tables of other policies than RE4 are tested with them. The invented demonstrations have neither simulator states nor
-    // pictures; encoders and rollouts in robosuite's simulator are tested elsewhere.
+    // images; encoders and rollouts in robosuite's simulator are tested elsewhere.
     assert_eq!(
         missing,
         [

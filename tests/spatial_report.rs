@@ -1,5 +1,5 @@
-//! The page and the film of rollouts of robosuite's tasks: their figures are the artifact's, the page works in a browser, and
-//! the film is the rollout. They run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data) and
+//! The page and the video of rollouts of robosuite's tasks: their figures are the artifact's, the page works in a browser, and
+//! the video is the rollout. They run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data) and
 //! `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh has put them into data/simulators).
 
 use std::fs;
@@ -126,20 +126,20 @@ fn what_cannot_be_shown_is_told_in_one_sentence() {
     for arguments in [
         format!("report {lift} {planar} --output page.html"),
         format!("report {lift} --seeds 7 --output page.html"),
-        format!("film {lift} film.gif --seed 7"),
-        format!("film {lift} film.gif --seed 200000 --size 20"),
+        format!("video {lift} video.gif --seed 7"),
+        format!("video {lift} video.gif --seed 200000 --size 20"),
     ] {
         sentences.push(run(&place, &simulators, &arguments).refused_at_once());
     }
     fs::rename(place.artifacts().join("episodes"), place.path().join("away")).unwrap();
-    let film = format!("film {lift} film.gif --seed 200000");
-    sentences.push(run(&place, &simulators, &film).refused_at_once());
-    assert!(!place.path().join("film.gif").exists() && !place.path().join("page.html").exists());
+    let video = format!("video {lift} video.gif --seed 200000");
+    sentences.push(run(&place, &simulators, &video).refused_at_once());
+    assert!(!place.path().join("video.gif").exists() && !place.path().join("page.html").exists());
     assert!(place.temporaries().is_empty());
     with_settings!({ filters => filters() }, { assert_snapshot!(sentences.join("\n")) });
 }
 
-/// Pictures are drawn when the page is made; the object's origin, as the page places it, is where the cube is red.
+/// Images are drawn when the page is made; the object's origin, as the page places it, is where the cube is red.
 #[test]
 fn the_page_shows_what_the_camera_saw() {
     let Some((data, simulators)) = scripted_and_simulators() else {
@@ -147,7 +147,7 @@ fn the_page_shows_what_the_camera_saw() {
     };
     let place = Place::empty();
     let folder = lift(&place, &data, &simulators, "re4");
-    let report = format!("report {folder} --output page.html --pictures 1");
+    let report = format!("report {folder} --output page.html --images 1");
     let answer = run(&place, &simulators, &report);
     if answer.stderr.contains("OpenGL") {
         println!("skipped: {}", answer.stderr.trim());
@@ -156,20 +156,20 @@ fn the_page_shows_what_the_camera_saw() {
     answer.done();
     let page = fs::read_to_string(place.path().join("page.html")).unwrap();
     let shown = &data_of(&page)["artifacts"][0];
-    let pictures = &shown["pictures"];
-    let png = pictures["png"].as_array().unwrap();
+    let images = &shown["images"];
+    let png = images["png"].as_array().unwrap();
     // All of one rollout's decisions: of the first one that failed, or of the first one.
     let success = shown["rollouts"]["success"].as_array().unwrap();
     let chosen = success.iter().position(|success| success == 0).unwrap_or(0);
     let counts: Vec<usize> = serde_json::from_value(shown["rollouts"]["decisions"].clone()).unwrap();
     let first: usize = counts[..chosen].iter().sum();
-    let numbered = numbers(&pictures["decision"], |b| u32::from_le_bytes(b.try_into().unwrap()), 4);
+    let numbered = numbers(&images["decision"], |b| u32::from_le_bytes(b.try_into().unwrap()), 4);
     assert_eq!(
         numbered,
         (first as u32..(first + counts[chosen]) as u32).collect::<Vec<_>>()
     );
     assert_eq!(png.len(), counts[chosen]);
-    let places = numbers(&pictures["places"], |b| f32::from_le_bytes(b.try_into().unwrap()), 4);
+    let places = numbers(&images["places"], |b| f32::from_le_bytes(b.try_into().unwrap()), 4);
     assert_eq!(places.len(), 16 * png.len());
     // The policy is told the very pose.
     assert!(places.chunks_exact(16).all(|both| both[..8] == both[8..]));
@@ -180,9 +180,9 @@ fn the_page_shows_what_the_camera_saw() {
             .decode(png[0].as_str().unwrap())
             .unwrap()
     };
-    let picture = image::load_from_memory(&bytes).unwrap().into_rgb8();
-    assert_eq!(picture.dimensions(), (84, 84));
-    let red: Vec<[f64; 2]> = picture
+    let image = image::load_from_memory(&bytes).unwrap().into_rgb8();
+    assert_eq!(image.dimensions(), (84, 84));
+    let red: Vec<[f64; 2]> = image
         .enumerate_pixels()
         .filter(|(_, _, pixel)| f64::from(pixel[0]) > 1.8 * f64::from(pixel[1].max(pixel[2])) && pixel[0] > 60)
         .map(|(x, y, _)| [f64::from(x) + 0.5, f64::from(y) + 0.5])
@@ -201,20 +201,20 @@ fn the_page_shows_what_the_camera_saw() {
     fs::rename(place.artifacts().join("episodes"), place.path().join("away")).unwrap();
     let refused = run(&place, &simulators, &report).refused_at_once();
     assert!(
-        refused.contains("cannot show pictures of") && refused.contains("episodes artifact"),
+        refused.contains("cannot show images of") && refused.contains("episodes artifact"),
         "{refused}"
     );
 }
 
 #[test]
-fn the_film_is_the_rollout() {
+fn the_video_is_the_rollout() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
     let place = Place::empty();
     let folder = lift(&place, &data, &simulators, "re4");
-    let film = format!("film {folder} film.gif --seeds 200000..200002 --size 96 --speed 10 --json");
-    let answer = run(&place, &simulators, &film);
+    let video = format!("video {folder} video.gif --seeds 200000..200002 --size 96 --speed 10 --json");
+    let answer = run(&place, &simulators, &video);
     if answer.stderr.contains("OpenGL") {
         println!("skipped: {}", answer.stderr.trim());
         return;
@@ -228,13 +228,13 @@ fn the_film_is_the_rollout() {
         (&told["width"], &told["frames"]),
         (&192.into(), &(longest.div_ceil(4) + 1).into())
     );
-    let bytes = fs::read(place.path().join("film.gif")).unwrap();
-    run(&place, &simulators, &film).done();
+    let bytes = fs::read(place.path().join("video.gif")).unwrap();
+    run(&place, &simulators, &video).done();
     assert!(
-        bytes == fs::read(place.path().join("film.gif")).unwrap(),
-        "another film of the same rollouts"
+        bytes == fs::read(place.path().join("video.gif")).unwrap(),
+        "another video of the same rollouts"
     );
-    // The table of robosuite's Lift is bright and its walls are grey: a picture is not of one colour.
+    // The table of robosuite's Lift is bright and its walls are grey: an image is not of one colour.
     let mut decoder = gif::DecodeOptions::new().read_info(&bytes[..]).unwrap();
     let frame = decoder.read_next_frame().unwrap().unwrap();
     let mut colours = frame.buffer[..96 * 192].to_vec();
@@ -259,7 +259,7 @@ fn the_page_works_in_a_browser() {
     run(
         &place,
         &simulators,
-        &format!("report {} --output page.html --pictures 1", paths.join(" ")),
+        &format!("report {} --output page.html --images 1", paths.join(" ")),
     )
     .done();
     let mut command = Command::new(&python);

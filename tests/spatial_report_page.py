@@ -84,22 +84,22 @@ def steps_show_the_tables(page, artifact):
     for seed in artifact.results["seed"].to_list()[:2]:
         Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
         steps, decisions = artifact.of(seed)
-        pictures = set()
+        images = set()
         for step in sorted({0, 1, steps.height // 2, steps.height - 1, steps.height}):
             page.scrub(step)
             equal(page.step(), step, "step after scrubbing")
             decision = decisions.row(steps["decision"][min(step, steps.height - 1)], named=True)
             at = f"seed {seed}, step {step}"
             equal(page.one("#reason").text, decision["reason"] + ".", f"{at}, reason")
-            fact = lambda name: page.one(f"#facts [data-fact={name}]").get_attribute("data-value")
+            fact = lambda name: page.one(f"#summary [data-fact={name}]").get_attribute("data-value")
             equal(fact("kind"), decision["kind"], f"{at}, kind")
             equal(fact("mode"), decision["mode"], f"{at}, mode")
             equal(int(fact("banned")), decision["banned"], f"{at}, banned")
             if decision["demo"] is None:
-                check(not page.all("#facts [data-fact=demo_name]"), f"{at}: a demonstration is shown on the way home")
+                check(not page.all("#summary [data-fact=demo_name]"), f"{at}: a demonstration is shown on the way home")
             else:
                 equal(fact("demo_name"), decision["demo_name"], f"{at}, demonstration")
-                for name in ["d_q", "d_o", "d_e", "symmetry_turn", "compared", "replay_steps"]:
+                for name in ["d_q", "d_o", "d_e", "symmetry_rotation", "compared", "replay_steps"]:
                     equal(float(fact(name)), float(decision[name]), f"{at}, {name}")
                 delta = [decision[f"delta_{part}"] for part in ["x", "y", "z", "rx", "ry", "rz"]]
                 equal([float(v) for v in fact("delta").split()], delta, f"{at}, delta")
@@ -107,15 +107,15 @@ def steps_show_the_tables(page, artifact):
             if step > 0:
                 apart = abs(steps["finger_0"][step - 1] - steps["finger_1"][step - 1])
                 check(abs(page.number("#step-text", "data-fingers") - apart) < 1e-7, f"{at}: fingers {apart}")
-            pictures.add(page.picture())
-        check(len(pictures) >= 4, "the picture does not follow the scrubber")
+            images.add(page.image())
+        check(len(images) >= 4, "the image does not follow the scrubber")
 
 
-def pictures_are_those_of_decisions(page, artifact):
+def images_are_those_of_decisions(page, artifact):
     """Shown at the decisions that have one, with the frame's axes in it, and how far what was told is from what was."""
     data = page.run("return JSON.parse(document.getElementById('report-data').textContent).artifacts[0]")
-    pictures = data["pictures"]
-    check(pictures is not None and page.run("return document.querySelectorAll('#camera').length") == 1, "no pictures")
+    images = data["images"]
+    check(images is not None and page.run("return document.querySelectorAll('#camera').length") == 1, "no images")
     seen = set()
     seed = artifact.results.sort("success", "episode")["seed"][0]
     Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
@@ -123,18 +123,18 @@ def pictures_are_those_of_decisions(page, artifact):
     start = artifact.results.filter(pl.col("seed") == seed).row(0, named=True)
     for decision in decisions.iter_rows(named=True):
         page.scrub(decision["step"])
-        at = f"seed {seed}, step {decision['step']}, picture"
+        at = f"seed {seed}, step {decision['step']}, image"
         check(not page.run("return document.getElementById('camera').hidden"), f"{at}: hidden")
         equal(len(page.all("#camera .told")) - len(page.all("#camera .sample .told")), 3, f"{at}, axes")
         before = start if decision["step"] == 0 else steps.row(decision["step"] - 1, named=True)
         apart = sum((decision[f"query_object_{axis}"] - before[f"object_{axis}"]) ** 2 for axis in "xyz") ** 0.5
         check(abs(page.number("#camera-caption", "data-distance") - apart) < 1e-6, f"{at}: {apart}")
         seen.add(page.run("return document.querySelector('#camera image').getAttribute('href')"))
-    check(len(seen) == decisions.height, "two decisions have the same picture")
+    check(len(seen) == decisions.height, "two decisions have the same image")
     other = next((s for s in artifact.results["seed"].to_list() if s != seed), None)
     Select(page.one("#pick-seed")).select_by_visible_text(str(other))
     page.scrub(0)
-    check(page.run("return document.getElementById('camera').hidden"), "a rollout without pictures shows one")
+    check(page.run("return document.getElementById('camera').hidden"), "a rollout without images shows one")
 
 
 def timeline_shows_what_was_followed(page, artifact):
@@ -190,7 +190,7 @@ def main():
             steps_show_the_tables(page, artifacts[0])
             timeline_shows_what_was_followed(page, artifacts[0])
             chunks_begin_at_the_set_point(page, artifacts[0])
-            pictures_are_those_of_decisions(page, artifacts[0])
+            images_are_those_of_decisions(page, artifacts[0])
             # The rollouts are short.
             it_plays(page, "0.5")
             widths_and_schemes_hold(page)

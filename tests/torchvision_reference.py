@@ -7,7 +7,7 @@ Made with torch 2.9.0 and torchvision 0.24.0 on Python 3.11 (pip install torch==
 ResNet-18's weights are 45 MB, so none are kept: both sides compute them from the tensors' names by `numbers` below, running
 statistics included, so that batch normalisation matters. The files are
 
-* `resnet18.json`: names and shapes of the state dict, and for each of three computed pictures of 76 x 76 the 512 averaged
+* `resnet18.json`: names and shapes of the state dict, and for each of three computed images of 76 x 76 the 512 averaged
   features, from torchvision.models.resnet18 in inference mode; `float64` says how far they are from the same in double
   precision, relative to the largest feature;
 * `narrow18.pth`, `narrow18_checkpoint.pth`: state dicts of a ResNet-18 of 2 channels, as torch.save writes them, the second one
@@ -81,17 +81,17 @@ class Narrow(ResNet):
         self.fc = torch.nn.Linear(8 * width * block.expansion, 2)
 
 
-def pictures() -> torch.Tensor:
-    """Normalised pictures have values of about -2 to 2."""
-    each = [2 * numbers(f"picture.{k}", 3 * SIDE * SIDE).reshape(3, SIDE, SIDE) for k in range(PICTURES)]
+def images() -> torch.Tensor:
+    """Normalised images have values of about -2 to 2."""
+    each = [2 * numbers(f"image.{k}", 3 * SIDE * SIDE).reshape(3, SIDE, SIDE) for k in range(PICTURES)]
     return torch.from_numpy(np.stack(each))
 
 
 @torch.no_grad()
 def features(network: ResNet) -> dict:
     last, network.fc = network.fc, torch.nn.Identity()
-    single = network(pictures())
-    double = network.double()(pictures().double())
+    single = network(images())
+    double = network.double()(images().double())
     network.float().fc = last
     away = float((single - double).abs().max() / double.abs().max())
     # The shortest decimal that reads back as the same float32.
@@ -99,9 +99,9 @@ def features(network: ResNet) -> dict:
     return {"features": rows, "float64": away}
 
 
-def write(path: pathlib.Path, facts: dict) -> None:
+def write(path: pathlib.Path, summary: dict) -> None:
     versions = {"torch": torch.__version__.split("+")[0], "torchvision": torchvision.__version__.split("+")[0]}
-    path.write_text(json.dumps(versions | facts) + "\n")
+    path.write_text(json.dumps(versions | summary) + "\n")
 
 
 def main(folder: pathlib.Path) -> None:

@@ -1,8 +1,8 @@
 //! An artifact with some of its files edited, opened, verified and read whole.
 //!
-//! An input is flags (one byte: which hashes are mended after the edits, as a forger would) and edits, each the number of a
-//! file (one byte) and what `edits.rs` says. Without mended hashes nearly every edit ends at the first check. The hash of a
-//! table is mended only where one whole table stands in for another: what the Parquet library makes of a table forged byte by
+//! An input is flags (one byte: which hashes are fixed after the edits, as a forger would) and edits, each the number of a
+//! file (one byte) and what `edits.rs` says. Without fixed hashes nearly every edit ends at the first check. The hash of a
+//! table is fixed only where one whole table stands in for another: what the Parquet library makes of a table forged byte by
 //! byte is the library's.
 
 use std::collections::BTreeMap;
@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 use re4_artifact::Row as _;
 use re4_artifact::{
-    Artifact, ColumnKind, ColumnSpec, Columns, Facts, MANIFEST_NAME, Recipe, Stage, Store, TableSpec, canonical_json,
-    canonical_text, col_binary, col_f64_list, col_text, verify,
+    Artifact, ArtifactSummary, ColumnKind, ColumnSpec, Columns, MANIFEST_NAME, Recipe, Stage, Store, TableSpec,
+    canonical_json, canonical_text, col_binary, col_f64_list, col_text, verify,
 };
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
@@ -69,11 +69,11 @@ impl Sample {
             table.write_columns(rows(spec)).unwrap();
             table.finish().unwrap();
         }
-        let facts = Facts {
+        let summary = ArtifactSummary {
             summary: json!({"rows": ROWS}),
             warnings: vec![json!({"kind": "sample"})],
         };
-        let path = writer.publish(facts).unwrap().path().to_owned();
+        let path = writer.publish(summary).unwrap().path().to_owned();
         let files = fs::read_dir(&path)
             .unwrap()
             .map(|entry| {
@@ -104,7 +104,7 @@ impl Sample {
             edited.insert(name, content);
         }
         if flags & MEND_MANIFEST != 0 {
-            self.mend(flags, &mut edited);
+            self.fix(flags, &mut edited);
         }
         for (name, content) in &edited {
             match content {
@@ -120,7 +120,7 @@ impl Sample {
     }
 
     /// Makes the manifest fit what has been edited.
-    fn mend(&self, flags: u8, edited: &mut BTreeMap<&str, Option<Vec<u8>>>) {
+    fn fix(&self, flags: u8, edited: &mut BTreeMap<&str, Option<Vec<u8>>>) {
         let content = |name: &str| match edited.get(name) {
             Some(content) => content.as_deref(),
             None => self.files.get(name).map(Vec::as_slice),
@@ -131,13 +131,13 @@ impl Sample {
         if flags & MEND_TABLES != 0
             && let Some(Value::Object(tables)) = manifest.get_mut("tables")
         {
-            for facts in tables.values_mut().filter_map(Value::as_object_mut) {
-                if let Some(bytes) = facts.get("file").and_then(Value::as_str).and_then(content)
+            for summary in tables.values_mut().filter_map(Value::as_object_mut) {
+                if let Some(bytes) = summary.get("file").and_then(Value::as_str).and_then(content)
                     && self.files.values().any(|file| file == bytes)
                 {
                     let hash = blake3::hash(bytes).to_hex().to_string();
-                    facts.insert("bytes".to_owned(), bytes.len().into());
-                    facts.insert("blake3".to_owned(), hash.into());
+                    summary.insert("bytes".to_owned(), bytes.len().into());
+                    summary.insert("blake3".to_owned(), hash.into());
                 }
             }
         }

@@ -112,13 +112,13 @@ pub(crate) fn read(path: &Path, selection: &Selection) -> Result<(), String> {
     let Some([height, width, channels]) = reader.image_shape() else {
         return Ok(());
     };
-    let mut pictures = 0;
+    let mut images = 0;
     for block in reader.image_blocks(selection).map_err(|error| error.to_string())? {
         let block = block.map_err(|error| error.to_string())?;
         assert_eq!(block.bytes.len(), block.frames.len() * height * width * channels);
-        pictures += block.frames.len();
+        images += block.frames.len();
     }
-    assert_eq!(pictures, frames);
+    assert_eq!(images, frames);
     Ok(())
 }
 

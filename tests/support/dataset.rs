@@ -8,21 +8,21 @@ use re4_geometry::Point2;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_sim::{CENTRE_OF_GRAVITY, GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, Step, scene_from_seed};
 
-/// Side of the pictures, in pixels; their content says nothing.
+/// Side of the images, in pixels; their content says nothing.
 pub(crate) const SIDE: usize = 12;
 
 /// Frames of an episode.
 pub(crate) const LENGTH: usize = 70;
 
-/// Rows of a chunk of pictures.
+/// Rows of a chunk of images.
 const PICTURES_IN_CHUNK: usize = 100;
 
 /// Writes `episodes` episodes, from the scenes of the seeds from 1000 on.
-pub(crate) fn write(path: &Path, episodes: u32, pictures: bool) {
+pub(crate) fn write(path: &Path, episodes: u32, images: bool) {
     let recorded: Vec<RecordedEpisode> = (0..episodes).map(|number| episode(1000 + number)).collect();
     PushtWriter::write(path, &recorded).unwrap();
-    if pictures {
-        write_pictures(path, episodes as usize * LENGTH);
+    if images {
+        write_images(path, episodes as usize * LENGTH);
     }
 }
 
@@ -71,7 +71,7 @@ fn target(seen: &Step<re4_sim::PushTObservation>, pushing: &mut bool) -> Point2 
 }
 
 /// Adds `data/img`: bytes, uncompressed.
-fn write_pictures(path: &Path, frames: usize) {
+fn write_images(path: &Path, frames: usize) {
     let folder = path.join("data/img");
     fs::create_dir(&folder).unwrap();
     let metadata = serde_json::json!({
@@ -81,14 +81,14 @@ fn write_pictures(path: &Path, frames: usize) {
     fs::write(folder.join(".zarray"), metadata.to_string()).unwrap();
     for chunk in 0..frames.div_ceil(PICTURES_IN_CHUNK) {
         let bytes: Vec<u8> = (chunk * PICTURES_IN_CHUNK..(chunk + 1) * PICTURES_IN_CHUNK)
-            .flat_map(|frame| picture(frame, frames))
+            .flat_map(|frame| image(frame, frames))
             .collect();
         fs::write(folder.join(format!("{chunk}.0.0.0")), bytes).unwrap();
     }
 }
 
-/// The picture of a frame of the dataset; zeros beyond its end.
-pub(crate) fn picture(frame: usize, frames: usize) -> Vec<u8> {
+/// The image of a frame of the dataset; zeros beyond its end.
+pub(crate) fn image(frame: usize, frames: usize) -> Vec<u8> {
     (0..SIDE * SIDE * 3)
         .map(|i| {
             if frame < frames {

@@ -32,7 +32,7 @@ pub(crate) fn repository() -> PathBuf {
         .unwrap()
 }
 
-/// A folder with `data/small.zarr` (12 scripted pushes with pictures) and `small.toml`; commands run inside of it.
+/// A folder with `data/small.zarr` (12 scripted pushes with images) and `small.toml`; commands run inside of it.
 pub(crate) struct Place {
     folder: TempDir,
 }
@@ -75,7 +75,7 @@ impl Place {
         self.write("sparse.toml", small.replace("seeds = \"500..506\"\n", "") + SCENES);
     }
 
-    /// Writes `data/states.zarr`, two episodes without pictures, and `image.toml`: `small.toml` on rendered pictures of them.
+    /// Writes `data/states.zarr`, two episodes without images, and `image.toml`: `small.toml` on rendered images of them.
     pub(crate) fn write_image(&self) {
         dataset::write(&self.path().join("data/states.zarr"), 2, false);
         let small = fs::read_to_string(self.path().join("small.toml")).unwrap();
@@ -229,7 +229,7 @@ impl Process {
 pub(crate) struct Gate(PathBuf);
 
 impl Gate {
-    /// Puts a gate before a program that is yet to be started: it waits once this many demonstrations, or pictures, are done.
+    /// Puts a gate before a program that is yet to be started: it waits once this many demonstrations, or images, are done.
     pub(crate) fn before(command: &mut Command, place: &Place, done: usize) -> Self {
         let gate = Self(place.path().join("gate"));
         let _ = fs::remove_file(&gate.0);
@@ -287,7 +287,7 @@ impl Answer {
     }
 
     /// Asserts a refusal: exit code 2, and as last line of standard error one sentence, which is returned. Standard output is
-    /// empty, or where JSON was asked for tells the same, what is wrong and how to mend it apart.
+    /// empty, or where JSON was asked for tells the same, what is wrong and how to fix it apart.
     #[track_caller]
     pub(crate) fn refused(self) -> String {
         assert_eq!(self.code, Some(2), "stdout {}\nstderr {}", self.stdout, self.stderr);

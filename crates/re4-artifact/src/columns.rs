@@ -97,7 +97,7 @@ impl Columns {
         }
     }
 
-    /// A column of byte strings, for instance PNG pictures.
+    /// A column of byte strings, for instance PNG images.
     #[must_use]
     pub fn binary<T: AsRef<[u8]>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
         let values = BinaryArray::from_iter_values(values);

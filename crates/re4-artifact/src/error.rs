@@ -1,4 +1,4 @@
-//! What can go wrong with artifacts, and how each is mended.
+//! What can go wrong with artifacts, and how each is fixed.
 
 use re4_fault::Remedy;
 use std::borrow::Cow;
@@ -235,7 +235,7 @@ impl ArtifactError {
         }
     }
 
-    /// Tells the operating system's refusals, which the user can mend, from the encoder's.
+    /// Tells the operating system's refusals, which the user can fix, from the encoder's.
     pub(crate) fn parquet(operation: &'static str, path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.to_path_buf();
         move |source| {
@@ -270,7 +270,7 @@ impl ArtifactError {
     }
 }
 
-/// What an answer of the operating system means, and how to mend it.
+/// What an answer of the operating system means, and how to fix it.
 fn explain(error: &io::Error) -> (String, Option<&'static str>) {
     let (what, remedy) = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => (

@@ -154,7 +154,7 @@ pub struct Source {
     pub hash: Key,
     /// What is worth knowing about it (format, sizes, names); recorded in the manifest, not part of the key. No absolute
     /// path and no time may be in it, or equal keys would give different bytes.
-    pub facts: Value,
+    pub summary: Value,
 }
 
 /// Everything that decides the bytes of an artifact; its hash is the artifact's [`Key`].
@@ -196,12 +196,12 @@ impl Recipe {
         self
     }
 
-    /// With raw data whose bytes have this BLAKE3 hash. The facts go into the manifest and not into the key.
+    /// With raw data whose bytes have this BLAKE3 hash. The summary go into the manifest and not into the key.
     #[must_use]
-    pub fn source(mut self, hash: &[u8; 32], facts: Value) -> Self {
+    pub fn source(mut self, hash: &[u8; 32], summary: Value) -> Self {
         self.source = Some(Source {
             hash: Key::from_bytes(*hash),
-            facts,
+            summary,
         });
         self
     }
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_of_fields_and_inputs_and_the_facts_do_not_matter() {
+    fn the_order_of_fields_and_inputs_and_the_summary_do_not_matter() {
         let other = Recipe::new(Stage::Index, 1)
             .source(&[3; 32], json!({"format": "zip"}))
             .input("modes", &Key::from_bytes([2; 32]))

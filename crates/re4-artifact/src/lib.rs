@@ -6,7 +6,7 @@
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use re4_artifact::{Facts, Recipe, Stage, Store, table};
+//! use re4_artifact::{ArtifactSummary, Recipe, Stage, Store, table};
 //!
 //! table! {
 //!     /// One row a dimension.
@@ -14,7 +14,7 @@
 //!     pub struct ScaleRow {
 //!         /// Name of the dimension.
 //!         pub dimension: String,
-//!         /// Greatest value.
+//!         /// Maximum value.
 //!         pub maximum: f64,
 //!     }
 //! }
@@ -28,7 +28,7 @@
 //!     None => {
 //!         let writer = store.begin(&recipe)?;
 //!         writer.write_rows([ScaleRow { dimension: "eef_x".to_owned(), maximum: 500.0 }])?;
-//!         writer.publish(Facts::default())?
+//!         writer.publish(ArtifactSummary::default())?
 //!     }
 //! };
 //! let scales: Vec<ScaleRow> = artifact.read()?;
@@ -61,7 +61,7 @@ pub use columns::{
 };
 pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
-pub use manifest::{FileFacts, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableFacts};
+pub use manifest::{FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableSummary};
 pub use reader::{Artifact, Batches, Table};
 pub use rows::{
     Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either, trimmed,
@@ -69,4 +69,4 @@ pub use rows::{
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
 pub use verify::{Described, VerifiedFile, VerifyReport, verify};
-pub use writer::{DEFAULT_ROW_GROUP_ROWS, Facts, TableWriter, Writer};
+pub use writer::{ArtifactSummary, DEFAULT_ROW_GROUP_ROWS, TableWriter, Writer};

@@ -47,10 +47,10 @@ pub struct Manifest {
     /// What is worth knowing about the raw data; null where there was none.
     pub source: Value,
     /// The tables, by name.
-    pub tables: BTreeMap<String, TableFacts>,
+    pub tables: BTreeMap<String, TableSummary>,
     /// Files that are not tables, such as weights, by name; left out where there are none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub files: BTreeMap<String, FileFacts>,
+    pub files: BTreeMap<String, FileSummary>,
     /// Figures that sum up the content.
     pub summary: Value,
     /// Warnings of the stage, structured.
@@ -62,7 +62,7 @@ pub struct Manifest {
 
 /// What the manifest says of a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct TableFacts {
+pub struct TableSummary {
     /// File, relative to the folder of the artifact.
     pub file: String,
     /// Version of the table's schema.
@@ -80,7 +80,7 @@ pub struct TableFacts {
 
 /// What the manifest says of a file that is not a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct FileFacts {
+pub struct FileSummary {
     /// Length of the file in bytes.
     pub bytes: u64,
     /// BLAKE3 of the file; 64 hexadecimal digits.
@@ -91,8 +91,8 @@ pub struct FileFacts {
 impl Manifest {
     pub(crate) fn new(
         recipe: &Recipe,
-        tables: BTreeMap<String, TableFacts>,
-        files: BTreeMap<String, FileFacts>,
+        tables: BTreeMap<String, TableSummary>,
+        files: BTreeMap<String, FileSummary>,
         summary: Value,
         warnings: Vec<Value>,
     ) -> Result<Self, ArtifactError> {
@@ -107,7 +107,7 @@ impl Manifest {
             config: recipe.config_json().clone(),
             inputs: recipe.inputs().clone(),
             source_blake3: source.map(|source| source.hash),
-            source: source.map_or(Value::Null, |source| source.facts.clone()),
+            source: source.map_or(Value::Null, |source| source.summary.clone()),
             tables,
             files,
             summary,
@@ -168,7 +168,7 @@ impl Manifest {
         if let Some((name, _)) = manifest
             .tables
             .iter()
-            .find(|(name, facts)| facts.file != format!("{name}.parquet") || name.contains(['/', '\\']))
+            .find(|(name, summary)| summary.file != format!("{name}.parquet") || name.contains(['/', '\\']))
         {
             return Err(damaged(Damage::Manifest {
                 reason: format!("names a file outside the artifact for table {name}"),

@@ -20,7 +20,7 @@ use crate::contained::contained;
 use crate::disk::hash_file;
 use crate::error::{ArtifactError, Damage};
 use crate::key::Key;
-use crate::manifest::{MANIFEST_NAME, Manifest, TableFacts};
+use crate::manifest::{MANIFEST_NAME, Manifest, TableSummary};
 use crate::spec::{DOMAIN_KEY, TableSpec};
 
 const ROWS_PER_BATCH: usize = 65_536;
@@ -71,14 +71,14 @@ impl Artifact {
     /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::Damaged`] when the file is missing or
     /// does not have the columns that its version has, [`ArtifactError::Parquet`] when it cannot be decoded.
     pub fn table(&self, spec: &'static TableSpec) -> Result<Table, ArtifactError> {
-        let facts = match self.formerly(spec) {
-            Some(facts) => facts,
-            None => self.facts(spec.name)?,
+        let summary = match self.formerly(spec) {
+            Some(summary) => summary,
+            None => self.summary(spec.name)?,
         };
-        if facts.schema_version > spec.version {
-            return Err(self.newer(spec.name, facts, spec.version));
+        if summary.schema_version > spec.version {
+            return Err(self.newer(spec.name, summary, spec.version));
         }
-        Table::open(self, facts, Some(spec))
+        Table::open(self, summary, Some(spec))
     }
 
     /// Whether it has a table, by today's name or by that of older versions.
@@ -87,11 +87,11 @@ impl Artifact {
     }
 
     /// The table by the name that older versions had.
-    fn formerly(&self, spec: &'static TableSpec) -> Option<&TableFacts> {
+    fn formerly(&self, spec: &'static TableSpec) -> Option<&TableSummary> {
         // A row of both domains states the name that its table had in space; in the plane it has kept its own.
         let kept = spec.domain == "plane" && spec.formerly.starts_with("spatial_");
-        let facts = self.manifest.tables.get(spec.formerly).filter(|_| !kept)?;
-        (facts.schema_version < spec.version).then_some(facts)
+        let summary = self.manifest.tables.get(spec.formerly).filter(|_| !kept)?;
+        (summary.schema_version < spec.version).then_some(summary)
     }
 
     /// A table by its name, as it is in the file; for programs that show any artifact.
@@ -99,8 +99,8 @@ impl Artifact {
     /// # Errors
     /// As [`Artifact::table`], but for the version, which may be any.
     pub fn table_named(&self, name: &str) -> Result<Table, ArtifactError> {
-        let facts = self.facts(name)?;
-        Table::open(self, facts, None)
+        let summary = self.summary(name)?;
+        Table::open(self, summary, None)
     }
 
     /// Checks every byte: that each file of the manifest is there with its published length and hash, and no other.
@@ -109,12 +109,12 @@ impl Artifact {
     /// [`ArtifactError::Damaged`], [`ArtifactError::Io`].
     pub fn verify_bytes(&self) -> Result<(), ArtifactError> {
         let mut expected: BTreeSet<String> = BTreeSet::from([MANIFEST_NAME.to_owned()]);
-        for facts in self.manifest.tables.values() {
-            self.verify_file(&facts.file, facts.bytes, &facts.blake3)?;
-            expected.insert(facts.file.clone());
+        for summary in self.manifest.tables.values() {
+            self.verify_file(&summary.file, summary.bytes, &summary.blake3)?;
+            expected.insert(summary.file.clone());
         }
-        for (name, facts) in &self.manifest.files {
-            self.verify_file(name, facts.bytes, &facts.blake3)?;
+        for (name, summary) in &self.manifest.files {
+            self.verify_file(name, summary.bytes, &summary.blake3)?;
             expected.insert(name.clone());
         }
         let mut found = Vec::new();
@@ -150,7 +150,7 @@ impl Artifact {
         Ok(())
     }
 
-    fn facts(&self, table: &str) -> Result<&TableFacts, ArtifactError> {
+    fn summary(&self, table: &str) -> Result<&TableSummary, ArtifactError> {
         self.manifest.tables.get(table).ok_or_else(|| {
             let known: Vec<&str> = self.manifest.tables.keys().map(String::as_str).collect();
             ArtifactError::NoTable {
@@ -161,11 +161,11 @@ impl Artifact {
         })
     }
 
-    fn newer(&self, table: &str, facts: &TableFacts, supported: u32) -> ArtifactError {
+    fn newer(&self, table: &str, summary: &TableSummary, supported: u32) -> ArtifactError {
         ArtifactError::NewerTable {
             folder: self.path.clone(),
             table: table.to_owned(),
-            found: facts.schema_version,
+            found: summary.schema_version,
             supported,
         }
     }
@@ -175,18 +175,22 @@ impl Artifact {
 #[derive(Debug, Clone)]
 pub struct Table {
     path: PathBuf,
-    facts: TableFacts,
+    summary: TableSummary,
     spec: Option<&'static TableSpec>,
     metadata: ArrowReaderMetadata,
 }
 
 impl Table {
-    fn open(artifact: &Artifact, facts: &TableFacts, spec: Option<&'static TableSpec>) -> Result<Self, ArtifactError> {
-        let path = artifact.path.join(&facts.file);
+    fn open(
+        artifact: &Artifact,
+        summary: &TableSummary,
+        spec: Option<&'static TableSpec>,
+    ) -> Result<Self, ArtifactError> {
+        let path = artifact.path.join(&summary.file);
         let file = match File::open(&path) {
             Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                let file = facts.file.clone();
+                let file = summary.file.clone();
                 return Err(ArtifactError::damaged(&artifact.path, Damage::Missing { file }));
             }
             Err(error) => return Err(ArtifactError::io("read", &path)(error)),
@@ -195,13 +199,13 @@ impl Table {
             .map_err(ArtifactError::parquet("read", &path))?;
         let table = Self {
             path,
-            facts: facts.clone(),
+            summary: summary.clone(),
             spec,
             metadata,
         };
         table.refuse_other_domain(artifact)?;
         if let Some(reason) = table.disagreement() {
-            let file = facts.file.clone();
+            let file = summary.file.clone();
             return Err(ArtifactError::damaged(&artifact.path, Damage::Table { file, reason }));
         }
         Ok(table)
@@ -224,14 +228,14 @@ impl Table {
     /// How the file disagrees with the manifest and the table's description, if it does.
     fn disagreement(&self) -> Option<String> {
         let rows = self.metadata.metadata().file_metadata().num_rows();
-        if u64::try_from(rows) != Ok(self.facts.rows) {
-            return Some(format!("has {rows} rows where the manifest says {}", self.facts.rows));
+        if u64::try_from(rows) != Ok(self.summary.rows) {
+            return Some(format!("has {rows} rows where the manifest says {}", self.summary.rows));
         }
         if let Some(reason) = self.other_groups() {
             return Some(reason);
         }
         let spec = self.spec?;
-        let version = self.facts.schema_version;
+        let version = self.summary.schema_version;
         let fields = self.metadata.schema().fields();
         let current = version == spec.version;
         // An older version may have had columns that are gone.
@@ -271,9 +275,9 @@ impl Table {
 
     /// How the row groups disagree with the manifest: reading some rows counts on their lengths.
     fn other_groups(&self) -> Option<String> {
-        let size = self.facts.row_group_rows;
+        let size = self.summary.row_group_rows;
         let groups = self.metadata.metadata().row_groups();
-        let mut left = self.facts.rows;
+        let mut left = self.summary.rows;
         for (number, group) in groups.iter().enumerate() {
             let (rows, expected) = (group.num_rows(), left.min(size));
             if expected == 0 || u64::try_from(rows) != Ok(expected) {
@@ -283,7 +287,7 @@ impl Table {
             }
             left -= expected;
         }
-        (left > 0).then(|| format!("has row groups for all but {left} of its {} rows", self.facts.rows))
+        (left > 0).then(|| format!("has row groups for all but {left} of its {} rows", self.summary.rows))
     }
 
     /// File of the table.
@@ -292,13 +296,13 @@ impl Table {
     }
 
     /// What the manifest says of it.
-    pub fn facts(&self) -> &TableFacts {
-        &self.facts
+    pub fn summary(&self) -> &TableSummary {
+        &self.summary
     }
 
     /// Number of rows.
     pub fn rows(&self) -> u64 {
-        self.facts.rows
+        self.summary.rows
     }
 
     /// Number of row groups.
@@ -336,7 +340,7 @@ impl Table {
             let Ok(field) = full.field_with_name(name) else {
                 let known: Vec<&str> = full.fields().iter().map(|f| f.name().as_str()).collect();
                 return Err(ArtifactError::NoColumn {
-                    table: self.facts.file.trim_end_matches(".parquet").to_owned(),
+                    table: self.summary.file.trim_end_matches(".parquet").to_owned(),
                     column: name.to_owned(),
                     known: known.join(", "),
                 });
@@ -359,7 +363,7 @@ impl Table {
     /// As [`Table::read_all`]; [`ArtifactError::OutOfRange`].
     pub fn read_row_group(&self, group: usize) -> Result<RecordBatch, ArtifactError> {
         if group >= self.row_groups() {
-            let size = self.facts.row_group_rows;
+            let size = self.summary.row_group_rows;
             let first = (group as u64).saturating_mul(size);
             return Err(self.out_of_range(&(first..first.saturating_add(size))));
         }
@@ -377,13 +381,13 @@ impl Table {
         if rows.is_empty() {
             return Ok(RecordBatch::new_empty(self.schema()));
         }
-        let size = self.facts.row_group_rows.max(1);
+        let size = self.summary.row_group_rows.max(1);
         let groups: Vec<usize> = (rows.start / size..rows.end.div_ceil(size))
             .map(|g| g as usize)
             .collect();
         let before = (rows.start % size) as usize;
         let wanted = before..before + (rows.end - rows.start) as usize;
-        // No larger than needed: a few rows at the start of many pictures are a few pictures.
+        // No larger than needed: a few rows at the start of many images are a few images.
         let size = wanted.end.min(ROWS_PER_BATCH);
         let reader = self.reader(Some(groups))?.with_batch_size(size);
         self.collect(reader, &self.schema(), Some(wanted))
@@ -394,7 +398,7 @@ impl Table {
     /// # Errors
     /// As [`Table::read_all`].
     pub fn batches(&self) -> Result<Batches, ArtifactError> {
-        let size = ROWS_PER_BATCH.min((self.facts.row_group_rows as usize).max(1));
+        let size = ROWS_PER_BATCH.min((self.summary.row_group_rows as usize).max(1));
         let builder = self.reader(None)?.with_batch_size(size);
         let reader = contained(|| builder.build()).map_err(ArtifactError::parquet("read", &self.path))?;
         Ok(Batches {
@@ -444,7 +448,7 @@ impl Table {
     /// The name of a column in the file, which may be of an older version.
     fn name_in_file<'a>(&self, column: &'a str) -> &'a str {
         let known = self.spec.and_then(|spec| Some((spec, spec.column(column)?)));
-        known.map_or(column, |(spec, known)| spec.name_at(known, self.facts.schema_version))
+        known.map_or(column, |(spec, known)| spec.name_at(known, self.summary.schema_version))
     }
 
     /// The batch with the columns of `schema`; those that its version of the table lacks are null.

@@ -63,7 +63,7 @@ pub enum ColumnKind {
     Text,
     /// UTF-8 text of few distinct values, stored as a dictionary.
     Category,
-    /// Bytes, for instance of a PNG picture; stored uncompressed.
+    /// Bytes, for instance of a PNG image; stored uncompressed.
     Binary,
     /// A list of double precision floats.
     F64List,

@@ -16,7 +16,7 @@ use crate::writer::{Writer, remove_own};
 const RUNS: &str = "runs";
 
 /// A folder of artifacts: `<root>/<artifact>/<first 16 digits of the key>/`, and beside them, outside of every hash,
-/// `<root>/runs/<stage>-<first 16 digits of the key>.json` with facts of the run such as its wall time.
+/// `<root>/runs/<stage>-<first 16 digits of the key>.json` with summary of the run such as its wall time.
 #[derive(Debug, Clone)]
 pub struct Store {
     root: PathBuf,
@@ -103,12 +103,12 @@ impl Store {
         Writer::new(self, recipe)
     }
 
-    /// Writes facts of a run that do not belong into the artifact: wall time, host, date. The file is replaced whole.
+    /// Writes summary of a run that do not belong into the artifact: wall time, host, date. The file is replaced whole.
     ///
     /// # Errors
     /// [`ArtifactError::Io`] when it cannot be written.
-    pub fn record_run(&self, stage: Stage, key: &Key, facts: &impl Serialize) -> Result<PathBuf, ArtifactError> {
-        let text = canonical_text(&canonical_json(facts)?);
+    pub fn record_run(&self, stage: Stage, key: &Key, summary: &impl Serialize) -> Result<PathBuf, ArtifactError> {
+        let text = canonical_text(&canonical_json(summary)?);
         let folder = self.root.join(RUNS);
         let path = folder.join(format!("{stage}-{}.json", key.short()));
         // Left-overs in this folder are removed under the same lock, so that nobody takes ours for one.

@@ -53,7 +53,7 @@ pub fn verify(path: &Path, described: Described<'_>) -> Result<VerifyReport, Art
         rows: None,
         blake3: manifest.manifest_blake3,
     }];
-    for (name, facts) in &manifest.tables {
+    for (name, summary) in &manifest.tables {
         let table = match described(&artifact, name) {
             Some(spec) => artifact.table(spec)?,
             None => artifact.table_named(name)?,
@@ -62,18 +62,18 @@ pub fn verify(path: &Path, described: Described<'_>) -> Result<VerifyReport, Art
             batch?;
         }
         files.push(VerifiedFile {
-            file: facts.file.clone(),
-            bytes: facts.bytes,
-            rows: Some(facts.rows),
-            blake3: facts.blake3,
+            file: summary.file.clone(),
+            bytes: summary.bytes,
+            rows: Some(summary.rows),
+            blake3: summary.blake3,
         });
     }
-    for (name, facts) in &manifest.files {
+    for (name, summary) in &manifest.files {
         files.push(VerifiedFile {
             file: name.clone(),
-            bytes: facts.bytes,
+            bytes: summary.bytes,
             rows: None,
-            blake3: facts.blake3,
+            blake3: summary.blake3,
         });
     }
     Ok(VerifyReport {

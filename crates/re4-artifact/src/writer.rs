@@ -22,7 +22,7 @@ use crate::columns::{Columns, check_rows};
 use crate::disk::{LOCK_NAME, TEMPORARY_PREFIX, lock, sync_folder};
 use crate::error::ArtifactError;
 use crate::key::Recipe;
-use crate::manifest::{FileFacts, MANIFEST_NAME, Manifest, TableFacts};
+use crate::manifest::{FileSummary, MANIFEST_NAME, Manifest, TableSummary};
 use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
 use crate::store::Store;
@@ -36,7 +36,7 @@ const ZSTD_LEVEL: i32 = 3;
 
 /// What a stage says about what it made.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Facts {
+pub struct ArtifactSummary {
     /// Figures that sum up the content. No time, host or absolute path may be in it.
     pub summary: Value,
     /// Warnings, structured.
@@ -51,8 +51,8 @@ pub struct Writer {
     folder: PathBuf,
     temporary: TempDir,
     lock: File,
-    tables: Arc<Mutex<BTreeMap<&'static str, Option<TableFacts>>>>,
-    files: Mutex<BTreeMap<String, FileFacts>>,
+    tables: Arc<Mutex<BTreeMap<&'static str, Option<TableSummary>>>>,
+    files: Mutex<BTreeMap<String, FileSummary>>,
 }
 
 /// Temporaries of this process's writers; some of them may be gone.
@@ -106,7 +106,7 @@ impl Writer {
         self.table_in_groups(spec, DEFAULT_ROW_GROUP_ROWS)
     }
 
-    /// Begins a table with row groups of this many rows (at least one): few for large values such as pictures, so that
+    /// Begins a table with row groups of this many rows (at least one): few for large values such as images, so that
     /// one of them can be read without the others, and so that few are in memory at once.
     ///
     /// # Errors
@@ -156,11 +156,11 @@ impl Writer {
                 file.sync_all()
             })
             .map_err(ArtifactError::io("write", &path))?;
-        let facts = FileFacts {
+        let summary = FileSummary {
             bytes: contents.len() as u64,
             blake3: blake3::hash(contents).into(),
         };
-        locked(&self.files).insert(name.to_owned(), facts);
+        locked(&self.files).insert(name.to_owned(), summary);
         Ok(())
     }
 
@@ -180,7 +180,7 @@ impl Writer {
     /// # Errors
     /// [`ArtifactError::Unfinished`] when a table was begun and not finished, [`ArtifactError::Io`] when the disk refuses,
     /// [`ArtifactError::NotReproducible`] when another run published other bytes under the same key.
-    pub fn publish(self, facts: Facts) -> Result<Artifact, ArtifactError> {
+    pub fn publish(self, summary: ArtifactSummary) -> Result<Artifact, ArtifactError> {
         let mut tables = BTreeMap::new();
         for (&name, table) in &*locked(&self.tables) {
             let table = table.clone().ok_or_else(|| self.unfinished(name, "was not finished"))?;
@@ -190,8 +190,8 @@ impl Writer {
             &self.recipe,
             tables,
             locked(&self.files).clone(),
-            facts.summary,
-            facts.warnings,
+            summary.summary,
+            summary.warnings,
         )?;
         let path = self.temporary.path().join(MANIFEST_NAME);
         File::create_new(&path)
@@ -238,7 +238,7 @@ fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactErr
         let differing = ours
             .tables
             .iter()
-            .find(|(name, facts)| theirs.manifest().tables.get(*name) != Some(facts));
+            .find(|(name, summary)| theirs.manifest().tables.get(*name) != Some(summary));
         format!("table {}", differing.map_or("list", |(name, _)| name))
     } else if theirs.manifest().files != ours.files {
         "a file that is not a table".to_owned()
@@ -298,7 +298,7 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
             }
             // Continuous values repeat too rarely for a dictionary to pay.
             ColumnKind::F64 => builder = builder.set_column_dictionary_enabled(path, false),
-            // Pictures are compressed already, and have no order worth a statistic.
+            // Images are compressed already, and have no order worth a statistic.
             ColumnKind::Binary => {
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)
@@ -322,7 +322,7 @@ pub struct TableWriter {
     pending_rows: usize,
     rows: u64,
     parquet: ArrowWriter<Sink>,
-    tables: Arc<Mutex<BTreeMap<&'static str, Option<TableFacts>>>>,
+    tables: Arc<Mutex<BTreeMap<&'static str, Option<TableSummary>>>>,
 }
 
 impl TableWriter {
@@ -368,7 +368,7 @@ impl TableWriter {
     ///
     /// # Errors
     /// [`ArtifactError::Io`] when the disk refuses.
-    pub fn finish(mut self) -> Result<TableFacts, ArtifactError> {
+    pub fn finish(mut self) -> Result<TableSummary, ArtifactError> {
         if self.pending_rows > 0 {
             let rows = concat_batches(&self.schema, &self.pending)
                 .map_err(ParquetError::from)
@@ -383,7 +383,7 @@ impl TableWriter {
         file.flush()
             .and_then(|()| file.get_ref().sync_all())
             .map_err(ArtifactError::io("write", &self.path))?;
-        let facts = TableFacts {
+        let summary = TableSummary {
             file: self.spec.file(),
             schema_version: self.spec.version,
             rows: self.rows,
@@ -391,8 +391,8 @@ impl TableWriter {
             bytes: *bytes,
             blake3: hasher.finalize().into(),
         };
-        locked(&self.tables).insert(self.spec.name, Some(facts.clone()));
-        Ok(facts)
+        locked(&self.tables).insert(self.spec.name, Some(summary.clone()));
+        Ok(summary)
     }
 
     fn write_group(&mut self, rows: &RecordBatch) -> Result<(), ArtifactError> {

@@ -12,7 +12,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use common::{EVERY_KIND, SCALES, files, publish_sample, recipe};
-use re4_artifact::{Artifact, ArtifactError, Facts, Stage, Store, canonical_json, canonical_text, verify};
+use re4_artifact::{Artifact, ArtifactError, ArtifactSummary, Stage, Store, canonical_json, canonical_text, verify};
 use re4_fault::Remedy as _;
 use serde_json::{Value, json};
 
@@ -217,7 +217,7 @@ fn a_newer_table_is_refused_by_name() {
     let writer = store.begin(&recipe(1)).unwrap();
     let table = writer.table(&SCALES).unwrap();
     table.finish().unwrap();
-    let folder = writer.publish(Facts::default()).unwrap().path().to_path_buf();
+    let folder = writer.publish(ArtifactSummary::default()).unwrap().path().to_path_buf();
     let artifact = Published {
         _root: root,
         store,

@@ -16,7 +16,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use common::{EVERY_KIND, artifact_names, columns, files, publish_sample, recipe, sample_rows};
-use re4_artifact::{Facts, Key, Stage, Store, Writer, verify};
+use re4_artifact::{ArtifactSummary, Key, Stage, Store, Writer, verify};
 use re4_fault::Remedy as _;
 use serde_json::json;
 
@@ -93,7 +93,7 @@ fn unfinished_and_repeated_tables_are_not_published() {
     let writer = half_written(&store);
     let twice = writer.table(&EVERY_KIND).err().unwrap().sentence();
     assert!(twice.ends_with("table every_kind was begun twice"), "{twice}");
-    let refused = writer.publish(Facts::default()).unwrap_err().sentence();
+    let refused = writer.publish(ArtifactSummary::default()).unwrap_err().sentence();
     let folder = store.folder(Stage::Segment, &recipe(1).key());
     assert_eq!(
         refused,
@@ -189,10 +189,10 @@ fn killed_processes_leave_nothing_that_a_later_run_trusts() {
         }
         // What was interrupted can be done now, with the bytes of an undisturbed run.
         if moment == 24 {
-            let mended = publish_sample(&store, 1_000_000, 2_000);
+            let fixed = publish_sample(&store, 1_000_000, 2_000);
             let elsewhere = tempfile::tempdir().unwrap();
             let undisturbed = publish_sample(&Store::open(elsewhere.path()).unwrap(), 1_000_000, 2_000);
-            assert_eq!(files(mended.path()), files(undisturbed.path()));
+            assert_eq!(files(fixed.path()), files(undisturbed.path()));
         }
     }
     assert!(interrupted > 0, "no process was killed in mid-write");
@@ -243,7 +243,7 @@ fn equal_keys_with_different_bytes_are_refused() {
     table.write_columns(columns(&sample_rows(31))).unwrap();
     table.finish().unwrap();
     let theirs = publish_sample(&store, 1, 30);
-    let refused = writer.publish(Facts::default()).unwrap_err().sentence();
+    let refused = writer.publish(ArtifactSummary::default()).unwrap_err().sentence();
     let folder = theirs.path().display();
     assert_eq!(
         refused,

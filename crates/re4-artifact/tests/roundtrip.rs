@@ -11,9 +11,9 @@ mod common;
 use common::{EVERY_KIND, Row, SCALES, columns, files, publish_sample, recipe, sample_rows};
 use proptest::prelude::*;
 use re4_artifact::{
-    Artifact, ArtifactError, ColumnKind, ColumnSpec, Columns, Facts, Recipe, Row as _, Stage, Store, TableSpec,
-    col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null, col_u64,
-    json_description, table, verify,
+    Artifact, ArtifactError, ArtifactSummary, ColumnKind, ColumnSpec, Columns, Recipe, Row as _, Stage, Store,
+    TableSpec, col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32,
+    col_u32_or_null, col_u64, json_description, table, verify,
 };
 use re4_fault::Remedy as _;
 use serde_json::json;
@@ -74,7 +74,7 @@ fn write(store: &Store, rows: &[Row], cuts: &[usize], group: usize) -> Artifact 
     }
     assert_eq!(table.rows(), rows.len() as u64);
     table.finish().unwrap();
-    writer.publish(Facts::default()).unwrap()
+    writer.publish(ArtifactSummary::default()).unwrap()
 }
 
 fn bits(values: &[f64]) -> Vec<u64> {
@@ -174,23 +174,23 @@ fn several_tables_are_open_at_once() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = store.begin(&Recipe::new(Stage::Ingest, 1)).unwrap();
-    let mut images = writer.rows_in_groups::<PictureRow>(10).unwrap();
+    let mut images = writer.rows_in_groups::<ImageRow>(10).unwrap();
     let mut episodes = writer.rows::<CountRow>().unwrap();
     for episode in 0..3u32 {
-        let pictures = (0..25).map(|frame| PictureRow {
+        let rows = (0..25).map(|frame| ImageRow {
             episode,
             frame,
             image: vec![frame as u8; 30],
         });
-        images.extend(pictures).unwrap();
+        images.extend(rows).unwrap();
         episodes.push(&CountRow { episode, frames: 25 }).unwrap();
     }
     images.finish().unwrap();
     episodes.finish().unwrap();
-    let artifact = writer.publish(Facts::default()).unwrap();
-    let images = artifact.table(PictureRow::table()).unwrap();
+    let artifact = writer.publish(ArtifactSummary::default()).unwrap();
+    let images = artifact.table(ImageRow::table()).unwrap();
     assert_eq!((images.rows(), images.row_groups()), (75, 8));
-    let one: Vec<PictureRow> = images.read_range(33..34).unwrap();
+    let one: Vec<ImageRow> = images.read_range(33..34).unwrap();
     assert_eq!((one[0].episode, &one[0].image[..]), (1, &[8; 30][..]));
     let counts = artifact.table(CountRow::table()).unwrap();
     let counts = counts.read_columns(&["frames"]).unwrap();
@@ -201,14 +201,14 @@ fn several_tables_are_open_at_once() {
 }
 
 table! {
-    /// Pictures.
-    #[table("pictures", version = 1)]
-    pub struct PictureRow {
+    /// Images.
+    #[table("images", version = 1)]
+    pub struct ImageRow {
         /// Demonstration.
         pub episode: u32,
         /// Frame.
         pub frame: u32,
-        /// Its picture.
+        /// Its image.
         pub image: Vec<u8>,
     }
 }
@@ -286,7 +286,7 @@ fn older_tables_are_read_with_nulls_and_newer_ones_refused() {
         let mut table = writer.table(spec).unwrap();
         table.write_columns(rows).unwrap();
         table.finish().unwrap();
-        writer.publish(Facts::default()).unwrap()
+        writer.publish(ArtifactSummary::default()).unwrap()
     };
     let old = publish(1, &FIRST, Columns::new(&FIRST).u32("frame", vec![4, 5]));
     let rows = old.table(&THIRD).unwrap().read_all().unwrap();
@@ -370,11 +370,8 @@ fn columns_that_are_not_there_are_refused_by_name() {
         said(col_f64(&rows, "maybe")),
         "column maybe of table every_kind is null in row 0; read it as a column with nulls"
     );
-    let missing = artifact.table(PictureRow::table()).unwrap_err().sentence();
-    assert!(
-        missing.ends_with("has no table pictures; it has every_kind"),
-        "{missing}"
-    );
+    let missing = artifact.table(ImageRow::table()).unwrap_err().sentence();
+    assert!(missing.ends_with("has no table images; it has every_kind"), "{missing}");
     let beyond = table.read_rows(3..9).unwrap_err().sentence();
     assert!(
         beyond.contains("cannot read rows 3..9 of ") && beyond.ends_with("the table has 5 rows"),

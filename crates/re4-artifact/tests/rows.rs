@@ -8,7 +8,8 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{
-    Artifact, ArtifactError, ColumnKind, Facts, Label, Recipe, Row, SixAxis, Stage, Store, Word, Writer, columns, table,
+    Artifact, ArtifactError, ArtifactSummary, ColumnKind, Label, Recipe, Row, SixAxis, Stage, Store, Word, Writer,
+    columns, table,
 };
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
@@ -130,7 +131,7 @@ fn made(folder: &tempfile::TempDir, write: impl FnOnce(&Writer)) -> Artifact {
     let recipe = Recipe::new(Stage::Segment, 1).config(&serde_json::json!({})).unwrap();
     let writer = store.begin(&recipe).unwrap();
     write(&writer);
-    writer.publish(Facts::default()).unwrap()
+    writer.publish(ArtifactSummary::default()).unwrap()
 }
 
 #[test]

@@ -52,26 +52,26 @@ pub enum Basis {
     },
     /// From `segment.gripper.closed`.
     ClosedFingers,
-    /// The upper outer fence of what was measured on the dataset: Q3 + 3 (Q3 - Q1), at least `least`.
+    /// The upper outer fence of what was measured on the dataset: Q3 + 3 (Q3 - Q1), at least `minimum`.
     Fence {
         /// Values measured, in words.
         of: &'static str,
-        /// Least threshold in robosuite's tasks.
+        /// Minimum threshold in robosuite's tasks.
         spatial: f64,
-        /// Least threshold in Push-T.
+        /// Minimum threshold in Push-T.
         planar: f64,
-        /// Whether the least one serves where the dataset is too small; else the check is not made.
+        /// Whether the minimum serves where the dataset is too small; else the check is not made.
         small: bool,
     },
-    /// `factor` times the median of what was measured on each demonstration, at least `least`.
+    /// `factor` times the median of what was measured on each demonstration, at least `minimum`.
     Multiple {
         /// Values measured, in words.
         of: &'static str,
         /// The factor.
         factor: f64,
-        /// Least threshold in robosuite's tasks.
+        /// Minimum threshold in robosuite's tasks.
         spatial: f64,
-        /// Least threshold in Push-T.
+        /// Minimum threshold in Push-T.
         planar: f64,
     },
 }
@@ -151,7 +151,7 @@ pub const CHECKS: &[Check] = &[
             spatial: 0.3,
             planar: 0.0,
         },
-        ..check("discontinuity_turn", Severity::Error, Applies::Gripper)
+        ..check("discontinuity_rotation", Severity::Error, Applies::Gripper)
     },
     Check {
         meaning: "After its release the object falls further than it does in the other demonstrations: it was dropped rather than put down.",
@@ -331,8 +331,8 @@ pub const CHECKS: &[Check] = &[
         ..check("same_actions", Severity::Note, Applies::Everywhere)
     },
     Check {
-        meaning: "The controls are at their limit in an unusual share of the demonstration: what the demonstrator wanted was more than was recorded.",
-        measure: "Share of the frames at which one of the arm's controls is at its limit",
+        meaning: "The controls are at their limit in an unusual fraction of the demonstration: what the demonstrator wanted was more than was recorded.",
+        measure: "Fraction of the frames at which one of the arm's controls is at its limit",
         basis: Basis::Fence {
             of: "the demonstrations' shares",
             spatial: 0.25,

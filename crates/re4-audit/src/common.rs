@@ -78,11 +78,11 @@ pub(crate) fn lengths_and_flicker(sink: &mut Sink<'_>, segments: &[Segment], fra
             format!("{frames} frames, where {} are usual", thresholds.usual_length)
         });
     }
-    let least = thresholds.over("flicker");
+    let minimum = thresholds.over("flicker");
     let inner = segments.get(1..segments.len().saturating_sub(1)).unwrap_or_default();
     for segment in inner {
         let length = segment.frames.len();
-        if (length as f64) < least && least.is_finite() {
+        if (length as f64) < minimum && minimum.is_finite() {
             sink.add(
                 "flicker",
                 segment.frames.clone(),

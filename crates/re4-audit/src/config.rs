@@ -23,9 +23,9 @@ pub struct AuditConfig {
     /// Threshold of the check `discontinuity_object`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub discontinuity_object: Option<f64>,
-    /// Threshold of the check `discontinuity_turn`.
+    /// Threshold of the check `discontinuity_rotation`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub discontinuity_turn: Option<f64>,
+    pub discontinuity_rotation: Option<f64>,
     /// Threshold of the check `dropped`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dropped: Option<f64>,
@@ -81,7 +81,7 @@ impl AuditConfig {
             "contact_without_motion" => self.contact_without_motion,
             "discontinuity_eef" => self.discontinuity_eef,
             "discontinuity_object" => self.discontinuity_object,
-            "discontinuity_turn" => self.discontinuity_turn,
+            "discontinuity_rotation" => self.discontinuity_rotation,
             "dropped" => self.dropped,
             "early_release" => self.early_release,
             "ends_before_success" => self.ends_before_success,

@@ -50,7 +50,7 @@ pub struct JudgedGrasp {
     pub residual: f64,
     /// Largest angle, likewise.
     pub residual_rotation: f64,
-    /// Greatest height of the object over where it was at the start of the segment.
+    /// Maximum height of the object over where it was at the start of the segment.
     pub rise: f64,
     /// Whether the object has stayed in the hand since the transfer segment before, across a flicker of the command.
     pub continues: bool,
@@ -84,13 +84,13 @@ pub struct GraspLimits {
 pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits) -> Vec<JudgedGrasp> {
     let frames = &demo.episode.frames;
     let mut judged: Vec<JudgedGrasp> = Vec::new();
-    for (number, facts) in demo.segmented.segments.iter().enumerate() {
-        if facts.segment.mode != Mode::Transfer {
+    for (number, summary) in demo.segmented.segments.iter().enumerate() {
+        if summary.segment.mode != Mode::Transfer {
             continue;
         }
-        let mut grasp = judge_one(number, facts, frames, limits);
+        let mut grasp = judge_one(number, summary, frames, limits);
         if let Some(before) = judged.last()
-            && facts.segment.frames.start - before.frames.end < limits.flicker
+            && summary.segment.frames.start - before.frames.end < limits.flicker
             && (before.outcome == GraspOutcome::Held || before.continues)
             && let (Some(then), Some(now)) = (frames.get(before.settled), frames.get(grasp.settled))
         {
@@ -107,8 +107,8 @@ fn in_object(frame: &SpatialFrame) -> Vector3<f64> {
     frame.object.inv_mul(&frame.eef).translation.vector
 }
 
-fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], limits: &GraspLimits) -> JudgedGrasp {
-    let range = facts.segment.frames.clone();
+fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], limits: &GraspLimits) -> JudgedGrasp {
+    let range = summary.segment.frames.clone();
     let within = frames.get(range.clone()).unwrap_or_default();
     let narrowest = within
         .iter()
@@ -123,7 +123,7 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
         segment: number,
         frames: range.clone(),
         outcome: GraspOutcome::Held,
-        settled: facts.settled_frame.unwrap_or(range.start),
+        settled: summary.settled_frame.unwrap_or(range.start),
         narrowest,
         residual: 0.0,
         residual_rotation: 0.0,
@@ -134,7 +134,7 @@ fn judge_one(number: usize, facts: &SpatialSegment, frames: &[SpatialFrame], lim
         grasp.outcome = GraspOutcome::Brief;
         return grasp;
     }
-    let Some(settled) = facts.settled_frame else {
+    let Some(settled) = summary.settled_frame else {
         // The end of the recording may have cut it off.
         let cut_off = range.end == frames.len();
         grasp.outcome = if cut_off {

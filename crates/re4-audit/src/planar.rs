@@ -110,10 +110,10 @@ fn check_contacts(evidence: &[Evidence], sink: &mut Sink<'_>) {
             "no contact, and the block moves",
         ),
     ] {
-        let least = sink.thresholds.over(code);
+        let minimum = sink.thresholds.over(code);
         for run in runs(steps.iter().map(|step| *step == Some(pattern)), 1) {
             let length = run.len();
-            if length as f64 >= least {
+            if length as f64 >= minimum {
                 sink.add(
                     code,
                     run,
@@ -131,7 +131,7 @@ fn check_stretches(frames: &[PlanarFrame], sink: &mut Sink<'_>) {
             format!("the same target in {} frames in a row", value + 1.0)
         });
     }
-    let least = sink.thresholds.over("frozen");
+    let minimum = sink.thresholds.over("frozen");
     let same = frames
         .iter()
         .zip(frames.iter().skip(1))
@@ -139,7 +139,7 @@ fn check_stretches(frames: &[PlanarFrame], sink: &mut Sink<'_>) {
     for run in runs(same, 1) {
         let stretch = run.start..run.end + 1;
         let length = stretch.len();
-        if length as f64 >= least {
+        if length as f64 >= minimum {
             sink.add(
                 "frozen",
                 stretch,

@@ -2,15 +2,15 @@
 
 use std::ops::Range;
 
-/// Maximal runs of `true` of at least `least` frames.
-pub(crate) fn runs(flags: impl IntoIterator<Item = bool>, least: usize) -> Vec<Range<usize>> {
+/// Maximal runs of `true` of at least `minimum` frames.
+pub(crate) fn runs(flags: impl IntoIterator<Item = bool>, minimum: usize) -> Vec<Range<usize>> {
     let mut found: Vec<Range<usize>> = Vec::new();
     let mut start = None;
     for (frame, flag) in flags.into_iter().chain([false]).enumerate() {
         match (flag, start) {
             (true, None) => start = Some(frame),
             (false, Some(first)) => {
-                if frame - first >= least.max(1) {
+                if frame - first >= minimum.max(1) {
                     found.push(first..frame);
                 }
                 start = None;

@@ -54,11 +54,11 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
             largest(&mut evidence.iter().filter_map(|e| e.eef_step)),
         ),
         (
-            "discontinuity_turn",
-            largest(&mut evidence.iter().filter_map(|e| e.eef_turn)),
+            "discontinuity_rotation",
+            largest(&mut evidence.iter().filter_map(|e| e.eef_rotation)),
         ),
         ("idle", longest(frames.iter().map(is_idle)) as f64),
-        ("saturated", saturated_share(frames)),
+        ("saturated", saturated_fraction(frames)),
         ("regrasp", transfers(&grasps) as f64),
     ];
     for grasp in grasps.iter().filter(|grasp| grasp.outcome == GraspOutcome::Held) {
@@ -93,7 +93,7 @@ pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &Grasp
             .segmented
             .segments
             .iter()
-            .map(|facts| facts.segment.clone())
+            .map(|summary| summary.segment.clone())
             .collect::<Vec<_>>(),
         demo.episode.frames.len(),
     );
@@ -180,7 +180,7 @@ fn why_missed(demo: &SpatialDemo, grasp: &JudgedGrasp, closed: f64) -> String {
         .segmented
         .segments
         .get(grasp.segment)
-        .is_some_and(|facts| facts.settled_frame.is_some());
+        .is_some_and(|summary| summary.settled_frame.is_some());
     let apart = 1e3 * grasp.narrowest;
     if grasp.narrowest < closed {
         format!("the fingers close to {apart:.1} mm with nothing between them")
@@ -224,9 +224,9 @@ fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, sink: &mut Sink<'_>) {
 fn check_transit(demo: &SpatialDemo, sink: &mut Sink<'_>) {
     let frames = &demo.episode.frames;
     let evidence = &demo.segmented.evidence;
-    for facts in &demo.segmented.segments {
-        let range = facts.segment.frames.clone();
-        if facts.segment.mode != Mode::Transit || range.len() < 2 {
+    for summary in &demo.segmented.segments {
+        let range = summary.segment.frames.clone();
+        if summary.segment.mode != Mode::Transit || range.len() < 2 {
             continue;
         }
         let start = rest(evidence, settle_from(demo, &range), range.end);
@@ -309,7 +309,8 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
     let frames = &demo.episode.frames;
     let evidence = &demo.segmented.evidence;
     for (frame, evidence) in evidence.iter().enumerate() {
-        let (Some(eef), Some(object), Some(turn)) = (evidence.eef_step, evidence.object_step, evidence.eef_turn) else {
+        let (Some(eef), Some(object), Some(turn)) = (evidence.eef_step, evidence.object_step, evidence.eef_rotation)
+        else {
             continue;
         };
         let around = frame..frame + 2;
@@ -319,7 +320,7 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
         sink.exceeding("discontinuity_object", around.clone(), object, |value| {
             format!("the object jumps by {:.0} mm in one step", 1e3 * value)
         });
-        sink.exceeding("discontinuity_turn", around, turn, |value| {
+        sink.exceeding("discontinuity_rotation", around, turn, |value| {
             format!(
                 "the end effector turns by {:.0} degrees in one step",
                 value.to_degrees()
@@ -330,11 +331,11 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
         .iter()
         .zip(frames.iter().skip(1))
         .map(|(now, next)| state(now) == state(next));
-    let least = sink.thresholds.over("frozen");
+    let minimum = sink.thresholds.over("frozen");
     for run in runs(same, 1) {
         // A run of steps touches one frame more.
         let stretch = run.start..run.end + 1;
-        if stretch.len() as f64 >= least {
+        if stretch.len() as f64 >= minimum {
             let length = stretch.len();
             sink.add(
                 "frozen",
@@ -352,7 +353,7 @@ fn check_actions(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
             format!("no arm action in {value} frames in a row")
         });
     }
-    sink.exceeding("saturated", 0..frames.len(), saturated_share(frames), |value| {
+    sink.exceeding("saturated", 0..frames.len(), saturated_fraction(frames), |value| {
         format!("a control is at its limit in {:.0} % of the frames", 1e2 * value)
     });
 }
@@ -406,7 +407,7 @@ fn is_idle(frame: &SpatialFrame) -> bool {
     frame.delta.iter().all(|part| *part == 0.0)
 }
 
-fn saturated_share(frames: &[SpatialFrame]) -> f64 {
+fn saturated_fraction(frames: &[SpatialFrame]) -> f64 {
     let at_limit = |frame: &&SpatialFrame| frame.delta.iter().any(|part| part.abs() >= LIMIT);
     frames.iter().filter(at_limit).count() as f64 / frames.len().max(1) as f64
 }

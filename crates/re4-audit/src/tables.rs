@@ -141,7 +141,7 @@ table! {
         /// held.
         #[unit = "m"]
         pub rigidity_residual: f64,
-        /// Greatest height of the object over where it was at the start of the segment.
+        /// Maximum height of the object over where it was at the start of the segment.
         #[unit = "m"]
         pub object_rise: f64,
     }

@@ -193,14 +193,14 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
             planar: flat,
             small,
         } => {
-            let least = pick(spatial, flat);
+            let minimum = pick(spatial, flat);
             match outer_fence(observed).filter(|_| count >= ENOUGH) {
-                Some(fence) if fence > least => data(fence, format!("Q3 + 3 (Q3 - Q1) of {count} {of}")),
+                Some(fence) if fence > minimum => data(fence, format!("Q3 + 3 (Q3 - Q1) of {count} {of}")),
                 Some(fence) => constant(
-                    Some(least),
-                    format!("the least one, above Q3 + 3 (Q3 - Q1) = {fence:.4} of {count} {of}"),
+                    Some(minimum),
+                    format!("the minimum, above Q3 + 3 (Q3 - Q1) = {fence:.4} of {count} {of}"),
                 ),
-                None if small => constant(Some(least), format!("{count} {of} are too few to derive it from")),
+                None if small => constant(Some(minimum), format!("{count} {of} are too few to derive it from")),
                 None => Threshold {
                     value: None,
                     origin: Origin::Data,
@@ -215,20 +215,20 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
             spatial,
             planar: flat,
         } => {
-            let least = pick(spatial, flat);
+            let minimum = pick(spatial, flat);
             match median(observed).filter(|_| count >= ENOUGH) {
-                Some(middle) if factor * middle > least => {
+                Some(middle) if factor * middle > minimum => {
                     data(factor * middle, format!("{factor} times the median of {count} {of}"))
                 }
                 Some(middle) => constant(
-                    Some(least),
+                    Some(minimum),
                     format!(
-                        "the least one; {factor} times the median of {count} {of} is {:.4}",
+                        "the minimum; {factor} times the median of {count} {of} is {:.4}",
                         factor * middle
                     ),
                 ),
                 None => {
-                    let wide = if factor == 1.0 { least } else { 2.0 * least };
+                    let wide = if factor == 1.0 { minimum } else { 2.0 * minimum };
                     constant(Some(wide), format!("{count} {of} are too few to derive it from"))
                 }
             }

@@ -196,7 +196,7 @@ fn jumps_of_object_and_hand_are_discontinuities() {
     let spin = found(|frames| {
         frames[5].eef.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7) * frames[5].eef.rotation;
     });
-    assert_eq!(spin, BTreeSet::from(["discontinuity_turn"]));
+    assert_eq!(spin, BTreeSet::from(["discontinuity_rotation"]));
 }
 
 #[test]

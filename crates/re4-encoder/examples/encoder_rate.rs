@@ -1,4 +1,4 @@
-//! Training rate of the encoder: forward, loss, backward and a step of `AdamW` on pictures of 76 x 76 that stay the same.
+//! Training rate of the encoder: forward, loss, backward and a step of `AdamW` on images of 76 x 76 that stay the same.
 //!
 //! ```text
 //! encoder_rate [--width 64] [--batch 64] [--steps 5] [--threads 2] [--backend flex]
@@ -59,11 +59,11 @@ fn rate(arguments: &Arguments) -> Result<Vec<f64>, String> {
     let device = backend.device().map_err(|error| error.to_string())?.autodiff();
     let mut encoder = Encoder::new(width, &device);
     let mut optimiser = AdamWConfig::new().with_weight_decay(1e-4).init();
-    let pictures = Tensor::<4>::random([batch, 3, 76, 76], Distribution::Normal(0.0, 1.0), &device);
+    let images = Tensor::<4>::random([batch, 3, 76, 76], Distribution::Normal(0.0, 1.0), &device);
     let mut seconds = Vec::with_capacity(steps + 1);
     for _ in 0..=steps {
         let start = Instant::now();
-        let (_, poses) = encoder.forward(pictures.clone());
+        let (_, poses) = encoder.forward(images.clone());
         let loss = poses.powf_scalar(2.0).mean();
         let gradients = GradientsParams::from_grads(loss.backward(), &encoder);
         encoder = optimiser.step(3e-4, encoder, gradients);

@@ -1,9 +1,9 @@
-//! Which pictures a step of the optimiser sees.
+//! Which images a step of the optimiser sees.
 //!
 //! A batch has groups of two demonstrations. The first demonstration of a group is drawn among all that are trained on; the
 //! second among those whose anchor is nearer than the radius and turned by less than [`SAME_TURN`], and is the first one again
 //! where there is none. Of each, two frames before the grasp and two that hold the object are drawn, independently and with
-//! equal chances, and every picture has its own crop. Every draw depends on seed, epoch and step alone, so a training that
+//! equal chances, and every image has its own crop. Every draw depends on seed, epoch and step alone, so a training that
 //! goes on after a checkpoint draws the same.
 
 use nalgebra::{Isometry3, Vector3};
@@ -19,9 +19,9 @@ const SAME_TURN: f64 = 0.3;
 /// What training knows of a demonstration. There is no recorded object pose in it.
 #[derive(Debug, Clone)]
 pub struct TrainingDemo {
-    /// Number of its first picture in the file of pictures.
+    /// Number of its first image in the file of images.
     pub first: u64,
-    /// Frames before the grasp, whose pictures show the object at the anchor.
+    /// Frames before the grasp, whose images show the object at the anchor.
     pub before: Vec<u32>,
     /// Frames that hold the object.
     pub held: Vec<u32>,
@@ -31,18 +31,18 @@ pub struct TrainingDemo {
     pub eef: Vec<Isometry3<f64>>,
 }
 
-/// A picture of a batch.
+/// An image of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// Number of the picture.
-    pub picture: u64,
+    /// Number of the image.
+    pub image: u64,
     /// First row and column of the crop.
     pub crop: [u8; 2],
     /// What the estimate should be.
     pub target: Isometry3<f64>,
 }
 
-/// The pictures of a step.
+/// The images of a step.
 #[derive(Debug, Clone)]
 pub struct Batch {
     /// In groups of [`GROUP`].
@@ -110,7 +110,7 @@ impl Sampler {
                     let free = SIDE - CROP + 1;
                     let crop = [below(&mut rng, free) as u8, below(&mut rng, free) as u8];
                     samples.push(Sample {
-                        picture: demo.first + u64::from(frame),
+                        image: demo.first + u64::from(frame),
                         crop,
                         target: target(frame as usize),
                     });
@@ -131,13 +131,13 @@ impl Sampler {
         self.demos.iter().map(|demo| demo.anchor).collect()
     }
 
-    /// Share of demonstrations that have another one near.
+    /// Fraction of demonstrations that have another one near.
     pub fn with_neighbours(&self) -> f64 {
         self.near.iter().filter(|others| !others.is_empty()).count() as f64 / self.demos.len().max(1) as f64
     }
 
-    /// How many pictures there are to draw from.
-    pub fn pictures(&self) -> usize {
+    /// How many images there are to draw from.
+    pub fn images(&self) -> usize {
         self.demos.iter().map(|demo| demo.before.len() + demo.held.len()).sum()
     }
 }

@@ -32,7 +32,7 @@ impl Backend {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EncoderConfig {
-    /// Camera whose pictures are read.
+    /// Camera whose images are read.
     pub camera: String,
     /// Channels after the first convolution: 64 is ResNet-18; fewer make all layers narrower by the same factor.
     pub width: usize,
@@ -44,10 +44,10 @@ pub struct EncoderConfig {
     pub backend: Backend,
     /// Epochs.
     pub epochs: u32,
-    /// Steps of the optimiser an epoch; as many as draw as many pictures as there are where it is left out.
+    /// Steps of the optimiser an epoch; as many as draw as many images as there are where it is left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u32>,
-    /// Pictures a step, a multiple of 8: groups of two demonstrations with four pictures each.
+    /// Images a step, a multiple of 8: groups of two demonstrations with four images each.
     pub batch: usize,
     /// Learning rate of AdamW.
     pub learning_rate: f64,
@@ -59,7 +59,7 @@ pub struct EncoderConfig {
     pub losses: LossConfig,
     /// Anchors of two demonstrations that are nearer than this belong to one place (L_cross), in metres.
     pub radius: f64,
-    /// Share of the demonstrations that are not trained on and tell how good the encoder is.
+    /// Fraction of the demonstrations that are not trained on and tell how good the encoder is.
     pub held_out: f64,
     /// Seed of weights, batches and crops.
     pub seed: u64,
@@ -96,7 +96,7 @@ pub struct LossConfig {
     pub relative: f64,
     /// L_cross: demonstrations whose anchors are near have the same estimate before the grasp.
     pub cross: f64,
-    /// Of L_abs, the share of frames that hold the object; the others are before the grasp.
+    /// Of L_abs, the fraction of frames that hold the object; the others are before the grasp.
     pub absolute_held: f64,
     /// In L_rel, the weight of pairs that hold the object.
     pub relative_held: f64,

@@ -26,11 +26,11 @@ pub enum EncoderError {
     Weights {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and how to mend it.
+        /// What is wrong, and how to fix it.
         why: Fault,
     },
     /// Scratch space cannot be written.
-    #[error("cannot write pictures to a scratch file in {folder}: {source}", folder = .folder.display())]
+    #[error("cannot write images to a scratch file in {folder}: {source}", folder = .folder.display())]
     #[remedy("free some space and run again, training goes on from the last checkpoint")]
     Scratch {
         /// Where.
@@ -39,11 +39,11 @@ pub enum EncoderError {
         source: std::io::Error,
     },
     /// Scratch space cannot be read.
-    #[error("cannot read the scratch file of pictures: {0}")]
+    #[error("cannot read the scratch file of images: {0}")]
     #[remedy("run again, training goes on from the last checkpoint")]
     ScratchRead(std::io::Error),
-    /// The thread that loads pictures ended.
-    #[error("the thread that loads pictures ended before the epoch did")]
+    /// The thread that loads images ended.
+    #[error("the thread that loads images ended before the epoch did")]
     #[remedy("run again, training goes on from the last checkpoint")]
     Loader,
     /// A checkpoint cannot be written or read.
@@ -73,8 +73,8 @@ pub enum EncoderError {
         /// What is kept.
         kept: String,
     },
-    /// A picture of another size.
-    #[error("a picture has {0} bytes where 84 x 84 pixels of three colours have 21168")]
-    #[remedy("use pictures of that size")]
-    Picture(usize),
+    /// An image of another size.
+    #[error("an image has {0} bytes where 84 x 84 pixels of three colours have 21168")]
+    #[remedy("use images of that size")]
+    Image(usize),
 }

@@ -1,20 +1,20 @@
 //! The losses of the paper's appendix "Prehensile Pose Estimation", on batches of poses.
 //!
 //! Everything is in the world frame, in metres and radians. A batch has one layout, so that pairs need no search: groups of
-//! [`GROUP`] pictures, two demonstrations with [`BEFORE`] pictures before the grasp and then [`HELD`] that hold the object.
+//! [`GROUP`] images, two demonstrations with [`BEFORE`] images before the grasp and then [`HELD`] that hold the object.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Isometry3;
 
 use crate::config::LossConfig;
 
-/// Pictures before the grasp of each demonstration in a batch.
+/// Images before the grasp of each demonstration in a batch.
 pub const BEFORE: usize = 2;
 
-/// Pictures that hold the object of each demonstration in a batch.
+/// Images that hold the object of each demonstration in a batch.
 pub const HELD: usize = 2;
 
-/// Pictures of a group.
+/// Images of a group.
 pub const GROUP: usize = 2 * (BEFORE + HELD);
 
 /// Where the losses' root of a square is cut off: gradients are finite from there on down to 0.

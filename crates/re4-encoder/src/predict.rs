@@ -1,4 +1,4 @@
-//! Poses from pictures.
+//! Poses from images.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,17 +7,17 @@ use burn::tensor::{Tensor, TensorData};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::config::Backend;
-use crate::pictures::{INPUTS, MIDDLE, place};
+use crate::images::{INPUTS, MIDDLE, place};
 use crate::resnet::{EMBEDDING, Encoder};
 use crate::{CROP, EncoderError};
 
-/// Side of the pictures in pixels.
+/// Side of the images in pixels.
 pub const SIDE: usize = 84;
 
-/// Bytes of a picture: 84 x 84 pixels, RGB, first row at the top.
+/// Bytes of an image: 84 x 84 pixels, RGB, first row at the top.
 pub const PICTURE_BYTES: usize = SIDE * SIDE * 3;
 
-/// What the encoder says of a picture.
+/// What the encoder says of an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
     /// Pose of the object, world frame, in metres: that of the gripper as it would hold the object.
@@ -26,7 +26,7 @@ pub struct Prediction {
     pub embedding: Vec<f32>,
 }
 
-/// A trained encoder. Clones share its weights; an estimate does not depend on which pictures are asked for together.
+/// A trained encoder. Clones share its weights; an estimate does not depend on which images are asked for together.
 #[derive(Clone)]
 pub struct Predictor {
     // Weights of burn may be sent to another thread, and not be shared by two.
@@ -50,28 +50,28 @@ impl Predictor {
         }
     }
 
-    /// What the encoder says of pictures of [`PICTURE_BYTES`] bytes each, in their order, cropped in the middle.
+    /// What the encoder says of images of [`PICTURE_BYTES`] bytes each, in their order, cropped in the middle.
     ///
     /// # Errors
-    /// When a picture has another size.
-    pub fn predict(&self, pictures: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError> {
-        if let Some(odd) = pictures.iter().find(|picture| picture.len() != PICTURE_BYTES) {
-            return Err(EncoderError::Picture(odd.len()));
+    /// When an image has another size.
+    pub fn predict(&self, images: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError> {
+        if let Some(odd) = images.iter().find(|image| image.len() != PICTURE_BYTES) {
+            return Err(EncoderError::Image(odd.len()));
         }
         // A panic elsewhere leaves the weights as they are.
         let encoder = self.encoder.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let device = encoder.device();
-        let mut inputs = vec![0.0; pictures.len() * INPUTS];
-        for (picture, into) in pictures.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
-            place(picture, MIDDLE, into);
+        let mut inputs = vec![0.0; images.len() * INPUTS];
+        for (image, into) in images.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
+            place(image, MIDDLE, into);
         }
-        let inputs = Tensor::<4>::from_data(TensorData::new(inputs, [pictures.len(), 3, CROP, CROP]), &device);
+        let inputs = Tensor::<4>::from_data(TensorData::new(inputs, [images.len(), 3, CROP, CROP]), &device);
         let (embeddings, poses) = encoder.poses(inputs);
         let numbers = |tensor: Tensor<2>| -> Vec<f32> { tensor.into_data().iter::<f32>().collect() };
         let translations = numbers(poses.translation);
         let columns = poses.columns.map(numbers);
         let embeddings = numbers(embeddings);
-        Ok((0..pictures.len())
+        Ok((0..images.len())
             .map(|i| {
                 let vector = |values: &[f32]| Vector3::from_fn(|k, _| f64::from(values[3 * i + k]));
                 let [a, b, c] = [0, 1, 2].map(|k| vector(&columns[k]));

@@ -187,11 +187,9 @@ impl Encoder {
         self.conv1.weight.lazy_shape()[0]
     }
 
-    /// Pictures `[batch, 3, height, width]`, normalised, to the features behind the average pool, `[batch, 8 width]`.
-    pub fn features(&self, pictures: Tensor<4>) -> Tensor<2> {
-        let mut x = self
-            .maxpool
-            .forward(relu(self.bn1.forward(self.conv1.forward(pictures))));
+    /// Images `[batch, 3, height, width]`, normalised, to the features behind the average pool, `[batch, 8 width]`.
+    pub fn features(&self, images: Tensor<4>) -> Tensor<2> {
+        let mut x = self.maxpool.forward(relu(self.bn1.forward(self.conv1.forward(images))));
         for block in [&self.layer1, &self.layer2, &self.layer3, &self.layer4]
             .into_iter()
             .flatten()
@@ -202,16 +200,16 @@ impl Encoder {
         x.mean_dim(3).mean_dim(2).reshape([batch, channels])
     }
 
-    /// Pictures `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and the head's numbers `[batch, 9]`.
-    pub fn forward(&self, pictures: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
-        let embedding = self.embedding.forward(self.features(pictures));
+    /// Images `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and the head's numbers `[batch, 9]`.
+    pub fn forward(&self, images: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
+        let embedding = self.embedding.forward(self.features(images));
         let raw = self.head.forward(embedding.clone());
         (embedding, raw)
     }
 
-    /// Pictures `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and poses in the world frame.
-    pub fn poses(&self, pictures: Tensor<4>) -> (Tensor<2>, Poses) {
-        let (embedding, raw) = self.forward(pictures);
+    /// Images `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and poses in the world frame.
+    pub fn poses(&self, images: Tensor<4>) -> (Tensor<2>, Poses) {
+        let (embedding, raw) = self.forward(images);
         (embedding, Poses::from_raw(&raw, SCALE))
     }
 

@@ -14,15 +14,15 @@ use serde::{Deserialize, Serialize};
 use crate::batches::{Sample, Sampler};
 use crate::checkpoint::Checkpoints;
 use crate::config::EncoderConfig;
+use crate::images::{INPUTS, ImageFile, Loaded, MIDDLE, batches, load};
 use crate::loss::{GROUP, Losses, Poses, losses};
-use crate::pictures::{INPUTS, Loaded, MIDDLE, PictureFile, batches, load};
 use crate::resnet::Encoder;
 use crate::{CROP, EncoderError};
 
-/// Pictures at once where nothing is trained.
+/// Images at once where nothing is trained.
 const CHUNK: usize = 64;
 
-/// Most pictures whose loss is told of demonstrations that were held out.
+/// Most images whose loss is told of demonstrations that were held out.
 const HELD_OUT: usize = 512;
 
 /// What a training is made of.
@@ -31,8 +31,8 @@ pub struct Task<'a> {
     pub config: &'a EncoderConfig,
     /// Batches.
     pub sampler: &'a Sampler,
-    /// Pictures of all demonstrations.
-    pub pictures: &'a PictureFile,
+    /// Images of all demonstrations.
+    pub images: &'a ImageFile,
     /// Frames of demonstrations that are held out, with the targets that they would have; nothing is chosen by them.
     pub held_out: &'a [Sample],
     /// Weights to start from, in torchvision's names.
@@ -46,7 +46,7 @@ pub struct Progress {
     pub epoch: u32,
     /// Steps done in all.
     pub steps: u64,
-    /// Pictures a second, since the start of this process.
+    /// Images a second, since the start of this process.
     pub rate: f64,
     /// Mean losses of the epoch up to here: sum, absolute, relative, cross.
     pub losses: [f64; 4],
@@ -75,15 +75,15 @@ pub struct Trained {
     pub epochs: Vec<Epoch>,
     /// Epochs that were there already, from a checkpoint.
     pub resumed: u32,
-    /// Pictures a second of this process; `None` where nothing was left to train.
+    /// Images a second of this process; `None` where nothing was left to train.
     pub rate: Option<f64>,
 }
 
-/// Steps of an epoch: as many as draw as many pictures as there are, or as the settings say.
+/// Steps of an epoch: as many as draw as many images as there are, or as the settings say.
 pub fn steps_of(config: &EncoderConfig, sampler: &Sampler) -> u32 {
     config
         .steps
-        .unwrap_or_else(|| (sampler.pictures() / config.batch).max(1) as u32)
+        .unwrap_or_else(|| (sampler.images() / config.batch).max(1) as u32)
 }
 
 /// Trains, from the last whole checkpoint on where there is one. `going` is told after every step and ends the training, whose
@@ -116,7 +116,7 @@ pub fn train<E: From<EncoderError>>(
         let mut rate_of_step = config.learning_rate;
         encoder = std::thread::scope(|scope| -> Result<Encoder, E> {
             let mut encoder = encoder;
-            let receiver = batches(scope, task.pictures, task.sampler, epoch, steps);
+            let receiver = batches(scope, task.images, task.sampler, epoch, steps);
             for step in 0..steps {
                 let Ok(loaded) = receiver.recv() else {
                     return Err(EncoderError::Loader.into());
@@ -292,7 +292,7 @@ fn held_out(encoder: &Encoder, task: &Task) -> Result<Option<f64>, EncoderError>
         .collect();
     let mut sum = 0.0;
     for chunk in samples.chunks(CHUNK) {
-        let (_, estimates) = encoder.poses(inputs(load(task.pictures, chunk)?, &device));
+        let (_, estimates) = encoder.poses(inputs(load(task.images, chunk)?, &device));
         let targets: Vec<Isometry3<f64>> = chunk.iter().map(|sample| sample.target).collect();
         let losses = estimates.metric(&Poses::from_known(&targets, &device), task.config.losses.translation);
         sum += f64::from(losses.sum().into_scalar::<f32>());

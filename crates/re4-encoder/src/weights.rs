@@ -134,7 +134,7 @@ fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
         .collect()
 }
 
-/// Whose file it is, which decides what must be in it and how a wrong one is mended.
+/// Whose file it is, which decides what must be in it and how a wrong one is fixed.
 #[derive(Clone, Copy)]
 enum Origin {
     Torchvision,
@@ -142,7 +142,7 @@ enum Origin {
 }
 
 impl Origin {
-    fn mend(self) -> &'static str {
+    fn fix(self) -> &'static str {
         match self {
             Self::Torchvision => "give torchvision's resnet18, which re4-pipe fetch resnet18 downloads",
             Self::Own => "train the encoder again",
@@ -258,23 +258,23 @@ struct File {
 impl File {
     fn open(path: &Path, origin: Origin) -> Result<Self, Fault> {
         let metadata = fs::metadata(path).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => fault!("there is no such file"; "{}", origin.mend()),
+            io::ErrorKind::NotFound => fault!("there is no such file"; "{}", origin.fix()),
             _ => cannot_read(&error),
         })?;
         if !metadata.is_file() {
             return Err(fault!("it is not a file"; "name the file of weights itself"));
         }
         if metadata.len() == 0 {
-            return Err(fault!("the file is empty"; "{}", origin.mend()));
+            return Err(fault!("the file is empty"; "{}", origin.fix()));
         }
         if metadata.len() > LARGEST {
             let bytes = metadata.len();
-            return Err(fault!("{bytes} bytes are more than a ResNet-18 has"; "{}", origin.mend()));
+            return Err(fault!("{bytes} bytes are more than a ResNet-18 has"; "{}", origin.fix()));
         }
         let mut tensors = if is_safetensors(path).map_err(|error| cannot_read(&error))? {
             read_safetensors(path, origin)?
         } else if matches!(origin, Origin::Own) {
-            return Err(fault!("it is not a safetensors file"; "{}", origin.mend()));
+            return Err(fault!("it is not a safetensors file"; "{}", origin.fix()));
         } else {
             read_torch(path, origin)?
         };
@@ -293,7 +293,7 @@ impl File {
     fn get(&self, name: &str, origin: Origin) -> Result<&Content, Fault> {
         self.tensors
             .get(name)
-            .ok_or_else(|| fault!("it holds no tensor {name}, so it is not a ResNet-18"; "{}", origin.mend()))
+            .ok_or_else(|| fault!("it holds no tensor {name}, so it is not a ResNet-18"; "{}", origin.fix()))
     }
 
     /// Channels after the first convolution.
@@ -302,7 +302,7 @@ impl File {
             [width, 3, 7, 7] if (1..=WIDEST).contains(&width) => Ok(width),
             ref shape => Err(fault!(
                 "conv1.weight has the shape {shape:?} where a ResNet-18 has [64, 3, 7, 7], or another width up to {WIDEST} in front";
-                "{}", origin.mend()
+                "{}", origin.fix()
             )),
         }
     }
@@ -322,7 +322,7 @@ impl File {
             } else {
                 "it is another network"
             };
-            return Err(fault!("{what}: it holds a tensor {name}, which a ResNet-18 has not"; "{}", origin.mend()));
+            return Err(fault!("{what}: it holds a tensor {name}, which a ResNet-18 has not"; "{}", origin.fix()));
         }
         for name in expected {
             self.get(name, origin)?;
@@ -336,7 +336,7 @@ impl File {
         if shape != expected {
             return Err(fault!(
                 "{name} has the shape {shape:?} and should have {expected:?}, so it is another network";
-                "{}", origin.mend()
+                "{}", origin.fix()
             ));
         }
         let kind = match content {
@@ -352,7 +352,7 @@ impl File {
     fn values(&self, name: &str, origin: Origin) -> Result<Vec<f32>, Fault> {
         let values: Vec<f32> = match self.get(name, origin)? {
             Content::Torch(tensor) => guarded(|| tensor.read().map_err(|error| error.to_string()))
-                .map_err(|why| fault!("{name} cannot be read ({why}), so the file is damaged"; "{}", origin.mend()))?
+                .map_err(|why| fault!("{name} cannot be read ({why}), so the file is damaged"; "{}", origin.fix()))?
                 .as_chunks()
                 .0
                 .iter()
@@ -370,7 +370,7 @@ impl File {
         {
             Some(value) => Err(fault!(
                 "{name} holds the value {value}, which no trained network has";
-                "{}", origin.mend()
+                "{}", origin.fix()
             )),
             None => Ok(values),
         }
@@ -398,7 +398,7 @@ fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Cont
             }
             _ => "it is not a safetensors file, or a damaged one",
         };
-        fault!("{what} ({error})"; "{}", origin.mend())
+        fault!("{what} ({error})"; "{}", origin.fix())
     })?;
     let tensors = file.iter().map(|(name, view)| {
         let content = Content::Safe {
@@ -414,7 +414,7 @@ fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Cont
 fn read_torch(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, Fault> {
     let reader = guarded(|| PytorchReader::new(path).map_err(|error| error.to_string())).map_err(|why| {
         let why = why.split('\n').next().unwrap_or_default();
-        fault!("it is not a file that torch.save wrote, or a damaged one ({why})"; "{}", origin.mend())
+        fault!("it is not a file that torch.save wrote, or a damaged one ({why})"; "{}", origin.fix())
     })?;
     Ok(reader
         .into_tensors()

@@ -1,4 +1,4 @@
-//! A training for real, on pictures that this test draws: a square on a table where the object is, and a cross for the gripper.
+//! A training for real, on images that this test draws: a square on a table where the object is, and a cross for the gripper.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop where it fails")]
 
 use std::cell::Cell;
@@ -7,7 +7,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
-use re4_encoder::pictures::{MIDDLE, PictureFile};
+use re4_encoder::images::{ImageFile, MIDDLE};
 use re4_encoder::train::{Task, Trained, train};
 use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor, SIDE};
 use re4_fault::Remedy as _;
@@ -30,11 +30,11 @@ fn pose(at: [f64; 2], height: f64) -> Isometry3<f64> {
 }
 
 fn draw(object: [f64; 2], gripper: [f64; 2]) -> Vec<u8> {
-    let mut picture = vec![60; PICTURE_BYTES];
+    let mut image = vec![60; PICTURE_BYTES];
     let pixel = |at: [f64; 2]| at.map(|x| (SIDE as f64 * (0.5 + x / 0.5)) as i64);
     let mut paint = |column: i64, row: i64, colour: [u8; 3]| {
         let at = (row as usize * SIDE + column as usize) * 3;
-        picture[at..at + 3].copy_from_slice(&colour);
+        image[at..at + 3].copy_from_slice(&colour);
     };
     let ([x, y], [u, v]) = (pixel(object), pixel(gripper));
     for i in -4..=4 {
@@ -44,23 +44,23 @@ fn draw(object: [f64; 2], gripper: [f64; 2]) -> Vec<u8> {
         paint(u + i, v, [230, 230, 230]);
         paint(u, v + i, [230, 230, 230]);
     }
-    picture
+    image
 }
 
 struct Scenes {
     demos: Vec<TrainingDemo>,
-    pictures: PictureFile,
+    images: ImageFile,
     folder: tempfile::TempDir,
 }
 
 /// Demonstrations that come from a corner, grasp, and carry towards the middle.
 fn scenes(count: usize) -> Scenes {
     let folder = tempfile::tempdir().unwrap();
-    let mut pictures = Vec::new();
+    let mut images = Vec::new();
     let demos = (0..count)
         .map(|demo| {
             let at = place(demo);
-            let first = pictures.len() as u64;
+            let first = images.len() as u64;
             let mut eef = Vec::new();
             for frame in 0..BEFORE + HELD {
                 let share = (frame.min(BEFORE) as f64) / BEFORE as f64;
@@ -71,7 +71,7 @@ fn scenes(count: usize) -> Scenes {
                 } else {
                     object
                 };
-                pictures.push(draw(object, gripper));
+                images.push(draw(object, gripper));
                 eef.push(pose(gripper, 0.8));
             }
             TrainingDemo {
@@ -83,12 +83,8 @@ fn scenes(count: usize) -> Scenes {
             }
         })
         .collect();
-    let pictures = PictureFile::write(folder.path(), pictures.into_iter().map(Ok::<_, EncoderError>)).unwrap();
-    Scenes {
-        demos,
-        pictures,
-        folder,
-    }
+    let images = ImageFile::write(folder.path(), images.into_iter().map(Ok::<_, EncoderError>)).unwrap();
+    Scenes { demos, images, folder }
 }
 
 fn config() -> EncoderConfig {
@@ -123,7 +119,7 @@ fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Op
         .flat_map(|demo| {
             let demo = &scenes.demos[demo];
             demo.before.iter().map(|&frame| Sample {
-                picture: demo.first + u64::from(frame),
+                image: demo.first + u64::from(frame),
                 crop: MIDDLE,
                 target: demo.anchor,
             })
@@ -134,7 +130,7 @@ fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Op
     let task = Task {
         config,
         sampler: &sampler,
-        pictures: &scenes.pictures,
+        images: &scenes.images,
         held_out: &held_out,
         weights: None,
     };
@@ -165,9 +161,9 @@ fn the_loss_falls_and_places_that_were_held_out_are_found() {
         / taught.len() as f64;
     let (mut errors, mut of_mean) = (Vec::new(), Vec::new());
     for demo in scenes.demos.iter().step_by(5) {
-        let mut picture = vec![0; PICTURE_BYTES];
-        scenes.pictures.read(demo.first + 1, &mut picture).unwrap();
-        let found = &predictor.predict(&[&picture]).unwrap()[0];
+        let mut image = vec![0; PICTURE_BYTES];
+        scenes.images.read(demo.first + 1, &mut image).unwrap();
+        let found = &predictor.predict(&[&image]).unwrap()[0];
         assert_eq!(found.embedding.len(), 256);
         errors.push((found.pose.translation.vector - demo.anchor.translation.vector).norm());
         of_mean.push((mean - demo.anchor.translation.vector).norm());
@@ -235,7 +231,7 @@ fn checkpoints_that_are_not_ours_or_not_whole_are_not_taken() {
     let task = Task {
         config: &config,
         sampler: &sampler,
-        pictures: &scenes.pictures,
+        images: &scenes.images,
         held_out: &[],
         weights: None,
     };
@@ -270,7 +266,7 @@ fn a_loss_that_is_not_finite_ends_the_training_and_keeps_the_last_good_checkpoin
     let task = Task {
         config: &bad,
         sampler: &sampler,
-        pictures: &scenes.pictures,
+        images: &scenes.images,
         held_out: &[],
         weights: None,
     };
@@ -296,7 +292,7 @@ fn batches_follow_from_seed_epoch_and_step_and_pair_what_is_near() {
     assert_eq!(batch.samples, sampler.batch(2, 5).samples);
     assert_ne!(batch.samples, sampler.batch(2, 6).samples);
     assert_ne!(batch.samples, sampler.batch(3, 5).samples);
-    let demo_of = |sample: &Sample| (sample.picture as usize) / (BEFORE + HELD);
+    let demo_of = |sample: &Sample| (sample.image as usize) / (BEFORE + HELD);
     let mut crops = std::collections::BTreeSet::new();
     for step in 0..50 {
         let batch = sampler.batch(0, step);
@@ -307,7 +303,7 @@ fn batches_follow_from_seed_epoch_and_step_and_pair_what_is_near() {
             assert!(way.norm() < 0.05);
             for (k, sample) in group.iter().enumerate() {
                 let demo = &scenes.demos[demo_of(sample)];
-                let frame = (sample.picture - demo.first) as usize;
+                let frame = (sample.image - demo.first) as usize;
                 assert_eq!(frame >= BEFORE, k % 4 >= 2);
                 let target = if frame < BEFORE { demo.anchor } else { demo.eef[frame] };
                 assert_eq!(sample.target, target);

@@ -107,12 +107,12 @@ fn computed() -> BTreeMap<String, Stored> {
 fn difference(encoder: &Encoder, reference: &Value) -> f64 {
     let expected: Vec<Vec<f64>> = serde_json::from_value(reference["features"].clone()).unwrap();
     let (count, side) = (expected.len(), 76);
-    let pictures: Vec<f32> = (0..count)
-        .flat_map(|k| numbers(&format!("picture.{k}"), 3 * side * side))
+    let images: Vec<f32> = (0..count)
+        .flat_map(|k| numbers(&format!("image.{k}"), 3 * side * side))
         .map(|value| 2.0 * value)
         .collect();
-    let pictures = Tensor::from_data(TensorData::new(pictures, [count, 3, side, side]), &Device::flex());
-    let features: Vec<f32> = encoder.features(pictures).into_data().try_into_vec().unwrap();
+    let images = Tensor::from_data(TensorData::new(images, [count, 3, side, side]), &Device::flex());
+    let features: Vec<f32> = encoder.features(images).into_data().try_into_vec().unwrap();
     let expected = expected.concat();
     assert_eq!(features.len(), expected.len());
     let largest = expected

@@ -4,7 +4,7 @@ use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use quote::{format_ident, quote};
 use syn::{Attribute, Data, DeriveInput, Fields, Meta, parse_macro_input};
 
-/// Implements `re4_fault::Remedy`: each variant (or the struct) says how to mend it by an attribute beside its `#[error]`.
+/// Implements `re4_fault::Remedy`: each variant (or the struct) says how to fix it by an attribute beside its `#[error]`.
 ///
 /// `#[remedy("remove {} and run again", path.display())]` is a text as `format!` takes it; fields are known by their names, those
 /// of tuples as `_0`, `_1`. Anything but a text is an expression of type `Option<Cow<str>>`, as in `#[remedy(fault.remedy())]`.

@@ -1,4 +1,4 @@
-//! What is wrong, and apart from it how to mend it.
+//! What is wrong, and apart from it how to fix it.
 //!
 //! The text of an error ([`Display`](fmt::Display)) says what is wrong and with what; its [`Remedy`] says what to do about it.
 //! Whoever prints an error joins the two, or keeps them apart. Library crates derive [`Remedy`] for their enums of errors;
@@ -12,12 +12,12 @@ use std::fmt;
 pub use anyhow;
 pub use re4_fault_derive::Remedy;
 
-/// An error that may know how to mend it.
+/// An error that may know how to fix it.
 pub trait Remedy: fmt::Display {
     /// What to do about it, in the imperative and without an end: `give a smaller --jobs`.
     fn remedy(&self) -> Option<Cow<'_, str>>;
 
-    /// What is wrong and how to mend it in one sentence.
+    /// What is wrong and how to fix it in one sentence.
     fn sentence(&self) -> String {
         join(&self.to_string(), self.remedy().as_deref())
     }
@@ -37,7 +37,7 @@ pub fn join(what: &str, remedy: Option<&str>) -> String {
     }
 }
 
-/// What is wrong, how to mend it, and why.
+/// What is wrong, how to fix it, and why.
 #[derive(Debug)]
 pub struct Fault {
     what: String,
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn each_variant_says_how_to_mend_it() {
+    fn each_variant_says_how_to_fix_it() {
         let size = || Broken::Size {
             name: "width",
             size: 9,

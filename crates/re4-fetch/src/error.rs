@@ -53,7 +53,7 @@ pub enum Fault {
     },
     /// The server refused.
     #[error("the server answered {status}")]
-    #[remedy("{}", status_mend(*status))]
+    #[remedy("{}", status_fix(*status))]
     Status {
         /// HTTP status.
         status: u16,
@@ -127,7 +127,7 @@ pub enum Fault {
     },
     /// The operating system refused something.
     #[error("cannot {action} {}: {source}", path.display())]
-    #[remedy("{}", io_mend(source))]
+    #[remedy("{}", io_fix(source))]
     Io {
         /// What was tried, such as "write".
         action: &'static str,
@@ -149,7 +149,7 @@ impl Fault {
     }
 }
 
-fn status_mend(status: u16) -> &'static str {
+fn status_fix(status: u16) -> &'static str {
     match status {
         401 | 403 => "the file is not public, so give another address",
         404 | 410 => "the file has moved, so give its new address",
@@ -158,7 +158,7 @@ fn status_mend(status: u16) -> &'static str {
     }
 }
 
-fn io_mend(error: &io::Error) -> &'static str {
+fn io_fix(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
             "free some space and run the command again, it continues"
@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_of_the_system_name_the_path_and_the_mend() {
+    fn errors_of_the_system_name_the_path_and_the_fix() {
         let kinds = [
             io::ErrorKind::StorageFull,
             io::ErrorKind::ReadOnlyFilesystem,
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn statuses_have_their_mends() {
+    fn statuses_have_their_fixes() {
         insta::assert_snapshot!(
             [400, 403, 404, 429, 503]
                 .map(|status| Fault::Status { status }.sentence())

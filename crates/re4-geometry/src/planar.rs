@@ -10,7 +10,7 @@ pub type Point2 = Vector2<f64>;
 
 /// An element of SE(2): rotate by `theta` (radians, from the x axis towards the y axis), then translate by `(x, y)`.
 ///
-/// Read as a pose it is the frame of a body in its world; in Push-T pictures y points down, so a growing `theta` turns
+/// Read as a pose it is the frame of a body in its world; in Push-T images y points down, so a growing `theta` turns
 /// the block clockwise on the screen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose2 {

@@ -147,7 +147,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn segment_distance_is_the_least_over_its_points(
+        fn segment_distance_is_the_minimum_over_its_points(
             ax in -5.0..5.0f64, ay in -5.0..5.0f64, bx in -5.0..5.0f64, by in -5.0..5.0f64,
         ) {
             let s = square(0.0, 0.0, 2.0);

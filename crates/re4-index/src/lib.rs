@@ -3,7 +3,7 @@
 //! Retrieve (paper, section "Retrieve") is two nested lookups, with the manipulation mode as a hard filter:
 //!
 //! 1. in every demonstration, the frame of the query's mode that minimises `d_q`, the distance over the full
-//!    object-augmented state, among the frames whose `d_o` is within `epsilon` of that demonstration's least `d_o`;
+//!    object-augmented state, among the frames whose `d_o` is within `epsilon` of that demonstration's minimum `d_o`;
 //! 2. among these frames, one a demonstration, the one that minimises `d_o`, the distance over the object's pose alone.
 //!
 //! Ties go to the lowest demonstration, then to the lowest frame.
@@ -105,7 +105,7 @@ pub enum IndexError {
         frame: u32,
         /// What is wrong with it.
         problem: &'static str,
-        /// How to mend it.
+        /// How to fix it.
         remedy: &'static str,
     },
     /// More frames than 32-bit frame numbers reach.

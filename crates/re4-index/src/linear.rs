@@ -22,7 +22,7 @@ pub fn retrieve_linear(
     }
     let period = normalization.period();
     let mut best: Option<Retrieved> = None;
-    let mut least_object = f64::INFINITY;
+    let mut minimum_object = f64::INFINITY;
     for demo in frames.chunk_by(|a, b| a.episode == b.episode) {
         let admissible = || demo.iter().filter(|frame| frame.mode == query.mode);
         let distances = |frame: &IndexedFrame| {
@@ -30,10 +30,10 @@ pub fn retrieve_linear(
             let o = object_squared(&q, n[2], n[3], n[4], period);
             (o, state_squared(&q, n[0], n[1], o))
         };
-        let least = admissible()
+        let minimum = admissible()
             .map(|frame| distances(frame).0)
             .fold(f64::INFINITY, f64::min);
-        let limit = admissible_squared(least, epsilon);
+        let limit = admissible_squared(minimum, epsilon);
         let mut chosen: Option<(f64, f64, &IndexedFrame)> = None;
         for frame in admissible() {
             let (o, s) = distances(frame);
@@ -41,8 +41,8 @@ pub fn retrieve_linear(
                 chosen = Some((s, o, frame));
             }
         }
-        if let Some((s, o, frame)) = chosen.filter(|(_, o, _)| *o < least_object) {
-            least_object = o;
+        if let Some((s, o, frame)) = chosen.filter(|(_, o, _)| *o < minimum_object) {
+            minimum_object = o;
             best = Some(Retrieved {
                 episode: frame.episode,
                 frame: frame.frame,

@@ -19,12 +19,12 @@ pub enum AngleMetric {
     Raw,
 }
 
-/// Least and greatest value of one dimension over the indexed frames.
+/// Minimum and maximum value of one dimension over the indexed frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Range {
-    /// Least value.
+    /// Minimum value.
     pub minimum: f64,
-    /// Greatest value.
+    /// Maximum value.
     pub maximum: f64,
 }
 
@@ -141,8 +141,8 @@ pub(crate) fn state_squared(a: &[f64; 5], x: f64, y: f64, object_squared: f64) -
 
 /// Squared `d_o` up to which a frame of a demonstration stays a candidate for stage 1.
 #[inline]
-pub(crate) fn admissible_squared(least_object_squared: f64, epsilon: f64) -> f64 {
-    let limit = least_object_squared.sqrt() + epsilon;
-    // Rounding must not shut out the least frame itself.
-    (limit * limit).max(least_object_squared)
+pub(crate) fn admissible_squared(minimum_object_squared: f64, epsilon: f64) -> f64 {
+    let limit = minimum_object_squared.sqrt() + epsilon;
+    // Rounding must not shut out the minimum frame itself.
+    (limit * limit).max(minimum_object_squared)
 }

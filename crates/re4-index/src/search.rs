@@ -188,8 +188,8 @@ impl ModeIndex {
                 .zip(theta)
                 .map(|((&x, &y), &theta)| object_squared(q, x, y, theta, period)),
         );
-        let least = scratch.iter().copied().fold(f64::INFINITY, f64::min);
-        let limit = admissible_squared(least, epsilon);
+        let minimum = scratch.iter().copied().fold(f64::INFINITY, f64::min);
+        let limit = admissible_squared(minimum, epsilon);
         let mut chosen = Stage1 {
             demo,
             frame: range.start,

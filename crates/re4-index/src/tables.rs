@@ -70,9 +70,9 @@ table! {
     pub struct ScaleRow {
         /// Name of the dimension, a column of the index table.
         pub dimension: String,
-        /// Least value, in the dimension's own unit.
+        /// Minimum value, in the dimension's own unit.
         pub minimum: f64,
-        /// Greatest value, in the dimension's own unit.
+        /// Maximum value, in the dimension's own unit.
         pub maximum: f64,
     }
 }

@@ -141,7 +141,7 @@ impl PoseTree {
     }
 }
 
-/// Least and greatest coordinates over columns.
+/// Minimum and maximum coordinates over columns.
 fn extent(low: &[[f64; FAN]; 3], high: &[[f64; FAN]; 3]) -> [[f64; 3]; 2] {
     [
         low.map(|column| column.into_iter().fold(f64::INFINITY, f64::min)),

@@ -178,10 +178,10 @@ fn by_definition(
             .map(|(f, &c)| (f.frame, distances(c).0, distances(c).1))
             .collect();
         candidates.sort_by(|a, b| a.2.total_cmp(&b.2));
-        let Some(&(_, _, least)) = candidates.first() else {
+        let Some(&(_, _, minimum)) = candidates.first() else {
             continue;
         };
-        candidates.retain(|c| c.2 <= least + epsilon);
+        candidates.retain(|c| c.2 <= minimum + epsilon);
         candidates.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         let (number, d_q, d_o) = candidates[0];
         winners.push((episode, number, d_q, d_o));

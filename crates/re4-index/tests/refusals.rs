@@ -129,7 +129,7 @@ fn a_query_far_outside_the_ranges_is_answered() {
 #[test]
 fn stage_one_is_a_choice_within_the_demonstration_not_over_all_frames() {
     // Demonstration 0 has the nearest object pose, but its state nearest to the query lies elsewhere; within epsilon of its
-    // least d_o that frame may not be chosen.
+    // minimum d_o that frame may not be chosen.
     let frames = vec![
         frame(0, 0, Mode::Transit, [100.0, 0.0, 0.0, 0.0, 0.0]),
         frame(0, 1, Mode::Transit, [0.0, 0.0, 40.0, 0.0, 0.0]),

@@ -1,7 +1,7 @@
-//! Pictures stored as bit-shuffled floats, decoded straight to bytes.
+//! Images stored as bit-shuffled floats, decoded straight to bytes.
 //!
 //! The Push-T dataset stores whole numbers 0..255 as f32, bit-shuffled and compressed by Blosc with zstd. Undoing that
-//! step by step moves each picture through memory four times at four bytes a value. Here each Blosc block is
+//! step by step moves each image through memory four times at four bytes a value. Here each Blosc block is
 //! decompressed into a small buffer, and its bit planes are turned into bytes by boolean algebra, 64 values at a time,
 //! without ever being a float. Anything unusual makes the function give up with `None`, and the caller takes the
 //! general path, which also names what is wrong: this path never decides that a file is bad.

@@ -1,4 +1,4 @@
-//! Why an ingest stops: one sentence that says what, where and how to mend it.
+//! Why an ingest stops: one sentence that says what, where and how to fix it.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use thiserror::Error;
 use crate::left_out::parts;
 use crate::robomimic::Hdf5Fault;
 use crate::selection::SelectionError;
-use crate::source::io_mend;
+use crate::source::io_fix;
 
 /// A raw dataset that cannot be ingested.
 #[derive(Debug, Error)]
@@ -58,12 +58,12 @@ pub enum Fault {
     #[error("it is a single zarr array, not a dataset; give the folder above data/ and meta/")]
     SingleArray,
     /// A file of another kind where a store should be.
-    #[error("{what}; {mend}")]
+    #[error("{what}; {fix}")]
     NotAStoreFile {
         /// What it is.
         what: &'static str,
         /// How to get a store of it.
-        mend: &'static str,
+        fix: &'static str,
     },
     /// Something of a store that is neither a regular file nor a folder.
     #[error("{file} of the store is {what}, not a regular file; remove it, or restore the file")]
@@ -117,7 +117,7 @@ pub enum Fault {
         second: String,
     },
     /// The operating system refused something.
-    #[error("cannot {action} {}: {source}; {}", path.display(), io_mend(source))]
+    #[error("cannot {action} {}: {source}; {}", path.display(), io_fix(source))]
     Io {
         /// What was tried, such as "read".
         action: &'static str,
@@ -343,9 +343,9 @@ pub enum Fault {
         /// The value.
         value: f64,
     },
-    /// A picture value that is no byte.
+    /// An image value that is no byte.
     #[error(
-        "array data/img has {value} at frame {frame}, row {row}, column {column}, channel {channel}; pictures hold whole numbers from 0 to 255, so repair or convert that frame"
+        "array data/img has {value} at frame {frame}, row {row}, column {column}, channel {channel}; images hold whole numbers from 0 to 255, so repair or convert that frame"
     )]
     NotAByte {
         /// Frame.
@@ -359,9 +359,9 @@ pub enum Fault {
         /// The value.
         value: f64,
     },
-    /// Pictures scaled to 0..1.
+    /// Images scaled to 0..1.
     #[error(
-        "array data/img looks scaled to 0..1 (it has {value} at frame {frame}); pictures hold whole numbers from 0 to 255, so multiply it by 255 and round"
+        "array data/img looks scaled to 0..1 (it has {value} at frame {frame}); images hold whole numbers from 0 to 255, so multiply it by 255 and round"
     )]
     ScaledImages {
         /// Frame.
@@ -392,12 +392,12 @@ pub enum Fault {
         what: String,
     },
     /// Numbers that are not what the settings say that they are.
-    #[error("{what}; {mend}")]
+    #[error("{what}; {fix}")]
     Convention {
         /// What was found, with the figures.
         what: String,
         /// What to set, or to convert.
-        mend: String,
+        fix: String,
     },
     /// Episodes that cannot be used.
     #[error("{}", unusable(*bad, *episodes, list, *more, *all))]
@@ -421,8 +421,8 @@ pub enum Fault {
         /// Faults beyond these.
         more: usize,
     },
-    /// Pictures asked for, but none there.
-    #[error("the dataset has no pictures (no array data/img); ingest it without images")]
+    /// Images asked for, but none there.
+    #[error("the dataset has no images (no array data/img); ingest it without images")]
     NoImages,
     /// A selection that does not fit.
     #[error(transparent)]
@@ -495,13 +495,13 @@ fn unusable(bad: usize, of: usize, list: &[String], more: usize, all: bool) -> S
         0 => String::new(),
         more => format!("; and {more} more"),
     };
-    let mend = if all {
+    let fix = if all {
         "repair them"
     } else {
         "repair them, or set ingest.on_bad = \"leave_out\" to go on with the others"
     };
     format!(
-        "{bad} of {of} episodes cannot be used: {}{more}; {mend}",
+        "{bad} of {of} episodes cannot be used: {}{more}; {fix}",
         list.join("; ")
     )
 }

@@ -46,7 +46,7 @@ pub struct EpisodeRange {
     pub end: u64,
 }
 
-/// Why a selection does not fit a dataset, and how to mend it.
+/// Why a selection does not fit a dataset, and how to fix it.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum SelectionError {
     /// Nothing is selected.

@@ -215,7 +215,7 @@ pub(crate) fn irregular(metadata: &Metadata) -> Option<&'static str> {
 }
 
 /// What to do about an error of the operating system.
-pub(crate) fn io_mend(error: &io::Error) -> &'static str {
+pub(crate) fn io_fix(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::PermissionDenied => "change its permissions or run as a user who may",
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_the_system_name_the_path_and_the_mend() {
+    fn errors_of_the_system_name_the_path_and_the_fix() {
         let sentences: Vec<String> = [
             io::ErrorKind::PermissionDenied,
             io::ErrorKind::StorageFull,

@@ -406,7 +406,7 @@ fn check_kind(file: &SourceFile) -> Result<(), Fault> {
         .read_exact_at(head, 0)
         .map_err(|error| Fault::io("read", file.path(), error))?;
     let starts = |magic: &[u8]| head.starts_with(magic);
-    let (what, mend) = if head.is_empty() {
+    let (what, fix) = if head.is_empty() {
         ("the file is empty", "copy or download it again")
     } else if starts(b"\x89HDF\r\n\x1a\n") {
         (
@@ -446,7 +446,7 @@ fn check_kind(file: &SourceFile) -> Result<(), Fault> {
     } else {
         return Ok(());
     };
-    Err(Fault::NotAStoreFile { what, mend })
+    Err(Fault::NotAStoreFile { what, fix })
 }
 
 /// Unpacks a zip file, read through its one handle. Nothing is written outside of `target`, and no links are made.

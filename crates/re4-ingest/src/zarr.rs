@@ -160,7 +160,7 @@ impl ZarrArray {
             })
     }
 
-    /// Whether files are what the fast path of pictures understands: Blosc around elements that lie in order, lowest byte first.
+    /// Whether files are what the fast path of images understands: Blosc around elements that lie in order, lowest byte first.
     pub(crate) fn is_little_endian_blosc(&self) -> bool {
         self.layout.shard.is_none() && self.layout.chain.plain() == Some(Compressor::Blosc)
     }

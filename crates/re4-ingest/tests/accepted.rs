@@ -9,7 +9,7 @@ mod common;
 
 use std::ops::Range;
 
-use common::{Copy, FRAMES, SIDE, copy_folder, expected, files_of, fixture, picture, read_all, zip_files};
+use common::{Copy, FRAMES, SIDE, copy_folder, expected, files_of, fixture, image, read_all, zip_files};
 use re4_ingest::pusht::{ImageBlock, PushtReader};
 use re4_ingest::{EpisodeRange, Selection, WarningCode};
 use tempfile::TempDir;
@@ -32,13 +32,13 @@ fn blocks(reader: &PushtReader, selection: &Selection) -> Vec<ImageBlock> {
         .unwrap()
 }
 
-fn check_pictures(blocks: &[ImageBlock], frames: impl Iterator<Item = usize>) {
+fn check_images(blocks: &[ImageBlock], frames: impl Iterator<Item = usize>) {
     let mut delivered = Vec::new();
     for block in blocks {
-        let pictures: Vec<&[u8]> = block.bytes.chunks(SIDE * SIDE * 3).collect();
-        assert_eq!(pictures.len(), block.frames.len());
-        for (frame, bytes) in block.frames.clone().zip(pictures) {
-            assert_eq!(bytes, picture(frame), "frame {frame}");
+        let images: Vec<&[u8]> = block.bytes.chunks(SIDE * SIDE * 3).collect();
+        assert_eq!(images.len(), block.frames.len());
+        for (frame, bytes) in block.frames.clone().zip(images) {
+            assert_eq!(bytes, image(frame), "frame {frame}");
             delivered.push(frame);
         }
     }
@@ -47,15 +47,15 @@ fn check_pictures(blocks: &[ImageBlock], frames: impl Iterator<Item = usize>) {
 
 #[test]
 fn every_variety_reads_as_the_same_numbers() {
-    for (name, complete, pictures) in VARIETIES {
+    for (name, complete, images) in VARIETIES {
         let reader = PushtReader::open(&fixture(name)).unwrap();
         assert_eq!(reader.episode_ranges(), [0..12, 12..17, 17..30], "{name}");
         assert_eq!(reader.frame_count(), FRAMES);
         let (episodes, _) = reader.read_episodes(&Selection::All).unwrap();
         assert_eq!(episodes, expected(&[0, 1, 2], complete), "{name}");
-        assert_eq!(reader.image_shape(), pictures.then_some([SIDE, SIDE, 3]), "{name}");
-        if pictures {
-            check_pictures(&blocks(&reader, &Selection::All), 0..FRAMES);
+        assert_eq!(reader.image_shape(), images.then_some([SIDE, SIDE, 3]), "{name}");
+        if images {
+            check_images(&blocks(&reader, &Selection::All), 0..FRAMES);
         }
     }
 }
@@ -74,7 +74,7 @@ fn selections_read_their_episodes_in_dataset_order() {
             let (episodes, _) = reader.read_episodes(&selection).unwrap();
             assert_eq!(episodes, expected(&sources, true), "{name} {selection}");
             let rows: Vec<Range<usize>> = episodes.rows.clone();
-            check_pictures(&blocks(&reader, &selection), rows.into_iter().flatten());
+            check_images(&blocks(&reader, &selection), rows.into_iter().flatten());
         }
     }
 }
@@ -140,7 +140,7 @@ fn zip_files_read_as_their_folders() {
 
 #[test]
 fn large_compressed_zip_entries_unpack_whole() {
-    // 3 MiB of pictures in one uncompressed chunk that DEFLATE makes much smaller: more than any buffer on the way.
+    // 3 MiB of images in one uncompressed chunk that DEFLATE makes much smaller: more than any buffer on the way.
     let side = 187;
     let bytes: Vec<u8> = (0..FRAMES * side * side * 3).map(|i| (i / 40 % 256) as u8).collect();
     assert!(bytes.len() > 3 << 20);
@@ -168,7 +168,7 @@ fn a_zip_is_unpacked_only_as_long_as_it_is_read() {
     let iterator = reader.image_blocks(&Selection::All).unwrap();
     drop(reader);
     let blocks: Vec<ImageBlock> = iterator.collect::<Result<_, _>>().unwrap();
-    check_pictures(&blocks, 0..FRAMES);
+    check_images(&blocks, 0..FRAMES);
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn a_source_that_changes_at_any_time_is_refused() {
             let copy = Copy::of("original");
             let outcome = run(&copy.path(), step, &|| change(&copy.path()));
             let error = outcome.expect_err(&format!("{name} after step {step}"));
-            // Pictures are read ahead, and once all are read nothing but the end tells.
+            // Images are read ahead, and once all are read nothing but the end tells.
             assert!(is_change(&error), "{name} after step {step}: {error}");
         }
     }

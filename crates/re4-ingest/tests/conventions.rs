@@ -65,7 +65,7 @@ fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), Stri
     Ok((interpreter, all))
 }
 
-/// Greatest differences of deltas, goals and gripper commands.
+/// Maximum differences of deltas, goals and gripper commands.
 fn differences(a: &Columns, b: &Columns) -> [f64; 3] {
     assert_eq!(a.len(), b.len());
     let mut most = [0.0_f64; 3];

@@ -35,7 +35,7 @@ fn the_original_dataset_reads_as_documented() {
 }
 
 #[test]
-fn pictures_hold_what_was_documented() {
+fn images_hold_what_was_documented() {
     let Some(dataset) = real_dataset() else { return };
     let reader = PushtReader::open(&dataset).unwrap();
     let (mut low, mut high, mut sum, mut next) = (255, 0, 0u64, 0);

@@ -10,7 +10,7 @@ mod common;
 use std::fs;
 use std::io::Read as _;
 
-use common::{Copy, FRAMES, SIDE, files_of, fixture, picture, refusal, zip_files};
+use common::{Copy, FRAMES, SIDE, files_of, fixture, image, refusal, zip_files};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
 use serde_json::json;
@@ -67,12 +67,12 @@ fn keypoint_with(frame: usize, column: usize, value: f64) -> String {
         .refusal()
 }
 
-fn pictures() -> Vec<f64> {
-    (0..FRAMES).flat_map(picture).map(f64::from).collect()
+fn images() -> Vec<f64> {
+    (0..FRAMES).flat_map(image).map(f64::from).collect()
 }
 
-fn pictures_with(edit: impl FnOnce(&mut Vec<f64>)) -> String {
-    let mut values = pictures();
+fn images_with(edit: impl FnOnce(&mut Vec<f64>)) -> String {
+    let mut values = images();
     edit(&mut values);
     Copy::of("original")
         .floats("data/img", &[FRAMES, SIDE, SIDE, 3], &values)
@@ -452,14 +452,14 @@ fn values_at_the_edge_are_accepted() {
 }
 
 #[test]
-fn pictures_that_are_no_bytes() {
+fn images_that_are_no_bytes() {
     let at = 3 * (SIDE * SIDE * 3) + 2 * (SIDE * 3) + 5 * 3 + 1;
     let sentences = [
-        pictures_with(|values| values[at] = 300.0),
-        pictures_with(|values| values[at] = -1.0),
-        pictures_with(|values| values[at] = 17.25),
-        pictures_with(|values| values[at] = f64::NAN),
-        pictures_with(|values| values.iter_mut().for_each(|value| *value /= 255.0)),
+        images_with(|values| values[at] = 300.0),
+        images_with(|values| values[at] = -1.0),
+        images_with(|values| values[at] = 17.25),
+        images_with(|values| values[at] = f64::NAN),
+        images_with(|values| values.iter_mut().for_each(|value| *value /= 255.0)),
     ];
     insta::assert_snapshot!(sentences.join("\n"));
 }
@@ -473,7 +473,7 @@ fn a_fault_outside_of_the_selection_does_not_stop_it() {
 }
 
 #[test]
-fn selections_and_pictures_that_are_not_there() {
+fn selections_and_images_that_are_not_there() {
     let store = Copy::of("minimal");
     let reader = PushtReader::open(&store.path()).unwrap();
     let place = store.path().parent().unwrap().to_str().unwrap().to_owned();
@@ -488,7 +488,7 @@ fn selections_and_pictures_that_are_not_there() {
 }
 
 #[test]
-fn an_iterator_of_pictures_ends_after_its_error() {
+fn an_iterator_of_images_ends_after_its_error() {
     let store = Copy::of("original").edit("data/img/1.0.0.0", |bytes| bytes.truncate(30));
     let reader = PushtReader::open(&store.path()).unwrap();
     let mut blocks = reader.image_blocks(&Selection::All).unwrap();

@@ -8,7 +8,7 @@
 mod common;
 
 use common::made::{Made, made};
-use common::{Copy, FRAMES, SIDE, expected, picture};
+use common::{Copy, FRAMES, SIDE, expected, image};
 use re4_ingest::pusht::{PushtOptions, PushtReader, PushtReading};
 use re4_ingest::{LeftOut, OnBad, Selection, WarningCode};
 use serde_json::json;
@@ -75,12 +75,12 @@ fn bad_episodes_are_left_out_where_that_is_asked_for() {
             .collect::<Vec<_>>()
             .join("\n")
     );
-    // Their pictures are those of the rest.
+    // Their images are those of the rest.
     let reader = PushtReader::open(&copy.path()).unwrap();
     let mut frame = 17;
     for block in reader.image_blocks_of(&reading.episodes).unwrap() {
         for bytes in block.unwrap().bytes.chunks(SIDE * SIDE * 3) {
-            assert_eq!(bytes, picture(frame));
+            assert_eq!(bytes, image(frame));
             frame += 1;
         }
     }
@@ -90,10 +90,10 @@ fn bad_episodes_are_left_out_where_that_is_asked_for() {
     assert_eq!((sound.episodes, sound.left_out), (expected(&[0, 1, 2], true), vec![]));
 }
 
-/// Pictures of episodes 0 and 1 with values that are no bytes, and a chunk that cannot be decoded.
+/// Images of episodes 0 and 1 with values that are no bytes, and a chunk that cannot be decoded.
 #[test]
-fn bad_pictures_count_as_bad_episodes() {
-    let mut values: Vec<f64> = (0..FRAMES).flat_map(picture).map(f64::from).collect();
+fn bad_images_count_as_bad_episodes() {
+    let mut values: Vec<f64> = (0..FRAMES).flat_map(image).map(f64::from).collect();
     let frame = SIDE * SIDE * 3;
     values[3 * frame + 7] = 300.0;
     values[4 * frame] = -1.0;
@@ -232,7 +232,7 @@ fn chunks_of_contacts_that_hold_the_fill_value_may_be_left_out() {
 
 /// Nothing but what is asked for has to be sound.
 #[test]
-fn pictures_that_nobody_asks_for_may_be_anything() {
+fn images_that_nobody_asks_for_may_be_anything() {
     let copy = Copy::of("original").write("data/img/.zarray", "{ not json");
     assert!(PushtReader::open(&copy.path()).is_err());
     let reader = PushtReader::open_for(&copy.path(), false, &|| false).unwrap();

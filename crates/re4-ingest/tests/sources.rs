@@ -5,7 +5,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{FRAMES, SIDE, fixture, picture};
+use common::{FRAMES, SIDE, fixture, image};
 use re4_ingest::pusht::{PushtOptions, PushtReader, PushtSource};
 use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources};
 use re4_ingest::{DemoSource, Episode, Frames, IngestError, LeftOut, Selection, Tally};
@@ -106,7 +106,7 @@ fn push_t_is_handed_on_by_episode() {
         })
         .unwrap();
     assert_eq!(places, expected);
-    assert_eq!(bytes, (0..FRAMES).flat_map(picture).collect::<Vec<u8>>());
+    assert_eq!(bytes, (0..FRAMES).flat_map(image).collect::<Vec<u8>>());
     source.unchanged().unwrap();
 }
 

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a test may stop where it fails")]
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use re4_artifact::{Artifact, Facts, Label, Recipe, Row, SixAxis, Stage, Store, table};
+use re4_artifact::{Artifact, ArtifactSummary, Label, Recipe, Row, SixAxis, Stage, Store, table};
 use re4_geometry::{Point2, Pose2};
 use re4_ingest::{FrameRow, ImageRow, PlanarColumns, SpatialColumns};
 
@@ -91,7 +91,7 @@ fn holding<R: Row>(row: R) -> (tempfile::TempDir, Artifact) {
     let recipe = Recipe::new(Stage::Ingest, 1).config(&serde_json::json!({})).unwrap();
     let writer = store.begin(&recipe).unwrap();
     writer.write_rows([row]).unwrap();
-    (folder, writer.publish(Facts::default()).unwrap())
+    (folder, writer.publish(ArtifactSummary::default()).unwrap())
 }
 
 fn pose(x: f64) -> Isometry3<f64> {

@@ -60,7 +60,7 @@ pub enum MujocoError {
         name: String,
     },
     /// Neither of the OpenGL libraries is there.
-    #[error("cannot draw pictures: {reason}")]
+    #[error("cannot draw images: {reason}")]
     #[remedy("install the Debian package libosmesa6, or libegl1 and libgl1-mesa-dri")]
     NoGl {
         /// What was tried, and the system's words.
@@ -74,7 +74,7 @@ pub enum MujocoError {
         found: String,
     },
     /// OpenGL refuses to work.
-    #[error("cannot draw pictures with {gl}: {reason}")]
+    #[error("cannot draw images with {gl}: {reason}")]
     #[remedy("choose the other library with the environment variable RE4_GL (osmesa or egl)")]
     Gl {
         /// `osmesa` or `egl`.

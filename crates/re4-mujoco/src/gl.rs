@@ -275,7 +275,7 @@ thread_local! {
     static CURRENT: Cell<*mut c_void> = const { Cell::new(null_mut()) };
 }
 
-/// Side of the buffer that `OSMesa` wants: pictures are drawn to one of MuJoCo's.
+/// Side of the buffer that `OSMesa` wants: images are drawn to one of MuJoCo's.
 const SIDE: usize = 16;
 
 /// An OpenGL context. It stays in the thread that made it, unless it is handed on with [`Context::release_current`].

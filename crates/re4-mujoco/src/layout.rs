@@ -124,7 +124,7 @@ layout! {
     jnt_qposadr = "m.jnt_qposadr",
     /// First degree of freedom of a joint.
     jnt_dofadr = "m.jnt_dofadr",
-    /// Least and greatest control of an actuator.
+    /// Minimum and maximum control of an actuator.
     actuator_ctrlrange = "m.actuator_ctrlrange",
     /// Simulated time.
     time = "d.time",
@@ -194,13 +194,13 @@ layout! {
     eye_forward = "eye.forward",
     /// Its upward direction.
     eye_up = "eye.up",
-    /// Shift of its picture.
+    /// Shift of its image.
     eye_center = "eye.frustum_center",
-    /// Lower edge of its picture.
+    /// Lower edge of its image.
     eye_bottom = "eye.frustum_bottom",
-    /// Upper edge of its picture.
+    /// Upper edge of its image.
     eye_top = "eye.frustum_top",
-    /// Distance of the picture.
+    /// Distance of the image.
     eye_near = "eye.frustum_near",
     /// Number of geoms.
     ngeom = "m.ngeom",

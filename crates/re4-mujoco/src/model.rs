@@ -151,7 +151,7 @@ impl Model {
         })
     }
 
-    /// The same model with other half sizes of named boxes, in metres: for pictures alone, since masses and inertias stay as
+    /// The same model with other half sizes of named boxes, in metres: for images alone, since masses and inertias stay as
     /// they were. That takes moments and hardly any memory, where compiling takes seconds, and a
     /// [`Renderer`](crate::Renderer) of one model draws the other, too.
     ///
@@ -402,7 +402,7 @@ impl Model {
         Ok(unsafe { self.array::<c_int>(self.layout().jnt_type, self.joints())[id] } == 0)
     }
 
-    /// Least and greatest control of an actuator.
+    /// Minimum and maximum control of an actuator.
     #[must_use]
     pub fn control_range(&self, actuator: usize) -> [f64; 2] {
         // SAFETY: the array has two doubles for every actuator.

@@ -1,4 +1,4 @@
-//! Pictures of a simulation, as robosuite draws them.
+//! Images of a simulation, as robosuite draws them.
 
 use std::ffi::c_int;
 use std::sync::{Arc, PoisonError};
@@ -45,7 +45,7 @@ const CONTEXT: u64 = 36 << 20;
 
 /// Draws simulations of one model, and of those that look like it, in the thread that made it.
 ///
-/// Pictures are those of robosuite's off-screen renderer: geoms of group 0 (what collides) and sites are left out, everything
+/// Images are those of robosuite's off-screen renderer: geoms of group 0 (what collides) and sites are left out, everything
 /// else is as MuJoCo has it by default. Renderers of models that look alike share meshes and textures, in whatever thread they
 /// are.
 pub struct Renderer {
@@ -64,7 +64,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer of pictures of this size, in pixels.
+    /// A renderer of images of this size, in pixels.
     ///
     /// # Errors
     /// When there is no OpenGL library, or it refuses to work.
@@ -112,7 +112,7 @@ impl Renderer {
         Ok(renderer)
     }
 
-    /// About how much memory renderers of pictures of this size take. Shadows take by far the most of what each renderer has
+    /// About how much memory renderers of images of this size take. Shadows take by far the most of what each renderer has
     /// for itself; where no light casts any, as in robosuite's scenes, there is no map of them.
     #[must_use]
     pub fn footprint(model: &Model, width: usize, height: usize) -> Footprint {
@@ -135,7 +135,7 @@ impl Renderer {
         }
     }
 
-    /// Whether what cannot be seen in a picture is left out before it is drawn, which changes no pixel and takes half of the
+    /// Whether what cannot be seen in an image is left out before it is drawn, which changes no pixel and takes half of the
     /// time or less; so it is unless told otherwise.
     pub fn set_trimmed(&mut self, trimmed: bool) {
         self.trimmed = trimmed;
@@ -147,15 +147,15 @@ impl Renderer {
         &self.model
     }
 
-    /// Width and height of its pictures, in pixels.
+    /// Width and height of its images, in pixels.
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    /// What the camera of the last picture saw; none before the first one.
+    /// What the camera of the last image saw; none before the first one.
     pub fn view(&mut self) -> Option<View> {
-        // SAFETY: the scene was made for the model and is whole; before the first picture its eyes are zeros.
+        // SAFETY: the scene was made for the model and is whole; before the first image its eyes are zeros.
         unsafe { View::of_scene(self.scene.pointer(), &self.model) }
     }
 
@@ -181,7 +181,7 @@ impl Renderer {
     ///
     /// # Panics
     /// When the simulation is of a model that looks otherwise, the model has no camera of this number, or the buffer has
-    /// another length than a picture.
+    /// another length than an image.
     pub fn draw_into(&mut self, data: &mut Data, camera: usize, pixels: &mut [u8]) -> Result<(), MujocoError> {
         assert!(data.model().looks_like(&self.model) && camera < self.model.cameras());
         assert!(pixels.len() == 3 * self.width * self.height);
@@ -196,7 +196,7 @@ impl Renderer {
             height: self.height as c_int,
         };
         // SAFETY: all structures are those of this version and were made for this model, the context is current, and the
-        // buffer has the size of the picture.
+        // buffer has the size of the image.
         unsafe {
             self.camera.set(library.version().layout().fixedcamid, camera as c_int);
             (functions.mjv_updateScene)(

@@ -14,7 +14,7 @@ use crate::layout::Layout;
 use crate::library::give_back_free_memory;
 use crate::{Library, Model, MujocoError};
 
-/// `mjFONTSCALE_150`; nothing is written in the pictures.
+/// `mjFONTSCALE_150`; nothing is written in the images.
 const FONT_SCALE: c_int = 150;
 
 /// Side of the buffers of the context in which nothing is drawn.
@@ -87,7 +87,7 @@ impl Stage {
                 // Its map takes as much memory as all else, and nothing would be drawn to it.
                 structure.set::<c_int>(layout.shadowsize, 0);
             }
-            // A buffer no larger than the picture: clearing and resolving it takes time.
+            // A buffer no larger than the image: clearing and resolving it takes time.
             structure.set(layout.offwidth, width as c_int);
             structure.set(layout.offheight, height as c_int);
             make(&self.library, &mut structure)

@@ -1,9 +1,9 @@
 //! Leaving out of a scene what cannot touch a single pixel.
 //!
-//! Drawing time goes into the robot's meshes, a hundred thousand triangles, most of which are out of the picture when a camera
+//! Drawing time goes into the robot's meshes, a hundred thousand triangles, most of which are out of the image when a camera
 //! looks at a table; and they are drawn twice where something reflects. Meshes whose bounding box lies outside of what the
 //! camera sees, directly and in the mirror, are taken out of the scene; the mirror pass is left out where one box covers the
-//! whole picture. What is drawn stays the same to the last bit. In scenes that are not understood nothing is left out.
+//! whole image. What is drawn stays the same to the last bit. In scenes that are not understood nothing is left out.
 //!
 //! MuJoCo reflects in one thing: the first plane or box of the scene whose material reflects.
 
@@ -29,7 +29,7 @@ const MARGIN: f64 = 1.02;
 /// Boxes that cover something are taken smaller by this factor, for the same reason.
 const COVER: f64 = 1.005;
 
-/// The picture is looked at in this many cells a side, and each of them in halves, so many times, where no box fills it.
+/// The image is looked at in this many cells a side, and each of them in halves, so many times, where no box fills it.
 const CELLS: usize = 16;
 const HALVINGS: usize = 3;
 
@@ -198,7 +198,7 @@ impl Geom {
     }
 }
 
-/// Leaves out of a scene, which was updated for the model, what cannot be seen in a picture of this aspect (width by height):
+/// Leaves out of a scene, which was updated for the model, what cannot be seen in an image of this aspect (width by height):
 /// meshes, and where nothing of the mirror is seen, the flag [`REFLECTION`].
 ///
 /// # Safety
@@ -220,7 +220,7 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
             layout,
         };
         let mirror = (0..count).map(geom).find(Geom::reflects);
-        // Parts of the picture in which something of the mirror may be seen, in the mirror.
+        // Parts of the image in which something of the mirror may be seen, in the mirror.
         let mut mirrored = Vec::new();
         if let Some(mirror) = mirror {
             if mirror.kind() != PLANE || !mirror.opaque() {
@@ -258,7 +258,7 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
     }
 }
 
-/// What a picture of this aspect shows, and a margin beside it.
+/// What an image of this aspect shows, and a margin beside it.
 fn view_of(seen: &crate::View, aspect: f64) -> View {
     let half = MARGIN * seen.half;
     View {
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_are_parts_of_the_picture() {
+    fn cells_are_parts_of_the_image() {
         let cell = VIEW.cell(2, 1, 0);
         assert_eq!((cell.vertical, cell.horizontal), ([0.0, 1.0], [-1.0, 0.0]));
         assert!(cell.misses([0.5, 0.5, 0.0], &cube(0.1)) && !cell.misses([-0.5, 0.5, 0.0], &cube(0.1)));
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_fills_the_picture_or_not() {
+    fn a_box_fills_the_image_or_not() {
         let table = |x: f64, half: f64| ([x, 0.0, 0.0], [[half, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.1]]);
         // Its top is 1.9 below the camera, so 1.9 is seen of it.
         assert!(VIEW.filled_by(&table(0.0, 2.0)));

@@ -1,4 +1,4 @@
-//! Where a camera's picture shows points of the world.
+//! Where a camera's image shows points of the world.
 
 use std::ffi::{c_int, c_void};
 
@@ -24,9 +24,9 @@ pub struct View {
     pub(crate) position: Vector,
     /// Unit vector along the camera's axis.
     pub(crate) forward: Vector,
-    /// Unit vector towards the upper edge of the picture.
+    /// Unit vector towards the upper edge of the image.
     pub(crate) up: Vector,
-    /// Half the picture's height at depth one: the tangent of half the vertical field of view.
+    /// Half the image's height at depth one: the tangent of half the vertical field of view.
     pub(crate) half: f64,
     /// What is nearer is not drawn.
     pub(crate) near: f64,
@@ -73,7 +73,7 @@ impl View {
         let [([left, forward, up], numbers), ([right, ..], others)] = eyes;
         let [_, bottom, top, near] = numbers;
         let off_centre = (numbers[0] + others[0]).abs() / 2.0 + (bottom + top).abs();
-        // Not so near as to be off by rounding, and without the shift of a stereo picture.
+        // Not so near as to be off by rounding, and without the shift of a stereo image.
         if parallel != 0 || near <= 0.0 || top <= 0.0 || off_centre > 1e-6 * top {
             return None;
         }
@@ -86,13 +86,13 @@ impl View {
         })
     }
 
-    /// Unit vector towards the right edge of the picture.
+    /// Unit vector towards the right edge of the image.
     pub(crate) fn right(&self) -> Vector {
         cross(self.forward, self.up)
     }
 
-    /// Where a picture of this size shows a point: pixels to the right and down from the corner at the top left, so that the
-    /// first pixel's centre is at (0.5, 0.5). Points beside the picture have places outside of it; what is behind the camera,
+    /// Where an image of this size shows a point: pixels to the right and down from the corner at the top left, so that the
+    /// first pixel's centre is at (0.5, 0.5). Points beside the image have places outside of it; what is behind the camera,
     /// or nearer than anything is drawn, has none.
     #[must_use]
     pub fn pixel(&self, point: [f64; 3], width: usize, height: usize) -> Option<[f64; 2]> {
@@ -125,7 +125,7 @@ mod tests {
     };
 
     #[test]
-    fn points_are_where_a_picture_shows_them() {
+    fn points_are_where_a_image_shows_them() {
         let near = |point: [f64; 3], expected: [f64; 2]| {
             let found = VIEW.pixel(point, 80, 60).unwrap();
             assert!(
@@ -134,7 +134,7 @@ mod tests {
             );
         };
         near([0.0, 0.0, 1.0], [40.0, 30.0]);
-        // At a depth of two the picture is four metres high: 15 px a metre. The camera looks along -x: +y is to its right.
+        // At a depth of two the image is four metres high: 15 px a metre. The camera looks along -x: +y is to its right.
         near([0.0, 1.0, 1.0], [55.0, 30.0]);
         near([0.0, 0.0, 3.0], [40.0, 0.0]);
         near([1.0, -1.0, 0.0], [10.0, 60.0]);

@@ -39,7 +39,7 @@ pub(crate) enum Command {
     Segment(StageArguments),
     /// Look for what is wrong with the demonstrations and their modes: the `audit` artifact
     Audit(AuditArguments),
-    /// Calibrate the pose estimator and estimate poses from the pictures: the `poses` artifact
+    /// Calibrate the pose estimator and estimate poses from the images: the `poses` artifact
     TrainPose(StageArguments),
     /// Build what Retrieve searches: the `index` artifact
     Index(StageArguments),
@@ -51,8 +51,8 @@ pub(crate) enum Command {
     Run(RolloutArguments),
     /// Replay the demonstrations' actions open-loop and measure how far the simulator strays from the recording
     Replay(ReplayArguments),
-    /// Draw rollouts as a film: the scene, the plan, the reframed chunk, the coverage
-    Film(FilmArguments),
+    /// Draw rollouts as a video: the scene, the plan, the reframed chunk, the coverage
+    Video(VideoArguments),
     /// Check every byte of artifacts against their manifests
     Verify(VerifyArguments),
     /// Show what an artifact holds: tables, rows, columns with units, provenance
@@ -80,7 +80,7 @@ impl Command {
             | Self::Audit(AuditArguments { stage, .. })
             | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
             Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
-            Self::Film(FilmArguments { common, .. })
+            Self::Video(VideoArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })
             | Self::Inspect(InspectArguments { common, .. })
             | Self::Report(ReportArguments { common, .. })
@@ -117,7 +117,7 @@ pub(crate) struct StageArguments {
     /// Override a setting of the pipeline file, as often as needed
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(crate) set: Vec<String>,
-    /// Leave the pictures out, for work on states; as --set ingest.images=false
+    /// Leave the images out, for work on states; as --set ingest.images=false
     #[arg(long)]
     pub(crate) no_images: bool,
     /// What all commands share.
@@ -199,21 +199,21 @@ pub(crate) struct ReplayArguments {
     /// What all stages share.
     #[command(flatten)]
     pub(crate) stage: StageArguments,
-    /// Also draw the divergence as an SVG picture
+    /// Also draw the divergence as an SVG image
     #[arg(long, value_name = "OUT.svg")]
     pub(crate) plot: Option<PathBuf>,
-    /// robosuite tasks: end with exit code 1 when a smaller share of the replays than this succeeds, from 0 to 1
+    /// robosuite tasks: end with exit code 1 when a smaller fraction of the replays than this succeeds, from 0 to 1
     #[arg(long = "fail-under", value_name = "SHARE", value_parser = share)]
-    pub(crate) least: Option<f64>,
+    pub(crate) minimum: Option<f64>,
 }
 
-/// Arguments of `film`.
+/// Arguments of `video`.
 #[derive(Debug, Clone, Args)]
-pub(crate) struct FilmArguments {
+pub(crate) struct VideoArguments {
     /// Folder of a rollouts artifact
     #[arg(value_name = "ARTIFACT")]
     pub(crate) path: PathBuf,
-    /// File that the film is written to
+    /// File that the video is written to
     #[arg(value_name = "OUT.gif")]
     pub(crate) out: PathBuf,
     /// Seeds of the rollouts: 503, or several side by side: 500..504
@@ -250,12 +250,12 @@ pub(crate) struct InspectArguments {
     /// Also print the first rows of every table
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) rows: usize,
-    /// Push-T: also draw the rollout of this seed as an SVG picture
-    #[arg(long, value_name = "SEED", requires = "picture")]
+    /// Push-T: also draw the rollout of this seed as an SVG image
+    #[arg(long, value_name = "SEED", requires = "image")]
     pub(crate) seed: Option<u32>,
-    /// File that the picture is written to
+    /// File that the image is written to
     #[arg(long, value_name = "OUT.svg", requires = "seed")]
-    pub(crate) picture: Option<PathBuf>,
+    pub(crate) image: Option<PathBuf>,
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,
@@ -273,13 +273,13 @@ pub(crate) struct ReportArguments {
     /// Rollouts that the viewer holds, to keep the page small; all count in the figures [default: all]
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
-    /// Rollouts in the viewer, failures first, whose decisions are shown in the camera's picture, drawn by MuJoCo
+    /// Rollouts in the viewer, failures first, whose decisions are shown in the camera's image, drawn by MuJoCo
     #[arg(
         long,
         value_name = "N",
-        help = "Rollouts in the viewer, failures first, whose decisions are shown in the camera's picture, drawn by MuJoCo [default: 8 where poses come from pictures, else none]"
+        help = "Rollouts in the viewer, failures first, whose decisions are shown in the camera's image, drawn by MuJoCo [default: 8 where poses come from images, else none]"
     )]
-    pub(crate) pictures: Option<usize>,
+    pub(crate) images: Option<usize>,
     /// What all commands share.
     #[command(flatten)]
     pub(crate) common: Common,

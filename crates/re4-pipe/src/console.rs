@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Result;
 use indicatif::ProgressBar;
 use re4_fault::{Fault, Remedy as _, fault};
-use re4_stages::{Notes, told};
+use re4_stages::{Notes, fault_of};
 use serde_json::{Value, json};
 
 use crate::arguments::Common;
@@ -51,10 +51,10 @@ impl Console {
         }
     }
 
-    /// Writes a picture, and says where it is.
-    pub(crate) fn picture(self, path: &Path, svg: &str) -> Result<()> {
-        Output::at(path, "picture")?.write(svg)?;
-        self.note(&format!("picture in {}", path.display()));
+    /// Writes an image, and says where it is.
+    pub(crate) fn image(self, path: &Path, svg: &str) -> Result<()> {
+        Output::at(path, "image")?.write(svg)?;
+        self.note(&format!("image in {}", path.display()));
         Ok(())
     }
 
@@ -72,12 +72,12 @@ fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
     }
 }
 
-/// Prints an error: one sentence on standard error, and where JSON was asked for, what is wrong and how to mend it on standard
+/// Prints an error: one sentence on standard error, and where JSON was asked for, what is wrong and how to fix it on standard
 /// output.
 pub(crate) fn print_error(error: &anyhow::Error, json: bool) {
     re4_stages::print_error(error);
     if json {
-        let fault = told(error);
+        let fault = fault_of(error);
         let _ = writeln!(
             std::io::stdout(),
             "{}",

@@ -41,7 +41,7 @@ fn main() -> ExitCode {
         Command::Rollout(arguments) => commands::run::rollout(&arguments),
         Command::Run(arguments) => commands::run::run(&arguments),
         Command::Replay(arguments) => commands::run::replay(&arguments),
-        Command::Film(arguments) => commands::film::film(&arguments),
+        Command::Video(arguments) => commands::video::video(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),
         Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
         Command::Report(arguments) => commands::report::report(&arguments),

@@ -1,4 +1,4 @@
-//! Files that the user asks for: pages, films, pictures. They are there whole or not at all.
+//! Files that the user asks for: pages, videos, images. They are there whole or not at all.
 
 use std::io::{self, Write as _};
 use std::os::unix::fs::PermissionsExt as _;

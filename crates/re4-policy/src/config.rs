@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::kinds::SettingError;
 
-/// Shorter steps would cut a way across the window into more way-points than any episode has steps.
+/// Shorter steps would cut a way across the window into more waypoints than any episode has steps.
 const SHORTEST: f64 = 0.01;
 
 /// A policy of the Retrieve-Reframe-Replan-Replay family. Every step can be switched off alone.
@@ -42,7 +42,7 @@ pub struct RetrieveConfig {
     /// `two_stage`: how block angles are compared.
     pub angle: AngleMetric,
     /// `two_stage`: tolerance on `d_o` within a demonstration, in normalised units; candidates farther than this beyond
-    /// the demonstration's least `d_o` are not admitted to stage 1.
+    /// the demonstration's minimum `d_o` are not admitted to stage 1.
     pub epsilon: f64,
     /// `outcome`: how many chunks, nearest in outcome, are compared in full.
     pub candidates: usize,
@@ -84,9 +84,9 @@ pub struct ReplanConfig {
     pub step: f64,
     /// `rrt`: how many extensions are tried.
     pub iterations: u32,
-    /// `rrt`: share of the samples that are the goal itself.
+    /// `rrt`: fraction of the samples that are the goal itself.
     pub goal_bias: f64,
-    /// Greatest distance in pixels between way-points that are executed, one a control step; the vertices of the plan
+    /// Maximum distance in pixels between waypoints that are executed, one a control step; the vertices of the plan
     /// are always among them.
     pub spacing: f64,
 }
@@ -112,7 +112,7 @@ pub struct ReplayConfig {
     pub horizon: usize,
     /// `actions`: every how manieth recorded action is executed.
     pub stride: usize,
-    /// `path`: greatest travel of the pusher in a control step, in pixels.
+    /// `path`: maximum travel of the pusher in a control step, in pixels.
     pub speed: f64,
     /// How far the object may stray from the recorded motion, root mean square over its points in pixels, before the
     /// chunk is given up; never when absent.
@@ -139,7 +139,7 @@ impl PolicyConfig {
                 step: 15.0,
                 iterations: 1000,
                 goal_bias: 0.1,
-                // Wider than the workspace: the vertices of the polyline are the way-points, so that a free straight
+                // Wider than the workspace: the vertices of the polyline are the waypoints, so that a free straight
                 // segment is executed directly, as the paper says.
                 spacing: 1024.0,
             },
@@ -182,7 +182,7 @@ impl PolicyConfig {
     /// Looks every number over.
     ///
     /// # Errors
-    /// The first under which a policy could not do its work, such as way-points with no distance between them.
+    /// The first under which a policy could not do its work, such as waypoints with no distance between them.
     pub fn check(&self) -> Result<(), SettingError> {
         let (retrieve, replan, replay) = (&self.retrieve, &self.replan, &self.replay);
         let count = |setting, value: u64| SettingError::unless(value >= 1, setting, value, "give 1 or more");
@@ -207,7 +207,7 @@ impl PolicyConfig {
             share,
             "replan.goal_bias",
             replan.goal_bias,
-            "it is a share, from 0 to 1",
+            "it is a fraction, from 0 to 1",
         )
     }
 }

@@ -176,14 +176,14 @@ pub trait Kinds: Serialize + Sized {
 /// A setting that makes no sense.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
 #[error("{setting} is {value}")]
-#[remedy("{mend}")]
+#[remedy("{fix}")]
 pub struct SettingError {
     /// Its name in the pipeline file, below the policy's table.
     pub setting: &'static str,
     /// What was given.
     pub value: String,
     /// What would do.
-    pub mend: &'static str,
+    pub fix: &'static str,
 }
 
 impl SettingError {
@@ -192,14 +192,14 @@ impl SettingError {
     /// # Errors
     /// When it is not.
     #[expect(clippy::needless_pass_by_value, reason = "callers have numbers")]
-    pub fn unless(sound: bool, setting: &'static str, value: impl ToString, mend: &'static str) -> Result<(), Self> {
+    pub fn unless(sound: bool, setting: &'static str, value: impl ToString, fix: &'static str) -> Result<(), Self> {
         if sound {
             return Ok(());
         }
         Err(Self {
             setting,
             value: value.to_string(),
-            mend,
+            fix,
         })
     }
 }

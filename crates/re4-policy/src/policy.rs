@@ -99,7 +99,7 @@ impl Decision {
                 self.compared
             ),
             _ => format!(
-                "its push to frame {} is expected to lead to a coverage of {:.3}, at the least cost of {} chunks compared",
+                "its push to frame {} is expected to lead to a coverage of {:.3}, at the minimum cost of {} chunks compared",
                 self.demo_end, self.predicted_coverage, self.compared
             ),
         };

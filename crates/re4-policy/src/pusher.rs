@@ -54,7 +54,7 @@ impl PusherModel {
         (goal - state.position * a - state.velocity * b) / (1.0 - a)
     }
 
-    /// The first of `steps` targets that bring the pusher to `goal` with velocity `velocity`, in the sequence of least
+    /// The first of `steps` targets that bring the pusher to `goal` with velocity `velocity`, in the sequence of minimum
     /// squared distance from `goal` (minimum-effort control). With one step left only the position can be met.
     pub fn first_target(&self, state: PusherState, goal: Point2, velocity: Point2, steps: usize) -> Point2 {
         if steps <= 1 {

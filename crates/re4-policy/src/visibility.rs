@@ -9,7 +9,7 @@ use crate::replan::{Obstacle, Plan, PlanKind, WORKSPACE};
 /// Way-points round each corner of the block.
 const DIRECTIONS: usize = 8;
 
-/// Room in pixels that way-points keep beyond the keep-out, so that edges between them stay free of rounding.
+/// Room in pixels that waypoints keep beyond the keep-out, so that edges between them stay free of rounding.
 const MARGIN: f64 = 0.5;
 
 /// The shortest polyline from `start` to `goal` that keeps the configured distance from the block.

@@ -28,7 +28,7 @@ fn planned(planner: Planner, keepout: f64, seed: u64, block: Pose2, start: Point
     )
 }
 
-/// Least distance to the block over points along a polyline, at most `SAMPLE` pixels apart.
+/// Minimum distance to the block over points along a polyline, at most `SAMPLE` pixels apart.
 fn clearance(block: Pose2, path: &[Point2]) -> f64 {
     path.windows(2)
         .flat_map(|pair| {

@@ -13,7 +13,7 @@ use re4_policy::{Knowledge, PolicyConfig, Selector, Tracking};
 const PAPER_GATE: f64 = 0.8;
 const RE4_GATE: f64 = 0.95;
 
-/// Mean over the scenes of the greatest score in an episode.
+/// Mean over the scenes of the maximum score in an episode.
 fn score(config: &PolicyConfig, knowledge: &Arc<Knowledge>) -> f64 {
     let seeds: Vec<u32> = (200_000..200_020).collect();
     let episodes =

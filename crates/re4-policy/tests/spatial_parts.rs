@@ -18,7 +18,7 @@ use re4_policy::spatial::{
 };
 use re4_policy::{DemoNames, LookupError};
 use re4_rollout::{ArmState, Phase, PolicyError, PoseNoise};
-use toy::{Random, World, block, demonstrate, demonstrations, knowledge, told, yaw};
+use toy::{Random, World, block, demonstrate, demonstrations, knowledge, observe_and_act, yaw};
 
 fn pose() -> impl Strategy<Value = Isometry3<f64>> {
     any::<u64>().prop_map(|seed| Random::new(seed).pose())
@@ -92,7 +92,7 @@ fn the_bridge_arrives_whatever_the_way() {
         let mut goal = None;
         let mut left = f64::INFINITY;
         for step in 0.. {
-            let act = told(&mut policy, world.feel(), world.object).unwrap();
+            let act = observe_and_act(&mut policy, world.feel(), world.object).unwrap();
             if let Some(decision) = &act.decision {
                 if goal.is_some() {
                     break;
@@ -130,7 +130,7 @@ fn a_bridge_that_does_not_arrive_ends() {
     felt.eef.translation.x += 0.4;
     let mut policy = SpatialRe4::new(config.clone(), knowledge, world.eef);
     let phases: Vec<Phase> = (0..57)
-        .map(|_| told(&mut policy, felt, world.object).unwrap().phase)
+        .map(|_| observe_and_act(&mut policy, felt, world.object).unwrap().phase)
         .collect();
     assert!(phases[..40].iter().all(|p| *p == Phase::Bridge));
     assert!(phases[40..56].iter().all(|p| *p == Phase::Replay));
@@ -157,7 +157,7 @@ fn a_held_can_is_carried_however_it_was_turned_in_the_hand() {
         while !world.success() && goals.len() < 200 {
             let mut object = world.object;
             object.rotation *= yaw(turn);
-            let act = told(&mut policy, world.feel(), object).unwrap();
+            let act = observe_and_act(&mut policy, world.feel(), object).unwrap();
             world.step(&act.action);
             goals.push(act.action.goal);
         }
@@ -346,7 +346,7 @@ fn observations_and_demonstrations_that_are_not_finite_are_refused() {
         let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&knowledge), good.eef);
         let (mut felt, mut object) = (good.feel(), good.object);
         spoil(&mut felt, &mut object);
-        let refused = told(&mut policy, felt, object).unwrap_err();
+        let refused = observe_and_act(&mut policy, felt, object).unwrap_err();
         assert!(refused.to_string().contains("not finite"), "{refused}");
     }
     let mut frames = demonstrate(block(0.0, 0.0, 0.0), 0);
@@ -381,7 +381,7 @@ fn excluded_frames_and_tails_are_not_retrieved_but_replayed() {
     let mut world = World::new(block(0.0, 0.0, 0.0));
     let mut policy = SpatialRe4::new(config, Arc::new(only_transit.unwrap()), world.eef);
     let refused = (0..200)
-        .find_map(|_| match told(&mut policy, world.feel(), world.object) {
+        .find_map(|_| match observe_and_act(&mut policy, world.feel(), world.object) {
             Ok(act) => {
                 world.step(&act.action);
                 None

@@ -2,14 +2,14 @@
 
 use re4_geometry::Point2;
 
-use crate::picture::{SIDE, world};
+use crate::image::{SIDE, world};
 
 /// Shares of at least this are part of a region; lesser ones only at its rim.
 const INSIDE: f32 = 0.5;
 
 /// A region of a mask.
 pub(crate) struct Region {
-    /// Area in picture pixels: the sum of the shares, those at the rim included.
+    /// Area in image pixels: the sum of the shares, those at the rim included.
     pub(crate) area: f64,
     /// Centroid, in world pixels, weighted by the shares.
     pub(crate) centroid: Point2,

@@ -1,4 +1,4 @@
-//! The estimator: from a picture to the block's pose.
+//! The estimator: from an image to the block's pose.
 
 use std::f64::consts::TAU;
 
@@ -7,18 +7,18 @@ use re4_geometry::{Point2, Pose2};
 
 use crate::anchor::Anchor;
 use crate::component::{centroid, largest};
+use crate::image::{BlockLayer, PushtImage};
 use crate::log_polar::{LogPolar, Signature};
 use crate::outline::Outline;
-use crate::picture::{BlockLayer, Picture};
 use crate::refine::{agreement, refine};
 
-/// A largest region of less than this share of the block's area is not taken for the block.
+/// A largest region of less than this fraction of the block's area is not taken for the block.
 const LEAST_REGION: f64 = 0.15;
 
-/// More block-coloured area than this beyond the outline, as a share of the block's, is a second block.
+/// More block-coloured area than this beyond the outline, as a fraction of the block's, is a second block.
 const MOST_BEYOND: f64 = 0.25;
 
-/// With less than this share of the block in sight, its pose is a guess.
+/// With less than this fraction of the block in view, its pose is a guess.
 const LEAST_SEEN: f64 = 0.7;
 
 /// With less intersection over union than this, the outline does not fit.
@@ -76,7 +76,7 @@ columns! {
         #[prefix = "object"]
         pub pose: Option<Pose2>,
         /// Intersection over union of the block's outline at the pose with the block-coloured pixels, over what neither the pusher nor
-        /// a contact mark hides, times the share of the outline in sight: 0 (nothing agrees) to 1. Images being coarse, an exact
+        /// a contact mark hides, times the fraction of the outline in view: 0 (nothing agrees) to 1. Images being coarse, an exact
         /// pose in full view has 0.9 to 0.97.
         pub confidence: f64,
         /// What to think of the pose: clear; or occluded, poor_fit or second_block, when it is a guess; or no_block, when there is
@@ -108,7 +108,7 @@ pub struct LogPolarEstimator {
 
 impl LogPolarEstimator {
     /// An estimator that measures angles from `anchor`, for a block of this outline. With `refined`, the outline is aligned
-    /// with the picture after the paper's estimate.
+    /// with the image after the paper's estimate.
     pub fn new(anchor: &Anchor, outline: Outline, refined: bool) -> Self {
         let log_polar = LogPolar::new();
         Self {
@@ -121,9 +121,9 @@ impl LogPolarEstimator {
         }
     }
 
-    /// The pose of the block in a picture.
-    pub fn estimate(&self, picture: &Picture<'_>) -> Estimate {
-        let layer = BlockLayer::of(picture);
+    /// The pose of the block in an image.
+    pub fn estimate(&self, image: &PushtImage<'_>) -> Estimate {
+        let layer = BlockLayer::of(image);
         let Some(region) = largest(&layer.share, &layer.pixels) else {
             return Estimate::NOTHING;
         };

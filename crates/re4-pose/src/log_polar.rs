@@ -8,7 +8,7 @@ use re4_geometry::Point2;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
-use crate::picture::{SCALE, SIDE, picture};
+use crate::image::{SCALE, SIDE, image};
 
 /// Bins along the angle, over the whole circle.
 const ANGLES: usize = 128;
@@ -16,7 +16,7 @@ const ANGLES: usize = 128;
 /// Bins along the logarithm of the radius; an even number, since two share a transform.
 const RADII: usize = 12;
 
-/// Least and greatest radius, in world pixels: the farthest point of the block is 84 px from its centroid.
+/// Minimum and maximum radius, in world pixels: the farthest point of the block is 84 px from its centroid.
 const RADIUS: [f64; 2] = [8.0, 92.0];
 
 /// A mask in log-polar coordinates about its centroid, Fourier-transformed along the angle, two radii in one transform as
@@ -29,17 +29,17 @@ pub(crate) struct Signature(Vec<Complex<f64>>);
 pub(crate) struct LogPolar {
     forward: Arc<dyn Fft<f64>>,
     backward: Arc<dyn Fft<f64>>,
-    /// Sampling places about the centroid, in picture pixels: radius by radius, angle by angle.
+    /// Sampling places about the centroid, in image pixels: radius by radius, angle by angle.
     places: Arc<Vec<Point2>>,
 }
 
 impl LogPolar {
     pub(crate) fn new() -> Self {
         let mut planner = FftPlanner::new();
-        let [least, greatest] = RADIUS;
+        let [minimum, maximum] = RADIUS;
         let places = (0..RADII)
             .flat_map(|i| {
-                let radius = least * (greatest / least).powf(i as f64 / (RADII - 1) as f64) / SCALE;
+                let radius = minimum * (maximum / minimum).powf(i as f64 / (RADII - 1) as f64) / SCALE;
                 (0..ANGLES).map(move |j| {
                     let (sine, cosine) = (TAU * j as f64 / ANGLES as f64).sin_cos();
                     Point2::new(radius * cosine, radius * sine)
@@ -55,7 +55,7 @@ impl LogPolar {
 
     /// The signature of a mask about `centroid` (world pixels).
     pub(crate) fn signature(&self, mask: &[f32], centroid: Point2) -> Signature {
-        let centre = Point2::new(picture(centroid.x), picture(centroid.y));
+        let centre = Point2::new(image(centroid.x), image(centroid.y));
         let sample = |place: &Point2| bilinear(mask, centre + place);
         let mut spectra = Vec::with_capacity(RADII / 2 * ANGLES);
         for pair in self.places.chunks_exact(2 * ANGLES) {
@@ -91,7 +91,7 @@ impl LogPolar {
     }
 }
 
-/// The mask at a place of the picture, between its pixels; nothing outside of the picture.
+/// The mask at a place of the image, between its pixels; nothing outside of the image.
 fn bilinear(mask: &[f32], place: Point2) -> f64 {
     // Beyond the last pixel there is nothing to blend with; the block never reaches that far, since walls stand there.
     let inside = |v: f64| (0.0..(SIDE - 1) as f64).contains(&v);
@@ -114,10 +114,10 @@ mod tests {
     use re4_geometry::{Pose2, periodic_distance};
 
     use super::*;
+    use crate::image::world;
     use crate::outline::Outline;
-    use crate::picture::world;
 
-    /// A soft mask of the T with its centroid in the middle of the picture.
+    /// A soft mask of the T with its centroid in the middle of the image.
     fn mask(angle: f64) -> Vec<f32> {
         let outline = Outline::new(&re4_sim::tee_rectangles(), 0.0);
         let centre = Point2::new(256.0, 256.0);
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_picture_there_is_nothing() {
+    fn beyond_the_image_there_is_nothing() {
         let full = vec![1.0; SIDE * SIDE];
         assert_eq!(bilinear(&full, Point2::new(40.3, 50.7)), 1.0);
         for place in [(-0.1, 3.0), (3.0, -0.1), (95.0, 3.0), (3.0, 95.2), (f64::NAN, 3.0)] {

@@ -1,15 +1,15 @@
-//! The block's outline: which places of a picture it covers at a pose.
+//! The block's outline: which places of an image it covers at a pose.
 
 use re4_geometry::{Point2, Pose2};
 
-use crate::picture::SCALE;
+use crate::image::SCALE;
 
 /// The shape of the block in its own frame, in world pixels: rectangles, drawn with an outline round each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     rectangles: Vec<Rectangle>,
     stroke: f64,
-    /// Area with the stroke, in picture pixels.
+    /// Area with the stroke, in image pixels.
     pixels: f64,
     /// Centroid with the stroke, in the block's frame.
     centroid: Point2,
@@ -85,12 +85,12 @@ impl Outline {
         self.centroid
     }
 
-    /// Greatest distance of the shape from the origin of its frame, with its stroke.
+    /// Maximum distance of the shape from the origin of its frame, with its stroke.
     pub(crate) fn reach(&self) -> f64 {
         self.corners(Pose2::IDENTITY).map(|p| p.norm()).fold(0.0, f64::max) + self.stroke
     }
 
-    /// Area with the stroke, in picture pixels.
+    /// Area with the stroke, in image pixels.
     pub(crate) fn pixels(&self) -> f64 {
         self.pixels
     }

@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 use re4_geometry::{Point2, Pose2};
 
+use crate::image::{BlockLayer, SIDE, image, world};
 use crate::outline::Outline;
-use crate::picture::{BlockLayer, SIDE, picture, world};
 
 /// Widths, in world pixels, over which the outline's mask falls from 1 to 0, one after the other, with the number of
 /// steps: a wide ramp feels an outline that is pixels away, a narrow one is exact.
@@ -59,18 +59,18 @@ fn step(layer: &BlockLayer, outline: &Outline, pose: Pose2, ramp: f64) -> Vector
         .map_or_else(Vector3::zeros, |normal| normal.solve(&right))
 }
 
-/// How well the outline at a pose agrees with a picture.
+/// How well the outline at a pose agrees with an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Agreement {
     /// Intersection over union of outline and block-coloured pixels, where neither pusher nor mark hides them.
     pub(crate) iou: f64,
-    /// Share of the outline's area that is seen: neither hidden nor outside of the picture.
+    /// Fraction of the outline's area that is seen: neither hidden nor outside of the image.
     pub(crate) seen: f64,
-    /// Block-coloured area beyond the outline, as a share of the outline's area.
+    /// Block-coloured area beyond the outline, as a fraction of the outline's area.
     pub(crate) beyond: f64,
 }
 
-/// Compares the outline at `pose` with the whole picture.
+/// Compares the outline at `pose` with the whole image.
 pub(crate) fn agreement(layer: &BlockLayer, outline: &Outline, pose: Pose2) -> Agreement {
     // The softness of a pixel: about its own width.
     const RAMP: f64 = 6.0;
@@ -104,8 +104,8 @@ fn for_each_pixel(outline: &Outline, pose: Pose2, margin: f64, mut visit: impl F
         high = high.sup(&corner);
     }
     let range = |low: f64, high: f64| {
-        let first = picture(low - margin).floor().clamp(0.0, SIDE as f64) as usize;
-        let last = picture(high + margin).ceil().clamp(-1.0, (SIDE - 1) as f64);
+        let first = image(low - margin).floor().clamp(0.0, SIDE as f64) as usize;
+        let last = image(high + margin).ceil().clamp(-1.0, (SIDE - 1) as f64);
         first..(last + 1.0) as usize
     };
     let (sine, cosine) = pose.theta.sin_cos();

@@ -5,7 +5,7 @@ use re4_episode::Mode;
 use re4_geometry::{Pose2, wrap_to_pi};
 use re4_stats::upper_median;
 
-/// Poses with the gaps filled: between two clear ones by equal shares of the motion, the short way round; before the first
+/// Poses with the gaps filled: between two clear ones by equal fractions of the motion, the short way round; before the first
 /// and after the last by that one. None when none is clear.
 pub fn between_clear(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
     let clear: Vec<(usize, Pose2)> = known

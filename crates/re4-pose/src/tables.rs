@@ -38,14 +38,15 @@ columns! {
 table! {
     /// One row a pixel of the 96 x 96 images: how much of it the goal covers, as seen over the images. The goal pose is the pose of
     /// this mask; angles are measured from it. Sorted by row and column.
-    #[table("anchor", version = 1)]
+    #[table("anchor", version = 2)]
     pub struct AnchorRow {
         /// Row of the image, from 0 at the top.
         pub row: usize,
         /// Column of the image, from 0 at the left.
         pub column: usize,
-        /// Share of the pixel that has the goal's colour, 0 to 1.
-        pub goal_share: f64,
+        /// Fraction of the pixel that has the goal's colour, 0 to 1.
+        #[formerly = "goal_share"]
+        pub goal_fraction: f64,
     }
 }
 
@@ -78,7 +79,7 @@ table! {
     /// error of the estimated pose after one constant rigid offset is removed, which is fitted on frames before the grasp of the
     /// demonstrations trained on. Rotations of the object that do not show are no error; of an object without such rotations neither
     /// is half a rotation of the two-finger gripper about its axis of approach. Sorted by episode and frame.
-    #[table("pose_errors", version = 1)]
+    #[table("pose_errors", version = 2)]
     pub struct PoseErrorRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,

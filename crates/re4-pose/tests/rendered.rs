@@ -1,4 +1,4 @@
-//! The estimator on pictures of the simulator's renderer, whose poses are known.
+//! The estimator on images of the simulator's renderer, whose poses are known.
 
 mod common;
 
@@ -8,7 +8,7 @@ use common::{PUSHER, block_alone, drawn, error, estimator, outline, paint_disc, 
 use proptest::prelude::*;
 use re4_fault::Remedy as _;
 use re4_geometry::{Point2, Pose2};
-use re4_pose::{AnchorBuilder, AnchorError, Flag, LogPolarEstimator, Picture};
+use re4_pose::{AnchorBuilder, AnchorError, Flag, LogPolarEstimator, PushtImage};
 use re4_sim::{GOAL, PushT, ResetOrder, Scene, Simulator as _};
 
 static REFINED: LazyLock<LogPolarEstimator> = LazyLock::new(|| estimator(true));
@@ -23,22 +23,22 @@ proptest! {
 
     #[test]
     fn a_block_in_full_view_is_found(truth in block()) {
-        let picture = block_alone(truth);
-        let estimate = REFINED.estimate(&view(&picture));
+        let image = block_alone(truth);
+        let estimate = REFINED.estimate(&view(&image));
         let (position, angle) = error(&estimate, truth);
         prop_assert!(position < 2.0 && angle < 1.5, "{position} px, {angle} degrees");
         prop_assert_eq!(estimate.flag, Flag::Clear);
         prop_assert!(estimate.confidence > 0.8, "{}", estimate.confidence);
         // The paper's closed form alone: coarser, and never the wrong end.
-        let (position, angle) = error(&CLOSED_FORM.estimate(&view(&picture)), truth);
+        let (position, angle) = error(&CLOSED_FORM.estimate(&view(&image)), truth);
         prop_assert!(position < 6.0 && angle < 4.0, "{position} px, {angle} degrees");
     }
 
     #[test]
     fn a_pusher_before_the_block_does_not_mislead(truth in block(), along in 0.0..120.0f64, across in -45.0..45.0f64) {
         let agent = truth.transform_point(Point2::new(across, along));
-        let picture = drawn(agent, truth);
-        let estimate = REFINED.estimate(&view(&picture));
+        let image = drawn(agent, truth);
+        let estimate = REFINED.estimate(&view(&image));
         let (position, angle) = error(&estimate, truth);
         prop_assert!(position < 3.0 && angle < 3.0, "{position} px, {angle} degrees, {estimate:?}");
     }
@@ -46,9 +46,9 @@ proptest! {
     /// Whatever hides the block: a pose that is called clear is right.
     #[test]
     fn a_clear_pose_is_right(truth in block(), x in -70.0..70.0f64, y in -30.0..130.0f64, radius in 10.0..90.0f64) {
-        let mut picture = block_alone(truth);
-        paint_disc(&mut picture, truth.transform_point(Point2::new(x, y)), radius, PUSHER);
-        let estimate = REFINED.estimate(&view(&picture));
+        let mut image = block_alone(truth);
+        paint_disc(&mut image, truth.transform_point(Point2::new(x, y)), radius, PUSHER);
+        let estimate = REFINED.estimate(&view(&image));
         if estimate.flag == Flag::Clear {
             let (position, angle) = error(&estimate, truth);
             prop_assert!(position < 4.0 && angle < 4.0, "{position} px, {angle} degrees, {estimate:?}");
@@ -58,15 +58,15 @@ proptest! {
     #[test]
     fn two_blocks_are_noticed(one in block(), other in block()) {
         prop_assume!((one.transform_point(Point2::new(0.0, 45.0)) - other.transform_point(Point2::new(0.0, 45.0))).norm() > 60.0);
-        let mut picture = block_alone(one);
+        let mut image = block_alone(one);
         let second = block_alone(other);
         let empty = block_alone(Pose2::new(-900.0, -900.0, 0.0));
-        for ((pixel, second), empty) in picture.iter_mut().zip(&second).zip(&empty) {
+        for ((pixel, second), empty) in image.iter_mut().zip(&second).zip(&empty) {
             if second != empty {
                 *pixel = *second;
             }
         }
-        prop_assert_eq!(REFINED.estimate(&view(&picture)).flag, Flag::SecondBlock);
+        prop_assert_eq!(REFINED.estimate(&view(&image)).flag, Flag::SecondBlock);
     }
 }
 
@@ -91,13 +91,13 @@ fn contact_marks_do_not_mislead() {
 fn no_block_is_no_pose() {
     let mut hidden = block_alone(Pose2::new(200.0, 200.0, 1.0));
     paint_disc(&mut hidden, Point2::new(190.0, 240.0), 130.0, PUSHER);
-    for picture in [
+    for image in [
         block_alone(Pose2::new(-900.0, -900.0, 0.0)),
         vec![0; 27_648],
         vec![255; 27_648],
         hidden,
     ] {
-        let estimate = REFINED.estimate(&view(&picture));
+        let estimate = REFINED.estimate(&view(&image));
         assert_eq!(
             (estimate.pose, estimate.confidence, estimate.flag),
             (None, 0.0, Flag::NoBlock)
@@ -106,14 +106,17 @@ fn no_block_is_no_pose() {
 }
 
 #[test]
-fn pictures_of_another_size_are_refused() {
+fn images_of_another_size_are_refused() {
     for (bytes, width, height) in [
         (27_648, 48, 192),
         (3 * 84 * 84, 84, 84),
         (27_648 - 1, 96, 96),
         (4 * 96 * 96, 96, 96),
     ] {
-        let refusal = Picture::new(&vec![0; bytes], width, height).err().unwrap().sentence();
+        let refusal = PushtImage::new(&vec![0; bytes], width, height)
+            .err()
+            .unwrap()
+            .sentence();
         assert!(
             refusal.contains(&format!("{width} x {height} pixels and {bytes} bytes")),
             "{refusal}"
@@ -121,17 +124,17 @@ fn pictures_of_another_size_are_refused() {
     }
 }
 
-/// What calibrating on these pictures gives.
-fn calibrated(pictures: &[Vec<u8>], goal: Pose2) -> Result<re4_pose::Anchor, AnchorError> {
+/// What calibrating on these images gives.
+fn calibrated(images: &[Vec<u8>], goal: Pose2) -> Result<re4_pose::Anchor, AnchorError> {
     let mut builder = AnchorBuilder::default();
-    for picture in pictures {
-        builder.add(&view(picture));
+    for image in images {
+        builder.add(&view(image));
     }
     builder.finish(goal, &outline())
 }
 
 #[test]
-fn the_goal_is_put_together_from_pictures_that_hide_parts_of_it() {
+fn the_goal_is_put_together_from_images_that_hide_parts_of_it() {
     let left = drawn(Point2::new(190.0, 330.0), Pose2::new(230.0, 200.0, 0.2));
     let right = drawn(Point2::new(300.0, 250.0), Pose2::new(230.0, 330.0, 3.0));
     assert!(matches!(
@@ -148,21 +151,21 @@ fn the_goal_is_put_together_from_pictures_that_hide_parts_of_it() {
 }
 
 #[test]
-fn pictures_that_cannot_calibrate_are_refused_in_one_sentence() {
+fn images_that_cannot_calibrate_are_refused_in_one_sentence() {
     let good = block_alone(Pose2::new(110.0, 110.0, 0.3));
     let mut bgr = good.clone();
     for pixel in bgr.as_chunks_mut::<3>().0 {
         pixel.swap(0, 2);
     }
     let floats: Vec<u8> = good.iter().map(|byte| byte / 255).collect();
-    let refusal = |pictures: &[Vec<u8>], goal| calibrated(pictures, goal).unwrap_err().sentence();
-    assert!(refusal(&[], GOAL).contains("no picture"));
+    let refusal = |images: &[Vec<u8>], goal| calibrated(images, goal).unwrap_err().sentence();
+    assert!(refusal(&[], GOAL).contains("no image"));
     assert!(refusal(&[bgr], GOAL).contains("blue before red"));
     assert!(refusal(&[floats], GOAL).contains("light green"));
     let outside = refusal(std::slice::from_ref(&good), Pose2::new(480.0, 256.0, 0.0));
-    assert!(outside.contains("outside of the picture"), "{outside}");
+    assert!(outside.contains("outside of the image"), "{outside}");
     let elsewhere = refusal(std::slice::from_ref(&good), Pose2::new(240.0, 256.0, GOAL.theta));
     assert!(elsewhere.contains("give the goal pose of this dataset"), "{elsewhere}");
     let not_a_number = refusal(&[good], Pose2::new(f64::NAN, 256.0, 0.0));
-    assert!(not_a_number.contains("outside of the picture"), "{not_a_number}");
+    assert!(not_a_number.contains("outside of the image"), "{not_a_number}");
 }

@@ -37,9 +37,9 @@ pub enum ActionError {
     Range {
         /// Index of the axis, 0 to 5.
         axis: usize,
-        /// Its least value.
+        /// Its minimum value.
         min: f64,
-        /// Its greatest value.
+        /// Its maximum value.
         max: f64,
     },
     /// Actions and poses do not belong together.
@@ -62,7 +62,7 @@ pub enum ActionError {
     },
 }
 
-/// The scales of an `OSC_POSE` controller: what its least and greatest commands mean.
+/// The scales of an `OSC_POSE` controller: what its minimum and maximum commands mean.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Osc {
     input_min: [f64; 6],

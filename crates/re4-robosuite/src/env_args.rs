@@ -45,13 +45,13 @@ pub enum EnvArgsError {
 pub struct Controller {
     /// `OSC_POSE`, `JOINT_POSITION`, ...
     pub kind: Option<String>,
-    /// Least command of each axis (3 translations, 3 rotations).
+    /// Minimum command of each axis (3 translations, 3 rotations).
     pub input_min: [f64; 6],
-    /// Greatest command of each axis.
+    /// Maximum command of each axis.
     pub input_max: [f64; 6],
-    /// What the least command means, in metres and radians a step; none where it is not declared.
+    /// What the minimum command means, in metres and radians a step; none where it is not declared.
     pub output_min: Option<[f64; 6]>,
-    /// What the greatest command means, in metres and radians a step; none where it is not declared.
+    /// What the maximum command means, in metres and radians a step; none where it is not declared.
     pub output_max: Option<[f64; 6]>,
     /// Delta or absolute, by `control_delta` (1.4) or `input_type` (1.5). Converted files keep it as it was: a declaration,
     /// no proof.

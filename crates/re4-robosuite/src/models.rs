@@ -80,7 +80,7 @@ pub fn with_assets(mjcf: &str, folder: &Path) -> Result<String, AssetsError> {
 /// What a model looks like, apart from the sizes of its boxes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Looks {
-    /// The text without those sizes; models with the same one differ in `boxes` alone, as far as pictures go.
+    /// The text without those sizes; models with the same one differ in `boxes` alone, as far as images go.
     pub rest: String,
     /// Names and half sizes of the boxes, in metres.
     pub boxes: Vec<(String, [f64; 3])>,

@@ -341,7 +341,7 @@ fn arrays_that_do_not_fit_together_are_refused() {
 
 /// Keyboards give commands far beyond the range; the controller cuts them, and so does the proof.
 #[test]
-fn commands_beyond_the_range_count_as_the_greatest() {
+fn commands_beyond_the_range_count_as_the_maximum() {
     let mut cut = demo(&standard(), 0.5);
     for action in &mut cut.actions {
         action[..3]
@@ -351,8 +351,8 @@ fn commands_beyond_the_range_count_as_the_greatest() {
     let mut beyond = cut.clone();
     for (index, action) in beyond.actions.iter_mut().enumerate() {
         let factor = if index.is_multiple_of(5) { 40.0 } else { 1.0 };
-        let greatest = action[..3].iter_mut().filter(|command| command.abs() == 1.0);
-        greatest.for_each(|command| *command *= factor);
+        let maximum = action[..3].iter_mut().filter(|command| command.abs() == 1.0);
+        maximum.for_each(|command| *command *= factor);
     }
     let (cut, beyond) = (cut.arrays(14), beyond.arrays(14));
     let allowed = Conventions {

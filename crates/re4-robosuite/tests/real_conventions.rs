@@ -150,7 +150,7 @@ fn scripted_files_are_proven_and_every_demo_follows() {
                 worst[1] = worst[1].max(residuals.motion_unexplained.unwrap());
             }
             println!(
-                "{task} {file}: greatest residual {:.1e}, motion left unexplained {:.2}",
+                "{task} {file}: maximum residual {:.1e}, motion left unexplained {:.2}",
                 worst[0], worst[1]
             );
             assert!(worst[0] < 1e-5);

@@ -19,7 +19,7 @@ fn poses_equal_the_recorded_observations_of_all_scripted_demos() {
             "can" => "Can",
             _ => "SquareNut",
         };
-        let [mut eef, mut turn, mut gripper, mut place, mut object_turn] = [0.0_f64; 5];
+        let [mut eef, mut turn, mut gripper, mut place, mut object_rotation] = [0.0_f64; 5];
         let mut frames = 0;
         let names = source.names();
         assert_eq!(names.len(), 200);
@@ -37,14 +37,14 @@ fn poses_equal_the_recorded_observations_of_all_scripted_demos() {
                 gripper = gripper.max((fingers[1] - demo.gripper_qpos[t][1]).abs());
                 let pose = known.object.unwrap();
                 place = place.max((pose.translation.vector - Vector3::from_column_slice(&row[..3])).norm());
-                object_turn = object_turn.max(pose.rotation.angle_to(&rotation(&row[3..7])));
+                object_rotation = object_rotation.max(pose.rotation.angle_to(&rotation(&row[3..7])));
                 frames += 1;
             }
         }
         println!(
-            "{task}: {frames} frames, eef {eef:.1e} m {turn:.1e} rad, gripper {gripper:.1e} m, object {place:.1e} m {object_turn:.1e} rad"
+            "{task}: {frames} frames, eef {eef:.1e} m {turn:.1e} rad, gripper {gripper:.1e} m, object {place:.1e} m {object_rotation:.1e} rad"
         );
-        for worst in [eef, turn, gripper, place, object_turn] {
+        for worst in [eef, turn, gripper, place, object_rotation] {
             assert!(worst <= 1e-9, "{task}: {worst:e}");
         }
     }

@@ -5,7 +5,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_sim::robosuite::{FirstTorques, Placement, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteStep};
 use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, SimError, Simulator as _, Step};
 
-use crate::studio::{Lens, Studio};
+use crate::scene_renderer::{SceneCamera, SceneRenderer};
 use crate::{ArmAction, ArmState, Domain, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action};
 
 /// An image: RGB, 8 bits a channel, row by row from the top.
@@ -100,17 +100,17 @@ impl Env<Plane> for PushTEnv {
 pub struct RobosuiteEnv<'a> {
     simulation: Robosuite,
     now: RobosuiteStep,
-    studio: Option<&'a Studio>,
+    scene_renderer: Option<&'a SceneRenderer>,
     scene: Option<Placement>,
-    lens: Option<Lens>,
+    scene_camera: Option<SceneCamera>,
 }
 
 impl<'a> RobosuiteEnv<'a> {
-    /// A simulation of a model. It can be rendered where there is a studio.
+    /// A simulation of a model. It can be rendered where there is a scene_renderer.
     ///
     /// # Errors
     /// When there is no memory.
-    pub fn new(model: &RobosuiteModel, studio: Option<&'a Studio>) -> Result<Self, SimError> {
+    pub fn new(model: &RobosuiteModel, scene_renderer: Option<&'a SceneRenderer>) -> Result<Self, SimError> {
         let simulation = Robosuite::new(model)?;
         let now = RobosuiteStep {
             observation: simulation.observation(),
@@ -119,9 +119,9 @@ impl<'a> RobosuiteEnv<'a> {
         Ok(Self {
             simulation,
             now,
-            studio,
+            scene_renderer,
             scene: None,
-            lens: None,
+            scene_camera: None,
         })
     }
 }
@@ -134,7 +134,7 @@ impl Env<Space> for RobosuiteEnv<'_> {
             observation,
             success: false,
         };
-        (self.scene, self.lens) = (Some(scene.clone()), None);
+        (self.scene, self.scene_camera) = (Some(scene.clone()), None);
         Ok(SpaceFirst {
             observation,
             state: self.simulation.state(),
@@ -155,11 +155,11 @@ impl Env<Space> for RobosuiteEnv<'_> {
     }
 
     fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError> {
-        let studio = self.studio.ok_or_else(|| PolicyError::no_camera(camera))?;
-        let lens = match &mut self.lens {
-            Some(lens) => lens,
-            none => none.insert(studio.lens(self.scene.as_ref())?),
+        let scene_renderer = self.scene_renderer.ok_or_else(|| PolicyError::no_camera(camera))?;
+        let scene_camera = match &mut self.scene_camera {
+            Some(scene_camera) => scene_camera,
+            none => none.insert(scene_renderer.scene_camera(self.scene.as_ref())?),
         };
-        lens.draw(camera, &self.simulation.state(), into)
+        scene_camera.draw(camera, &self.simulation.state(), into)
     }
 }

@@ -10,8 +10,8 @@ mod noise;
 mod policy;
 mod record;
 mod rollout;
+mod scene_renderer;
 mod senses;
-mod studio;
 mod tables;
 
 pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
@@ -20,8 +20,8 @@ pub use noise::PoseNoise;
 pub use policy::{Act, Phase, Policy, PolicyError, PolicyFactory};
 pub use record::{Batch, Explained, Explanation, Named, Opened, RecordError, Recording};
 pub use rollout::{Harness, MakeEnv, MakeSource, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
-pub use senses::{Asked, Errors, Estimator, Senses, Source, Told};
-pub use studio::{Lens, Studio, put_renderer_away, set_state};
+pub use scene_renderer::{SceneCamera, SceneRenderer, drop_renderer, set_state};
+pub use senses::{Asked, Errors, Estimator, ObservedPose, Senses, Source};
 pub use tables::{
     DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, Recorded, ResultCore, SpaceDecisionRow,
     SpaceResultRow, SpaceStepRow, StepCore, tables,

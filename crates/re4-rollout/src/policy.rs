@@ -74,7 +74,7 @@ pub trait PolicyFactory<D: Domain>: Sync {
 #[derive(Debug, Error, Remedy)]
 pub enum PolicyError {
     /// No block in the first image.
-    #[error("no block is seen in the picture and none was seen before")]
+    #[error("no block is seen in the image and none was seen before")]
     #[remedy("start from a scene that shows it")]
     Blind,
     /// Nobody tells where the object is.

@@ -15,7 +15,7 @@ pub trait Explained<D: Domain> {
     type Detail: Row;
 
     /// What every policy tells of a decision.
-    fn told(&self, names: &DemoNames) -> Explanation<D>;
+    fn explanation(&self, names: &DemoNames) -> Explanation<D>;
 
     /// The rest.
     fn detail(&self, seed: u32, decision: u32) -> Self::Detail;
@@ -152,19 +152,24 @@ where
                 D::step_row(core, step)
             }));
             for (number, decision) in (0..).zip(&rollout.decisions) {
-                let told = decision.told(names);
+                let explanation = decision.explanation(names);
                 let core = DecisionCore {
                     seed,
                     decision: number,
-                    step: told.step,
-                    kind: Some(Label::from(told.kind)),
-                    demo: told.demo.map(|(demo, ..)| demo),
-                    demo_frame: told.demo.map(|(_, frame, _)| frame),
-                    demo_end: told.demo.map(|(.., end)| end),
-                    reason: told.reason,
-                    demo_name: told.demo.and_then(|(demo, ..)| names.get(demo)).map(str::to_owned),
+                    step: explanation.step,
+                    kind: Some(Label::from(explanation.kind)),
+                    demo: explanation.demo.map(|(demo, ..)| demo),
+                    demo_frame: explanation.demo.map(|(_, frame, _)| frame),
+                    demo_end: explanation.demo.map(|(.., end)| end),
+                    reason: explanation.reason,
+                    demo_name: explanation
+                        .demo
+                        .and_then(|(demo, ..)| names.get(demo))
+                        .map(str::to_owned),
                 };
-                batch.decisions.push(D::decision_row(core, &told.proprio, told.object));
+                batch
+                    .decisions
+                    .push(D::decision_row(core, &explanation.proprio, explanation.object));
                 self.details.push(&decision.detail(seed, number))?;
             }
         }

@@ -74,7 +74,7 @@ impl<D: Domain, X> Rollout<D, X> {
 }
 
 impl<X> Rollout<Plane, X> {
-    /// Greatest value of a measure over the steps of the episode; 0 for an episode without steps.
+    /// Maximum value of a measure over the steps of the episode; 0 for an episode without steps.
     pub fn maximum(&self, measure: impl Fn(&Step<PushTObservation>) -> f64) -> f64 {
         self.steps.iter().map(|s| measure(&s.after)).fold(0.0, f64::max)
     }

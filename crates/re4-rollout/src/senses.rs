@@ -8,7 +8,7 @@ pub trait Senses<D: Domain> {
     fn proprio(&self) -> D::Proprio;
 
     /// Whether the object's pose is at hand at every step; else each answer takes an image, and a policy may ask less often.
-    fn tells_object(&self) -> bool;
+    fn observes_object(&self) -> bool;
 
     /// Where the object is, as far as that is known. Which frame of the object that is, is up to who tells it, as long as
     /// demonstrations are indexed with the same one.
@@ -26,7 +26,7 @@ pub trait Senses<D: Domain> {
 
 /// An answer to where the object is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told<D: Domain> {
+pub struct ObservedPose<D: Domain> {
     /// The pose, world frame.
     pub pose: D::Pose,
     /// How sure the estimator is, from 0 to 1, where it says so.
@@ -41,7 +41,7 @@ pub trait Estimator<D: Domain> {
     ///
     /// # Errors
     /// When it cannot be seen.
-    fn estimate(&mut self, image: &Image) -> Result<Told<D>, PolicyError>;
+    fn estimate(&mut self, image: &Image) -> Result<ObservedPose<D>, PolicyError>;
 }
 
 /// Puts an error on a pose, at every call anew.
@@ -66,7 +66,7 @@ pub enum Source<D: Domain> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Asked<D: Domain> {
     /// What it was told of the object's pose; none where it did not ask.
-    pub object: Option<Told<D>>,
+    pub object: Option<ObservedPose<D>>,
     /// Images rendered for it or for the estimator.
     pub images: u32,
 }
@@ -131,7 +131,7 @@ impl<D: Domain> Senses<D> for Sensing<'_, D> {
         self.env.proprio()
     }
 
-    fn tells_object(&self) -> bool {
+    fn observes_object(&self) -> bool {
         !matches!(self.source, Source::Image { .. })
     }
 
@@ -139,7 +139,7 @@ impl<D: Domain> Senses<D> for Sensing<'_, D> {
         if let Some(told) = &self.asked.object {
             return Ok(told.pose);
         }
-        let recorded = |pose| Told {
+        let recorded = |pose| ObservedPose {
             pose,
             confidence: None,
             flag: None,

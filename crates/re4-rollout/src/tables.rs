@@ -52,11 +52,11 @@ table! {
         pub object: Pose2,
         /// Contact points per physics step of the reset, rounded up.
         pub contacts: f64,
-        /// Greatest coverage after a step.
+        /// Maximum coverage after a step.
         pub coverage_max: f64,
-        /// Greatest IoU after a step.
+        /// Maximum IoU after a step.
         pub iou_max: f64,
-        /// Greatest score after a step.
+        /// Maximum score after a step.
         pub score_max: f64,
         /// Coverage after the last step.
         pub coverage_final: f64,

@@ -35,7 +35,7 @@ pub struct ScenesConfig {
     /// once.
     #[serde(default = "padding_angle")]
     pub padding_angle: f64,
-    /// Least distance between two chosen poses, in normalised coordinates, the angle taken the short way round. The paper
+    /// Minimum distance between two chosen poses, in normalised coordinates, the angle taken the short way round. The paper
     /// names no figure. 0.2 is a fifth of the range of one dimension, some 76 px or 72 degrees for the human demonstrations
     /// of Push-T: far enough for two poses to ask for different pushes, and near enough for 25 poses to stay far from the
     /// demonstrations.
@@ -48,7 +48,7 @@ pub struct ScenesConfig {
     /// pushed out of it by the first physics step, so that the rollout would start from another pose than the chosen one.
     #[serde(default = "yes")]
     pub inside_walls: bool,
-    /// Least distance, in pixels, between the edge of the pusher and the block.
+    /// Minimum distance, in pixels, between the edge of the pusher and the block.
     #[serde(default = "clearance")]
     pub clearance: f64,
     /// Seed of the pusher's positions.

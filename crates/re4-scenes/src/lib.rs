@@ -9,7 +9,7 @@
 //! ```
 //!
 //! over the min-max-normalised `(x, y, theta)` of the block: the `d_o` of Retrieve. A grid over the ranges of the
-//! demonstrations, padded, is swept; `K` poses of greatest `rho` that keep a separation from each other are chosen
+//! demonstrations, padded, is swept; `K` poses of maximum `rho` that keep a separation from each other are chosen
 //! greedily; `J` places of the pusher are drawn for each of them.
 //!
 //! Where the paper leaves a choice open, it is a setting of [`ScenesConfig`], which says what was chosen and why.

@@ -6,7 +6,7 @@ use re4_geometry::Pose2;
 use crate::sweep::{Candidate, Sweep};
 use crate::{ScenesConfig, ScenesError};
 
-/// Goes through the candidates from the greatest `rho` down, the first of the grid first among equals, and takes each pose
+/// Goes through the candidates from the maximum `rho` down, the first of the grid first among equals, and takes each pose
 /// that keeps the separation from all taken before.
 pub(crate) fn greedy(
     mut candidates: Vec<Candidate>,

@@ -1,4 +1,4 @@
-//! Scenes against a plain reading of the definition: every pose of the grid against every frame, and the greatest remaining
+//! Scenes against a plain reading of the definition: every pose of the grid against every frame, and the maximum remaining
 //! one taken again and again.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop where it fails")]
 
@@ -34,7 +34,7 @@ fn scenes(frames: &[ObjectFrame], config: &ScenesConfig) -> Result<Vec<SparseSce
     sparse_scenes(frames, config, &|| true)
 }
 
-/// Least and greatest value, and the unit of the dimension.
+/// Minimum and maximum value, and the unit of the dimension.
 fn range(values: impl Iterator<Item = f64>) -> (f64, f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     (low, high, if high > low { high - low } else { 1.0 })

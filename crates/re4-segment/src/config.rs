@@ -23,7 +23,7 @@ pub struct SegmentConfig {
     /// The object moves when its origin moves further than this in a step ...
     pub minimum_motion: f64,
     /// ... or when it turns further than this in a step. An object that does not move is never in transfer.
-    pub minimum_turn: f64,
+    pub minimum_rotation: f64,
     /// `rigid_motion`: where the object's distance is measured that is compared with the end effector's.
     pub object_distance: ObjectDistance,
     /// What is read from the gripper; robosuite's tasks only, which get the defaults where it is left out.
@@ -100,7 +100,7 @@ impl Default for SegmentConfig {
             rotation_epsilon: 0.01,
             minimum_motion: 0.1,
             // What moves a point of the block, 60 px from its centre, by about the distance above.
-            minimum_turn: 0.002,
+            minimum_rotation: 0.002,
             object_distance: ObjectDistance::AtEef,
             gripper: None,
         }
@@ -116,7 +116,7 @@ impl SegmentConfig {
             translation_epsilon: 0.001,
             rotation_epsilon: 0.02,
             minimum_motion: 0.0005,
-            minimum_turn: 0.005,
+            minimum_rotation: 0.005,
             object_distance: ObjectDistance::AtEef,
             gripper: Some(GripperConfig::default()),
         }
@@ -142,7 +142,7 @@ impl SegmentConfig {
         let gripper = self.gripper.clone().unwrap_or_default();
         for (field, value) in [
             ("minimum_motion", self.minimum_motion),
-            ("minimum_turn", self.minimum_turn),
+            ("minimum_rotation", self.minimum_rotation),
             ("gripper.closed", gripper.closed),
             ("gripper.still", gripper.still),
         ] {

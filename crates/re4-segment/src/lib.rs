@@ -14,6 +14,6 @@ mod tables;
 pub use config::{Command, GripperConfig, ObjectDistance, Rule, SegmentConfig};
 pub use error::SegmentError;
 pub use motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
-pub use planar::{Evidence, SegmentFacts, SegmentedEpisode, segment_planar};
+pub use planar::{Evidence, SegmentSummary, SegmentedEpisode, segment_planar};
 pub use spatial::{Grasp, SegmentedSpatial, SpatialEvidence, SpatialSegment, segment_spatial};
 pub use tables::{ModeRow, SegmentRow, Segmented};

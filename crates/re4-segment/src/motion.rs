@@ -33,7 +33,7 @@ pub struct StepMotion {
 impl StepMotion {
     /// Whether the object moves or turns further than the configured thresholds.
     pub fn object_moves(&self, config: &SegmentConfig) -> bool {
-        self.object_translation > config.minimum_motion || self.object_rotation.abs() > config.minimum_turn
+        self.object_translation > config.minimum_motion || self.object_rotation.abs() > config.minimum_rotation
     }
 
     /// The mode by the paper's general definition (section "Manipulation Modes"): transfer when the object moves, by the

@@ -10,7 +10,7 @@ use crate::error::SegmentError;
 use crate::motion::{Pair, StepMotion, rigid_motion_modes};
 
 /// Modes, evidence and segments of one demonstration in the plane.
-pub type SegmentedEpisode = Segmented<Evidence, SegmentFacts>;
+pub type SegmentedEpisode = Segmented<Evidence, SegmentSummary>;
 
 columns! {
     /// What can be measured at one frame. Steps and rotations lead from the frame to the next one of its episode and are null at
@@ -31,7 +31,8 @@ columns! {
         pub object_step: Option<f64>,
         /// Angle that the block rotates, the short way round, in [-pi, pi).
         #[unit = "rad"]
-        pub object_turn: Option<f64>,
+        #[formerly = "object_turn"]
+        pub object_rotation: Option<f64>,
         /// Distance that the pusher moves as seen from the block: |o'^-1 x' - o^-1 x|.
         #[unit = "px"]
         pub relative_translation: Option<f64>,
@@ -49,7 +50,7 @@ columns! {
 columns! {
     /// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
     /// one, or to the last of the episode.
-    pub struct SegmentFacts {
+    pub struct SegmentSummary {
         /// Mode and frames.
         #[prefix = ""]
         pub segment: Segment,
@@ -73,7 +74,7 @@ columns! {
     }
 }
 
-/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the facts of every segment.
+/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the summary of every segment.
 ///
 /// A NaN among the contacts says that they were not recorded.
 ///
@@ -113,7 +114,7 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
                 .filter(|&grasp| segment.frames.start <= grasp)
                 .and_then(|grasp| frames.get(grasp))
                 .map(|frame| frame.eef);
-            facts(segment, frames, &steps, anchor)
+            summary(segment, frames, &steps, anchor)
         })
         .collect();
     Ok(SegmentedEpisode {
@@ -153,7 +154,7 @@ fn evidence(frame: &PlanarFrame, step: Option<&StepMotion>, config: &SegmentConf
         contact: contacts.map(|count| count > 0.0),
         eef_step: step.map(|step| step.eef_translation),
         object_step: step.map(|step| step.object_translation),
-        object_turn: step.map(|step| step.object_rotation),
+        object_rotation: step.map(|step| step.object_rotation),
         relative_translation: step.map(|step| step.relative_translation),
         relative_rotation: step.and_then(|step| step.relative_rotation),
         eef_object_distance: (frame.eef - frame.object.translation()).norm(),
@@ -161,7 +162,7 @@ fn evidence(frame: &PlanarFrame, step: Option<&StepMotion>, config: &SegmentConf
     }
 }
 
-fn facts(segment: Segment, frames: &[PlanarFrame], steps: &[StepMotion], anchor: Option<Point2>) -> SegmentFacts {
+fn summary(segment: Segment, frames: &[PlanarFrame], steps: &[StepMotion], anchor: Option<Point2>) -> SegmentSummary {
     let range = segment.frames.clone();
     // The step of its last frame leads to the frame after it, and belongs to the segment too.
     let reached: Vec<&PlanarFrame> = frames.iter().skip(range.start).take(range.len() + 1).collect();
@@ -180,7 +181,7 @@ fn facts(segment: Segment, frames: &[PlanarFrame], steps: &[StepMotion], anchor:
         (Some(first), Some(last)) => (last.object.translation() - first.object.translation()).norm(),
         _ => 0.0,
     };
-    SegmentFacts {
+    SegmentSummary {
         anchor,
         grasp,
         rigidity_residual: grasp.map(residual),

@@ -31,13 +31,15 @@ columns! {
         pub eef_step: Option<f64>,
         /// Angle that the end effector rotates, geodesic.
         #[unit = "rad"]
-        pub eef_turn: Option<f64>,
+        #[formerly = "eef_turn"]
+        pub eef_rotation: Option<f64>,
         /// Distance that the object's origin moves.
         #[unit = "m"]
         pub object_step: Option<f64>,
         /// Angle that the object rotates, geodesic.
         #[unit = "rad"]
-        pub object_turn: Option<f64>,
+        #[formerly = "object_turn"]
+        pub object_rotation: Option<f64>,
         /// Distance that the end effector moves as seen from the object: |o'^-1 x' - o^-1 x|.
         #[unit = "m"]
         pub relative_translation: Option<f64>,
@@ -108,7 +110,7 @@ columns! {
     }
 }
 
-/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the facts of every segment.
+/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the summary of every segment.
 /// Lengths are in metres, angles in radians; but for the anchor and the rise, nothing depends on the choice of the world frame.
 ///
 /// # Errors
@@ -144,7 +146,7 @@ pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Resu
                 .filter(|&grasp| segment.frames.start <= grasp)
                 .and_then(|grasp| frames.get(grasp))
                 .map(|frame| frame.eef);
-            facts(segment, frames, &steps, &evidence, anchor, gripper.still)
+            summary(segment, frames, &steps, &evidence, anchor, gripper.still)
         })
         .collect();
     Ok(SegmentedSpatial {
@@ -228,11 +230,11 @@ fn evidence(
                 finger_separation: separations[i],
                 finger_speed: speeds.get(i).copied(),
                 eef_step: steps.get(i).map(|step| step.eef_translation),
-                eef_turn: frames
+                eef_rotation: frames
                     .get(i + 1)
                     .map(|next| frame.eef.rotation.angle_to(&next.eef.rotation)),
                 object_step: steps.get(i).map(|step| step.object_translation),
-                object_turn: steps.get(i).map(|step| step.object_rotation),
+                object_rotation: steps.get(i).map(|step| step.object_rotation),
                 relative_translation: steps.get(i).map(|step| step.relative_translation),
                 relative_rotation: steps.get(i).and_then(|step| step.relative_rotation),
                 eef_object_distance: (frame.eef.translation.vector - frame.object.translation.vector).norm(),
@@ -262,7 +264,7 @@ fn settled(evidence: &[SpatialEvidence], segment: &Segment, still: f64) -> Optio
     None
 }
 
-fn facts(
+fn summary(
     segment: Segment,
     frames: &[SpatialFrame],
     steps: &[StepMotion],

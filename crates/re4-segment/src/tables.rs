@@ -5,7 +5,7 @@ use re4_episode::Mode;
 
 table! {
     /// One row a frame: its manipulation mode and the evidence for it. Sorted by episode and frame.
-    #[table("modes", version = 2, formerly = "spatial_modes")]
+    #[table("modes", version = 3, formerly = "spatial_modes")]
     pub struct ModeRow<E> {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
@@ -31,7 +31,7 @@ table! {
         pub segment: u32,
         /// Mode, frames and motion.
         #[prefix = ""]
-        pub facts: S,
+        pub summary: S,
     }
 }
 
@@ -58,10 +58,10 @@ impl<E: Cell + Clone, S: Cell + Clone> Segmented<E, S> {
             mode,
             evidence: evidence.clone(),
         });
-        let segments = (0..).zip(&self.segments).map(move |(segment, facts)| SegmentRow {
+        let segments = (0..).zip(&self.segments).map(move |(segment, summary)| SegmentRow {
             episode,
             segment,
-            facts: facts.clone(),
+            summary: summary.clone(),
         });
         (modes, segments)
     }
@@ -73,7 +73,7 @@ impl<E: Cell + Clone, S: Cell + Clone> Segmented<E, S> {
             grasp_frame: modes.iter().position(|mode| *mode == Mode::Transfer),
             modes,
             evidence,
-            segments: segments.into_iter().map(|row| row.facts).collect(),
+            segments: segments.into_iter().map(|row| row.summary).collect(),
         }
     }
 }

@@ -187,13 +187,13 @@ fn alternating_segments_are_recovered_exactly() {
     let anchors: Vec<_> = segmented.segments.iter().map(|f| f.anchor).collect();
     assert_eq!(anchors[..2], [Some(grasp.eef); 2]);
     assert!(anchors[2..].iter().all(Option::is_none));
-    for facts in &segmented.segments {
-        let transfer = facts.segment.mode == Transfer;
+    for summary in &segmented.segments {
+        let transfer = summary.segment.mode == Transfer;
         assert_eq!(
-            (facts.grasp.is_some(), facts.rigidity_residual.is_some()),
+            (summary.grasp.is_some(), summary.rigidity_residual.is_some()),
             (transfer, transfer)
         );
-        assert!(facts.rigidity_residual.is_none_or(|residual| residual < 1e-9));
+        assert!(summary.rigidity_residual.is_none_or(|residual| residual < 1e-9));
     }
     let held = segmented.segments[1].grasp.unwrap();
     assert!((grasp.object.transform_point(held) - grasp.eef).norm() < 1e-9);
@@ -212,8 +212,12 @@ fn more_than_half_a_turn_is_summed() {
     let mut s = scene();
     let eef = s.last().eef;
     s.carry(eef, 0.1, 0.0, 0.0, 100);
-    let facts = &s.segment(&rigid()).segments[0];
-    assert!((facts.object_rotation - 10.0).abs() < 1e-9, "{}", facts.object_rotation);
+    let summary = &s.segment(&rigid()).segments[0];
+    assert!(
+        (summary.object_rotation - 10.0).abs() < 1e-9,
+        "{}",
+        summary.object_rotation
+    );
 }
 
 #[test]
@@ -245,7 +249,7 @@ fn always_transit_keeps_the_evidence() {
         [Some(0.0), Some(0.0), Some(10.0), Some(10.0), None],
     );
     close(
-        column(|e| e.object_turn),
+        column(|e| e.object_rotation),
         [Some(0.0), Some(0.0), Some(0.0), Some(0.0), None],
     );
     close(
@@ -275,7 +279,7 @@ fn thresholds_are_sharp() {
     };
     assert_eq!(step(config.translation_epsilon), Transit);
     assert_eq!(step(config.translation_epsilon.next_down()), Transfer);
-    // An object moves when it moves further than the least motion.
+    // An object moves when it moves further than the minimum motion.
     let creep = |by: f64| {
         let mut s = Scene::new(Point2::zeros(), Pose2::IDENTITY);
         s.push(Point2::new(by, 0.0), Pose2::new(by, 0.0, 0.0));
@@ -288,8 +292,8 @@ fn thresholds_are_sharp() {
         s.push(Point2::zeros(), Pose2::new(0.0, 0.0, by));
         s.segment(&config).modes[0]
     };
-    assert_eq!(spin(config.minimum_turn * 0.999), Transit);
-    assert_eq!(spin(config.minimum_turn * 1.001), Transfer);
+    assert_eq!(spin(config.minimum_rotation * 0.999), Transit);
+    assert_eq!(spin(config.minimum_rotation * 1.001), Transfer);
 }
 
 #[test]
@@ -347,9 +351,9 @@ fn what_cannot_be_segmented_is_named() {
             },
         ),
         (
-            "minimum_turn",
+            "minimum_rotation",
             SegmentConfig {
-                minimum_turn: f64::INFINITY,
+                minimum_rotation: f64::INFINITY,
                 ..rigid()
             },
         ),
@@ -437,7 +441,7 @@ proptest! {
         };
         for (p, q) in a.evidence.iter().zip(&b.evidence) {
             prop_assert!(near(p.eef_step, q.eef_step) && near(p.object_step, q.object_step));
-            prop_assert!(near(p.object_turn, q.object_turn) && near(p.relative_translation, q.relative_translation));
+            prop_assert!(near(p.object_rotation, q.object_rotation) && near(p.relative_translation, q.relative_translation));
             prop_assert!(near(Some(p.eef_object_distance), Some(q.eef_object_distance)));
         }
         for (p, q) in a.segments.iter().zip(&b.segments) {
@@ -458,7 +462,7 @@ proptest! {
         let config = rigid();
         let farthest = s.frames.iter().map(|f| (f.eef - f.object.translation()).norm()).fold(0.0, f64::max);
         // Two frames a step, two coordinates each of end effector and object, and the object's angle at the end of a lever:
-        // together less than epsilon, and less than the least motion.
+        // together less than epsilon, and less than the minimum motion.
         let (shift, turn) = (0.01, 0.0005_f64.min(0.1 * config.translation_epsilon / (farthest + 1.0)));
         for (i, frame) in s.frames.iter_mut().enumerate() {
             let wiggle = |k: usize| noise[(3 * i + k) % noise.len()];

@@ -139,8 +139,8 @@ fn measures_are_those_that_the_motion_was_built_from() {
     near(evidence[3].finger_speed.unwrap(), -0.01);
     near(evidence[7].relative_translation.unwrap(), 0.0);
     near(evidence[7].relative_rotation.unwrap(), 0.0);
-    near(evidence[7].eef_turn.unwrap(), 0.01);
-    near(evidence[7].object_turn.unwrap(), 0.01);
+    near(evidence[7].eef_rotation.unwrap(), 0.01);
+    near(evidence[7].object_rotation.unwrap(), 0.01);
     assert_eq!(evidence.last().unwrap().eef_step, None);
     let holds: Vec<usize> = (0..evidence.len()).filter(|&i| evidence[i].holds).collect();
     assert_eq!(
@@ -281,8 +281,8 @@ proptest! {
             let after = segment_spatial(&other, &config).unwrap();
             prop_assert_eq!(&before.modes, &after.modes);
             for (a, b) in before.evidence.iter().zip(&after.evidence) {
-                prop_assert!(close(a.eef_step, b.eef_step) && close(a.eef_turn, b.eef_turn));
-                prop_assert!(close(a.object_step, b.object_step) && close(a.object_turn, b.object_turn));
+                prop_assert!(close(a.eef_step, b.eef_step) && close(a.eef_rotation, b.eef_rotation));
+                prop_assert!(close(a.object_step, b.object_step) && close(a.object_rotation, b.object_rotation));
                 prop_assert!(close(a.relative_translation, b.relative_translation));
                 prop_assert!(close(a.relative_rotation, b.relative_rotation));
                 prop_assert!(close(Some(a.eef_object_distance), Some(b.eef_object_distance)));
@@ -307,15 +307,15 @@ proptest! {
         }
     }
 
-    /// A segment's facts bound one another: no straight way is longer than the path.
+    /// A segment's summary bound one another: no straight way is longer than the path.
     #[test]
-    fn facts_fit_together(scene in motions()) {
+    fn summary_fit_together(scene in motions()) {
         let segmented = segmented(&scene, &SegmentConfig::spatial());
-        for facts in &segmented.segments {
-            prop_assert!(facts.object_displacement <= facts.object_path + 1e-9);
-            prop_assert!(facts.object_rise.abs() <= facts.object_displacement + 1e-9);
-            prop_assert_eq!(facts.grasp.is_some(), facts.segment.mode == Transfer);
-            prop_assert!(facts.settled_frame.is_none_or(|frame| facts.segment.frames.contains(&frame)));
+        for summary in &segmented.segments {
+            prop_assert!(summary.object_displacement <= summary.object_path + 1e-9);
+            prop_assert!(summary.object_rise.abs() <= summary.object_displacement + 1e-9);
+            prop_assert_eq!(summary.grasp.is_some(), summary.segment.mode == Transfer);
+            prop_assert!(summary.settled_frame.is_none_or(|frame| summary.segment.frames.contains(&frame)));
         }
     }
 }

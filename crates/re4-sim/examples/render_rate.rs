@@ -1,4 +1,4 @@
-//! Prints what a picture costs on one thread, over the states of the reference trace: the canvas, the observation made from
+//! Prints what an image costs on one thread, over the states of the reference trace: the canvas, the observation made from
 //! it, and both.
 //!
 //! `cargo run --release -p re4-sim --example render_rate`
@@ -29,7 +29,7 @@ fn main() -> Result<(), SimError> {
             canvas.observation_into(&mut observation);
             shrinking += drawn.elapsed().as_secs_f64();
             drawing += (drawn - start).as_secs_f64();
-            // Keeps the pictures from being left out as unused.
+            // Keeps the images from being left out as unused.
             sum += observation.iter().map(|&value| u64::from(value)).sum::<u64>();
             frames += 1;
         }

@@ -1,7 +1,7 @@
 //! Reads states from standard input, five numbers a line (agent x, y, block x, y, theta; pixels and radians), and writes
-//! their pictures to standard output as raw RGB bytes: 96 x 96, or 512 x 512 with the argument `canvas`.
+//! their images to standard output as raw RGB bytes: 96 x 96, or 512 x 512 with the argument `canvas`.
 //!
-//! `cargo run --release -p re4-sim --example render_states [canvas] < states.txt > pictures.bin`
+//! `cargo run --release -p re4-sim --example render_states [canvas] < states.txt > images.bin`
 
 use std::io::{BufWriter, Error, ErrorKind, Write, stdin, stdout};
 

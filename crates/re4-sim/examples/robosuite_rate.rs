@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::{without_contacts, without_pictures};
+use re4_robosuite::physics::{without_contacts, without_images};
 use re4_sim::Simulator;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         profile.mujoco(),
     )?;
     // As demonstrations are simulated: without what is only drawn.
-    let mjcf = without_pictures(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
+    let mjcf = without_images(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
     let apart = without_contacts(&mjcf, &task.put_away())?;
 
     let numbers = trace.f64s("actions");
@@ -88,7 +88,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "robosuite": trace.text("robosuite"),
             "steps_per_s": steps_per_s,
             "steps_per_s_fast": fast,
-            "greatest_difference_in_10_20_30_60_steps": differences,
+            "maximum_difference_in_10_20_30_60_steps": differences,
         })
     );
     Ok(())

@@ -22,7 +22,7 @@ pub enum SimError {
         coordinate: &'static str,
         /// Its value.
         value: f64,
-        /// The greatest absolute value allowed.
+        /// The maximum absolute value allowed.
         limit: f64,
     },
     /// The action has a coordinate that no step can take.
@@ -33,7 +33,7 @@ pub enum SimError {
         coordinate: &'static str,
         /// Its value.
         value: f64,
-        /// The greatest absolute value allowed.
+        /// The maximum absolute value allowed.
         limit: f64,
     },
     /// The physics came to a state it cannot go on from; the simulator must be reset.
@@ -48,7 +48,7 @@ pub enum SimError {
         coordinate: &'static str,
         /// Its value.
         value: f64,
-        /// The greatest absolute value allowed.
+        /// The maximum absolute value allowed.
         limit: f64,
     },
     /// A robosuite task cannot be simulated.

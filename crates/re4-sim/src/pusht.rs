@@ -26,7 +26,7 @@ pub const SUBSTEPS: u32 = 10;
 /// Side of the square window, in pixels; actions of the demonstrations lie within it.
 pub const WINDOW: f64 = 512.0;
 
-/// Greatest absolute value of a coordinate that a reset or step takes, in pixels or radians, and that a state may reach.
+/// Maximum absolute value of a coordinate that a reset or step takes, in pixels or radians, and that a state may reach.
 ///
 /// Far outside of the window, so that no policy meets it by chance, and far from where double precision would suffer.
 pub const COORDINATE_LIMIT: f64 = 1e5;

@@ -20,11 +20,11 @@ impl RandomState {
 
     /// `randint(low, high)`: masks 32 bits down to the next power of two and draws again while the result is too great.
     pub(crate) fn integer(&mut self, low: u32, high: u32) -> u32 {
-        let greatest = high - 1 - low;
-        let mask = u32::MAX >> greatest.leading_zeros();
+        let maximum = high - 1 - low;
+        let mask = u32::MAX >> maximum.leading_zeros();
         loop {
             let value = self.words.next_u32() & mask;
-            if value <= greatest {
+            if value <= maximum {
                 return low + value;
             }
         }

@@ -39,7 +39,7 @@ pub trait Simulator: Send {
 pub struct Step<O> {
     /// The state after the step.
     pub observation: O,
-    /// Area of the goal that the block covers, as a share of the goal's area, in `[0, 1]`.
+    /// Area of the goal that the block covers, as a fraction of the goal's area, in `[0, 1]`.
     pub coverage: f64,
     /// Intersection over union of the block and the goal, in `[0, 1]`.
     pub iou: f64,

@@ -60,7 +60,7 @@ pub fn depth_in_walls(block: Pose2) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Share of the goal's area that the block covers, in `[0, 1]`.
+/// Fraction of the goal's area that the block covers, in `[0, 1]`.
 pub fn coverage(block: Pose2, goal: Pose2) -> f64 {
     coverage_of_area(overlap_area(&tee_vertices(block), &tee_vertices(goal)))
 }

@@ -254,7 +254,7 @@ fn coverage_agrees_with_shapely() {
     }
 }
 
-/// Share of the goal's points, on a grid of its own frame, that lie in the block.
+/// Fraction of the goal's points, on a grid of its own frame, that lie in the block.
 fn coverage_on_a_grid(block: Pose2, goal: Pose2, cell: f64) -> f64 {
     let inside = |p: Point2| {
         (p.x.abs() <= 60.0 && (0.0..=30.0).contains(&p.y)) || (p.x.abs() <= 15.0 && (30.0..=120.0).contains(&p.y))

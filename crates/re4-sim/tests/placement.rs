@@ -227,18 +227,18 @@ fn ten_thousand_draws_are_those_of_robosuite() {
     }
 }
 
-/// Greatest distance between the distribution of a sample and the uniform one of a range, which every number must be in.
+/// Maximum distance between the distribution of a sample and the uniform one of a range, which every number must be in.
 fn kolmogorov_smirnov(mut numbers: Vec<f64>, range: &std::ops::Range<f64>) -> f64 {
     numbers.sort_by(f64::total_cmp);
     let count = numbers.len() as f64;
-    let mut greatest = 0.0_f64;
+    let mut maximum = 0.0_f64;
     for (index, number) in numbers.iter().enumerate() {
         // Rounding may reach the upper end, and yaw's way through sine and cosine both.
         let share = (number - range.start) / (range.end - range.start);
         let share = if number < &range.start { share + 1.0 } else { share };
         assert!((-1e-9..=1.0 + 1e-9).contains(&share), "{number} is not in {range:?}");
         let (below, above) = (index as f64 / count, (index + 1) as f64 / count);
-        greatest = greatest.max((share - below).abs()).max((above - share).abs());
+        maximum = maximum.max((share - below).abs()).max((above - share).abs());
     }
-    greatest
+    maximum
 }

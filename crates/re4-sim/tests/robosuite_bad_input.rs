@@ -27,7 +27,7 @@ fn folder() -> TempDir {
 }
 
 /// The error as a user reads it.
-fn told<T>(result: Result<T, impl Remedy>) -> String {
+fn sentence<T>(result: Result<T, impl Remedy>) -> String {
     let text = result.err().unwrap().sentence();
     assert!(!text.contains('\n'), "{text}");
     text
@@ -39,7 +39,7 @@ fn no_library() {
     let folder = place.path();
     for version in Version::ALL {
         assert_eq!(
-            told(Library::open(folder, version)),
+            sentence(Library::open(folder, version)),
             format!(
                 "MuJoCo's library is not at {}/libmujoco.so; run scripts/setup-simulators.sh, or name the folder that it made \
                  in the environment variable RE4_SIMULATORS",
@@ -57,10 +57,10 @@ fn a_library_of_another_version() {
         "the library {}/libmujoco.so is MuJoCo 3.2.7, not 2.3.7; remove it and run scripts/setup-simulators.sh",
         other.display()
     );
-    assert_eq!(told(Library::open(&other, Version::V2_3_7)), expected);
+    assert_eq!(sentence(Library::open(&other, Version::V2_3_7)), expected);
     // Also where it was loaded before as what it is.
     Library::open(&other, Version::V3_2_7).unwrap();
-    assert_eq!(told(Library::open(&other, Version::V2_3_7)), expected);
+    assert_eq!(sentence(Library::open(&other, Version::V2_3_7)), expected);
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn a_library_that_is_not_whole() {
             let folder = place.path();
             fs::write(folder.join("libmujoco.so"), &whole[..length]).unwrap();
             assert_eq!(
-                told(Library::open(folder, version)),
+                sentence(Library::open(folder, version)),
                 format!(
                     "cannot load MuJoCo's library {}/libmujoco.so: the file is cut short; remove it and run \
                      scripts/setup-simulators.sh",
@@ -89,7 +89,7 @@ fn a_library_that_is_not_whole() {
         )
         .unwrap();
         assert_eq!(
-            told(Library::open(folder, version)),
+            sentence(Library::open(folder, version)),
             format!(
                 "cannot load MuJoCo's library {}/libmujoco.so: the file is no shared library; remove it and run \
                  scripts/setup-simulators.sh",
@@ -104,7 +104,7 @@ fn a_model_that_does_not_parse() {
     let Some(simulators) = simulators() else { return };
     let trace = Trace::read("lift_1.4.1_absolute");
     let library = library(&simulators, trace.profile);
-    let compile = |mjcf: &str| told(RobosuiteModel::compile(&library, trace.task, trace.profile, mjcf));
+    let compile = |mjcf: &str| sentence(RobosuiteModel::compile(&library, trace.task, trace.profile, mjcf));
     assert_eq!(
         compile("<mujoco><worldbody><body></worldbody></mujoco>"),
         "cannot simulate Lift: MuJoCo cannot compile the model: XML parse error 14: Error=XML_ERROR_MISMATCHED_ELEMENT ErrorID=14 (0xe) Line number=1: XMLElement name=body"
@@ -114,11 +114,11 @@ fn a_model_that_does_not_parse() {
         "cannot simulate Lift: MuJoCo cannot compile the model: XML Error: Schema violation: unrecognized element Element 'ball', line 1"
     );
     assert_eq!(
-        told(with_assets("<mujoco><worldbody>", &simulators)),
+        sentence(with_assets("<mujoco><worldbody>", &simulators)),
         "the model is not readable as XML: the root node was opened but never closed"
     );
     assert_eq!(
-        told(with_assets("<robot/>", &simulators)),
+        sentence(with_assets("<robot/>", &simulators)),
         "the model's root element is <robot>, not <mujoco>"
     );
 }
@@ -139,7 +139,7 @@ fn a_model_whose_mesh_is_missing() {
     let lost = named.replace(mesh, "/lost.stl");
     let mjcf = trace.file.text("xml").replace(&named, &lost);
     assert_eq!(
-        told(with_assets(&mjcf, &assets)),
+        sentence(with_assets(&mjcf, &assets)),
         format!(
             "the model names the file {lost}, which is not at {}; run scripts/setup-simulators.sh, or name the folder that it \
              made in the environment variable RE4_SIMULATORS",
@@ -150,7 +150,7 @@ fn a_model_whose_mesh_is_missing() {
     let whole = trace.mjcf(&simulators);
     let mjcf = whole.replace(mesh, "/lost.stl");
     assert_eq!(
-        told(RobosuiteModel::compile(&library, trace.task, trace.profile, &mjcf)),
+        sentence(RobosuiteModel::compile(&library, trace.task, trace.profile, &mjcf)),
         format!(
             "cannot simulate Lift: MuJoCo cannot compile the model: Error: file not found: '{}/models/assets/robots/panda/meshes/lost.stl'",
             std::path::absolute(&assets).unwrap().display()
@@ -165,7 +165,7 @@ fn a_model_of_another_task_or_version() {
     let compile = |name, task| {
         let trace = of(name);
         let mjcf = trace.mjcf(&simulators);
-        told(RobosuiteModel::compile(
+        sentence(RobosuiteModel::compile(
             &trace.library(&simulators),
             RobosuiteTask::named(task).unwrap(),
             trace.profile,
@@ -182,7 +182,7 @@ fn a_model_of_another_task_or_version() {
     );
     let (old, new) = (of("lift_1.4.1_absolute"), of("lift_1.5.1_absolute"));
     assert_eq!(
-        told(RobosuiteModel::compile(
+        sentence(RobosuiteModel::compile(
             &new.library(&simulators),
             new.task,
             new.profile,
@@ -193,12 +193,12 @@ fn a_model_of_another_task_or_version() {
     let library = old.library(&simulators);
     let empty = "<mujoco><worldbody/></mujoco>";
     assert_eq!(
-        told(RobosuiteModel::compile(&library, old.task, old.profile, empty)),
+        sentence(RobosuiteModel::compile(&library, old.task, old.profile, empty)),
         "cannot simulate Lift: the model has 0 actuators, a Panda with its gripper has 9; take the model_file of a demonstration of Lift"
     );
     let slower = old.mjcf(&simulators).replace("<option ", "<option timestep=\"0.004\" ");
     assert_eq!(
-        told(RobosuiteModel::compile(&library, old.task, old.profile, &slower)),
+        sentence(RobosuiteModel::compile(&library, old.task, old.profile, &slower)),
         "cannot simulate Lift: the model's time step is 0.004 s, not 0.002 s; take the model_file of a demonstration of Lift"
     );
 }
@@ -209,7 +209,7 @@ fn states_and_actions_that_do_not_fit() {
     let trace = Trace::read("lift_1.4.1_absolute");
     let mut simulation = Robosuite::new(&trace.model(&simulators, Form::Physics)).unwrap();
     let state = trace.file.f64s("initial_state").numbers;
-    let mut reset = |scene| told(simulation.reset(&scene, FirstTorques::AsRobosuite));
+    let mut reset = |scene| sentence(simulation.reset(&scene, FirstTorques::AsRobosuite));
     assert_eq!(
         reset(RobosuiteScene::Recorded(state[1..].to_vec())),
         "cannot reset Lift: the state has 31 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); take states and model_file of the same demonstration"
@@ -243,7 +243,7 @@ fn states_and_actions_that_do_not_fit() {
                     gripper: numbers[6],
                 };
                 assert_eq!(
-                    told(simulation.step(&action)),
+                    sentence(simulation.step(&action)),
                     format!("cannot step Lift: number {at} of the action is {written}; give finite numbers")
                 );
             }

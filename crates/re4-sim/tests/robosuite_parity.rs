@@ -62,7 +62,7 @@ fn the_same_controls_lead_to_the_same_bits() {
             velocities = velocities.max(apart(simulation.data().qvel(), qvel.row(step + 1)));
         }
         println!(
-            "{:22} same controls: greatest difference of qpos {coordinates:e}, of qvel {velocities:e}",
+            "{:22} same controls: maximum difference of qpos {coordinates:e}, of qvel {velocities:e}",
             trace.name
         );
         assert_eq!((coordinates, velocities), (0.0, 0.0), "{}", trace.name);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use re4_fault::Remedy as _;
 
-use crate::notes::told;
+use crate::notes::fault_of;
 
 /// Reads a pipeline from its text, with `--set` overrides, and checks its limits: all that `run` does before its first stage.
 /// The answer is the pipeline as JSON.
@@ -14,5 +14,5 @@ use crate::notes::told;
 pub fn pipeline(text: &str, overrides: &[String]) -> Result<String, String> {
     let pipeline = crate::pipeline::parse(text, Path::new("pipeline.toml"), overrides);
     let written = pipeline.and_then(|pipeline| Ok(serde_json::to_string(&pipeline)?));
-    written.map_err(|error| told(&error).sentence())
+    written.map_err(|error| fault_of(&error).sentence())
 }

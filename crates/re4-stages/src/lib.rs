@@ -9,7 +9,7 @@ mod inputs;
 mod interrupt;
 mod notes;
 mod pipeline;
-mod redraw;
+mod rerender;
 mod runner;
 mod stages;
 pub mod tables;
@@ -18,12 +18,12 @@ pub mod testing;
 
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, answer};
-pub use notes::{Notes, print_error, told};
+pub use notes::{Notes, fault_of, print_error};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
     RolloutSection, Seeds, Task, Variant, schema,
 };
-pub use redraw::{Redrawn, add_pictures};
+pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Settings};
 pub use stages::{
     BudgetRow, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,

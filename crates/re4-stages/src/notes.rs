@@ -46,16 +46,16 @@ impl Notes {
 
 /// Prints an error as one sentence.
 pub fn print_error(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr(), "error: {}", told(error).sentence());
+    let _ = writeln!(std::io::stderr(), "error: {}", fault_of(error).sentence());
 }
 
-/// What an error and all that led to it say, one after the other, and how to mend it. What was told already is not told again.
-pub fn told(error: &anyhow::Error) -> Fault {
+/// What an error and all that led to it say, one after the other, and how to fix it. What was told already is not told again.
+pub fn fault_of(error: &anyhow::Error) -> Fault {
     let (mut what, mut remedies) = (String::new(), Vec::<String>::new());
     for error in error.chain() {
         let mut words = error.to_string();
         let mut remedy = remedy_of(error);
-        // Its text says it all: what is wrong with the dataset, and after the first semicolon how to mend it.
+        // Its text says it all: what is wrong with the dataset, and after the first semicolon how to fix it.
         let last = error.is::<re4_ingest::IngestError>();
         if last {
             let fault = Fault::from_sentence(&words);
@@ -76,7 +76,7 @@ pub fn told(error: &anyhow::Error) -> Fault {
     Fault::new(what, (!remedies.is_empty()).then(|| remedies.join("; ")))
 }
 
-/// How to mend one of the errors that the crates below have.
+/// How to fix one of the errors that the crates below have.
 fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
     macro_rules! first {
         ($($kind:ty),* $(,)?) => {
@@ -96,7 +96,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_policy::LookupError,
         re4_policy::kinds::OpenError,
         re4_pose::AnchorError,
-        re4_pose::PictureError,
+        re4_pose::ImageError,
         re4_robosuite::models::AssetsError,
         re4_rollout::PolicyError,
         re4_rollout::RecordError,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Facts, Key, Recipe, Stage, Store, Writer};
+use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Stage, Store, Writer};
 use re4_fault::{OrFault as _, bail, fault};
 use re4_ingest::{IngestError, Stop};
 use serde_json::{Value, json};
@@ -118,16 +118,20 @@ impl Runner {
     }
 
     /// Makes an artifact unless it is there.
-    pub(crate) fn build(&self, recipe: &Recipe, make: impl FnOnce(&Writer) -> Result<Facts>) -> Result<Built> {
+    pub(crate) fn build(
+        &self,
+        recipe: &Recipe,
+        make: impl FnOnce(&Writer) -> Result<ArtifactSummary>,
+    ) -> Result<Built> {
         let start = Instant::now();
         let _span = info_span!("stage", name = recipe.stage().as_str()).entered();
         if let Some(built) = self.unchanged(recipe, start)? {
             return Ok(built);
         }
         let writer = self.store.begin(recipe)?;
-        let facts = make(&writer)?;
+        let summary = make(&writer)?;
         self.interrupt.check(recipe.stage().as_str())?;
-        self.made(writer.publish(facts)?, recipe, start)
+        self.made(writer.publish(summary)?, recipe, start)
     }
 
     /// The artifact of a recipe, if it is there.
@@ -156,7 +160,7 @@ impl Runner {
     pub(crate) fn made(&self, artifact: Artifact, recipe: &Recipe, start: Instant) -> Result<Built> {
         let stage = recipe.stage();
         let wall = start.elapsed();
-        // Facts of the run itself stand beside the artifact, outside of every hash.
+        // ArtifactSummary of the run itself stand beside the artifact, outside of every hash.
         self.store.record_run(
             stage,
             &recipe.key(),

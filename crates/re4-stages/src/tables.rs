@@ -9,13 +9,13 @@ use re4_ingest::{
 use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
-use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 
 use crate::stages::{
     BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay,
 };
 
-/// The tables of a stage's artifact. An artifact may lack some of them (pictures, when none were asked for).
+/// The tables of a stage's artifact. An artifact may lack some of them (images, when none were asked for).
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
     match stage {
         Stage::Ingest => vec![
@@ -32,7 +32,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
         Stage::Segment => vec![
             ModeRow::<Evidence>::table(),
             ModeRow::<SpatialEvidence>::table(),
-            SegmentRow::<SegmentFacts>::table(),
+            SegmentRow::<SegmentSummary>::table(),
             SegmentRow::<SpatialSegment>::table(),
         ],
         Stage::Audit => vec![
@@ -95,15 +95,15 @@ pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> 
 /// # Errors
 /// [`ArtifactError::NewerTable`].
 pub fn refuse_newer(artifact: &Artifact) -> Result<(), ArtifactError> {
-    for (name, facts) in &artifact.manifest().tables {
+    for (name, summary) in &artifact.manifest().tables {
         let versions = all()
             .filter(|(_, spec)| spec.name == name)
             .map(|(_, spec)| spec.version);
-        if let Some(supported) = versions.max().filter(|newest| facts.schema_version > *newest) {
+        if let Some(supported) = versions.max().filter(|newest| summary.schema_version > *newest) {
             return Err(ArtifactError::NewerTable {
                 folder: artifact.path().to_path_buf(),
                 table: name.clone(),
-                found: facts.schema_version,
+                found: summary.schema_version,
                 supported,
             });
         }
@@ -114,7 +114,7 @@ pub fn refuse_newer(artifact: &Artifact) -> Result<(), ArtifactError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use re4_artifact::{ColumnSpec, Facts, Recipe, Store, verify};
+    use re4_artifact::{ArtifactSummary, ColumnSpec, Recipe, Store, verify};
     use std::collections::{BTreeMap, BTreeSet};
 
     #[test]
@@ -150,7 +150,7 @@ mod tests {
             let recipe = Recipe::new(stage, 1).config(&spec.title()).unwrap();
             let writer = store.begin(&recipe).unwrap();
             writer.table(old).unwrap().finish().unwrap();
-            let artifact = writer.publish(Facts::default()).unwrap();
+            let artifact = writer.publish(ArtifactSummary::default()).unwrap();
             let found = described(&artifact, spec.formerly).unwrap();
             assert_eq!((found.formerly, found.domain), (spec.formerly, spec.domain));
             artifact.table(spec).unwrap();

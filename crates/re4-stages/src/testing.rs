@@ -10,7 +10,7 @@ use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
 use re4_fault::Remedy as _;
 use re4_rollout::{
-    ArmAction, ArmState, Env, Estimator, Image, PolicyError, Space, SpaceFirst, Told, put_renderer_away,
+    ArmAction, ArmState, Env, Estimator, Image, ObservedPose, PolicyError, Space, SpaceFirst, drop_renderer,
 };
 use re4_sim::SimError;
 use re4_sim::robosuite::{Placement, RobosuiteStep};
@@ -19,7 +19,7 @@ use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner, Settings};
-use crate::stages::{Made, MakeEstimator, Watching, studio};
+use crate::stages::{Made, MakeEstimator, Watching, scene_renderer};
 
 /// What an invented encoder says: of an image, and, as no real one can, of the object's true pose in it.
 pub type Estimate = Arc<dyn Fn(&[u8], &Isometry3<f64>) -> Isometry3<f64> + Send + Sync>;
@@ -70,8 +70,8 @@ impl Env<Space> for Betraying<'_> {
 struct InventedEncoder(Estimate);
 
 impl Estimator<Space> for InventedEncoder {
-    fn estimate(&mut self, image: &Image) -> Result<Told<Space>, PolicyError> {
-        Ok(Told {
+    fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
+        Ok(ObservedPose {
             pose: (self.0)(&image.pixels, &RENDERED.get()),
             confidence: None,
             flag: None,
@@ -104,10 +104,12 @@ impl Invented<'_> {
             let modes = runner.segment(&episodes)?;
             runner.index_spatial(&episodes, &modes, Some(&self.poses()?))
         };
-        made().map(|built| built.artifact.path().to_owned()).map_err(told)
+        made()
+            .map(|built| built.artifact.path().to_owned())
+            .map_err(sentence_of)
     }
 
-    /// The folder of the `rollouts` artifact, with pictures that `estimate` is shown.
+    /// The folder of the `rollouts` artifact, with images that `estimate` is shown.
     ///
     /// # Errors
     /// The sentence that the program would print.
@@ -138,16 +140,18 @@ impl Invented<'_> {
             };
             runner.rollout_watching(policy, &made, Some(&watching))
         };
-        made().map(|built| built.artifact.path().to_owned()).map_err(told)
+        made()
+            .map(|built| built.artifact.path().to_owned())
+            .map_err(sentence_of)
     }
 }
 
-/// The pictures that a policy would see in these states (time, coordinates, velocities), with a cube of these half sizes where
+/// The images that a policy would see in these states (time, coordinates, velocities), with a cube of these half sizes where
 /// the task is Lift.
 ///
 /// # Errors
 /// The sentence that the program would print.
-pub fn pictures(
+pub fn images(
     pipeline: &Path,
     artifacts: &Path,
     boxes: &[(String, [f64; 3])],
@@ -160,17 +164,17 @@ pub fn pictures(
         let episodes = runner.ingest()?.artifact;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
         let camera = runner.pipeline.pose()?.encoder().camera.clone();
-        let mut lens = studio(&scenes, &episodes, &camera)?.lens_of(boxes)?;
+        let mut scene_camera = scene_renderer(&scenes, &episodes, &camera)?.scene_camera_of(boxes)?;
         let mut image = Image::default();
         let mut draw = |state: &Vec<f64>| {
-            lens.draw(&camera, state, &mut image)?;
+            scene_camera.draw(&camera, state, &mut image)?;
             Ok(image.pixels.clone())
         };
         states.iter().map(&mut draw).collect()
     };
-    let pictures = drawn().map_err(told);
-    put_renderer_away();
-    pictures
+    let images = drawn().map_err(sentence_of);
+    drop_renderer();
+    images
 }
 
 fn runner(pipeline: &Path, overrides: &[String], artifacts: &Path) -> Result<Runner> {
@@ -184,6 +188,6 @@ fn runner(pipeline: &Path, overrides: &[String], artifacts: &Path) -> Result<Run
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "errors are mapped by it")]
-fn told(error: anyhow::Error) -> String {
-    crate::notes::told(&error).sentence()
+fn sentence_of(error: anyhow::Error) -> String {
+    crate::notes::fault_of(&error).sentence()
 }

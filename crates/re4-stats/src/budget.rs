@@ -12,7 +12,7 @@ pub fn budgets(max_steps: u32) -> Vec<u32> {
     budgets
 }
 
-/// Greatest value within each of the budgets, for the values after each step of one rollout; 0 before the first step.
+/// Maximum value within each of the budgets, for the values after each step of one rollout; 0 before the first step.
 ///
 /// A rollout that ended early, because it succeeded, keeps its maximum. Budgets may come in any order.
 pub fn running_maxima(values: &[f64], budgets: &[u32]) -> Vec<f64> {
@@ -56,7 +56,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_is_the_greatest_of_the_first_values(values in prop::collection::vec(0.0..1.0f64, 0..60), budget in 0..80u32) {
+        fn it_is_the_maximum_of_the_first_values(values in prop::collection::vec(0.0..1.0f64, 0..60), budget in 0..80u32) {
             let naive = values.iter().take(budget as usize).copied().fold(0.0, f64::max);
             prop_assert_eq!(running_maxima(&values, &[budget]), vec![naive]);
         }

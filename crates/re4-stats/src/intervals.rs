@@ -59,9 +59,9 @@ pub fn mean_interval(values: &[f64], seed: u64) -> Interval {
     }
 }
 
-/// Share of successes with its Wilson score interval, without continuity correction (Wilson 1927).
+/// Fraction of successes with its Wilson score interval, without continuity correction (Wilson 1927).
 ///
-/// Of no trials the share is NaN and the interval `[0, 1]`. More successes than trials count as all trials.
+/// Of no trials the fraction is NaN and the interval `[0, 1]`. More successes than trials count as all trials.
 pub fn wilson_interval(successes: u64, n: u64) -> Interval {
     if n == 0 {
         return Interval {

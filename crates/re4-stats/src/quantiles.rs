@@ -34,7 +34,7 @@ pub fn upper_median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Least value that at least this share of the values, in ascending order, does not exceed: a value that occurs.
+/// Minimum value that at least this fraction of the values, in ascending order, does not exceed: a value that occurs.
 pub fn nearest_rank(sorted: &[f64], share: f64) -> Option<f64> {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.max(1) - 1).copied()

@@ -107,7 +107,7 @@ impl<'de> Deserialize<'de> for RobosuiteTask {
 }
 
 /// What is known of every task.
-pub(crate) struct Facts {
+pub(crate) struct Summary {
     pub(crate) name: &'static str,
     pub(crate) environment: &'static str,
     pub(crate) about: &'static str,
@@ -133,10 +133,10 @@ impl Task {
         std::iter::once(Self::PushT).chain(known).chain([Self::Robosuite])
     }
 
-    fn facts(self) -> Facts {
+    fn summary(self) -> Summary {
         match self {
             Self::PushT => PUSHT,
-            Self::Known(RobosuiteTask(task)) => Facts {
+            Self::Known(RobosuiteTask(task)) => Summary {
                 name: task.name,
                 environment: task.environment,
                 about: task.about,
@@ -150,25 +150,25 @@ impl Task {
     /// Name in pipeline files and artifacts.
     #[must_use]
     pub fn name(self) -> &'static str {
-        self.facts().name
+        self.summary().name
     }
 
     /// Name of the environment for readers.
     #[must_use]
     pub fn environment(self) -> &'static str {
-        self.facts().environment
+        self.summary().environment
     }
 
     /// Cameras whose images can be rendered.
     #[must_use]
     pub fn cameras(self) -> &'static [Camera] {
-        self.facts().cameras
+        self.summary().cameras
     }
 
     /// Control steps a second.
     #[must_use]
     pub fn control_rate(self) -> usize {
-        self.facts().control_rate
+        self.summary().control_rate
     }
 
     /// Whether it takes place in the plane.
@@ -216,7 +216,7 @@ impl JsonSchema for Task {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         let variant = |task: Task| {
-            let Facts { name, about, .. } = task.facts();
+            let Summary { name, about, .. } = task.summary();
             json_schema!({ "description": about, "type": "string", "const": name })
         };
         let variants: Vec<Schema> = Self::all().map(variant).collect();

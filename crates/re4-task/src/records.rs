@@ -2,14 +2,14 @@
 
 use re4_geometry::spatial::Symmetry;
 
-use crate::names::Facts;
+use crate::names::Summary;
 use crate::{Camera, Extent, ObjectLayout, ObjectRule, Positions, Solid, TaskSpec};
 
 /// All tasks of robosuite that this version knows.
 pub(crate) static RECORDS: [TaskSpec; 4] = [LIFT, CAN, SQUARE, ROUND];
 
 /// The task in the plane.
-pub(crate) const PUSHT: Facts = Facts {
+pub(crate) const PUSHT: Summary = Summary {
     name: "pusht",
     environment: "Push-T",
     about: "Push-T: a disc pushes a T-shaped block onto a goal pose in the plane.",
@@ -18,7 +18,7 @@ pub(crate) const PUSHT: Facts = Facts {
 };
 
 /// robosuite's environments without a record.
-pub(crate) const ROBOSUITE: Facts = Facts {
+pub(crate) const ROBOSUITE: Summary = Summary {
     name: "robosuite",
     environment: "robosuite",
     about: "Any other robosuite environment of one arm with a two-finger gripper; `ingest.object` names the manipulated object.",

@@ -94,7 +94,7 @@ macro_rules! stored_as {
     };
 }
 
-// Numbers of frames, rows and demonstrations; none comes near the greatest number of 32 bits.
+// Numbers of frames, rows and demonstrations; none comes near the maximum number of 32 bits.
 stored_as!(
     usize,
     u32,

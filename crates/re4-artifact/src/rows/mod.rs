@@ -6,7 +6,7 @@
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use re4_artifact::{Facts, Recipe, Row as _, Stage, Store, columns, table};
+//! use re4_artifact::{ArtifactSummary, Recipe, Row as _, Stage, Store, columns, table};
 //! use re4_geometry::Pose2;
 //!
 //! table! {
@@ -43,7 +43,7 @@
 //! let mut rows = writer.rows::<ExampleRow>()?;
 //! rows.push(&ExampleRow { episode: 0, object: Pose2::new(1.0, 2.0, 0.5), speed: None })?;
 //! rows.finish()?;
-//! let artifact = writer.publish(Facts::default())?;
+//! let artifact = writer.publish(ArtifactSummary::default())?;
 //! let places: Vec<Where> = artifact.table(ExampleRow::table())?.read()?;
 //! assert_eq!(places[0].object.theta, 0.5);
 //! let rows: Vec<ExampleRow> = artifact.read()?;

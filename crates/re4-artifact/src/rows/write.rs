@@ -4,7 +4,7 @@ use arrow::array::RecordBatch;
 
 use super::Row;
 use crate::error::ArtifactError;
-use crate::manifest::TableFacts;
+use crate::manifest::TableSummary;
 use crate::writer::{DEFAULT_ROW_GROUP_ROWS, TableWriter, Writer};
 
 /// Rows that are gathered before they are handed on. The bytes of a table do not depend on it.
@@ -44,7 +44,7 @@ impl Writer {
     ///
     /// # Errors
     /// As [`Writer::table`] and [`TableWriter::write`].
-    pub fn write_rows<R: Row>(&self, rows: impl IntoIterator<Item = R>) -> Result<TableFacts, ArtifactError> {
+    pub fn write_rows<R: Row>(&self, rows: impl IntoIterator<Item = R>) -> Result<TableSummary, ArtifactError> {
         let mut table = self.rows()?;
         table.extend(rows)?;
         table.finish()
@@ -82,7 +82,7 @@ impl<R: Row> RowWriter<R> {
     ///
     /// # Errors
     /// As [`TableWriter::finish`].
-    pub fn finish(mut self) -> Result<TableFacts, ArtifactError> {
+    pub fn finish(mut self) -> Result<TableSummary, ArtifactError> {
         self.hand_on()?;
         self.table.finish()
     }

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use re4_artifact::{Artifact, ColumnKind, ColumnSpec, Columns, Facts, Recipe, Stage, Store, TableSpec};
+use re4_artifact::{Artifact, ArtifactSummary, ColumnKind, ColumnSpec, Columns, Recipe, Stage, Store, TableSpec};
 use serde_json::json;
 
 /// A column of every kind, with and without nulls.
@@ -118,7 +118,7 @@ pub fn publish_sample(store: &Store, number: u32, count: u32) -> Artifact {
     table.write_columns(columns(&sample_rows(count))).unwrap();
     table.finish().unwrap();
     writer
-        .publish(Facts {
+        .publish(ArtifactSummary {
             summary: json!({"rows": count}),
             warnings: vec![json!({"kind": "sample"})],
         })

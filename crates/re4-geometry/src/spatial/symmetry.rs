@@ -150,8 +150,8 @@ impl Symmetry {
 /// symmetric, and keeps to the triangle inequality.
 ///
 /// How: with `a` the axis and `(w, v)` the quaternion of `j⁻¹ q`, the pair `(w, p)` with `p = v·a` turns by half the angle of S
-/// when S is applied, and `v - p a` keeps its length. So the angle left is `2 atan2(√(|v - p a|² + p'²), |w'|)`, least where
-/// `|w'|` is greatest:
+/// when S is applied, and `v - p a` keeps its length. So the angle left is `2 atan2(√(|v - p a|² + p'²), |w'|)`, minimum where
+/// `|w'|` is maximum:
 ///
 /// * for some turns, each is tried; ties go to the first, in the order 0, 1/n of a turn, 2/n, ...
 /// * for all turns, `p' = 0` can be had, and what is left is the angle between the axes of the two, `j a` and `q a`. Where they
@@ -189,7 +189,7 @@ impl Turn {
 impl SymmetryGroup {
     /// The turn S, as an angle in `(-π, π]` rad about the axis, for which `query S` is nearest to `demo`, and the angle in
     /// `[0, π]` rad that is left between them.
-    pub fn nearest_turn(&self, query: &UnitQuaternion<f64>, demo: &UnitQuaternion<f64>) -> (f64, f64) {
+    pub fn nearest_rotation(&self, query: &UnitQuaternion<f64>, demo: &UnitQuaternion<f64>) -> (f64, f64) {
         let relative = demo.inverse() * query;
         let (w, v) = (relative.scalar(), relative.imag());
         let p = v.dot(&self.axis);
@@ -229,12 +229,12 @@ impl SymmetryGroup {
 
     /// The angle in `[0, π]` rad between two orientations of the object, turns that do not show left out.
     pub fn angle(&self, a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>) -> f64 {
-        self.nearest_turn(a, b).1
+        self.nearest_rotation(a, b).1
     }
 
     /// The pose `query S` that looks like `query` and whose rotation is nearest to that of `demo`, with the turn S in rad.
     pub fn align(&self, query: &Isometry3<f64>, demo: &Isometry3<f64>) -> (Isometry3<f64>, f64) {
-        let (turn, _) = self.nearest_turn(&query.rotation, &demo.rotation);
+        let (turn, _) = self.nearest_rotation(&query.rotation, &demo.rotation);
         (self.turned(query, turn), turn)
     }
 

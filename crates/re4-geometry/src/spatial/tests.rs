@@ -54,7 +54,7 @@ fn a_can_upside_down_is_half_a_turn_away_however_it_is_turned() {
     for yaw in [0.0, 0.3, 2.0, PI] {
         let over =
             UnitQuaternion::from_scaled_axis(Vector3::x() * PI) * UnitQuaternion::from_scaled_axis(Vector3::z() * yaw);
-        let (turn, angle) = can.nearest_turn(&over, &upright);
+        let (turn, angle) = can.nearest_rotation(&over, &upright);
         assert!((angle - PI).abs() < 1e-12, "{yaw}: {angle}");
         assert_eq!(turn, 0.0, "{yaw}");
     }
@@ -71,14 +71,14 @@ fn a_cube_turned_by_a_right_angle_looks_the_same() {
     let about_z = |angle: f64| UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
     for quarter in -4..=4 {
         let turned = about_z(f64::from(quarter) * FRAC_PI_2 + 0.2);
-        let (turn, angle) = cube.nearest_turn(&turned, &about_z(0.0));
+        let (turn, angle) = cube.nearest_rotation(&turned, &about_z(0.0));
         assert!((angle - 0.2).abs() < 1e-12, "{quarter}: {angle}");
         assert!((-PI..=PI).contains(&turn));
         assert!(rotation_angle(&(turned * cube.rotation(turn)), &about_z(0.2)) < 1e-12);
     }
     // Midway between two quarters: the turn of 0 wins.
     assert_eq!(
-        cube.nearest_turn(&about_z(TAU / 8.0), &about_z(0.0)).0.abs() % FRAC_PI_2,
+        cube.nearest_rotation(&about_z(TAU / 8.0), &about_z(0.0)).0.abs() % FRAC_PI_2,
         0.0
     );
 }
@@ -179,7 +179,7 @@ proptest! {
     #[test]
     fn no_turn_is_nearer_than_the_one_named(s in symmetry(), q in rotation(), j in rotation(), other in 0..64u32) {
         let group = s.group().unwrap();
-        let (turn, angle) = group.nearest_turn(&q, &j);
+        let (turn, angle) = group.nearest_rotation(&q, &j);
         prop_assert!(turn > -PI - 1e-12 && turn <= PI + 1e-12);
         prop_assert!((rotation_angle(&(q * group.rotation(turn)), &j) - angle).abs() < 1e-9);
         let (count, all) = match s {

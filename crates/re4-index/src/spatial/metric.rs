@@ -29,7 +29,7 @@ pub enum Stage2 {
 /// * `d_q = object_weight d_o + eef_weight d_e`.
 ///
 /// S is the turn, among those after which the object looks the same, that makes the rotation of `o_q S` nearest to that of
-/// `o_j` ([`SymmetryGroup::nearest_turn`]): the same S in both terms, chosen by the object's term alone, frame by frame. So
+/// `o_j` ([`SymmetryGroup::nearest_rotation`]): the same S in both terms, chosen by the object's term alone, frame by frame. So
 /// `d_o` does not depend on which of its like poses an object is recorded in; for an object that looks the same after any
 /// turn, its rotation term is the angle between the two axes, and `d_e` is measured with the object turned about its own axis
 /// as little as possible from the demonstration's.
@@ -137,7 +137,7 @@ impl Measure {
 
     #[inline]
     pub(crate) fn object_term(&self, q: &State, j: &State) -> ObjectTerm {
-        let (turn, angle) = self.group.nearest_turn(&q.object.rotation, &j.object.rotation);
+        let (turn, angle) = self.group.nearest_rotation(&q.object.rotation, &j.object.rotation);
         let distance = (q.object.translation.vector - j.object.translation.vector).norm();
         ObjectTerm {
             d_o: distance / self.metric.translation_scale + angle / self.metric.rotation_scale,

@@ -140,7 +140,7 @@ impl SpatialIndex {
             };
             let penalised = banned.contains(&found.episode);
             let key = Measure::key(stage2, &found.distances);
-            if best.is_none_or(|(other, least, _)| (penalised, key) < (other, least)) {
+            if best.is_none_or(|(other, minimum, _)| (penalised, key) < (other, minimum)) {
                 best = Some((penalised, key, found));
             }
         }
@@ -199,11 +199,11 @@ impl ModeIndex {
     /// Stage 1 in one demonstration.
     fn stage1(&self, measure: &Measure, demo: u32, q: &State) -> Option<SpatialRetrieved> {
         let (episode, range) = &self.demos[demo as usize];
-        let mut least = f64::INFINITY;
+        let mut minimum = f64::INFINITY;
         let mut chosen = None;
         for (state, &frame) in self.states[range.clone()].iter().zip(&self.numbers[range.clone()]) {
-            if let Some(distances) = measure.distances_below(q, state, least) {
-                least = distances.d_q;
+            if let Some(distances) = measure.distances_below(q, state, minimum) {
+                minimum = distances.d_q;
                 chosen = Some(SpatialRetrieved {
                     episode: *episode,
                     frame,
@@ -230,7 +230,7 @@ impl ModeIndex {
             Stage2::State => measure.metric.object_weight,
         };
         self.tree.visit(measure, q, |bound, demo| {
-            if best.is_some_and(|(least, ..)| weight * bound > least) {
+            if best.is_some_and(|(minimum, ..)| weight * bound > minimum) {
                 return false;
             }
             let seen = &mut seen[demo as usize];
@@ -240,7 +240,7 @@ impl ModeIndex {
                 statistics.frames_evaluated += self.demos[demo as usize].1.len() as u32;
                 if let Some(found) = self.stage1(measure, demo, q) {
                     let key = Measure::key(stage2, &found.distances);
-                    if best.is_none_or(|(least, first, _)| (key, demo) < (least, first)) {
+                    if best.is_none_or(|(minimum, first, _)| (key, demo) < (minimum, first)) {
                         best = Some((key, demo, found));
                     }
                 }

@@ -87,7 +87,7 @@ struct Queued {
 
 impl Ord for Queued {
     fn cmp(&self, other: &Self) -> Ordering {
-        // The heap yields the greatest: the least bound.
+        // The heap yields the maximum: the minimum bound.
         other.bound.total_cmp(&self.bound)
     }
 }

@@ -15,7 +15,7 @@ use crate::error::Fault;
 #[serde(deny_unknown_fields)]
 pub struct PushtConventions {
     /// Coordinates of the window's edges in the dataset, left and right, top and bottom alike: `[0, 1]` or `[-1, 1]` for unit
-    /// coordinates, `[0, 96]` for pixels of the pictures. `[0, 512]` by default.
+    /// coordinates, `[0, 96]` for pixels of the images. `[0, 512]` by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub window: Option<[f64; 2]>,
     /// Unit of the block's angle, radians by default.
@@ -70,7 +70,7 @@ const SEVERAL: usize = 5;
 /// Half of the window, in pixels, with the middle, where the goal is, to either side of it.
 const HALF: [f64; 2] = [230.0, 282.0];
 
-/// Share of frames that may be odd before all of the dataset is.
+/// Fraction of frames that may be odd before all of the dataset is.
 const ODD: f64 = 0.2;
 
 impl PushtConventions {
@@ -236,18 +236,18 @@ impl PushtConventions {
         let enough = frames.len() >= ENOUGH;
         let far = outside as f64 > ODD * frames.len() as f64;
         let tiny = 2 * small.len() > good.iter().filter(|good| **good).count();
-        let of_pictures = self.window.is_none() && frames.len() >= ENOUGH / 2 && high <= 97.0 && high > 20.0;
+        let of_images = self.window.is_none() && frames.len() >= ENOUGH / 2 && high <= 97.0 && high > 20.0;
         // A window that is too large for the coordinates puts all of them into one half.
         let several = frames.len() >= 3 * ENOUGH && good.iter().filter(|good| **good).count() >= SEVERAL;
         let upper = (several || self.window.is_some() && enough) && pixels(high, self.window) <= HALF[1];
         let half = upper || self.window.is_some() && enough && pixels(low, self.window) >= HALF[0];
-        if !(far || tiny || of_pictures || half) {
+        if !(far || tiny || of_images || half) {
             judgement.small = small;
             return self.window;
         }
         let likely = likely_window(low, high);
         let [low_text, high_text] = [low, high].map(|value| rounded(value).to_string());
-        let (what, mend) = match self.window {
+        let (what, fix) = match self.window {
             None => (
                 format!(
                     "positions lie between {low_text} and {high_text}, and those of a 512 px window span much of it"
@@ -273,7 +273,7 @@ impl PushtConventions {
                 },
             ),
         };
-        judgement.faults.push(Fault::Convention { what, mend });
+        judgement.faults.push(Fault::Convention { what, fix });
         likely.filter(|window| *window != PIXELS)
     }
 
@@ -287,7 +287,7 @@ impl PushtConventions {
             if enough && largest <= 6.3 {
                 faults.push(Fault::Convention {
                     what: format!("with ingest.pusht.angle = \"degrees\" block_theta, which lies between {low_text} and {high_text}, would hardly turn"),
-                    mend: "leave it out: these are radians".to_owned(),
+                    fix: "leave it out: these are radians".to_owned(),
                 });
             }
             return;
@@ -296,7 +296,7 @@ impl PushtConventions {
         if far as f64 > ODD * frames.len() as f64 {
             faults.push(Fault::Convention {
                 what: format!("block_theta lies between {low_text} and {high_text}, which are no radians"),
-                mend: if largest <= 720.0 {
+                fix: if largest <= 720.0 {
                     "set ingest.pusht.angle = \"degrees\"".to_owned()
                 } else {
                     "convert it to radians".to_owned()
@@ -307,7 +307,7 @@ impl PushtConventions {
                 what: format!(
                     "block_theta lies between {low_text} and {high_text}, so that it is scaled as the positions are"
                 ),
-                mend: "convert it to radians".to_owned(),
+                fix: "convert it to radians".to_owned(),
             });
         }
     }

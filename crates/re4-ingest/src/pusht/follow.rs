@@ -1,7 +1,7 @@
 //! Whether the agent follows its targets.
 //!
-//! The agent of Push-T is moved by a controller that pulls it towards the target of its action: a step of it is, exactly, a share
-//! of the way to the target and a share of the step before. In the original dataset a step is 0.314 of the way and 0.234 of the
+//! The agent of Push-T is moved by a controller that pulls it towards the target of its action: a step of it is, exactly, a fraction
+//! of the way to the target and a fraction of the step before. In the original dataset a step is 0.314 of the way and 0.234 of the
 //! step before, and what the step before leaves open the way to the target explains to 99.6 %. Actions of another kind, in
 //! another unit or in another row explain next to nothing of it, so that their kind can be told.
 
@@ -24,7 +24,7 @@ const MOVE: f64 = 0.2;
 /// Typical change from one step to the next from which the controller shows, in pixels.
 const CHANGE: f64 = 0.5;
 
-/// Share of the changes that targets have to explain. Those of the original explain 0.996, those that are relative and taken for
+/// Fraction of the changes that targets have to explain. Those of the original explain 0.996, those that are relative and taken for
 /// absolute 0.01, those of a row earlier or later 0.5 and 0.84.
 const LEAST: f64 = 0.5;
 
@@ -34,7 +34,7 @@ const SURE: f64 = 0.9;
 /// Share below which a warning says so.
 pub(super) const USUAL: f64 = 0.9;
 
-/// Share of the way to the target that the agent goes in a step of the original dataset, a tenth of a second.
+/// Fraction of the way to the target that the agent goes in a step of the original dataset, a tenth of a second.
 const REACH: f64 = 0.314;
 
 /// How far the targets may be off before their unit is another one, in pixels. Fits of single episodes are off by up to 7.
@@ -42,11 +42,11 @@ const OFF: f64 = 10.0;
 
 /// What the steps of the agent say of the actions.
 pub(super) struct Following {
-    /// Share of the agent's changes of step that the targets explain; `None` where too little moves.
+    /// Fraction of the agent's changes of step that the targets explain; `None` where too little moves.
     pub(super) explained: Option<f64>,
     /// What does not fit the dataset as a whole.
     pub(super) fault: Option<Fault>,
-    /// Positions of episodes whose agent does not follow, while it does in most, with the share.
+    /// Positions of episodes whose agent does not follow, while it does in most, with the fraction.
     pub(super) odd: Vec<(usize, f64)>,
 }
 
@@ -146,7 +146,7 @@ fn evidence(steps: &[Step], enough: usize) -> Option<f64> {
     (moving >= enough && (left / moving as f64).sqrt() >= CHANGE).then_some(left)
 }
 
-/// Share of what the step before leaves open that some quantities explain, and their weights.
+/// Fraction of what the step before leaves open that some quantities explain, and their weights.
 fn share<const N: usize>(steps: &[Step], unexplained: f64, of: impl Fn(&Step) -> [f64; N]) -> (f64, [f64; N]) {
     let (weights, left) = fit(steps.iter().map(|step| (of(step), step.onward)));
     ((1.0 - left / unexplained).clamp(0.0, 1.0), weights)
@@ -229,7 +229,7 @@ impl Line {
     }
 }
 
-/// The lines of both axes that explain the steps best, and the share that they explain.
+/// The lines of both axes that explain the steps best, and the fraction that they explain.
 fn lines(steps: &[Step]) -> Option<(f64, [Line; 2])> {
     let mut lines = [Line {
         scale: 1.0,
@@ -279,7 +279,7 @@ fn fault(
             percent(explained)
         )
     };
-    let convention = |what: String, mend: String| Some(Fault::Convention { what, mend });
+    let convention = |what: String, fix: String| Some(Fault::Convention { what, fix });
     let (of_relative, [weight, carried]) = share(steps, unexplained, |step| [step.action, step.before]);
     let fitted = lines(steps);
     if relative && explained >= LEAST {
@@ -361,7 +361,7 @@ fn wrong_reach(
             ", but a step is {} of the way to such a target and about a third is usual",
             rounded(reach)
         )),
-        mend: format!(
+        fix: format!(
             "set ingest.pusht.action_scale to the pixels of one unit of an action, about {}",
             usual_scale(pixels)
         ),
@@ -376,7 +376,7 @@ fn is_displacement(weight: f64, carried: f64, share: f64) -> bool {
 fn displacement(what: &str) -> Fault {
     Fault::Convention {
         what: what.to_owned(),
-        mend: "write targets: the agent goes about a third of the way to a target in one step, so that a displacement is none".to_owned(),
+        fix: "write targets: the agent goes about a third of the way to a target in one step, so that a displacement is none".to_owned(),
     }
 }
 
@@ -391,7 +391,7 @@ fn other_row(steps: &[Step], unexplained: f64, explained: f64, so_far: &impl Fn(
     };
     (share >= 0.97 && share > explained + 0.05).then(|| Fault::Convention {
         what: so_far(&format!(", and {} as the targets of the row {row}", percent(share))),
-        mend: format!(
+        fix: format!(
             "move data/action {move_by} by one row within each episode, so that a row holds the target in force from its state on"
         ),
     })
@@ -450,7 +450,7 @@ fn other_window(
         of_axes([" along x", " along y"])
     ));
     let points_up = |[low, high]: [f64; 2]| high < low;
-    let mend = if points_up(windows[1]) && !points_up(windows[0]) {
+    let fix = if points_up(windows[1]) && !points_up(windows[0]) {
         "y points up in data/action: turn it around, as y points down in the states".to_owned()
     } else {
         match usual {
@@ -472,7 +472,7 @@ fn other_window(
             ),
         }
     };
-    Fault::Convention { what, mend }
+    Fault::Convention { what, fix }
 }
 
 fn formula(line: Line) -> String {

@@ -1,4 +1,4 @@
-//! Pictures, streamed: blocks of consecutive frames in order, decoded ahead in parallel within a fixed budget.
+//! Images, streamed: blocks of consecutive frames in order, decoded ahead in parallel within a fixed budget.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -17,19 +17,19 @@ use crate::source::Stop;
 use crate::zarr::{Absent, CHUNK_LIMIT, Element, Lost, ZarrArray};
 
 /// Bytes that blocks in the making may hold together, unless a single block needs more (a block needs at most three
-/// times 128 MiB: its chunk file, the decoded chunk, its pictures).
+/// times 128 MiB: its chunk file, the decoded chunk, its images).
 pub const IMAGE_BUDGET: u64 = 256 << 20;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Consecutive pictures.
+/// Consecutive images.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImageBlock {
     /// Frames of the block: rows of the dataset's arrays, whatever the selection.
     pub frames: Range<usize>,
-    /// `frames.len()` pictures of `height * width * 3` bytes, row by row from the top, red, green, blue.
+    /// `frames.len()` images of `height * width * 3` bytes, row by row from the top, red, green, blue.
     pub bytes: Vec<u8>,
 }
 
@@ -56,7 +56,7 @@ impl ImageSource {
                         "array data/img has shape {:?}, which has the colours first",
                         array.shape()
                     ),
-                    mend: "transpose it to (N, height, width, 3), or ingest without images".to_owned(),
+                    fix: "transpose it to (N, height, width, 3), or ingest without images".to_owned(),
                 });
             }
             _ => {
@@ -102,11 +102,11 @@ impl ImageSource {
 
     /// Bytes held while one row of chunks is being decoded.
     fn cost(&self) -> u64 {
-        let pictures = self.array.chunk_length().min(self.array.len()) * self.frame_bytes() as u64;
-        pictures + 2 * self.array.chunk_bytes().unwrap_or(CHUNK_LIMIT)
+        let images = self.array.chunk_length().min(self.array.len()) * self.frame_bytes() as u64;
+        images + 2 * self.array.chunk_bytes().unwrap_or(CHUNK_LIMIT)
     }
 
-    /// All pictures of a row of chunks.
+    /// All images of a row of chunks.
     fn decode(&self, chunk_row: u64, stop: Stop<'_>) -> Result<Vec<u8>, Fault> {
         let first = self.array.rows_of(chunk_row).start;
         self.decode_with(chunk_row, stop, &mut |at, value, in_unit_range| {
@@ -179,7 +179,7 @@ impl ImageSource {
         }
     }
 
-    /// What cannot be used of the pictures of some runs of frames: the first value of every picture that is no byte, and chunks that
+    /// What cannot be used of the images of some runs of frames: the first value of every image that is no byte, and chunks that
     /// cannot be decoded.
     ///
     /// # Errors
@@ -193,7 +193,7 @@ impl ImageSource {
             .into_iter()
             .filter(|chunk_row| !is_missing(self.array.rows_of(*chunk_row).start))
             .collect();
-        // As many at once as pictures that are read hold together.
+        // As many at once as images that are read hold together.
         let at_once = (IMAGE_BUDGET / self.cost().max(1)).clamp(1, rayon::current_num_threads() as u64) as usize;
         for batch in chunk_rows.chunks(at_once) {
             if stop() {
@@ -247,7 +247,7 @@ fn floats_to_bytes(floats: &[[u8; 4]], target: &mut [u8]) -> bool {
     exact
 }
 
-/// What one task delivers: the pictures of a row of chunks.
+/// What one task delivers: the images of a row of chunks.
 type Decoded = Result<Vec<u8>, Fault>;
 
 /// A row of chunks and the runs of selected frames in it.
@@ -256,7 +256,7 @@ struct Job {
     runs: Vec<Range<usize>>,
 }
 
-/// Blocks of pictures in the order of frames; see [`super::PushtReader::image_blocks`].
+/// Blocks of images in the order of frames; see [`super::PushtReader::image_blocks`].
 pub struct ImageBlocks {
     source: Arc<ImageSource>,
     /// Frames of the episodes, each on its own.
@@ -309,7 +309,7 @@ impl ImageBlocks {
         })
     }
 
-    /// The first fault, or all of the pictures' faults where they are of single episodes: nobody wants to hear of them one by one.
+    /// The first fault, or all of the images' faults where they are of single episodes: nobody wants to hear of them one by one.
     fn all_of(&self, first: Fault) -> Fault {
         if !matches!(first, Fault::NotAByte { .. } | Fault::UndecodableChunk { .. }) {
             return first;

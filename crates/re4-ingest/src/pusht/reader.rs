@@ -57,8 +57,8 @@ pub struct PushtOptions<'a> {
     pub conventions: PushtConventions,
     /// What to do with episodes that cannot be used.
     pub on_bad: OnBad,
-    /// Whether pictures are going to be read, too. Then missing ones are told of with the rest, and with
-    /// [`OnBad::LeaveOut`] all are decoded once, so that episodes whose pictures cannot be used are left out.
+    /// Whether images are going to be read, too. Then missing ones are told of with the rest, and with
+    /// [`OnBad::LeaveOut`] all are decoded once, so that episodes whose images cannot be used are left out.
     pub images: bool,
     /// Asked while reading whether to stop.
     pub stop: Stop<'a>,
@@ -84,7 +84,7 @@ pub struct PushtReading {
     pub warnings: Vec<Warning>,
     /// Selected episodes that cannot be used, in the order of the dataset; none with [`OnBad::Refuse`].
     pub left_out: Vec<LeftOut>,
-    /// Share of the changes of the agent's step that its targets explain, from 0 to 1, where enough of it moves; 0.996 in the
+    /// Fraction of the changes of the agent's step that its targets explain, from 0 to 1, where enough of it moves; 0.996 in the
     /// original dataset.
     pub explained: Option<f64>,
 }
@@ -149,8 +149,8 @@ impl PushtReader {
         });
         let mut ranges = None;
         if let Some(state) = &state {
-            let pictures = images.as_ref().map(|images| &images.array);
-            let others = [action.as_ref(), contacts.as_ref(), keypoint.as_ref(), pictures];
+            let images = images.as_ref().map(|images| &images.array);
+            let others = [action.as_ref(), contacts.as_ref(), keypoint.as_ref(), images];
             let others: Vec<&ZarrArray> = others.into_iter().flatten().collect();
             faults.0.extend(lengths(state, &others));
             // What else is lost is told of in one go with what is wrong already.
@@ -219,12 +219,12 @@ impl PushtReader {
         self.ranges.last().map_or(0, |range| range.end)
     }
 
-    /// Height, width and channels (always 3) of the pictures, if the dataset has any and was opened for them.
+    /// Height, width and channels (always 3) of the images, if the dataset has any and was opened for them.
     pub fn image_shape(&self) -> Option<[usize; 3]> {
         self.images.as_ref().map(|images| images.shape())
     }
 
-    /// Whether the dataset has pictures, whether or not it was opened for them.
+    /// Whether the dataset has images, whether or not it was opened for them.
     pub fn has_images(&self) -> bool {
         self.has_images
     }
@@ -440,7 +440,7 @@ impl PushtReader {
         Ok((episodes, notes, lost))
     }
 
-    /// The pictures of the selected episodes as blocks of consecutive frames, in order, decoded ahead on the current
+    /// The images of the selected episodes as blocks of consecutive frames, in order, decoded ahead on the current
     /// rayon pool. Blocks end where a chunk of the dataset or a gap in the selection ends, never merely where an episode
     /// does. Blocks in the making hold at most [`super::IMAGE_BUDGET`] together (three times 128 MiB if chunks are as
     /// large as they may be); beyond that, memory is what the caller keeps.
@@ -448,7 +448,7 @@ impl PushtReader {
     /// The iterator ends after its first error. A chunk that is touched is validated as a whole.
     ///
     /// # Errors
-    /// A dataset without pictures, a selection that does not fit, a missing chunk file; from the iterator, chunks that
+    /// A dataset without images, a selection that does not fit, a missing chunk file; from the iterator, chunks that
     /// cannot be decoded and values that are not whole numbers from 0 to 255, those of all selected episodes in one error.
     pub fn image_blocks(&self, selection: &Selection) -> Result<ImageBlocks, IngestError> {
         let numbers = selection
@@ -461,7 +461,7 @@ impl PushtReader {
         self.blocks(&runs)
     }
 
-    /// The pictures of episodes that were read; see [`Self::image_blocks`].
+    /// The images of episodes that were read; see [`Self::image_blocks`].
     ///
     /// # Errors
     /// As [`Self::image_blocks`].

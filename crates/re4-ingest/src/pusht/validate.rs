@@ -338,7 +338,7 @@ fn noted(notes: &Notes) -> Vec<Warning> {
 /// What was noted while reading.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Notes {
-    /// Whether there is an array of pictures.
+    /// Whether there is an array of images.
     pub(super) has_images: bool,
     /// Block angles that were some turns off.
     pub(super) wrapped: usize,
@@ -346,7 +346,7 @@ pub(super) struct Notes {
     pub(super) absent_chunks: u64,
     /// Whether states have the agent's velocity behind them.
     pub(super) velocity: bool,
-    /// Share of the agent's changes of step that the targets explain, where enough moves.
+    /// Fraction of the agent's changes of step that the targets explain, where enough moves.
     pub(super) explained: Option<f64>,
 }
 

@@ -17,7 +17,7 @@ use zarrs::storage::store::MemoryStore;
 use super::episodes::PushtEpisodes;
 use super::validate;
 use crate::error::Fault;
-use crate::source::io_mend;
+use crate::source::io_fix;
 use crate::tables::KEYPOINTS;
 
 /// Rows of a chunk, as in the original dataset.
@@ -42,7 +42,7 @@ pub const KEYPOINTS_IN_BLOCK: [[f64; 2]; KEYPOINTS] = [
 ];
 
 /// Writes Push-T datasets: Zarr v2 folders with `data/{action,state,keypoint,n_contacts}` and `meta/episode_ends`, float32
-/// (int64 for the ends), Blosc zstd level 5 with bit shuffle, 161 rows a chunk, as in the original. No pictures.
+/// (int64 for the ends), Blosc zstd level 5 with bit shuffle, 161 rows a chunk, as in the original. No images.
 pub struct PushtWriter;
 
 /// An episode to write.
@@ -98,7 +98,7 @@ pub enum RecordError {
         why: String,
     },
     /// The operating system refused something.
-    #[error("cannot record episodes to {}: cannot {action} {}: {source}; {}", path.display(), file.display(), io_mend(source))]
+    #[error("cannot record episodes to {}: cannot {action} {}: {source}; {}", path.display(), file.display(), io_fix(source))]
     Io {
         /// The path of the dataset.
         path: PathBuf,

@@ -258,7 +258,7 @@ fn names_of(
     if !lacks.is_empty() {
         faults.push(Hdf5Fault::Missing {
             objects: lacks,
-            mend: "restore what is missing, or leave the demonstration out by a filter key or ingest.select",
+            fix: "restore what is missing, or leave the demonstration out by a filter key or ingest.select",
         });
     }
     if wanted == Wanted::Actions {
@@ -321,7 +321,7 @@ fn check_shape((_, columns): Name, located: &Located) -> Result<(), Hdf5Fault> {
             Some(columns) => format!("(N, {columns})"),
             None => "(N, numbers of a row)".to_owned(),
         },
-        mend: if columns == ACTIONS.1 {
+        fix: if columns == ACTIONS.1 {
             "one arm with a two-finger gripper is read, whose actions are three numbers of position, three of rotation and the gripper's, so give such a file"
         } else {
             "restore it, or leave the demonstration out by a filter key or ingest.select"

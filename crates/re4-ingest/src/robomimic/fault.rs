@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::left_out::parts;
 
-/// What is wrong with an HDF5 file, the object that it is about, and the mend.
+/// What is wrong with an HDF5 file, the object that it is about, and the fix.
 #[derive(Debug, Error)]
 pub enum Hdf5Fault {
     /// The library cannot open the file.
@@ -28,7 +28,7 @@ pub enum Hdf5Fault {
         faults: Vec<Hdf5Fault>,
     },
     /// An object of the file cannot be read.
-    #[error("{object}{} cannot be read ({why}); {}", and_others(*others), mend(why))]
+    #[error("{object}{} cannot be read ({why}); {}", and_others(*others), fix(why))]
     Damaged {
         /// Object within the file.
         object: String,
@@ -63,12 +63,12 @@ pub enum Hdf5Fault {
         object: String,
     },
     /// A dataset that is needed is not there.
-    #[error("{} missing; {mend}", datasets(objects, "is", "are"))]
+    #[error("{} missing; {fix}", datasets(objects, "is", "are"))]
     Missing {
         /// Datasets within the file.
         objects: Vec<String>,
         /// What to do.
-        mend: &'static str,
+        fix: &'static str,
     },
     /// A dataset of a type that is not read.
     #[error("dataset {object} holds {found}, but {expected} is expected; convert it")]
@@ -81,7 +81,7 @@ pub enum Hdf5Fault {
         expected: &'static str,
     },
     /// A dataset of another shape.
-    #[error("dataset {object} has shape {found:?}, but {expected} is expected; {mend}")]
+    #[error("dataset {object} has shape {found:?}, but {expected} is expected; {fix}")]
     Shape {
         /// Dataset within the file.
         object: String,
@@ -90,7 +90,7 @@ pub enum Hdf5Fault {
         /// Shape in words.
         expected: String,
         /// What to do.
-        mend: &'static str,
+        fix: &'static str,
     },
     /// Datasets of different lengths.
     #[error(
@@ -138,7 +138,7 @@ pub enum Hdf5Fault {
         value: f64,
     },
     /// An attribute that is needed is not there, or is no text.
-    #[error("attribute {attribute} of {object} {why}; {mend}")]
+    #[error("attribute {attribute} of {object} {why}; {fix}")]
     Attribute {
         /// Group within the file.
         object: String,
@@ -147,7 +147,7 @@ pub enum Hdf5Fault {
         /// What is wrong with it.
         why: String,
         /// What to do.
-        mend: String,
+        fix: String,
     },
     /// A filter key that is not there.
     #[error("there is no filter key {filter:?} below /mask; {}", known_filters(known))]
@@ -247,7 +247,7 @@ fn several(faults: &[Hdf5Fault]) -> String {
 }
 
 /// What helps, by the library's words.
-fn mend(why: &str) -> &'static str {
+fn fix(why: &str) -> &'static str {
     let says = |words: &[&str]| words.iter().any(|word| why.contains(word));
     if says(&["external file"]) {
         "it lies in another file, so copy it into this one: one file has to hold all there is to ingest"

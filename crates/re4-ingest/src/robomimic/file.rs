@@ -68,14 +68,14 @@ pub(crate) enum Element {
     F32,
     /// Little-endian signed 64-bit integers.
     I64,
-    /// Bytes, as pictures have.
+    /// Bytes, as images have.
     U8,
     /// Another type that the library converts to double precision: other integers, truth values, the other byte order.
     Whole,
 }
 
 impl Element {
-    /// Bytes in memory once read: pictures stay bytes, all other numbers become double precision.
+    /// Bytes in memory once read: images stay bytes, all other numbers become double precision.
     fn size(self) -> u64 {
         if self == Self::U8 { 1 } else { 8 }
     }
@@ -424,7 +424,7 @@ impl File {
         })
     }
 
-    /// Whole pictures of a dataset of bytes with these rows, one after the other.
+    /// Whole images of a dataset of bytes with these rows, one after the other.
     pub(crate) fn read_bytes(&self, located: &Located, rows: Range<usize>) -> Result<Vec<u8>, Hdf5Fault> {
         let damaged = damaged(&format!("dataset {}", located.name));
         let row: usize = located.shape.iter().skip(1).product();

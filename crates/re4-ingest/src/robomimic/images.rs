@@ -1,4 +1,4 @@
-//! Pictures of cameras, streamed: a few rows of chunks at a time, each decoded once.
+//! Images of cameras, streamed: a few rows of chunks at a time, each decoded once.
 
 use std::collections::BTreeSet;
 use std::sync::mpsc::sync_channel;
@@ -11,13 +11,13 @@ use crate::demos::{DemoName, ImageBlock};
 use crate::error::{Fault, IngestError};
 use crate::tables::LeftOut;
 
-/// Bytes of pictures in a block, unless one row of chunks has more.
+/// Bytes of images in a block, unless one row of chunks has more.
 const BLOCK: usize = 8 << 20;
 
-/// Most bytes of pictures that one row of chunks may hold.
+/// Most bytes of images that one row of chunks may hold.
 const BLOCK_LIMIT: usize = 128 << 20;
 
-/// Ending of the datasets that hold pictures.
+/// Ending of the datasets that hold images.
 const ENDING: &str = "_image";
 
 impl RobomimicReader {
@@ -71,11 +71,11 @@ impl RobomimicReader {
                 if !there {
                     return Err(Hdf5Fault::Missing {
                         objects: vec![path.clone()],
-                        mend: "restore it, leave that camera out with ingest.cameras, or leave the demonstration out by a filter key or ingest.select",
+                        fix: "restore it, leave that camera out with ingest.cameras, or leave the demonstration out by a filter key or ingest.select",
                     });
                 }
                 let located = self.file.locate(&path)?;
-                let [height, width] = picture_shape(&located, demo.frames)?;
+                let [height, width] = image_shape(&located, demo.frames)?;
                 rows_at_once(&located, height * width * 3)
             });
             faults.extend(checked.err());
@@ -132,7 +132,7 @@ impl RobomimicReader {
         mut send: impl FnMut(ImageBlock) -> bool,
     ) -> Result<(), Hdf5Fault> {
         let located = self.file.locate(&format!("data/{demo}/obs/{camera}{ENDING}"))?;
-        let [height, width] = picture_shape(&located, frames)?;
+        let [height, width] = image_shape(&located, frames)?;
         let rows = rows_at_once(&located, height * width * 3)?;
         for first in (0..frames).step_by(rows) {
             let end = frames.min(first + rows);
@@ -150,8 +150,8 @@ impl RobomimicReader {
     }
 }
 
-/// Height and width of the pictures.
-fn picture_shape(located: &Located, frames: usize) -> Result<[usize; 2], Hdf5Fault> {
+/// Height and width of the images.
+fn image_shape(located: &Located, frames: usize) -> Result<[usize; 2], Hdf5Fault> {
     let most = 1 << 14;
     match (located.element, &located.shape[..]) {
         (Element::U8, &[rows, height, width, 3]) if height.min(width) > 0 && height.max(width) <= most => {
@@ -169,7 +169,7 @@ fn picture_shape(located: &Located, frames: usize) -> Result<[usize; 2], Hdf5Fau
             object: located.name.clone(),
             found: located.shape.clone(),
             expected: "(N, height, width, 3)".to_owned(),
-            mend: "leave that camera out with ingest.cameras, or all pictures with ingest.images = false",
+            fix: "leave that camera out with ingest.cameras, or all images with ingest.images = false",
         }),
         _ => Err(Hdf5Fault::Dtype {
             object: located.name.clone(),
@@ -180,17 +180,17 @@ fn picture_shape(located: &Located, frames: usize) -> Result<[usize; 2], Hdf5Fau
 }
 
 /// As many whole rows of chunks as fit into a block, at least one.
-fn rows_at_once(located: &Located, picture: usize) -> Result<usize, Hdf5Fault> {
+fn rows_at_once(located: &Located, image: usize) -> Result<usize, Hdf5Fault> {
     let chunk = File::chunk_rows(located).max(1);
     let rows = located.shape.first().copied().unwrap_or(chunk).min(chunk);
-    if rows.saturating_mul(picture) > BLOCK_LIMIT {
+    if rows.saturating_mul(image) > BLOCK_LIMIT {
         return Err(Hdf5Fault::Shape {
             object: located.name.clone(),
             found: located.shape.clone(),
-            expected: format!("chunks of at most {} MiB of pictures", BLOCK_LIMIT >> 20),
-            mend: "rewrite it with fewer frames in a chunk",
+            expected: format!("chunks of at most {} MiB of images", BLOCK_LIMIT >> 20),
+            fix: "rewrite it with fewer frames in a chunk",
         });
     }
-    let chunks = (BLOCK / (chunk.saturating_mul(picture)).max(1)).max(1);
+    let chunks = (BLOCK / (chunk.saturating_mul(image)).max(1)).max(1);
     Ok(chunks * chunk)
 }

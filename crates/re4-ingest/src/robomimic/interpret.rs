@@ -415,7 +415,7 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
             object: format!("/data/{}", demo.name),
             attribute: "model_file",
             why: format!("gives no poses: {error}"),
-            mend: "restore it, or leave the demonstration out by a filter key or ingest.select".to_owned(),
+            fix: "restore it, or leave the demonstration out by a filter key or ingest.select".to_owned(),
         })
     };
     demo.model.as_ref().map(parse).transpose()
@@ -455,7 +455,7 @@ fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Faul
 fn no_object(demo: &Demo) -> Hdf5Fault {
     Hdf5Fault::Missing {
         objects: vec![format!("data/{}/obs/object", demo.name)],
-        mend: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
+        fix: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
     }
 }
 
@@ -465,7 +465,7 @@ fn check_object_columns(demo: &Demo, task: Option<RobosuiteTask>) -> Result<(), 
             object: format!("data/{}/obs/object", demo.name),
             found: vec![object.rows(), object.columns],
             expected: format!("(N, {columns})"),
-            mend: "restore its columns, or give a file of the pipeline's task",
+            fix: "restore its columns, or give a file of the pipeline's task",
         }),
         _ => Ok(()),
     }

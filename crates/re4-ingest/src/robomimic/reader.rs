@@ -135,13 +135,13 @@ impl RobomimicReader {
 
     /// What the file says of how it was recorded; `setting` stands for its attribute `env_args`.
     pub(super) fn environment(&self, setting: Option<&str>) -> Result<EnvArgs, Hdf5Fault> {
-        let mend = |what: &str| {
+        let fix = |what: &str| {
             format!("{what}, or give the JSON text of a file that was recorded in the same way as ingest.env_args")
         };
         let refuse = |attribute: &'static str, error: re4_robosuite::env_args::EnvArgsError| {
             Hdf5Fault::Other(format!(
                 "{error}; {}",
-                mend(&format!("repair attribute {attribute} of /data"))
+                fix(&format!("repair attribute {attribute} of /data"))
             ))
         };
         let own = self.file.text("data", "env_args")?;
@@ -156,7 +156,7 @@ impl RobomimicReader {
                 object: "/data".to_owned(),
                 attribute: "env_args",
                 why: "is missing, so the task, the controller and its scales are unknown".to_owned(),
-                mend: mend("restore it"),
+                fix: fix("restore it"),
             });
         }
         EnvArgs::parse_raw(env.as_deref(), info.as_deref(), version.as_deref())
@@ -180,7 +180,7 @@ impl RobomimicReader {
             object: format!("/data/{demo}"),
             attribute: "model_file",
             why,
-            mend: "put the file there, as it came with the dataset".to_owned(),
+            fix: "put the file there, as it came with the dataset".to_owned(),
         };
         if !is_model_name(name) {
             let shown: String = name.chars().take(60).collect();

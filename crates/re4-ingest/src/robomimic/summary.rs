@@ -10,7 +10,7 @@ use super::sources::Sources;
 use crate::error::{Fault, IngestError};
 use crate::warning::{Warning, WarningCode};
 
-/// Datasets that are ingested, beside the pictures of cameras.
+/// Datasets that are ingested, beside the images of cameras.
 const TAKEN: [&str; 10] = [
     "actions",
     "action_dict",
@@ -71,7 +71,7 @@ impl Comparison {
 pub struct GoalErrors {
     /// Steps compared.
     pub steps: u64,
-    /// Distances of positions in metres: median, 90 %, 99 %, greatest.
+    /// Distances of positions in metres: median, 90 %, 99 %, maximum.
     pub position_m: [f64; 4],
     /// Angles between orientations in radians, likewise.
     pub rotation_rad: [f64; 4],

@@ -63,7 +63,7 @@ pub(crate) fn keypoint(t: usize) -> [[f64; 2]; 9] {
     std::array::from_fn(|point| std::array::from_fn(|axis| 10.0 * point as f64 + 100.0 * axis as f64 + 0.5 * t as f64))
 }
 
-pub(crate) fn picture(t: usize) -> Vec<u8> {
+pub(crate) fn image(t: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     for y in 0..SIDE {
         for x in 0..SIDE {
@@ -189,7 +189,7 @@ pub(crate) fn refusal(dataset: &Path, folder: &Path) -> String {
     sentence.replace(folder.to_str().unwrap(), "[folder]")
 }
 
-/// Opens a dataset and reads columns and pictures; the sentence of the first error.
+/// Opens a dataset and reads columns and images; the sentence of the first error.
 pub(crate) fn read_all(dataset: &Path) -> Result<PushtEpisodes, String> {
     let reader = PushtReader::open(dataset).map_err(|error| error.to_string())?;
     let options = PushtOptions {

@@ -40,7 +40,7 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     .map_err(|error| Fault::of(&error))?;
     bar.finish_and_clear();
     let path = report.path.display();
-    let (text, facts) = match &report.outcome {
+    let (text, summary) = match &report.outcome {
         Fetched::AlreadyThere => (
             format!("{path} is there already; nothing was downloaded"),
             json!({ "skipped": true }),
@@ -62,7 +62,7 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
             )
         }
     };
-    console.answer(&json!({ "dataset": report.dataset, "path": report.path, "outcome": facts }))?;
+    console.answer(&json!({ "dataset": report.dataset, "path": report.path, "outcome": summary }))?;
     console.say(&text)?;
     Ok(Outcome::Done)
 }

@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result};
 use arrow::util::pretty::pretty_format_batches;
 use re4_artifact::{Artifact, Table, json_description};
 use re4_fault::ensure;
-use re4_report::{is_spatial, planar_rollout, rollout_picture};
+use re4_report::{is_spatial, planar_rollout, rollout_image};
 use serde_json::{Value, json};
 
 use super::Outcome;
@@ -34,17 +34,17 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     for warning in &manifest.warnings {
         writeln!(text, "  warning {warning}")?;
     }
-    for (name, facts) in &manifest.tables {
+    for (name, summary) in &manifest.tables {
         writeln!(
             text,
             "\ntable {name} (version {}): {} rows, {} bytes",
-            facts.schema_version, facts.rows, facts.bytes
+            summary.schema_version, summary.rows, summary.bytes
         )?;
         let Some(spec) = re4_stages::tables::described(&artifact, name) else {
             continue;
         };
         writeln!(text, "  {}", spec.description)?;
-        for column in spec.columns_at(facts.schema_version) {
+        for column in spec.columns_at(summary.schema_version) {
             let unit = match (column.unit, column.frame) {
                 ("", _) => String::new(),
                 (unit, "") => format!(" [{unit}]"),
@@ -64,15 +64,15 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
         }
         descriptions.insert(name.clone(), json_description(spec));
     }
-    if let (Some(seed), Some(path)) = (arguments.seed, &arguments.picture) {
+    if let (Some(seed), Some(path)) = (arguments.seed, &arguments.image) {
         ensure!(
             !is_spatial(&artifact),
-            "cannot draw seed {seed}: --picture draws Push-T's rollouts";
-            "for those of robosuite's tasks use re4-pipe report or re4-pipe film"
+            "cannot draw seed {seed}: --image draws Push-T's rollouts";
+            "for those of robosuite's tasks use re4-pipe report or re4-pipe video"
         );
-        let svg = rollout_picture(&planar_rollout(&artifact, seed)?)
+        let svg = rollout_image(&planar_rollout(&artifact, seed)?)
             .with_context(|| format!("cannot draw {}", path.display()))?;
-        console.picture(path, &svg)?;
+        console.image(path, &svg)?;
     }
     console.answer(&json!({ "path": artifact.path(), "manifest": manifest, "tables": Value::Object(descriptions) }))?;
     console.say(text.trim_end())?;

@@ -2,12 +2,12 @@
 
 pub(crate) mod audit;
 pub(crate) mod fetch;
-pub(crate) mod film;
 pub(crate) mod inspect;
 pub(crate) mod report;
 pub(crate) mod run;
 pub(crate) mod schemas;
 pub(crate) mod verify;
+pub(crate) mod video;
 
 /// How a command ended, unless in an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use re4_artifact::Artifact;
 use re4_report::{ReportPage, open_rollouts, report_page};
-use re4_stages::{Seeds, add_pictures};
+use re4_stages::{Seeds, add_images};
 use serde_json::json;
 
 use super::Outcome;
@@ -18,8 +18,8 @@ use crate::output::Output;
 pub(crate) struct Shown<'a> {
     /// Seeds of its rollouts; all where there are none.
     pub(crate) seeds: Option<&'a Seeds>,
-    /// How many of the rollouts have pictures; where it is left open, it depends on where poses come from.
-    pub(crate) pictures: Option<usize>,
+    /// How many of the rollouts have images; where it is left open, it depends on where poses come from.
+    pub(crate) images: Option<usize>,
 }
 
 /// What was written.
@@ -57,7 +57,7 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     let output = Output::at(&arguments.output, "report")?;
     let shown = Shown {
         seeds: seeds.as_ref(),
-        pictures: arguments.pictures,
+        images: arguments.images,
     };
     let written = write(&arguments.paths, shown, &output, &arguments.common.artifacts)?;
     written.say_warnings(console);
@@ -84,8 +84,8 @@ pub(crate) fn write(paths: &[PathBuf], shown: Shown<'_>, output: &Output, store:
         &artifacts,
         shown.seeds.map(Seeds::as_slice),
         store,
-        shown.pictures,
-        &mut |artifact, set| add_pictures(artifact, set, shown.pictures, store),
+        shown.images,
+        &mut |artifact, set| add_images(artifact, set, shown.images, store),
     )?;
     output.write(&page.html)?;
     Ok(Written { artifacts, page })

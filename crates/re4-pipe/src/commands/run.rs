@@ -55,7 +55,7 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         runner.pipeline.pose()?.source != PoseSource::Recorded,
         "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose",
         arguments.pipeline.display();
-        "for poses from pictures set variant = \"image\" and pose.source = \"{}\"",
+        "for poses from images set variant = \"image\" and pose.source = \"{}\"",
         if planar { "log_polar" } else { "encoder" }
     );
     let episodes = runner.ingest()?;
@@ -242,7 +242,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
         return spatial::replay(&runner, arguments);
     }
     ensure!(
-        arguments.least.is_none(),
+        arguments.minimum.is_none(),
         "--fail-under is for robosuite's tasks";
         "Push-T's demonstrations end before success"
     );
@@ -255,7 +255,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
         let frames = col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
             .with_context(|| format!("cannot draw {}", path.display()))?;
-        console.picture(path, &svg)?;
+        console.image(path, &svg)?;
     }
     answer(console, &built)
 }
@@ -330,7 +330,7 @@ fn goal_error(errors: &Value) -> Result<String> {
     let mut text = String::new();
     write!(
         text,
-        "\n  goals from deltas against recorded goals, {} steps beyond the first of a demonstration; median, 90 %, 99 %, greatest: {} mm, {} deg",
+        "\n  goals from deltas against recorded goals, {} steps beyond the first of a demonstration; median, 90 %, 99 %, maximum: {} mm, {} deg",
         errors["steps"],
         part("position_m", 1e3).join(" "),
         part("rotation_rad", 1.0_f64.to_degrees()).join(" "),

@@ -95,7 +95,7 @@ struct Found {
 impl<D: Domain> Explained<D> for NearestDecision<D> {
     type Detail = NearestRow;
 
-    fn told(&self, names: &DemoNames) -> Explanation<D> {
+    fn explanation(&self, names: &DemoNames) -> Explanation<D> {
         let Found {
             demo,
             frame,
@@ -229,7 +229,7 @@ impl States<Plane> for PlaneStates {
         for (at, frame) in admitted {
             let distance = squared(frame);
             compared += 1;
-            if best.is_none_or(|(least, _)| distance < least) {
+            if best.is_none_or(|(minimum, _)| distance < minimum) {
                 best = Some((distance, at));
             }
         }

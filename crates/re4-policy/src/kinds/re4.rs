@@ -17,7 +17,7 @@ use crate::spatial::{SpatialDecision, SpatialPolicyConfig, SpatialRe4Factory};
 table! {
     /// One row a decision of RE4 or RE2 of Push-T, in the order of table decisions: what it saw, what it retrieved, how it moved
     /// it, what it planned and what it replays.
-    #[table("decisions_re4", version = 3, formerly = "decisions")]
+    #[table("decisions_re4", version = 4, formerly = "decisions")]
     pub struct PlaneRe4Row {
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
@@ -61,7 +61,7 @@ table! {
 table! {
     /// One row a decision of RE4 or RE2 of a robosuite task, in the order of table decisions: what it saw, what it retrieved, how
     /// it moved it, where it goes first and what it replays. Columns from compared to replay_steps are null on the way home.
-    #[table("decisions_re4", version = 3, formerly = "spatial_decisions")]
+    #[table("decisions_re4", version = 4, formerly = "spatial_decisions")]
     pub struct SpaceRe4Row {
         /// Seed of the scene.
         pub seed: u32,
@@ -84,9 +84,10 @@ table! {
         /// translation.
         #[frame = "world"]
         pub delta: Option<SixAxis>,
-        /// Turn about the object's symmetry axis that was applied to the query's object; 0 without symmetry.
+        /// Rotation about the object's symmetry axis that was applied to the query's object; 0 without symmetry.
         #[unit = "rad"]
-        pub symmetry_turn: Option<f64>,
+        #[formerly = "symmetry_turn"]
+        pub symmetry_rotation: Option<f64>,
         /// Actions of the chunk; fewer are executed when the next decision comes earlier.
         pub replay_steps: Option<u32>,
         /// Where the grip site goes first.
@@ -102,7 +103,7 @@ table! {
 impl Explained<Plane> for Decision {
     type Detail = PlaneRe4Row;
 
-    fn told(&self, names: &DemoNames) -> Explanation<Plane> {
+    fn explanation(&self, names: &DemoNames) -> Explanation<Plane> {
         Explanation {
             step: self.step,
             kind: "retrieve",
@@ -138,7 +139,7 @@ impl Explained<Plane> for Decision {
 impl Explained<Space> for SpatialDecision {
     type Detail = SpaceRe4Row;
 
-    fn told(&self, names: &DemoNames) -> Explanation<Space> {
+    fn explanation(&self, names: &DemoNames) -> Explanation<Space> {
         Explanation {
             step: self.step,
             kind: self.kind.as_str(),
@@ -164,7 +165,7 @@ impl Explained<Space> for SpatialDecision {
             d_o: choice.map(|c| c.d_o),
             d_e: choice.map(|c| c.d_e),
             delta: choice.map(|c| SixAxis::from(&c.delta)),
-            symmetry_turn: choice.map(|c| c.turn),
+            symmetry_rotation: choice.map(|c| c.turn),
             replay_steps: choice.map(|c| c.replay_steps),
             set_point: self.set_point,
             bridge: self.bridge,

@@ -90,16 +90,16 @@ pub struct SpatialReframeConfig {
     pub transfer: TransferReplay,
     /// When the motion between the two objects is measured.
     pub measure: Measuring,
-    /// Where the object is said to be while it is held, with poses from pictures.
+    /// Where the object is said to be while it is held, with poses from images.
     #[serde(default, skip_serializing_if = "WhileHeld::is_default")]
     pub held: WhileHeld,
 }
 
-/// Where an object is said to be while the gripper holds it, for a policy that looks at pictures.
+/// Where an object is said to be while the gripper holds it, for a policy that looks at images.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WhileHeld {
-    /// Where the picture shows it.
+    /// Where the image shows it.
     #[default]
     Seen,
     /// Where it was seen before the grasp, moving with the gripper since, as a mode of transfer says: what the hand hides need
@@ -121,9 +121,9 @@ impl WhileHeld {
 pub struct SpatialReplanConfig {
     /// Off: the chunk is replayed from wherever the end effector is.
     pub enabled: bool,
-    /// Greatest distance in metres from the end effector to the set-point.
+    /// Maximum distance in metres from the end effector to the set-point.
     pub lead_translation: f64,
-    /// Greatest angle in rad from the end effector to the set-point.
+    /// Maximum angle in rad from the end effector to the set-point.
     pub lead_rotation: f64,
     /// Distance in metres at which the bridge has arrived.
     pub tolerance_translation: f64,
@@ -151,7 +151,7 @@ pub struct SpatialReplayConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SettleConfig {
-    /// Least number of actions after the gripper's command changed.
+    /// Minimum number of actions after the gripper's command changed.
     pub steps: u32,
     /// Change of the distance between the fingers, in metres a control step, from which on they move.
     pub finger_speed: f64,
@@ -201,7 +201,7 @@ pub struct SpatialRecoveryConfig {
     pub lost_grasp: Option<f64>,
     /// When that is looked at.
     pub check: GraspCheck,
-    /// Greatest number of control steps on the way home.
+    /// Maximum number of control steps on the way home.
     pub home_steps: u32,
     /// What follows on the end of a demonstration without success.
     pub end_of_demo: EndOfDemo,

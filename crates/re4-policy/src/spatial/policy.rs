@@ -86,7 +86,7 @@ struct Followed {
 }
 
 /// Who can still be asked for the object's pose at a step; nobody once it is known.
-type Sight<'a> = Option<&'a mut dyn Senses<Space>>;
+type PoseObserver<'a> = Option<&'a mut dyn Senses<Space>>;
 
 /// What is seen at a step, with the estimate of the object's pose.
 #[derive(Clone, Copy)]
@@ -103,8 +103,8 @@ impl Seen {
     }
 
     /// Looks, unless the object's pose was told.
-    fn look(&mut self, sight: &mut Sight<'_>, estimate: &mut ObjectEstimate) -> Result<(), PolicyError> {
-        if let Some(senses) = sight.take() {
+    fn look(&mut self, observer: &mut PoseObserver<'_>, estimate: &mut ObjectEstimate) -> Result<(), PolicyError> {
+        if let Some(senses) = observer.take() {
             let object = senses.object()?;
             if !is_sound(&object) {
                 return Err(nowhere());
@@ -192,23 +192,23 @@ impl Policy<Space> for SpatialRe4 {
             object: Isometry3::identity(),
             fingers: body.fingers,
         };
-        let mut at_once = senses.tells_object();
-        let mut sight: Sight<'_> = Some(senses);
+        let mut at_once = senses.observes_object();
+        let mut observer: PoseObserver<'_> = Some(senses);
         if !at_once {
             match self.estimate.carry(mode, &body.eef) {
                 Some(carried) => {
                     seen.object = carried;
                     if mode == Mode::Transfer && self.config.reframe.held == WhileHeld::Carried {
-                        sight = None;
+                        observer = None;
                     }
                 }
                 None => at_once = true,
             }
         }
         if at_once {
-            seen.look(&mut sight, &mut self.estimate)?;
+            seen.look(&mut observer, &mut self.estimate)?;
         }
-        self.step(seen, sight)
+        self.step(seen, observer)
     }
 }
 
@@ -222,16 +222,20 @@ impl SpatialRe4 {
     }
 
     /// One control step.
-    fn step(&mut self, mut seen: Seen, mut sight: Sight<'_>) -> Result<Act<Space, SpatialDecision>, PolicyError> {
+    fn step(
+        &mut self,
+        mut seen: Seen,
+        mut observer: PoseObserver<'_>,
+    ) -> Result<Act<Space, SpatialDecision>, PolicyError> {
         let mut decision = None;
         if self.config.recovery.check == GraspCheck::Step && self.grasp_is_lost(&seen) {
-            decision = Some(self.give_the_grasp_up(&seen));
+            decision = Some(self.abort_grasp(&seen));
         }
         // Each pass ends with an action or with another thing to do, and after a decision there is always an action: the way
         // home has at least one, and so has every chunk.
         let (action, phase) = loop {
             match std::mem::replace(&mut self.doing, Doing::Nothing) {
-                Doing::Nothing => decision = Some(self.decide(&mut seen, &mut sight)?),
+                Doing::Nothing => decision = Some(self.decide(&mut seen, &mut observer)?),
                 Doing::Home { taken } => {
                     let arrived = taken > 0 && self.is_at(&seen.eef, &self.home);
                     if !arrived && taken < self.config.recovery.home_steps.max(1) {
@@ -290,7 +294,7 @@ impl SpatialRe4 {
             chunk.bridge = None;
             if self.grasp_is_lost(seen) {
                 self.doing = Doing::Chunk(chunk);
-                return Ok((None, Some(self.give_the_grasp_up(seen))));
+                return Ok((None, Some(self.abort_grasp(seen))));
             }
         }
         if chunk.next > chunk.end && chunk.next < frames.len() && self.settles(seen) {
@@ -358,10 +362,10 @@ impl SpatialRe4 {
         }
     }
 
-    /// Told to close, and nothing between the fingers.
+    /// ObservedPose to close, and nothing between the fingers.
     fn grasp_is_lost(&self, seen: &Seen) -> bool {
         let lost_below = self.config.recovery.lost_grasp;
-        seen.mode == Mode::Transfer && lost_below.is_some_and(|least| seen.separation() < least)
+        seen.mode == Mode::Transfer && lost_below.is_some_and(|minimum| seen.separation() < minimum)
     }
 
     fn ban(&mut self, demo: u32) {
@@ -371,7 +375,7 @@ impl SpatialRe4 {
     }
 
     /// Goes home, and bans the demonstration that made the grasp and the one that was followed when it was lost.
-    fn give_the_grasp_up(&mut self, seen: &Seen) -> SpatialDecision {
+    fn abort_grasp(&mut self, seen: &Seen) -> SpatialDecision {
         let followed = match &self.doing {
             Doing::Chunk(chunk) => Some(chunk.demo),
             _ => self.followed.map(|followed| followed.demo),
@@ -416,9 +420,9 @@ impl SpatialRe4 {
         }
     }
 
-    fn decide(&mut self, seen: &mut Seen, sight: &mut Sight<'_>) -> Result<SpatialDecision, PolicyError> {
+    fn decide(&mut self, seen: &mut Seen, observer: &mut PoseObserver<'_>) -> Result<SpatialDecision, PolicyError> {
         if self.grasp_is_lost(seen) {
-            return Ok(self.give_the_grasp_up(seen));
+            return Ok(self.abort_grasp(seen));
         }
         if let Some(Followed { demo, next: None }) = self.followed
             && self.config.recovery.end_of_demo == EndOfDemo::GoHome
@@ -429,7 +433,7 @@ impl SpatialRe4 {
             }
         }
         // Whatever is chosen from here on depends on where the object is; the way home does not.
-        seen.look(sight, &mut self.estimate)?;
+        seen.look(observer, &mut self.estimate)?;
         let seen = &*seen;
         let (kind, demo, frame, distances) = loop {
             let (kind, demo, frame, distances) = self.retrieve(seen)?;

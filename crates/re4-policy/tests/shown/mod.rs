@@ -15,7 +15,7 @@ impl<D: Domain> Senses<D> for Shown<'_, D> {
         self.proprio
     }
 
-    fn tells_object(&self) -> bool {
+    fn observes_object(&self) -> bool {
         self.tells
     }
 

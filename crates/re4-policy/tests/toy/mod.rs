@@ -117,12 +117,12 @@ impl World {
             let quarter = angle.rem_euclid(PI / 2.0);
             let square = quarter.min(PI / 2.0 - quarter) < 0.25;
             let between = seen.translation.vector.norm() < self.catch && square && !self.slippery;
-            let least = if between || self.held.is_some() {
+            let minimum = if between || self.held.is_some() {
                 2.0 * HALF
             } else {
                 0.0
             };
-            self.separation = (self.separation - 0.01).max(least);
+            self.separation = (self.separation - 0.01).max(minimum);
             if between && self.separation <= 2.0 * HALF && self.held.is_none() {
                 self.held = Some(seen);
             }
@@ -239,7 +239,7 @@ impl Episode {
 }
 
 /// What a policy does that is told a pose of the object.
-pub(crate) fn told(
+pub(crate) fn observe_and_act(
     policy: &mut SpatialRe4,
     proprio: ArmState,
     object: Isometry3<f64>,
@@ -267,7 +267,7 @@ pub(crate) fn episode(
         let object = noise
             .as_mut()
             .map_or(world.object, |noise| noise.perturb(&world.object));
-        let act = told(&mut policy, world.feel(), object).unwrap();
+        let act = observe_and_act(&mut policy, world.feel(), object).unwrap();
         world.step(&act.action);
         acts.push(act);
     }

@@ -75,7 +75,7 @@ pub fn arrival_error(
     pose_distance(&(estimated * grasp), &(recorded * grasp))
 }
 
-/// The mean of poses: of their translations, and the rotation with the least sum of squared chordal distances, nearly, for
+/// The mean of poses: of their translations, and the rotation with the minimum sum of squared chordal distances, nearly, for
 /// poses less than a quarter of a turn apart. `None` of nothing.
 pub fn mean_pose<'a>(poses: impl IntoIterator<Item = &'a Isometry3<f64>>) -> Option<Isometry3<f64>> {
     let mut poses = poses.into_iter();

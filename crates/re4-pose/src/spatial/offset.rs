@@ -32,12 +32,12 @@ const NEAREST: f64 = 1e-6;
 ///   grasped 6 cm from its origin, one C without Z could not hold: the origin lies on the one side or on the other.
 ///
 /// So C has six parameters, of which a full turn leaves five observable. S and Z are chosen frame by frame, each time those
-/// that leave the least angle.
+/// that leave the minimum angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Offset {
     motion: Isometry3<f64>,
     symmetry: SymmetryGroup,
-    half_turns: bool,
+    allows_pi: bool,
 }
 
 columns! {
@@ -54,18 +54,19 @@ columns! {
         /// Angle between estimated and recorded orientation, up to S and Z.
         #[unit = "rad"]
         pub rotation: f64,
-        /// Whether Z was half a rotation about the axis of approach.
-        pub half_turn: bool,
+        /// Whether Z was a rotation by pi about the axis of approach.
+        #[formerly = "half_turn"]
+        pub rotated_by_pi: bool,
     }
 }
 
 /// Half a turn about the axis of approach.
-fn half_turn() -> UnitQuaternion<f64> {
+fn rotation_by_pi() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI)
 }
 
 /// Whether half a turn of the object does not show.
-fn has_half_turn(symmetry: &Symmetry) -> bool {
+fn has_rotation_by_pi(symmetry: &Symmetry) -> bool {
     match symmetry {
         Symmetry::None => false,
         Symmetry::Fold { n, .. } => n % 2 == 0,
@@ -82,18 +83,18 @@ impl Offset {
     /// When the symmetry is none.
     pub fn fit(pairs: &[[Isometry3<f64>; 2]], symmetry: Symmetry) -> Result<Option<Self>, SymmetryError> {
         let group = symmetry.group()?;
-        let half_turns = !has_half_turn(&symmetry);
+        let allows_pi = !has_rotation_by_pi(&symmetry);
         let relative: Vec<UnitQuaternion<f64>> = pairs
             .iter()
             .map(|[estimated, recorded]| estimated.rotation.inverse() * recorded.rotation)
             .collect();
-        let Some(rotation) = first_guess(&relative, &group, half_turns) else {
+        let Some(rotation) = first_guess(&relative, &group, allows_pi) else {
             return Ok(None);
         };
         let mut found = Self {
             motion: Isometry3::from_parts(Translation3::identity(), rotation),
             symmetry: group,
-            half_turns,
+            allows_pi,
         };
         found.improve_rotation(&relative);
         let mut components = [const { Vec::new() }; 3];
@@ -115,14 +116,14 @@ impl Offset {
     }
 
     /// Whether half a turn of the gripper is told apart from the object's own symmetry.
-    pub fn half_turns(&self) -> bool {
-        self.half_turns
+    pub fn allows_pi(&self) -> bool {
+        self.allows_pi
     }
 
     /// How far an estimate is from the recorded pose.
     pub fn error(&self, estimated: &Isometry3<f64>, recorded: &Isometry3<f64>) -> FrameError {
-        let (half_turn, rotation) = self.nearest(&(estimated.rotation.inverse() * recorded.rotation));
-        let corrected = self.turned(estimated, half_turn) * self.motion;
+        let (rotated_by_pi, rotation) = self.nearest(&(estimated.rotation.inverse() * recorded.rotation));
+        let corrected = self.turned(estimated, rotated_by_pi) * self.motion;
         let (aligned, _) = self.symmetry.align(recorded, &corrected);
         // Z leaves the origin of the estimated frame where it is.
         let grasp = aligned * self.motion.inverse();
@@ -131,20 +132,20 @@ impl Offset {
             translation: apart(&corrected, recorded),
             translation_at_grasp: apart(&grasp, estimated),
             rotation,
-            half_turn,
+            rotated_by_pi,
         }
     }
 
     fn turned(&self, estimated: &Isometry3<f64>, half: bool) -> Isometry3<f64> {
-        if half && self.half_turns {
-            return Isometry3::from_parts(estimated.translation, estimated.rotation * half_turn());
+        if half && self.allows_pi {
+            return Isometry3::from_parts(estimated.translation, estimated.rotation * rotation_by_pi());
         }
         *estimated
     }
 
     /// Whether Z is half a turn for a recorded orientation as seen from the estimated one, and the angle that is left.
     fn nearest(&self, relative: &UnitQuaternion<f64>) -> (bool, f64) {
-        nearest(&self.motion.rotation, relative, &self.symmetry, self.half_turns)
+        nearest(&self.motion.rotation, relative, &self.symmetry, self.allows_pi)
     }
 
     /// Weiszfeld's steps towards the geodesic median.
@@ -153,8 +154,8 @@ impl Offset {
             let (mut step, mut weights) = (Vector3::zeros(), 0.0);
             for own in relative {
                 let (half, angle) = self.nearest(own);
-                let own = if half { half_turn().inverse() * own } else { *own };
-                let (turn, _) = self.symmetry.nearest_turn(&own, &self.motion.rotation);
+                let own = if half { rotation_by_pi().inverse() * own } else { *own };
+                let (turn, _) = self.symmetry.nearest_rotation(&own, &self.motion.rotation);
                 let away = rotation_vector(&(self.motion.rotation.inverse() * own * self.symmetry.rotation(turn)));
                 let weight = 1.0 / angle.max(NEAREST);
                 step += away * weight;
@@ -175,12 +176,11 @@ impl Offset {
 fn first_guess(
     relative: &[UnitQuaternion<f64>],
     symmetry: &SymmetryGroup,
-    half_turns: bool,
+    allows_pi: bool,
 ) -> Option<UnitQuaternion<f64>> {
     let some = |count: usize| relative.iter().step_by(relative.len().div_ceil(count).max(1));
-    let sum = |guess: &UnitQuaternion<f64>| -> f64 {
-        some(JURY).map(|own| nearest(guess, own, symmetry, half_turns).1).sum()
-    };
+    let sum =
+        |guess: &UnitQuaternion<f64>| -> f64 { some(JURY).map(|own| nearest(guess, own, symmetry, allows_pi).1).sum() };
     some(GUESSES)
         .map(|guess| (sum(guess), guess))
         .min_by(|(a, _), (b, _)| a.total_cmp(b))
@@ -191,13 +191,13 @@ fn nearest(
     offset: &UnitQuaternion<f64>,
     relative: &UnitQuaternion<f64>,
     symmetry: &SymmetryGroup,
-    half_turns: bool,
+    allows_pi: bool,
 ) -> (bool, f64) {
     let plain = symmetry.angle(relative, offset);
-    if !half_turns {
+    if !allows_pi {
         return (false, plain);
     }
-    let turned = symmetry.angle(relative, &(half_turn() * offset));
+    let turned = symmetry.angle(relative, &(rotation_by_pi() * offset));
     if turned < plain { (true, turned) } else { (false, plain) }
 }
 

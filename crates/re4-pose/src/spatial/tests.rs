@@ -106,7 +106,7 @@ fn a_known_disturbance_is_the_error() {
         .collect();
     let pairs = exact(&estimates, &offset, Symmetry::None, &[(0, false); 60]);
     let fitted = Offset::fit(&pairs, Symmetry::None).unwrap().unwrap();
-    assert!(fitted.half_turns());
+    assert!(fitted.allows_pi());
     let [estimated, recorded] = &pairs[7];
     // 3 mm aside.
     let mut moved = *estimated;

@@ -1,11 +1,11 @@
-//! Pictures drawn by the simulator's renderer, and errors of estimates.
+//! Images drawn by the simulator's renderer, and errors of estimates.
 #![allow(dead_code, reason = "every test file uses a part of it")]
 #![expect(clippy::unwrap_used, reason = "only tests call these functions, and they may end")]
 
 use std::f64::consts::TAU;
 
 use re4_geometry::{Point2, Pose2, periodic_distance};
-use re4_pose::{AnchorBuilder, Estimate, LogPolarEstimator, Outline, Picture, SIDE};
+use re4_pose::{AnchorBuilder, Estimate, LogPolarEstimator, Outline, PushtImage, SIDE};
 use re4_sim::{GOAL, OUTLINE_RADIUS, render_state, tee_rectangles};
 
 pub(crate) const PUSHER: [u8; 3] = [65, 105, 225];
@@ -18,13 +18,13 @@ pub(crate) fn drawn(agent: Point2, block: Pose2) -> Vec<u8> {
     render_state(agent, block).observation()
 }
 
-/// A picture with the pusher out of the way in a corner.
+/// An image with the pusher out of the way in a corner.
 pub(crate) fn block_alone(block: Pose2) -> Vec<u8> {
     drawn(Point2::new(25.0, 25.0), block)
 }
 
-pub(crate) fn view(picture: &[u8]) -> Picture<'_> {
-    Picture::new(picture, SIDE, SIDE).unwrap()
+pub(crate) fn view(image: &[u8]) -> PushtImage<'_> {
+    PushtImage::new(image, SIDE, SIDE).unwrap()
 }
 
 pub(crate) fn estimator(refined: bool) -> LogPolarEstimator {
@@ -42,9 +42,9 @@ pub(crate) fn error(estimate: &Estimate, truth: Pose2) -> (f64, f64) {
     )
 }
 
-/// Paints a disc of one colour into a picture; centre and radius in world pixels.
-pub(crate) fn paint_disc(picture: &mut [u8], centre: Point2, radius: f64, colour: [u8; 3]) {
-    for (i, pixel) in picture.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+/// Paints a disc of one colour into an image; centre and radius in world pixels.
+pub(crate) fn paint_disc(image: &mut [u8], centre: Point2, radius: f64, colour: [u8; 3]) {
+    for (i, pixel) in image.as_chunks_mut::<3>().0.iter_mut().enumerate() {
         let place = |d: usize| (d as f64 + 0.5) * 512.0 / SIDE as f64 - 0.5;
         if (Point2::new(place(i % SIDE), place(i / SIDE)) - centre).norm() <= radius {
             *pixel = colour;

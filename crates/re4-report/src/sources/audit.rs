@@ -6,7 +6,7 @@ use re4_artifact::{Artifact, Row as _, TableSpec, col_bool, col_f64_or_null, col
 use re4_audit::{AuditedEpisodeRow, FindingRow, GraspRow};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
-use re4_segment::{Evidence, ModeRow, SegmentFacts, SegmentRow, SpatialEvidence, SpatialSegment};
+use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 use re4_task::Task;
 
 use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, page};
@@ -40,7 +40,7 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
     let segments = segments(sources.modes, planar)?;
     places.hold(
         sources.modes,
-        SegmentRow::<SegmentFacts>::NAME,
+        SegmentRow::<SegmentSummary>::NAME,
         segments.iter().map(|segment| segment.episode),
     )?;
     let findings: Vec<FindingRow> = sources.audit.read()?;
@@ -137,23 +137,23 @@ impl Places {
 
 fn segments(modes: &Artifact, planar: bool) -> Result<Vec<Segment>> {
     if planar {
-        let rows: Vec<SegmentRow<SegmentFacts>> = modes.read()?;
+        let rows: Vec<SegmentRow<SegmentSummary>> = modes.read()?;
         let segments = rows.into_iter().map(|row| Segment {
-            residual: row.facts.rigidity_residual,
-            object_displacement: row.facts.object_displacement,
-            ..segment(row.episode, row.segment, &row.facts.segment)
+            residual: row.summary.rigidity_residual,
+            object_displacement: row.summary.object_displacement,
+            ..segment(row.episode, row.segment, &row.summary.segment)
         });
         return Ok(segments.collect());
     }
     let rows: Vec<SegmentRow<SpatialSegment>> = modes.read()?;
     let segments = rows.into_iter().map(|row| Segment {
-        settled_frame: row.facts.settled_frame.map(|frame| frame as u32),
-        finger_separation: row.facts.grasp.map(|grasp| grasp.finger_separation),
-        residual: row.facts.grasp.map(|grasp| grasp.residual),
-        residual_rotation: row.facts.grasp.map(|grasp| grasp.residual_rotation),
-        object_displacement: row.facts.object_displacement,
-        object_rise: Some(row.facts.object_rise),
-        ..segment(row.episode, row.segment, &row.facts.segment)
+        settled_frame: row.summary.settled_frame.map(|frame| frame as u32),
+        finger_separation: row.summary.grasp.map(|grasp| grasp.finger_separation),
+        residual: row.summary.grasp.map(|grasp| grasp.residual),
+        residual_rotation: row.summary.grasp.map(|grasp| grasp.residual_rotation),
+        object_displacement: row.summary.object_displacement,
+        object_rise: Some(row.summary.object_rise),
+        ..segment(row.episode, row.segment, &row.summary.segment)
     });
     Ok(segments.collect())
 }
@@ -294,7 +294,7 @@ const PLANAR: Shown = Shown {
             1.0,
             &[(false, "eef_step", "pusher"), (false, "object_step", "block")],
         ),
-        ("Block turns", "°/frame", DEGREES, &[(false, "object_turn", "")]),
+        ("Block turns", "°/frame", DEGREES, &[(false, "object_rotation", "")]),
         (
             "Relative translation",
             "px/frame",

@@ -1,4 +1,4 @@
-//! What artifacts hold, put into the terms of pages, films and pictures.
+//! What artifacts hold, put into the terms of pages, videos and images.
 
 pub(crate) mod audit;
 pub(crate) mod findings;

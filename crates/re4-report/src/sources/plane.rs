@@ -12,9 +12,9 @@ use re4_sim::{GOAL, coverage};
 use serde_json::Value;
 
 use super::{Source, find_input, inclusive, stated, trace_of, traces};
-use crate::film::{FilmDecision, FilmRollout, FilmState};
 use crate::html::rollouts::plane::{Plane, Starts, Taken};
 use crate::html::rollouts::{Decided, Rollout, demo_name};
+use crate::video::{VideoDecision, VideoRollout, VideoState};
 
 impl Source for Plane {
     fn stated(artifact: &Artifact, _: Option<&Artifact>) -> Result<Self> {
@@ -83,35 +83,35 @@ pub fn planar_rollout(artifact: &Artifact, seed: u32) -> Result<Rollout<Plane>> 
     Ok(trace_of(artifact, &traces(artifact)?, seed, "draw")?.clone())
 }
 
-/// Films of the rollouts of some seeds, in that order, and whether they show chunks: only where the index that these come from
+/// Videos of the rollouts of some seeds, in that order, and whether they show chunks: only where the index that these come from
 /// is beside the rollouts or in `store`.
 ///
 /// # Errors
 /// When the artifact has no such rollout, or tables cannot be read.
-pub fn planar_films(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result<(Vec<FilmRollout>, bool)> {
+pub fn planar_videos(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result<(Vec<VideoRollout>, bool)> {
     let traces = traces::<Plane>(artifact)?;
     let index = find_input(artifact, Stage::Index, store)?;
     let frames: Option<Vec<IndexRow<PlanarState>>> = index.map(|index| index.read()).transpose()?;
-    let films = seeds.iter().map(|&seed| {
-        let trace = trace_of(artifact, &traces, seed, "film")?;
-        Ok(FilmRollout {
+    let videos = seeds.iter().map(|&seed| {
+        let trace = trace_of(artifact, &traces, seed, "video")?;
+        Ok(VideoRollout {
             seed,
             states: states(trace),
             decisions: trace.decisions.iter().map(|d| decision(d, frames.as_deref())).collect(),
         })
     });
-    Ok((films.collect::<Result<_>>()?, frames.is_some()))
+    Ok((videos.collect::<Result<_>>()?, frames.is_some()))
 }
 
 /// The states of a rollout, each with the action that follows on it; the last one with that of the action before it.
-fn states(trace: &Rollout<Plane>) -> Vec<FilmState> {
+fn states(trace: &Rollout<Plane>) -> Vec<VideoState> {
     let result = &trace.result;
     let first = (result.eef, result.object, coverage(result.object, GOAL));
     let after = trace.steps.iter().map(|step| (step.eef, step.object, step.coverage));
     let actions = trace.steps.iter().chain(trace.steps.last()).map(Some);
     let states = [first].into_iter().chain(after).zip(actions.chain([None]));
     states
-        .map(|((pusher, block, coverage), action)| FilmState {
+        .map(|((pusher, block, coverage), action)| VideoState {
             pusher,
             block,
             coverage,
@@ -121,7 +121,7 @@ fn states(trace: &Rollout<Plane>) -> Vec<FilmState> {
         .collect()
 }
 
-fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>) -> FilmDecision {
+fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>) -> VideoDecision {
     // What is replayed in transfer is not carried (re4-policy's `reframe`).
     let carry = match &decision.detail {
         Some(detail) if detail.mode == Mode::Transit => detail.delta,
@@ -134,7 +134,7 @@ fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>)
         let end = frames.partition_point(|at| (at.episode, at.frame) <= (demo, last));
         frames.get(start..end).unwrap_or_default()
     });
-    FilmDecision {
+    VideoDecision {
         demo: demo_name(core),
         frames: (first, last),
         plan: decision.path().map(|[x, y]| Point2::new(x, y)).collect(),

@@ -27,8 +27,8 @@ pub struct ReportPage {
     pub warnings: Vec<String>,
 }
 
-/// Adds pictures of decisions to rollouts in space; what keeps it from that, where nobody asked for them.
-pub type AddPictures<'a> = dyn FnMut(&Artifact, &mut Rollouts<Space>) -> Result<Option<String>> + 'a;
+/// Adds images of decisions to rollouts in space; what keeps it from that, where nobody asked for them.
+pub type AddImages<'a> = dyn FnMut(&Artifact, &mut Rollouts<Space>) -> Result<Option<String>> + 'a;
 
 /// Opens and verifies artifacts; each is named once, and each holds rollouts.
 ///
@@ -59,7 +59,7 @@ pub fn open_rollouts(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
 }
 
 /// Makes the page of artifacts. Its viewer holds the rollouts of `seeds`, or all. Indices are looked for beside the artifacts and
-/// in `store`. `pictures` says in how many rollouts pictures of decisions were asked for, and `add` adds those.
+/// in `store`. `images` says in how many rollouts images of decisions were asked for, and `add` adds those.
 ///
 /// # Errors
 /// When some are in the plane and some in space, when none has a seed, or when tables cannot be read.
@@ -67,8 +67,8 @@ pub fn report_page(
     artifacts: &[Artifact],
     seeds: Option<&[u32]>,
     store: &Path,
-    pictures: Option<usize>,
-    add: &mut AddPictures<'_>,
+    images: Option<usize>,
+    add: &mut AddImages<'_>,
 ) -> Result<ReportPage> {
     let planar = artifacts.iter().find(|artifact| !is_spatial(artifact));
     let spatial = artifacts.iter().find(|artifact| is_spatial(artifact));
@@ -81,8 +81,8 @@ pub fn report_page(
         (None, Some(_)) => make(artifacts, seeds, store, add)?,
         (Some(planar), None) => {
             ensure!(
-                pictures.unwrap_or(0) == 0,
-                "cannot show pictures of {}: its rollouts are Push-T's, which the page draws itself; leave --pictures out",
+                images.unwrap_or(0) == 0,
+                "cannot show images of {}: its rollouts are Push-T's, which the page draws itself; leave --images out",
                 planar.path().display()
             );
             make(artifacts, seeds, store, &mut |_, _: &mut Rollouts<Plane>| Ok(None))?

@@ -7,9 +7,9 @@ use re4_artifact::Artifact;
 use serde_json::Value;
 
 use super::{Source, inclusive, stated, trace_of, traces};
-use crate::film::{SceneRollout, SceneState};
 use crate::html::rollouts::space::Space;
 use crate::html::rollouts::{Decided, Rollout, demo_name};
+use crate::video::{SceneRollout, SceneState};
 
 impl Source for Space {
     fn stated(artifact: &Artifact, index: Option<&Artifact>) -> Result<Self> {
@@ -27,7 +27,7 @@ impl Source for Space {
             demonstrations: demonstrations(&protocol["demonstrations"]["select"], index),
             dataset: dataset(protocol),
             simulator: simulator(protocol),
-            pictures: BTreeMap::new(),
+            images: BTreeMap::new(),
         })
     }
 }
@@ -76,11 +76,11 @@ pub fn spatial_rollouts(artifact: &Artifact, seeds: &[u32]) -> Result<Vec<Rollou
     let traces = traces(artifact)?;
     seeds
         .iter()
-        .map(|&seed| Ok(trace_of(artifact, &traces, seed, "film")?.clone()))
+        .map(|&seed| Ok(trace_of(artifact, &traces, seed, "video")?.clone()))
         .collect()
 }
 
-/// A rollout as the strip of a film takes it. States have the action that follows; the last one has that of the action before it.
+/// A rollout as the strip of a video takes it. States have the action that follows; the last one has that of the action before it.
 pub fn scene_rollout(rollout: &Rollout<Space>) -> SceneRollout {
     let decisions: Vec<_> = rollout.decisions.iter().map(Decided::core).collect();
     let steps = rollout.steps.iter().chain(rollout.steps.last());

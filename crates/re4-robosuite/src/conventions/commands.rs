@@ -41,9 +41,9 @@ const BETTER: f64 = 2.0;
 pub(super) const ROWS: usize = 20;
 /// A hand goes at most this many times as far as robosuite's controller takes it: 1.01 is the most that was seen.
 pub(super) const FURTHER: f64 = 1.6;
-/// It may be held back: 0.41 is the least that was seen, of a hand that opens a door.
+/// It may be held back: 0.41 is the minimum that was seen, of a hand that opens a door.
 pub(super) const LESS: f64 = 3.0;
-/// Share of the translation that a line may leave unexplained and still tell the unit.
+/// Fraction of the translation that a line may leave unexplained and still tell the unit.
 pub(super) const TRANSLATION_TOLD: f64 = 0.6;
 /// The same for rotations. Translations turn the hand a little, too, which looks like a gain of 1.4 where hardly any rotation
 /// is commanded, and leaves half of it unexplained.
@@ -55,9 +55,9 @@ const TURNS_LESS: (f64, f64) = (0.25, 0.75);
 /// Commands that are further from 0 where the hand rests are shifted (in the controller's commands): friction and weight
 /// make up to 0.034 over several demonstrations.
 const SHIFTED: f64 = 0.15;
-/// Share of its motion that the line of one axis may leave unexplained and still tell where the hand rests.
+/// Fraction of its motion that the line of one axis may leave unexplained and still tell where the hand rests.
 const AXIS_TOLD: f64 = 0.5;
-/// Least gain of such a line.
+/// Minimum gain of such a line.
 const AXIS_GAIN: f64 = 0.05;
 /// Frames at rest under one and the same command that tell a shift.
 const RESTS: usize = 10;
@@ -88,10 +88,11 @@ pub(super) fn deltas(controls: &Controls, steps: &[[f64; 6]], actions: &[Action]
 }
 
 /// The line that tells about rotations, over all three axes or over the one that tells most; none where none tells.
-pub(super) fn rotation_told(sums: &Sums) -> Option<Line> {
-    let told = |line: Option<Line>| line.filter(|line| line.unexplained <= ROTATION_TOLD && sums.frames() >= ROWS);
-    told(sums.line(&ROTATION)).or_else(|| {
-        let axes = ROTATION.iter().filter_map(|axis| told(sums.line(&[*axis])));
+pub(super) fn rotation_line(sums: &Sums) -> Option<Line> {
+    let significant =
+        |line: Option<Line>| line.filter(|line| line.unexplained <= ROTATION_TOLD && sums.frames() >= ROWS);
+    significant(sums.line(&ROTATION)).or_else(|| {
+        let axes = ROTATION.iter().filter_map(|axis| significant(sums.line(&[*axis])));
         axes.min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))
     })
 }
@@ -100,7 +101,7 @@ pub(super) fn rotation_told(sums: &Sums) -> Option<Line> {
 struct Lines {
     translation: Option<Line>,
     rotation: Option<Line>,
-    rotation_told: Option<Line>,
+    rotation_line: Option<Line>,
     frames: usize,
 }
 
@@ -120,18 +121,18 @@ impl Lines {
         Self {
             translation: sums.line(&TRANSLATION),
             rotation: sums.line(&ROTATION),
-            rotation_told: rotation_told(sums),
+            rotation_line: rotation_line(sums),
             frames: sums.frames(),
         }
     }
 
-    fn told(&self) -> Option<Line> {
+    fn translation_line(&self) -> Option<Line> {
         self.translation
             .filter(|line| line.unexplained <= TRANSLATION_TOLD && self.frames >= ROWS)
     }
 
     fn says(&self) -> Says {
-        let Some(translation) = self.told() else {
+        let Some(translation) = self.translation_line() else {
             return Says::Nothing;
         };
         if !(1.0 / LESS..=FURTHER).contains(&translation.gain) {
@@ -139,7 +140,7 @@ impl Lines {
         }
         let turns = |line: &Line| !(1.0 / LESS..=TURNS_FURTHER).contains(&line.gain.abs());
         let flat = |line: &Line| line.gain.abs() < TURNS_LESS.0 && line.unexplained <= TURNS_LESS.1;
-        if self.rotation_told.is_some_and(|line| turns(&line)) || self.rotation.is_some_and(|line| flat(&line)) {
+        if self.rotation_line.is_some_and(|line| turns(&line)) || self.rotation.is_some_and(|line| flat(&line)) {
             return Says::NotRotation;
         }
         Says::Fits
@@ -147,7 +148,7 @@ impl Lines {
 
     /// How many times further or less far the hand moves than asked.
     fn factor(&self) -> f64 {
-        self.told().map_or(f64::INFINITY, |line| {
+        self.translation_line().map_or(f64::INFINITY, |line| {
             if line.gain > 0.0 {
                 line.gain.max(1.0 / line.gain)
             } else {
@@ -356,7 +357,7 @@ impl Judge<'_, '_> {
         let steady = controls.response.steady();
         let set = self.settings.states_scale();
         let (what, line, unit, axes) = match says {
-            Says::NotRotation => ("turns", own.rotation_told.or(own.rotation), unit[3], "rad"),
+            Says::NotRotation => ("turns", own.rotation_line.or(own.rotation), unit[3], "rad"),
             _ => ("moves", own.translation, unit[0], "m"),
         };
         let gain = line.map_or(0.0, |line| line.gain.abs());
@@ -364,7 +365,7 @@ impl Judge<'_, '_> {
             "the hand {what} {:.3} {axes} a step per unit of command, {gain:.2} times what a controller with output_max {unit} does",
             gain * steady * unit
         );
-        let (what, mend) = match (better, set) {
+        let (what, fix) = match (better, set) {
             (Some(ActionScale::Metres), false) => (
                 format!("{moves}: these are deltas in metres and radians"),
                 "set action_scale = \"metres\"".to_owned(),
@@ -390,7 +391,7 @@ impl Judge<'_, '_> {
             convention: "action_scale",
             what,
             evidence,
-            mend,
+            fix,
         }
     }
 
@@ -416,7 +417,7 @@ impl Judge<'_, '_> {
                 worst = Some((axis, shift, line.unexplained));
             }
         }
-        let mend = if self.settings.states_scale() {
+        let fix = if self.settings.states_scale() {
             "correct action_gain and action_offset"
         } else {
             "give the numbers that undo it as action_gain and action_offset, six of each (command = gain * recorded + offset)"
@@ -425,7 +426,7 @@ impl Judge<'_, '_> {
             convention: "action_scale",
             what,
             evidence,
-            mend: mend.to_owned(),
+            fix: fix.to_owned(),
         };
         if let Some((axis, shift, unexplained)) = worst {
             return Err(refuse(
@@ -445,8 +446,8 @@ impl Judge<'_, '_> {
         let most = rests.iter().max_by_key(|(command, count)| (**count, **command));
         if let Some((command, &count)) = most {
             let command = command.map(f64::from_bits);
-            let greatest = command.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-            if count >= RESTS && count > 2 * zero && (1e-3..0.99).contains(&greatest) {
+            let maximum = command.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+            if count >= RESTS && count > 2 * zero && (1e-3..0.99).contains(&maximum) {
                 let shown: Vec<String> = command.iter().map(|value| format!("{value:.3}")).collect();
                 return Err(refuse(
                     format!(
@@ -502,9 +503,9 @@ impl Judge<'_, '_> {
             ActionRotation::Forward => gain,
             ActionRotation::Reversed => -gain,
         };
-        let told = own.rotation_told.map(|line| read(line.gain));
-        let against = told.map(|gain| if gain < 0.0 { 1.0 } else { 0.0 });
-        let frames = if told.is_some() { own.frames } else { 0 };
+        let gain = own.rotation_line.map(|line| read(line.gain));
+        let against = gain.map(|gain| if gain < 0.0 { 1.0 } else { 0.0 });
+        let frames = if gain.is_some() { own.frames } else { 0 };
         let verdict = Verdict::new(
             test,
             [

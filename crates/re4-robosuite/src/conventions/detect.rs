@@ -16,7 +16,7 @@ use super::{
 };
 use crate::env_args::EnvArgs;
 
-/// Share of the hand's motion that inertia and contacts leave unexplained by the action.
+/// Fraction of the hand's motion that inertia and contacts leave unexplained by the action.
 pub(super) const UNEXPLAINED: f64 = 0.6;
 /// The same for the wrong kind of action.
 pub(super) const NOT_EXPLAINED: f64 = 0.8;
@@ -337,7 +337,7 @@ impl<'a> File<'a> {
                 kinds.unexplained(ActionKind::Absolute),
                 kinds.frames()
             ),
-            mend: "give a file whose actions are deltas of OSC_POSE, or its goals in the world".to_owned(),
+            fix: "give a file whose actions are deltas of OSC_POSE, or its goals in the world".to_owned(),
         })
     }
 

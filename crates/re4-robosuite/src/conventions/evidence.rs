@@ -39,9 +39,9 @@ pub struct Evidence {
     pub test: String,
     /// Unit of the residuals.
     pub unit: String,
-    /// The greatest residual with which a hypothesis fits.
+    /// The maximum residual with which a hypothesis fits.
     pub threshold: f64,
-    /// The least median residual with which a hypothesis clearly does not fit.
+    /// The minimum median residual with which a hypothesis clearly does not fit.
     pub rival_threshold: f64,
     /// All hypotheses, best first.
     pub candidates: Vec<Candidate>,

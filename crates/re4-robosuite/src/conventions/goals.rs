@@ -161,7 +161,7 @@ impl Judge<'_, '_> {
                 convention: "goal_rotation",
                 what: format!("the orientations of absolute actions are {own:.2} rad from the hand's in the median: {are}"),
                 evidence: format!("{}: {} rad, over {frames} frames", ROTATION_TEST.name, listed(&candidates, 2)),
-                mend: "convert them to rotation vectors of the grip site in the world, as robosuite's controller takes them".to_owned(),
+                fix: "convert them to rotation vectors of the grip site in the world, as robosuite's controller takes them".to_owned(),
             });
         }
         let basis = if frames >= ROWS { Basis::Data } else { Basis::Declared };
@@ -190,7 +190,7 @@ fn another_frame(
         "absolute actions lie ({:.3}, {:.3}, {:.3}) m beside where the hand goes",
         offset.x, offset.y, offset.z
     );
-    let (what, mend) = match set {
+    let (what, fix) = match set {
         None if base_fits => (
             format!("{beside}, and fit in the frame of the robot's base"),
             "set action_kind = \"absolute\" and action_frame = \"base\"",
@@ -222,6 +222,6 @@ fn another_frame(
         convention: "action_frame",
         what,
         evidence,
-        mend: mend.to_owned(),
+        fix: fix.to_owned(),
     }
 }

@@ -7,7 +7,7 @@ use super::residuals::{self, Share};
 use super::{GripperSign, Settings, Unproven};
 use crate::actions::Action;
 
-/// Share of finger travel against the command that play and contacts may cause.
+/// Fraction of finger travel against the command that play and contacts may cause.
 const FINGERS_AGAINST: f64 = 0.1;
 /// Finger travel (metres) that tells the command's sign.
 pub(super) const FINGER_TRAVEL: f64 = 0.01;
@@ -135,7 +135,7 @@ pub(super) fn gripper_range(demos: &[Sound<'_>], settings: &Settings) -> Result<
                 "{:.2} of the fingers' travel is under a command of 0 that lasts, over {frames} frames",
                 share(held)
             ),
-            mend: format!("set gripper_range = \"zero_one\"{also}"),
+            fix: format!("set gripper_range = \"zero_one\"{also}"),
         });
     }
     if share(held) > test.threshold && frames >= test.frames && set.is_none() {
@@ -143,7 +143,7 @@ pub(super) fn gripper_range(demos: &[Sound<'_>], settings: &Settings) -> Result<
             convention: "gripper_range",
             what: "the fingers move under a gripper command of 0, which holds robosuite's where they are".to_owned(),
             evidence: format!("{:.2} of their travel, over {frames} frames", share(held)),
-            mend: "repair the last column of actions: -1 opens, 1 closes".to_owned(),
+            fix: "repair the last column of actions: -1 opens, 1 closes".to_owned(),
         });
     }
     let declared = Declared {

@@ -1,4 +1,4 @@
-//! Conventions of a file as typed facts, each with the evidence for it.
+//! Conventions of a file as typed summary, each with the evidence for it.
 //!
 //! For every convention, each hypothesis gets a residual from the numbers of the file. One is accepted when it fits
 //! ([`Evidence::threshold`]) and every other clearly does not ([`MARGIN`]). What the data cannot tell needs an explicit
@@ -220,7 +220,7 @@ pub enum Unproven {
         residuals: String,
     },
     /// Actions that are not what the conventions say.
-    #[error("{what} ({evidence}); {mend}")]
+    #[error("{what} ({evidence}); {fix}")]
     Actions {
         /// The convention.
         convention: &'static str,
@@ -229,7 +229,7 @@ pub enum Unproven {
         /// The test and its numbers.
         evidence: String,
         /// What to do.
-        mend: String,
+        fix: String,
     },
     /// Settings that exclude each other.
     #[error("{0}")]

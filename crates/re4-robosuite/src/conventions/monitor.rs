@@ -85,7 +85,7 @@ pub enum Contradiction {
         demo: String,
         /// The dataset and its columns, e.g. `obs/object[3:7]`.
         dataset: String,
-        /// The row with the greatest residual.
+        /// The row with the maximum residual.
         frame: usize,
         /// What is off.
         what: &'static str,
@@ -162,7 +162,7 @@ impl Contradiction {
     }
 }
 
-/// How well a demo follows the conventions: greatest residuals over its rows.
+/// How well a demo follows the conventions: maximum residuals over its rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DemoResiduals {
     /// Rows.
@@ -179,16 +179,16 @@ pub struct DemoResiduals {
     pub object_kinematics: Option<f64>,
     /// Finger joints against states and model (metres).
     pub gripper_kinematics: Option<f64>,
-    /// How far the greatest delta action is beyond [-1, 1]; none for absolute actions.
+    /// How far the maximum delta action is beyond [-1, 1]; none for absolute actions.
     pub beyond_range: Option<f64>,
-    /// Share of the finger travel against the gripper command; none where the fingers hardly move.
+    /// Fraction of the finger travel against the gripper command; none where the fingers hardly move.
     pub fingers_against: Option<f64>,
-    /// Share of the hand's motion that the actions leave unexplained; none where it hardly moves.
+    /// Fraction of the hand's motion that the actions leave unexplained; none where it hardly moves.
     pub motion_unexplained: Option<f64>,
 }
 
-/// The greatest value and its row.
-fn greatest(values: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {
+/// The maximum value and its row.
+fn maximum(values: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {
     values.reduce(|best, next| if next.1.total_cmp(&best.1).is_gt() { next } else { best })
 }
 
@@ -238,19 +238,19 @@ impl Conventions {
         let norms = demo.eef_quat.iter().map(norm_error).enumerate();
         let what = "the norm of a quaternion differs from 1";
         result.eef_quaternion_norm =
-            within("obs/robot0_eef_quat", what, QUATERNION_TOLERANCE, greatest(norms))?.unwrap_or_default();
+            within("obs/robot0_eef_quat", what, QUATERNION_TOLERANCE, maximum(norms))?.unwrap_or_default();
         for start in self.object_quaternions() {
             let Some(rows) = demo.object else { continue };
             let norms = (0..frames).filter_map(|t| Some((t, norm_error(&self.stored(rows.row(t), start, t)?))));
             let dataset = format!("obs/object[{start}:{}]", start + 4);
-            let worst = within(&dataset, what, QUATERNION_TOLERANCE, greatest(norms))?;
+            let worst = within(&dataset, what, QUATERNION_TOLERANCE, maximum(norms))?;
             result.object_quaternion_norm = larger(result.object_quaternion_norm, worst);
         }
         if self.action_kind == ActionKind::Delta {
             let commands = sound.actions.iter().enumerate();
             let beyond =
                 commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
-            let worst = greatest(beyond);
+            let worst = maximum(beyond);
             result.beyond_range = worst.map(|(_, beyond)| beyond.max(0.0));
             if !self.allow_actions_beyond_range {
                 let what = "a delta action leaves [-1, 1] (allow_actions_beyond_range accepts it)";
@@ -260,7 +260,7 @@ impl Conventions {
         if self.actions.gripper == GripperRange::ZeroOne {
             let beyond = demo.actions.iter().map(|action| (action[6] - 0.5).abs() - 0.5);
             let what = "the gripper command leaves [0, 1], its range in this file,";
-            within("actions[:, 6]", what, COMMAND_TOLERANCE, greatest(beyond.enumerate()))?;
+            within("actions[:, 6]", what, COMMAND_TOLERANCE, maximum(beyond.enumerate()))?;
         }
         self.check_exact(sound, &mut result, &within)?;
         self.check_motion(sound, &mut result)?;
@@ -300,13 +300,13 @@ impl Conventions {
         let translation = sums
             .line(&TRANSLATION)
             .filter(|line| line.unexplained <= TRANSLATION_TOLD);
-        let rotation = commands::rotation_told(&sums);
+        let rotation = commands::rotation_line(&sums);
         let told = [
             ("actions[:, 0:3]", translation, FURTHER, LESS),
             // Few rotations are far from what they stand beside.
             ("actions[:, 3:6]", rotation, TURNS_FURTHER, 2.0 * LESS),
         ];
-        for (dataset, line, most, least) in told {
+        for (dataset, line, most, minimum) in told {
             let Some(line) = line else { continue };
             if line.gain < -OTHER_WAY {
                 return refuse(dataset, other_way, -line.gain, OTHER_WAY, frames);
@@ -314,8 +314,8 @@ impl Conventions {
             if line.gain > most {
                 return refuse(dataset, further, line.gain, most, frames);
             }
-            if line.gain > 0.0 && line.gain < 1.0 / least {
-                return refuse(dataset, less, 1.0 / line.gain, least, frames);
+            if line.gain > 0.0 && line.gain < 1.0 / minimum {
+                return refuse(dataset, less, 1.0 / line.gain, minimum, frames);
             }
         }
         Ok(())
@@ -349,7 +349,7 @@ impl Conventions {
         // What only a setting says is measured, but refuses nothing.
         let exact = |proven: bool| if proven { EXACT } else { f64::INFINITY };
         let each = |residual: &dyn Fn(usize) -> Option<f64>| {
-            greatest((0..demo.arrays.actions.len()).filter_map(|t| Some((t, residual(t)?))))
+            maximum((0..demo.arrays.actions.len()).filter_map(|t| Some((t, residual(t)?))))
         };
         let worst = each(&|t| residuals::eef_kinematics(demo, t, self.eef_quaternion, self.eef_orientation));
         let what = "the pose differs from the one that states and model_file give";
@@ -407,7 +407,7 @@ impl Conventions {
             let against = fingers.value();
             result.fingers_against = Some(against);
             if against > 0.5 {
-                let what = "the fingers move against the gripper command, as a share of their travel";
+                let what = "the fingers move against the gripper command, as a fraction of their travel";
                 return refuse("actions[:, 6]", what, against, 0.5, fingers.frames);
             }
         }
@@ -420,7 +420,8 @@ impl Conventions {
             let own = kinds.unexplained(self.action_kind);
             result.motion_unexplained = Some(own);
             if own > NOT_EXPLAINED && kinds.unexplained(other) <= UNEXPLAINED {
-                let what = "the actions are of the other kind (delta or absolute): motion left unexplained, as a share";
+                let what =
+                    "the actions are of the other kind (delta or absolute): motion left unexplained, as a fraction";
                 return refuse("actions[:, 0:6]", what, own, NOT_EXPLAINED, kinds.frames());
             }
         }

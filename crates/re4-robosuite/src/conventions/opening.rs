@@ -17,7 +17,7 @@ use crate::actions;
 use crate::kinematics::PANDA_RESET;
 
 const TEST: Test = Test {
-    name: "where the hand goes before the first rotation command: distance from each pose, as a share of that between the two",
+    name: "where the hand goes before the first rotation command: distance from each pose, as a fraction of that between the two",
     unit: "of the distance",
     threshold: 0.4,
     rival: 0.6,
@@ -99,7 +99,7 @@ pub(super) fn initial_goal(
             what: "the setting initial_goal = \"reset_pose\" needs a Panda in the demonstrations' models".to_owned(),
             evidence: "no demonstration has the attribute model_file with arm joints robot0_joint1 to robot0_joint7"
                 .to_owned(),
-            mend: "remove the setting, or restore the models".to_owned(),
+            fix: "remove the setting, or restore the models".to_owned(),
         });
     }
     let value = proven.or(set).unwrap_or(fallback);

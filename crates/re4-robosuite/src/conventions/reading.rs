@@ -11,7 +11,7 @@ use crate::actions::{self, Action, Osc};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionScale {
-    /// The controller's own: its greatest command (1) means `output_max`.
+    /// The controller's own: its maximum command (1) means `output_max`.
     #[default]
     Controller,
     /// Metres and radians a step.

@@ -109,7 +109,7 @@ pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: Relation) -> Option
     Some((Vector3::from(stored) - sign * difference).norm())
 }
 
-/// Sums over frames from which a share is taken.
+/// Sums over frames from which a fraction is taken.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Share {
     against: f64,
@@ -133,7 +133,7 @@ impl Share {
         }
     }
 
-    /// What it is a share of: finger travel in metres, ...
+    /// What it is a fraction of: finger travel in metres, ...
     pub(super) fn total(&self) -> f64 {
         self.all
     }
@@ -146,7 +146,7 @@ impl Share {
     }
 }
 
-/// Finger travel against "a positive command closes", as a share of all travel under a command.
+/// Finger travel against "a positive command closes", as a fraction of all travel under a command.
 pub(super) fn finger_travel(demo: &Sound<'_>) -> Share {
     let mut share = Share::default();
     for (t, pair) in demo.arrays.gripper_qpos.windows(2).enumerate() {
@@ -181,9 +181,9 @@ impl Motion {
         self.frames += other.frames;
     }
 
-    /// The share of the motion (sum of squares) that the best gain, at least `least`, leaves unexplained: 1 for an action that
+    /// The fraction of the motion (sum of squares) that the best gain, at least `minimum`, leaves unexplained: 1 for an action that
     /// says nothing, more for one that says something else; infinite without motion.
-    fn unexplained(&self, least: f64) -> f64 {
+    fn unexplained(&self, minimum: f64) -> f64 {
         if self.step_step <= 0.0 {
             return f64::INFINITY;
         }
@@ -192,7 +192,7 @@ impl Motion {
         } else {
             0.0
         };
-        let gain = best.max(least);
+        let gain = best.max(minimum);
         1.0 - gain * (2.0 * self.step_ask - gain * self.ask_ask) / self.step_step
     }
 }
@@ -210,7 +210,7 @@ impl Kinds {
         self.goals.add(other.goals);
     }
 
-    /// The share of the motion that actions of a kind leave unexplained.
+    /// The fraction of the motion that actions of a kind leave unexplained.
     pub(super) fn unexplained(&self, kind: ActionKind) -> f64 {
         match kind {
             ActionKind::Delta => self.deltas.unexplained(0.0),
@@ -252,7 +252,7 @@ pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
     kinds
 }
 
-/// Recorded angular velocity against the change of the recorded orientation under a quaternion order, as a share.
+/// Recorded angular velocity against the change of the recorded orientation under a quaternion order, as a fraction.
 pub(super) fn angular_velocity(demo: &Sound<'_>, order: QuaternionOrder, control_freq: f64) -> Share {
     let mut share = Share::default();
     let Some(velocities) = demo.arrays.eef_vel_ang else {

@@ -92,7 +92,7 @@ struct Axis {
 pub(super) struct Line {
     /// How many times further the hand moves than it is asked to.
     pub(super) gain: f64,
-    /// Share of the motion that is not explained, 0 to 1.
+    /// Fraction of the motion that is not explained, 0 to 1.
     pub(super) unexplained: f64,
 }
 
@@ -171,9 +171,9 @@ impl Sums {
             zz += sum.zz - sum.z * sum.z / rows;
             yz += sum.yz - sum.y * sum.z / rows;
         }
-        let least = LEAST_MOTION[usize::from(axes.first().is_some_and(|axis| *axis > 2))];
+        let minimum = LEAST_MOTION[usize::from(axes.first().is_some_and(|axis| *axis > 2))];
         // Rounding leaves a little of columns that never change.
-        if self.rows < 3 || yy < least * least || zz < 1e-12 * yy {
+        if self.rows < 3 || yy < minimum * minimum || zz < 1e-12 * yy {
             return None;
         }
         Some(Line {

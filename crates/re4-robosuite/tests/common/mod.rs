@@ -179,7 +179,7 @@ pub(crate) fn scripted(task: &str, file: &str) -> Option<Source> {
     Source::open(&format!("robomimic-scripted/{task}/{file}"))
 }
 
-/// The value that a share of sorted values does not exceed.
+/// The value that a fraction of sorted values does not exceed.
 pub(crate) fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let rank = (share * values.len() as f64).ceil() as usize;

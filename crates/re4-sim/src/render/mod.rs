@@ -1,4 +1,4 @@
-//! Pictures of Push-T: the 512 x 512 canvas and the 96 x 96 observation, with the bytes of gym-pusht 0.1.8's.
+//! Images of Push-T: the 512 x 512 canvas and the 96 x 96 observation, with the bytes of gym-pusht 0.1.8's.
 //!
 //! gym-pusht draws with pygame on a white surface, in this order: the goal, then what Chipmunk's debug drawing reports (the
 //! block's rectangles, the agent, the walls, and a red mark across each contact point), and shrinks the surface with
@@ -33,14 +33,14 @@ const AGENT_RIM: f64 = 4.0;
 /// How far the outline round each of the block's rectangles reaches, in pixels.
 pub const OUTLINE_RADIUS: f64 = 2.0;
 
-/// A picture of 512 x 512 pixels: RGB, 8 bits each, row by row from the top.
+/// An image of 512 x 512 pixels: RGB, 8 bits each, row by row from the top.
 ///
 /// One that is drawn on again and again, with [`PushT::render_into`] or [`Canvas::draw_state`], spares an allocation of
 /// 768 KiB per frame.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Canvas {
     pixels: Vec<[u8; 3]>,
-    /// White paper with the goal on it, from which each picture starts.
+    /// White paper with the goal on it, from which each image starts.
     background: Vec<[u8; 3]>,
 }
 
@@ -66,7 +66,7 @@ impl Canvas {
     /// Colour of the block's outline.
     pub const OUTLINE: [u8; 3] = BLOCK_OUTLINE;
 
-    /// All colours of a picture without contact marks.
+    /// All colours of an image without contact marks.
     pub const COLOURS: [[u8; 3]; 7] = [
         WHITE,
         GOAL_COLOUR,
@@ -95,7 +95,7 @@ impl Canvas {
         self.pixels.as_flattened()
     }
 
-    /// The picture shrunk to 96 x 96, as policies see it: `96 * 96 * 3` bytes in the order of [`Canvas::bytes`].
+    /// The image shrunk to 96 x 96, as policies see it: `96 * 96 * 3` bytes in the order of [`Canvas::bytes`].
     ///
     /// Bilinear without smoothing, in `OpenCV`'s fixed-point arithmetic.
     pub fn observation(&self) -> Vec<u8> {
@@ -157,7 +157,7 @@ impl Canvas {
 }
 
 impl PushT {
-    /// A picture of the current state, with the contacts of the last physics step marked: gym-pusht's canvas after the
+    /// An image of the current state, with the contacts of the last physics step marked: gym-pusht's canvas after the
     /// same reset and steps.
     ///
     /// [`Canvas::observation`] shrinks it to what policies see.
@@ -178,7 +178,7 @@ impl PushT {
     }
 }
 
-/// A picture of a state, in pixels and radians, without physics and therefore without contact marks.
+/// An image of a state, in pixels and radians, without physics and therefore without contact marks.
 ///
 /// `block` is the pose as it is recorded and observed (the pose of the block's own frame), not one to request of a reset.
 /// For the same state it differs from [`PushT::render`] in the contact marks, and by a rounding step where a corner lies

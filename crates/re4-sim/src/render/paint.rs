@@ -91,11 +91,11 @@ impl Canvas {
             let (p, q) = (corners[i], corners[(i + 1) % 4]);
             if p.y <= q.y { (p, q) } else { (q, p) }
         });
-        let top = corners.iter().fold(i64::MAX, |least, p| least.min(p.y));
-        let bottom = corners.iter().fold(i64::MIN, |greatest, p| greatest.max(p.y));
+        let top = corners.iter().fold(i64::MAX, |minimum, p| minimum.min(p.y));
+        let bottom = corners.iter().fold(i64::MIN, |maximum, p| maximum.max(p.y));
         if top == bottom {
-            let left = corners.iter().fold(i64::MAX, |least, p| least.min(p.x));
-            let right = corners.iter().fold(i64::MIN, |greatest, p| greatest.max(p.x));
+            let left = corners.iter().fold(i64::MAX, |minimum, p| minimum.min(p.x));
+            let right = corners.iter().fold(i64::MIN, |maximum, p| maximum.max(p.x));
             return self.span(left, right, top, colour);
         }
         for y in top.max(0)..=bottom.min(LAST) {

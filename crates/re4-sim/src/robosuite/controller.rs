@@ -24,7 +24,7 @@ const POSTURE_STIFFNESS: f64 = 10.0;
 const DELTA_POSITION: f64 = 0.05;
 const DELTA_ROTATION: f64 = 0.5;
 
-/// Below this, numpy's pseudo-inverse takes a singular value for zero, relative to the greatest.
+/// Below this, numpy's pseudo-inverse takes a singular value for zero, relative to the maximum.
 const SINGULAR: f64 = 1e-15;
 
 /// What the arm is told at a control step. World frame; the grip site is what is steered.

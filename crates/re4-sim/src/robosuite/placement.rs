@@ -77,7 +77,7 @@ impl Placement {
         let sizes: Vec<Option<[f64; 3]>> = rules
             .iter()
             .map(|rule| match rule.extent {
-                Extent::Box([least, most]) => Some(std::array::from_fn(|_| generator.uniform(least, most))),
+                Extent::Box([minimum, most]) => Some(std::array::from_fn(|_| generator.uniform(minimum, most))),
                 Extent::Fixed { .. } => None,
             })
             .collect();
@@ -178,8 +178,8 @@ impl Room {
     fn of(rule: &ObjectRule, half_sizes: Option<[f64; 3]>) -> Self {
         match (rule.extent, half_sizes) {
             (Extent::Fixed { bottom, top, radius }, _) => Self { bottom, top, radius },
-            (Extent::Box([least, _]), half_sizes) => {
-                let [x, y, z] = half_sizes.unwrap_or([least; 3]);
+            (Extent::Box([minimum, _]), half_sizes) => {
+                let [x, y, z] = half_sizes.unwrap_or([minimum; 3]);
                 Self {
                     bottom: -z,
                     top: z,

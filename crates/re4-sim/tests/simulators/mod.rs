@@ -12,7 +12,7 @@ use std::sync::Mutex;
 
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::{without_contacts, without_pictures};
+use re4_robosuite::physics::{without_contacts, without_images};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -102,8 +102,8 @@ impl Trace {
         let whole = self.mjcf(simulators);
         let text = match form {
             Form::Whole => whole,
-            Form::Physics => without_pictures(&whole).unwrap(),
-            Form::Apart => without_contacts(&without_pictures(&whole).unwrap(), &self.task.put_away()).unwrap(),
+            Form::Physics => without_images(&whole).unwrap(),
+            Form::Apart => without_contacts(&without_images(&whole).unwrap(), &self.task.put_away()).unwrap(),
         };
         let model = RobosuiteModel::compile(&self.library(simulators), self.task, self.profile, &text).unwrap();
         compiled.push((self.name.clone(), form, model.clone()));
@@ -158,22 +158,22 @@ pub(crate) fn library(simulators: &Path, profile: Profile) -> Library {
     Library::open(&simulators.join(format!("mujoco-{version}")), version).unwrap()
 }
 
-/// Greatest absolute difference.
+/// Maximum absolute difference.
 pub(crate) fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     ours.iter()
         .zip(theirs)
         .map(|(a, b)| (a - b).abs())
-        .fold(0.0, |greatest, value| {
-            if value > greatest || value.is_nan() {
+        .fold(0.0, |maximum, value| {
+            if value > maximum || value.is_nan() {
                 value
             } else {
-                greatest
+                maximum
             }
         })
 }
 
-/// Greatest absolute difference but for some places.
+/// Maximum absolute difference but for some places.
 pub(crate) fn apart_without(ours: &[f64], theirs: &[f64], left_out: &[usize]) -> f64 {
     let rest = |numbers: &[f64]| -> Vec<f64> {
         let kept = numbers.iter().enumerate().filter(|(at, _)| !left_out.contains(at));
@@ -182,7 +182,7 @@ pub(crate) fn apart_without(ours: &[f64], theirs: &[f64], left_out: &[usize]) ->
     apart(&rest(ours), &rest(theirs))
 }
 
-/// Greatest absolute difference of two quaternions, of which the negative one is the same rotation.
+/// Maximum absolute difference of two quaternions, of which the negative one is the same rotation.
 pub(crate) fn apart_as_rotations(ours: &[f64], theirs: &[f64]) -> f64 {
     let turned: Vec<f64> = theirs.iter().map(|part| -part).collect();
     apart(ours, theirs).min(apart(ours, &turned))

@@ -142,12 +142,12 @@ impl Iterator for SegmentedEpisodes {
 }
 
 /// Takes items off an iterator, some at a time.
-pub(crate) fn in_portions<T>(mut items: impl Iterator<Item = Result<T>>) -> impl Iterator<Item = Result<Vec<T>>> {
+pub(crate) fn in_batches<T>(mut items: impl Iterator<Item = Result<T>>) -> impl Iterator<Item = Result<Vec<T>>> {
     std::iter::from_fn(move || {
-        let portion: Result<Vec<T>> = items.by_ref().take(AT_A_TIME).collect();
-        match portion {
-            Ok(portion) if portion.is_empty() => None,
-            portion => Some(portion),
+        let batch: Result<Vec<T>> = items.by_ref().take(AT_A_TIME).collect();
+        match batch {
+            Ok(batch) if batch.is_empty() => None,
+            batch => Some(batch),
         }
     })
 }
@@ -155,7 +155,7 @@ pub(crate) fn in_portions<T>(mut items: impl Iterator<Item = Result<T>>) -> impl
 #[cfg(test)]
 mod tests {
     use nalgebra::Isometry3;
-    use re4_artifact::{Facts, Recipe, SixAxis, Stage, Store};
+    use re4_artifact::{ArtifactSummary, Recipe, SixAxis, Stage, Store};
 
     use super::*;
     use re4_fault::Remedy as _;
@@ -192,10 +192,10 @@ mod tests {
         };
         writer.write_rows([demo]).unwrap();
         writer.write_rows([frame]).unwrap();
-        let artifact = writer.publish(Facts::default()).unwrap();
+        let artifact = writer.publish(ArtifactSummary::default()).unwrap();
         let said = SpatialEpisodes::open(&artifact).unwrap().next().unwrap().unwrap_err();
         assert!(
-            crate::notes::told(&said)
+            crate::notes::fault_of(&said)
                 .sentence()
                 .ends_with("have no object pose, which this stage reads; ingest a dataset that has it"),
             "{said}"

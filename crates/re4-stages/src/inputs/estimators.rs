@@ -15,8 +15,8 @@ pub(crate) const WEIGHTS: &str = "encoder.safetensors";
 pub(crate) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<LogPolarEstimator> {
     let table = artifact
         .table(re4_pose::AnchorRow::table())?
-        .read_columns(&["goal_share"])?;
-    let share: Vec<f32> = col_f64(&table, "goal_share")?
+        .read_columns(&["goal_fraction"])?;
+    let share: Vec<f32> = col_f64(&table, "goal_fraction")?
         .iter()
         .map(|share| *share as f32)
         .collect();

@@ -4,7 +4,7 @@ pub(crate) mod by_episode;
 pub(crate) mod demos;
 pub(crate) mod episodes;
 pub(crate) mod estimators;
-pub(crate) mod pictures;
+pub(crate) mod images;
 pub(crate) mod simulators;
 pub(crate) mod sources;
 pub(crate) mod starts;

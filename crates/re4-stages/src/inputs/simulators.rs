@@ -10,7 +10,7 @@ use re4_fault::{bail, ensure};
 use re4_ingest::{DemoRow, ModelRow};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::{without_contacts, without_pictures};
+use re4_robosuite::physics::{without_contacts, without_images};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
 use tracing::{debug, info};
 
@@ -92,7 +92,7 @@ impl Scenes {
             let demo = user.map_or("a demonstration", |demo| &demo.demo);
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
             // Files that are only drawn need not be here.
-            let mut text = without_pictures(&text)
+            let mut text = without_images(&text)
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
@@ -131,7 +131,7 @@ impl Scenes {
     ///
     /// # Errors
     /// When no demonstration has a model, or an asset is missing.
-    pub(crate) fn drawn_mjcf(&self, episodes: &Artifact) -> Result<String> {
+    pub(crate) fn rendered_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
         let models = episodes.read::<ModelRow>()?;

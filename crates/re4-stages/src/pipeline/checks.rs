@@ -11,7 +11,7 @@ use re4_task::RobosuiteTask;
 
 use super::{IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
 
-/// Refuses settings under which a stage could not do its work: no steps at all, way-points with no distance between them.
+/// Refuses settings under which a stage could not do its work: no steps at all, waypoints with no distance between them.
 ///
 /// # Errors
 /// The first such setting, with the values that it can have.
@@ -80,7 +80,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     );
     ensure!(
         ingest.render.is_empty() || ingest.cameras.is_none(),
-        "ingest.cameras chooses recorded pictures and ingest.render has pictures drawn";
+        "ingest.cameras chooses recorded images and ingest.render has images drawn";
         "leave one of the two out"
     );
     check_render(ingest)?;
@@ -139,16 +139,16 @@ fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
     }
     match (pipeline.variant, pose.source) {
         (_, PoseSource::LogPolar) => bail!(
-            "pose.source is \"log_polar\", which reads Push-T's pictures";
+            "pose.source is \"log_polar\", which reads Push-T's images";
             "set it to \"encoder\", or to \"recorded\""
         ),
         (Some(Variant::State), PoseSource::Encoder) => bail!(
             "variant is \"state\" and pose.source is \"encoder\"";
-            "poses from pictures belong to variant = \"image\""
+            "poses from images belong to variant = \"image\""
         ),
         (Some(Variant::Image), PoseSource::Recorded) => bail!(
             "variant is \"image\" and pose.source is \"recorded\"";
-            "what pictures show is estimated, so set pose.source = \"encoder\""
+            "what images show is estimated, so set pose.source = \"encoder\""
         ),
         (_, PoseSource::Encoder) => check_encoder(pipeline, &pose.encoder().camera),
         _ => Ok(()),
@@ -161,19 +161,19 @@ const WIDEST: u32 = 256;
 /// Most epochs, and most steps of one.
 const MOST_STEPS: u32 = 1_000_000;
 
-/// Largest batch, in pictures: what is computed with them is some megabytes each.
+/// Largest batch, in images: what is computed with them is some megabytes each.
 const LARGEST_BATCH: u32 = 4096;
 
 fn check_settings(encoder: &EncoderConfig) -> Result<()> {
-    let count = |name: &str, value: usize, least: u32, most: u32| {
-        between(name, u32::try_from(value).unwrap_or(u32::MAX), least, most)
+    let count = |name: &str, value: usize, minimum: u32, most: u32| {
+        between(name, u32::try_from(value).unwrap_or(u32::MAX), minimum, most)
     };
     count("pose.encoder.width", encoder.width, 1, WIDEST)?;
     count("pose.encoder.batch", encoder.batch, GROUP as u32, LARGEST_BATCH)?;
     ensure!(
         encoder.batch.is_multiple_of(GROUP),
         "pose.encoder.batch is {}", encoder.batch;
-        "give a multiple of {GROUP}: groups of two demonstrations with four pictures each"
+        "give a multiple of {GROUP}: groups of two demonstrations with four images each"
     );
     between("pose.encoder.epochs", encoder.epochs, 1, MOST_STEPS)?;
     if let Some(steps) = encoder.steps {
@@ -187,13 +187,13 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     ensure!(
         (0.0..=0.5).contains(&encoder.held_out),
         "pose.encoder.held_out is {}", encoder.held_out;
-        "it is a share, from 0 to 0.5"
+        "it is a fraction, from 0 to 0.5"
     );
     let losses = &encoder.losses;
     ensure!(
         (0.0..=1.0).contains(&losses.absolute_held),
         "pose.encoder.losses.absolute_held is {}", losses.absolute_held;
-        "it is a share, from 0 to 1"
+        "it is a fraction, from 0 to 1"
     );
     for (name, value) in [
         ("weight_decay", encoder.weight_decay),
@@ -210,23 +210,23 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     Ok(())
 }
 
-/// An encoder needs pictures, and nothing beside it may read recorded object poses.
+/// An encoder needs images, and nothing beside it may read recorded object poses.
 fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
     let ingest = &pipeline.ingest;
     ensure!(
         ingest.images,
-        "pose.source is \"encoder\" and ingest.images is false, so there would be no pictures";
+        "pose.source is \"encoder\" and ingest.images is false, so there would be no images";
         "leave it out"
     );
     ensure!(
         ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
-        "pose.encoder.camera is {camera:?}, of which ingest.render draws no pictures";
+        "pose.encoder.camera is {camera:?}, of which ingest.render draws no images";
         "set ingest.render = [{camera:?}]"
     );
     if let Some(cameras) = &ingest.cameras {
         ensure!(
             cameras.iter().any(|taken| taken == camera),
-            "pose.encoder.camera is {camera:?}, whose pictures ingest.cameras leaves out";
+            "pose.encoder.camera is {camera:?}, whose images ingest.cameras leaves out";
             "name it there"
         );
     }
@@ -318,7 +318,7 @@ fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> R
         (Variant::Image, PoseSource::LogPolar) => {
             ensure!(
                 ingest.images,
-                "variant is \"image\" and ingest.images is false, so there would be no pictures";
+                "variant is \"image\" and ingest.images is false, so there would be no images";
                 "leave it out"
             );
             // Other rules look at the recorded pose of the object.
@@ -336,11 +336,11 @@ fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> R
         }
         (Variant::State, PoseSource::LogPolar) => bail!(
             "variant is \"state\" and pose.source is \"log_polar\"";
-            "poses from pictures belong to variant = \"image\""
+            "poses from images belong to variant = \"image\""
         ),
         (Variant::Image, PoseSource::Recorded) => bail!(
             "variant is \"image\" and pose.source is \"recorded\"";
-            "what pictures show is estimated, so set pose.source = \"log_polar\""
+            "what images show is estimated, so set pose.source = \"log_polar\""
         ),
     }
 }
@@ -369,8 +369,8 @@ fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
     not_negative("scenes.clearance", scenes.clearance)
 }
 
-fn between(name: &str, value: u32, least: u32, most: u32) -> Result<()> {
-    ensure!((least..=most).contains(&value), "{name} is {value}"; "give {least} to {most}");
+fn between(name: &str, value: u32, minimum: u32, most: u32) -> Result<()> {
+    ensure!((minimum..=most).contains(&value), "{name} is {value}"; "give {minimum} to {most}");
     Ok(())
 }
 

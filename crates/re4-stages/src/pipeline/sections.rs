@@ -33,7 +33,7 @@ pub struct IngestSection {
     /// converted actions are compared with them. Looked for as the source is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compare: Option<PathBuf>,
-    /// robosuite tasks: cameras whose pictures are taken, such as `["agentview"]`; all of the file by default.
+    /// robosuite tasks: cameras whose images are taken, such as `["agentview"]`; all of the file by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cameras: Option<Vec<String>>,
     /// robosuite tasks: conventions of the file that are stated, because its data cannot prove them.
@@ -42,11 +42,11 @@ pub struct IngestSection {
     /// Push-T: what the numbers of the dataset mean, where it is not what those of the original dataset do.
     #[serde(default, skip_serializing_if = "PushtConventions::is_default")]
     pub pusht: PushtConventions,
-    /// Whether the pictures are ingested too.
+    /// Whether the images are ingested too.
     #[serde(default = "yes")]
     pub images: bool,
-    /// Cameras whose pictures are drawn by the simulator's own renderer from the recorded states, for a dataset without
-    /// pictures: `image` (Push-T); `agentview`, `robot0_eye_in_hand` (robosuite tasks, 84 x 84).
+    /// Cameras whose images are drawn by the simulator's own renderer from the recorded states, for a dataset without
+    /// images: `image` (Push-T); `agentview`, `robot0_eye_in_hand` (robosuite tasks, 84 x 84).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub render: Vec<Camera>,
     /// Which episodes to take.
@@ -69,7 +69,7 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 pub struct PoseSection {
     /// Source of the poses that are indexed and that the policy sees.
     pub source: PoseSource,
-    /// For `log_polar`: whether the block's outline is aligned with the picture after the paper's closed-form estimate.
+    /// For `log_polar`: whether the block's outline is aligned with the image after the paper's closed-form estimate.
     #[serde(default = "yes")]
     pub refine: bool,
     /// For `log_polar`: goal pose of the task as x and y in px and theta in rad, which calibrates the anchor. Push-T's own by
@@ -103,10 +103,10 @@ impl PoseSection {
 pub enum PoseSource {
     /// The pose recorded in the dataset is the pose; nothing is trained.
     Recorded,
-    /// The pose is estimated from the pictures in closed form: centroid of the block's colour, angle by the log-polar
+    /// The pose is estimated from the images in closed form: centroid of the block's colour, angle by the log-polar
     /// transform.
     LogPolar,
-    /// The pose is what an encoder says of the picture that was trained on the demonstrations' pictures and end-effector poses
+    /// The pose is what an encoder says of the image that was trained on the demonstrations' images and end-effector poses
     /// (robosuite's tasks).
     Encoder,
 }
@@ -122,7 +122,7 @@ pub struct IndexSection {
     /// are not retrieved.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_out: Vec<String>,
-    /// robosuite tasks from pictures: which of the encoder's estimates stand in the index.
+    /// robosuite tasks from images: which of the encoder's estimates stand in the index.
     #[serde(default, skip_serializing_if = "Estimates::is_default")]
     pub estimates: Estimates,
 }

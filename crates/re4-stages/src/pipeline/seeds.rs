@@ -8,7 +8,7 @@ use re4_fault::{Remedy as _, bail, fault};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::notes::told;
+use crate::notes::fault_of;
 
 /// Most seeds of a run.
 const MOST: usize = 10_000_000;
@@ -32,7 +32,7 @@ impl FromStr for Seeds {
 
     /// Parsers of arguments and files pass a text on, so the error is the whole sentence.
     fn from_str(text: &str) -> Result<Self> {
-        Self::read(text).map_err(|error| anyhow::Error::msg(told(&error).sentence()))
+        Self::read(text).map_err(|error| anyhow::Error::msg(fault_of(&error).sentence()))
     }
 }
 

@@ -9,6 +9,6 @@ use serde::{Deserialize, Serialize};
 pub enum Variant {
     /// End-effector state and the object's true pose.
     State,
-    /// Pictures, and the end effector's state.
+    /// Images, and the end effector's state.
     Image,
 }

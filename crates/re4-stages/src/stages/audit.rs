@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Stage, Writer};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_audit::{
     AuditedEpisodeRow, CheckRow, Finding, FindingRow, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo, Severity,
     SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion, observe_planar,
@@ -18,7 +18,7 @@ use re4_segment::segment_planar;
 use re4_sim::{GOAL, coverage};
 
 use self::summary::{Contacts, summary};
-use crate::inputs::demos::{SegmentedEpisodes, SpatialEpisodes, in_portions};
+use crate::inputs::demos::{SegmentedEpisodes, SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_episodes;
 use crate::inputs::sources::left_out;
 use crate::runner::{Built, Runner};
@@ -105,7 +105,7 @@ impl Runner {
                 .findings
                 .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
             write(&mut audited, writer)?;
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: summary(&audited),
                 warnings: Vec::new(),
             })
@@ -145,9 +145,9 @@ impl Runner {
         };
         let mut observations = Vec::with_capacity(demos);
         let mut listed = Vec::with_capacity(demos);
-        for portion in in_portions(read()?) {
+        for batch in in_batches(read()?) {
             self.interrupt.check("audit")?;
-            let demos = portion?;
+            let demos = batch?;
             observations.par_extend(demos.par_iter().map(|demo| observe_spatial(demo, &limits)));
             listed.extend(demos.iter().map(list_spatial));
             bar.inc(demos.len() as u64);
@@ -155,9 +155,9 @@ impl Runner {
         let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, false, gripper.closed);
         let mut findings = audit_copies(&observations, &thresholds);
         let mut grasps = Vec::new();
-        for portion in in_portions(read()?) {
+        for batch in in_batches(read()?) {
             self.interrupt.check("audit")?;
-            let demos = portion?;
+            let demos = batch?;
             let audits: Vec<_> = demos
                 .par_iter()
                 .map(|demo| audit_spatial(demo, &thresholds, &limits))

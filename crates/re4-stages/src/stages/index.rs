@@ -6,7 +6,7 @@ mod spatial;
 use std::collections::BTreeSet;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Writer, columns};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Row as _, Stage, Writer, columns};
 use re4_episode::{Mode, PlanarFrame};
 use re4_fault::ensure;
 use re4_geometry::Pose2;
@@ -61,7 +61,7 @@ impl Runner {
                 "frames": frames.len(),
                 "chunks": chunks.len(),
             });
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary,
                 warnings: Vec::new(),
             })

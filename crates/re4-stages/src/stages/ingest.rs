@@ -1,8 +1,8 @@
 //! Ingest: raw dataset to `episodes`. How a dataset is opened depends on its format; what is written of its demonstrations does
 //! not.
 
-mod drawn;
 mod hdf5;
+mod rendered;
 mod spool;
 mod tables;
 mod worker;
@@ -80,8 +80,8 @@ fn refused(path: &Path, left: &[LeftOut], of: usize) -> Fault {
 }
 
 /// Everything that decides the bytes of the artifact: the hash of the source, all settings but where it lies and what becomes of
-/// demonstrations that cannot be used, and in their place what they lead to. `facts` are what the source says of itself.
-fn recipe(pipeline: &Pipeline, hash: &Key, compare: Option<&Key>, render: &Value, facts: Value) -> Result<Recipe> {
+/// demonstrations that cannot be used, and in their place what they lead to. `summary` are what the source says of itself.
+fn recipe(pipeline: &Pipeline, hash: &Key, compare: Option<&Key>, render: &Value, summary: Value) -> Result<Recipe> {
     let mut config = json!(pipeline.ingest);
     if let Some(config) = config.as_object_mut() {
         for place in ["source", "compare", "on_bad"] {
@@ -97,5 +97,5 @@ fn recipe(pipeline: &Pipeline, hash: &Key, compare: Option<&Key>, render: &Value
     }
     Ok(Recipe::new(Stage::Ingest, CODE_VERSION)
         .config(&config)?
-        .source(hash.as_bytes(), facts))
+        .source(hash.as_bytes(), summary))
 }

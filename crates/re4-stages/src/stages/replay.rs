@@ -5,7 +5,7 @@ mod tables;
 
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
 use re4_episode::episode_name;
 use re4_policy::{Divergence, OpenLoop, replay_open_loop};
 use re4_sim::PushT;
@@ -18,7 +18,7 @@ use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
 /// A replay, with the number that the demonstration has in the raw dataset.
 type Replay = (u32, OpenLoop);
@@ -46,7 +46,7 @@ impl Runner {
             let distribution = |value: fn(&Divergence) -> f64| spread(frames().map(value), &[0.5, 0.9, 0.99, 1.0]);
             let count = replays.len().max(1) as f64;
             let mean = |value: fn(&OpenLoop) -> f64| replays.iter().map(|(_, r)| value(r)).sum::<f64>() / count;
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: json!({
                     "episodes": replays.len(),
                     "frames": frames().count(),

@@ -18,10 +18,10 @@ use crate::runner::{Built, Runner};
 
 pub use budgets::BudgetRow;
 pub use plane::read_rollouts;
-pub(crate) use space::{MakeEstimator, Watching, studio};
+pub(crate) use space::{MakeEstimator, Watching, scene_renderer};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 6;
+const CODE_VERSION: u32 = 7;
 
 /// Starts rolled out before their rows are written, so that memory does not grow with the number of steps.
 const BATCH: usize = 128;

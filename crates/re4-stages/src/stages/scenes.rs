@@ -1,7 +1,7 @@
 //! Scenes: `episodes` to `scenes`, where rollouts start.
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
 use re4_scenes::{ObjectFrame, SceneRow, ScenesConfig, SparseScene, sparse_scenes};
 use serde_json::json;
 
@@ -37,12 +37,12 @@ impl Runner {
             bar.finish_and_clear();
             writer.write_rows((0..).zip(&scenes).map(|(scene, &chosen)| SceneRow { scene, chosen }))?;
             let rho = |scene: Option<&SparseScene>| scene.map(|s| s.rho);
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: json!({
                     "scenes": scenes.len(),
                     "poses": config.poses,
-                    "rho_greatest": rho(scenes.first()),
-                    "rho_least": rho(scenes.last()),
+                    "rho_maximum": rho(scenes.first()),
+                    "rho_minimum": rho(scenes.last()),
                 }),
                 warnings: Vec::new(),
             })

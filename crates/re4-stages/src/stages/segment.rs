@@ -2,19 +2,19 @@
 
 use anyhow::Result;
 use rayon::prelude::*;
-use re4_artifact::{Cell, Facts, Recipe, Stage, Writer};
+use re4_artifact::{ArtifactSummary, Cell, Recipe, Stage, Writer};
 use re4_episode::Mode;
 use re4_segment::{
     Evidence, ModeRow, SegmentError, SegmentRow, Segmented, SpatialEvidence, segment_planar, segment_spatial,
 };
 use serde_json::{Map, Value, json};
 
-use crate::inputs::demos::{SpatialEpisodes, in_portions};
+use crate::inputs::demos::{SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 impl Runner {
     /// The `modes` artifact.
@@ -47,14 +47,14 @@ impl Runner {
         segment: impl Fn(&D) -> Result<Segmented<E, S>, SegmentError> + Sync,
         counted: Counted<E>,
         writer: &Writer,
-    ) -> Result<Facts> {
+    ) -> Result<ArtifactSummary> {
         let bar = self.notes.progress(count as u64, "segment");
         let mut modes = writer.rows::<ModeRow<E>>()?;
         let mut segments = writer.rows::<SegmentRow<S>>()?;
         let mut summary = Summary::new(counted);
-        for portion in in_portions(demos) {
+        for batch in in_batches(demos) {
             self.interrupt.check("segment")?;
-            let segmented = portion?
+            let segmented = batch?
                 .into_par_iter()
                 .map(|(number, demo)| Ok((number, segment(&demo)?)))
                 .collect::<Result<Vec<_>>>()?;
@@ -69,10 +69,10 @@ impl Runner {
             bar.inc(segmented.len() as u64);
         }
         bar.finish_and_clear();
-        let summary = summary.told(segments.rows());
+        let summary = summary.to_json(segments.rows());
         modes.finish()?;
         segments.finish()?;
-        Ok(Facts {
+        Ok(ArtifactSummary {
             summary,
             warnings: Vec::new(),
         })
@@ -125,7 +125,7 @@ impl<E> Summary<E> {
     }
 
     /// With as many rows in table `segments`.
-    fn told(self, segments: u64) -> Value {
+    fn to_json(self, segments: u64) -> Value {
         let mut summary = Map::new();
         let counts = self.counted.iter().map(|(name, _)| *name).zip(self.counts);
         let all = [

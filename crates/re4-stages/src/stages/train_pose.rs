@@ -11,27 +11,27 @@ use anyhow::{Context as _, Result};
 use arrow::record_batch::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns};
 use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::{Pose2, periodic_distance};
 use re4_ingest::{FrameRow, ImageRow, PlanarColumns};
 use re4_policy::DemoNames;
 use re4_pose::{
-    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, LogPolarEstimator, Picture, PictureError, PoseRow, SIDE,
+    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, ImageError, LogPolarEstimator, PoseRow, PushtImage, SIDE,
 };
 use re4_stats::spread;
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::outline;
-use crate::inputs::pictures::check_pictures;
+use crate::inputs::images::check_images;
 use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
-/// Every picture of a frame whose number this divides is looked at for the goal; the first of every demonstration is
+/// Every image of a frame whose number this divides is looked at for the goal; the first of every demonstration is
 /// among them.
 const CALIBRATION_STRIDE: u32 = 16;
 
@@ -39,7 +39,7 @@ const CALIBRATION_STRIDE: u32 = 16;
 const FLIP: f64 = 90.0;
 
 impl Runner {
-    /// The `poses` artifact, where poses come from pictures.
+    /// The `poses` artifact, where poses come from images.
     ///
     /// # Errors
     /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
@@ -50,7 +50,7 @@ impl Runner {
         }
     }
 
-    /// The `poses` artifact of a robosuite task, where poses come from pictures.
+    /// The `poses` artifact of a robosuite task, where poses come from images.
     ///
     /// # Errors
     /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
@@ -59,7 +59,7 @@ impl Runner {
         if pose.source != PoseSource::Encoder {
             return Ok(None);
         }
-        check_pictures(&episodes.artifact, &pose.encoder().camera)?;
+        check_images(&episodes.artifact, &pose.encoder().camera)?;
         self.train_encoder(episodes, modes).map(Some)
     }
 
@@ -68,11 +68,11 @@ impl Runner {
             .config(&json!({ "pose": self.pipeline.pose()? }))?
             .input("episodes", episodes.key());
         self.build(&recipe, |writer| {
-            let pictures = Pictures::open(episodes)?;
-            let anchor = self.calibrate(&pictures)?;
+            let images = Images::open(episodes)?;
+            let anchor = self.calibrate(&images)?;
             write_anchor(&anchor, writer)?;
             let estimator = LogPolarEstimator::new(&anchor, outline(), self.pipeline.pose()?.refine);
-            let estimates = self.estimate_all(&estimator, &pictures, writer)?;
+            let estimates = self.estimate_all(&estimator, &images, writer)?;
             // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
             let evaluation = evaluate(&estimates, episodes)?;
             let flags = count(&estimates);
@@ -85,46 +85,46 @@ impl Runner {
             if let (Some(summary), Some(evaluation)) = (summary.as_object_mut(), evaluation) {
                 summary.insert("evaluation".to_owned(), evaluation);
             }
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary,
-                warnings: warnings(&estimates, &flags, &pictures.names),
+                warnings: warnings(&estimates, &flags, &images.names),
             })
         })
     }
 
-    fn calibrate(&self, pictures: &Pictures) -> Result<Anchor> {
+    fn calibrate(&self, images: &Images) -> Result<Anchor> {
         let mut builder = AnchorBuilder::default();
-        for group in 0..pictures.table.row_groups() {
+        for group in 0..images.table.row_groups() {
             self.interrupt.check("train-pose")?;
-            let rows = pictures.table.read_row_group(group)?;
+            let rows = images.table.read_row_group(group)?;
             let frames = col_u32(&rows, "frame")?;
             let chosen: Vec<usize> = (0..frames.len())
                 .filter(|&row| frames[row].is_multiple_of(CALIBRATION_STRIDE))
                 .collect();
-            let decoded = pictures.decode(&rows, &chosen)?;
+            let decoded = images.decode(&rows, &chosen)?;
             for pixels in &decoded {
-                builder.add(&Picture::new(pixels, SIDE, SIDE)?);
+                builder.add(&PushtImage::new(pixels, SIDE, SIDE)?);
             }
         }
         let goal = self.pipeline.pose()?.goal();
         builder
             .finish(goal, &outline())
-            .with_context(|| format!("cannot calibrate on the pictures of {}", pictures.path.display()))
+            .with_context(|| format!("cannot calibrate on the images of {}", images.path.display()))
     }
 
     fn estimate_all(
         &self,
         estimator: &LogPolarEstimator,
-        pictures: &Pictures,
+        images: &Images,
         writer: &Writer,
     ) -> Result<Vec<PoseRow<Estimate>>> {
-        let bar = self.notes.progress(pictures.table.rows(), "poses");
+        let bar = self.notes.progress(images.table.rows(), "poses");
         let mut table = writer.rows()?;
-        let mut all = Vec::with_capacity(pictures.table.rows() as usize);
-        for group in 0..pictures.table.row_groups() {
+        let mut all = Vec::with_capacity(images.table.rows() as usize);
+        for group in 0..images.table.row_groups() {
             self.interrupt.check("train-pose")?;
-            let rows = pictures.table.read_row_group(group)?;
-            let estimates = pictures.map(&rows, |picture| estimator.estimate(picture))?;
+            let rows = images.table.read_row_group(group)?;
+            let estimates = images.map(&rows, |image| estimator.estimate(image))?;
             bar.inc(estimates.len() as u64);
             let ids = col_u32(&rows, "episode")?.iter().zip(col_u32(&rows, "frame")?);
             for ((&episode, &frame), estimate) in ids.zip(estimates) {
@@ -143,19 +143,19 @@ impl Runner {
     }
 }
 
-/// The pictures of an `episodes` artifact.
-struct Pictures {
+/// The images of an `episodes` artifact.
+struct Images {
     table: Table,
     path: std::path::PathBuf,
     names: DemoNames,
 }
 
-impl Pictures {
+impl Images {
     fn open(episodes: &Artifact) -> Result<Self> {
         let path = episodes.path().to_owned();
         ensure!(
             episodes.has::<ImageRow>(),
-            "cannot estimate poses: {} holds no pictures", path.display();
+            "cannot estimate poses: {} holds no images", path.display();
             "set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]"
         );
         Ok(Self {
@@ -165,11 +165,11 @@ impl Pictures {
         })
     }
 
-    /// What `look` sees in each picture of a batch, in the order of the batch.
-    fn map<T: Send>(&self, rows: &RecordBatch, look: impl Fn(&Picture<'_>) -> T + Sync) -> Result<Vec<T>> {
+    /// What `look` sees in each image of a batch, in the order of the batch.
+    fn map<T: Send>(&self, rows: &RecordBatch, look: impl Fn(&PushtImage<'_>) -> T + Sync) -> Result<Vec<T>> {
         let all: Vec<usize> = (0..rows.num_rows()).collect();
         self.each(rows, &all, |pixels| {
-            Ok(look(&Picture::new(
+            Ok(look(&PushtImage::new(
                 pixels.as_raw(),
                 pixels.width() as usize,
                 pixels.height() as usize,
@@ -177,10 +177,10 @@ impl Pictures {
         })
     }
 
-    /// The bytes of some pictures of a batch.
+    /// The bytes of some images of a batch.
     fn decode(&self, rows: &RecordBatch, chosen: &[usize]) -> Result<Vec<Vec<u8>>> {
         self.each(rows, chosen, |pixels| {
-            Picture::new(pixels.as_raw(), pixels.width() as usize, pixels.height() as usize)?;
+            PushtImage::new(pixels.as_raw(), pixels.width() as usize, pixels.height() as usize)?;
             Ok(pixels.into_raw())
         })
     }
@@ -189,13 +189,13 @@ impl Pictures {
         &self,
         rows: &RecordBatch,
         chosen: &[usize],
-        look: impl Fn(image::RgbImage) -> Result<T, PictureError> + Sync,
+        look: impl Fn(image::RgbImage) -> Result<T, ImageError> + Sync,
     ) -> Result<Vec<T>> {
         let encoded = col_binary(rows, "image")?;
         let (episodes, frames) = (col_u32(rows, "episode")?, col_u32(rows, "frame")?);
         let place = |row: usize| {
             format!(
-                "cannot estimate poses from {}: the picture of {}, frame {}",
+                "cannot estimate poses from {}: the image of {}, frame {}",
                 self.path.display(),
                 self.names.of(episodes[row]),
                 frames[row]
@@ -204,9 +204,9 @@ impl Pictures {
         chosen
             .par_iter()
             .map(|&row| {
-                let picture = image::load_from_memory_with_format(encoded.value(row), ImageFormat::Png)
-                    .or_fault(|| fault!("{} is not a PNG picture", place(row); "ingest again"))?;
-                look(picture.into_rgb8()).with_context(|| place(row))
+                let image = image::load_from_memory_with_format(encoded.value(row), ImageFormat::Png)
+                    .or_fault(|| fault!("{} is not a PNG image", place(row); "ingest again"))?;
+                look(image.into_rgb8()).with_context(|| place(row))
             })
             // In order, so that of several errors the first is told, whichever thread met one first.
             .collect::<Vec<_>>()
@@ -219,7 +219,7 @@ fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
     writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, share)| AnchorRow {
         row: pixel / SIDE,
         column: pixel % SIDE,
-        goal_share: f64::from(*share),
+        goal_fraction: f64::from(*share),
     }))?;
     Ok(())
 }

@@ -41,9 +41,9 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         "artifact": built.artifact.path(),
         "wall_s": start.elapsed().as_secs_f64(),
     });
-    let pictures = summary["pictures"].as_u64();
-    if let Some(pictures) = pictures {
-        answer["pictures"] = json!(pictures);
+    let images = summary["images"].as_u64();
+    if let Some(images) = images {
+        answer["images"] = json!(images);
     }
     console.answer(&answer)?;
     let [value, low, high] = ["value", "low", "high"].map(|key| rate[key].as_f64().unwrap_or(f64::NAN));
@@ -59,9 +59,9 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         )?,
         None => write!(text, "\n  no rollout succeeds; the grasp was lost {losses} times")?,
     }
-    if let Some(pictures) = pictures {
+    if let Some(images) = images {
         let steps = built.artifact.table(SpaceStepRow::table())?.rows();
-        write!(text, "\n  {pictures} pictures looked at in {steps} steps")?;
+        write!(text, "\n  {images} images looked at in {steps} steps")?;
     }
     console.say(&text)?;
     Ok(Outcome::Done)
@@ -81,16 +81,16 @@ pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Out
     );
     let built = runner.replay_spatial(&runner.ingest()?)?;
     console.answer(&built.to_json())?;
-    console.say(&told(&built)?)?;
+    console.say(&description(&built)?)?;
     let summary = &built.artifact.manifest().summary;
     let rate = |kind: &str| summary[kind]["success_rate"]["value"].as_f64().unwrap_or(0.0);
     let short = arguments
-        .least
-        .is_some_and(|least| rate("delta") < least || rate("absolute") < least);
+        .minimum
+        .is_some_and(|minimum| rate("delta") < minimum || rate("absolute") < minimum);
     Ok(if short { Outcome::GateFailed } else { Outcome::Done })
 }
 
-fn told(built: &Built) -> Result<String> {
+fn description(built: &Built) -> Result<String> {
     let manifest = built.artifact.manifest();
     let summary = &manifest.summary;
     let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
@@ -101,7 +101,7 @@ fn told(built: &Built) -> Result<String> {
         let millimetres = |part: &str| 1e3 * of["object_max_m"][part].as_f64().unwrap_or(f64::NAN);
         write!(
             text,
-            "\n  {kind:<8} {origin:<9}  {} of {} succeed; object astray at most, median {:.3} mm, 99 % {:.3} mm, greatest {:.3} mm",
+            "\n  {kind:<8} {origin:<9}  {} of {} succeed; object astray at most, median {:.3} mm, 99 % {:.3} mm, maximum {:.3} mm",
             of["successes"],
             of["replays"],
             millimetres("p50"),

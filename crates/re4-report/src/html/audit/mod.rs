@@ -47,7 +47,7 @@ pub struct Audit {
     pub contacts: Option<Contacts>,
     /// Conventions of the dataset.
     pub conventions: Vec<Convention>,
-    /// Facts of each frame that hold or not, beside the mode.
+    /// Summary of each frame that hold or not, beside the mode.
     pub flags: Vec<Flag>,
     /// Evidence by frame, plot by plot.
     pub panels: Vec<Panel>,

@@ -52,7 +52,7 @@ fn thousands(count: u64) -> String {
     text
 }
 
-/// The title, what was audited, and what share of it is which mode.
+/// The title, what was audited, and what fraction of it is which mode.
 pub(super) fn header(audit: &Audit) -> Markup {
     let frames: u64 = audit.demos.iter().map(|d| d.frames as u64).sum();
     let transit: u64 = audit.demos.iter().map(|d| d.transit_frames as u64).sum();
@@ -193,7 +193,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                             option value="worst" selected { "findings, worst first" }
                             option value="number" { "number" }
                             option value="length" { "length" }
-                            option value="share" { "share of transfer" }
+                            option value="share" { "fraction of transfer" }
                             option value="grasp" { "first grasp" }
                         } }
                         button #reverse type="button" aria-pressed="false" title="Reverse the order" aria-label="Reverse the order" { "⇅" }
@@ -223,7 +223,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                     div.heading {
                         div {
                             h2 #evidence-title {}
-                            p.detail #evidence-facts {}
+                            p.detail #evidence-summary {}
                         }
                         div.pair {
                             button #previous-demo type="button" aria-label="Previous demonstration" title="Previous demonstration (↑)" { "‹" }

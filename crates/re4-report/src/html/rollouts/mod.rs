@@ -1,17 +1,17 @@
 //! The page over sets of rollouts: scores, every rollout, and a viewer that shows for every step what was retrieved, how it was
 //! moved, and why. What differs between the plane and space is a [`Scene`].
 
-mod facts;
 pub mod plane;
 mod sections;
 pub mod space;
+mod summary;
 
 use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 use serde_json::{Map, Value, json};
 
-use self::facts::Facts;
+use self::summary::Summary;
 use re4_artifact::Row;
 use re4_policy::kinds::Kinds;
 use re4_rollout::{DecisionCore, ResultCore, StepCore};
@@ -253,20 +253,24 @@ const SCRIPT: [[&str; 3]; 2] = [
 
 /// The page.
 pub fn page<S: Scene>(report: &Report<S>) -> String {
-    let facts = Facts::of(report);
+    let summary = Summary::of(report);
     Document {
         tool_version: &report.tool_version,
-        title: format!("{} rollouts: {}", S::title(&report.artifacts), facts.labels.join(", ")),
+        title: format!(
+            "{} rollouts: {}",
+            S::title(&report.artifacts),
+            summary.labels.join(", ")
+        ),
         style: &[include_str!("page.css"), S::STYLE].concat(),
         script: &[&SCRIPT[0][..], S::SCRIPT, &SCRIPT[1]].concat(),
-        data: &data(report, &facts),
-        body: body(&facts),
+        data: &data(report, &summary),
+        body: body(&summary),
     }
     .render()
 }
 
-fn data<S: Scene>(report: &Report<S>, facts: &Facts<S>) -> Value {
-    let artifacts = report.artifacts.iter().zip(&facts.labels).zip(&facts.extras);
+fn data<S: Scene>(report: &Report<S>, summary: &Summary<S>) -> Value {
+    let artifacts = report.artifacts.iter().zip(&summary.labels).zip(&summary.extras);
     let demonstrations = |demos: &BTreeMap<u32, Demonstration>| {
         json!({
             "number": demos.keys().collect::<Vec<_>>(),
@@ -284,17 +288,17 @@ fn data<S: Scene>(report: &Report<S>, facts: &Facts<S>) -> Value {
     })
 }
 
-fn body<S: Scene>(facts: &Facts<S>) -> Markup {
+fn body<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         a.skip href="#viewer" { "Skip to the rollout viewer" }
-        (sections::header(facts))
+        (sections::header(summary))
         main {
-            (sections::scores(facts))
-            (S::overview(&facts.labels))
-            (sections::viewer(facts))
-            (sections::tables(facts))
-            (sections::protocol(facts))
+            (sections::scores(summary))
+            (S::overview(&summary.labels))
+            (sections::viewer(summary))
+            (sections::tables(summary))
+            (sections::protocol(summary))
         }
-        (sections::footer(facts))
+        (sections::footer(summary))
     }
 }

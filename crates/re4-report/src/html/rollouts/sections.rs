@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use re4_stats::Interval;
 
-use super::facts::{Facts, Row};
+use super::summary::{Row, Summary};
 use super::{Scene, Words};
 use crate::html::shell::{self, exact, plural, short, table};
 
@@ -24,8 +24,8 @@ pub(super) fn named(artifact: usize, label: &str) -> Markup {
 }
 
 /// The title, and what the page is about.
-pub(super) fn header<S: Scene>(facts: &Facts<S>) -> Markup {
-    let Facts { report, labels, .. } = facts;
+pub(super) fn header<S: Scene>(summary: &Summary<S>) -> Markup {
+    let Summary { report, labels, .. } = summary;
     let rollouts: usize = report.artifacts.iter().map(|artifact| artifact.rollouts.len()).sum();
     let lead = html! {
         (plural(rollouts, "rollout", "rollouts")) " of "
@@ -50,19 +50,19 @@ pub(super) fn header<S: Scene>(facts: &Facts<S>) -> Markup {
 }
 
 /// One row an artifact, and what differs between them.
-pub(super) fn scores<S: Scene>(facts: &Facts<S>) -> Markup {
+pub(super) fn scores<S: Scene>(summary: &Summary<S>) -> Markup {
     let Words {
         scores: [title, name, class],
         note,
         score_columns,
         ..
     } = S::WORDS;
-    let differences = facts.differences();
+    let differences = summary.differences();
     let rows = html! {
-        @for (i, artifact) in facts.report.artifacts.iter().enumerate() {
+        @for (i, artifact) in summary.report.artifacts.iter().enumerate() {
             tr data-artifact=(artifact.key) {
                 th scope="row" {
-                    span.name { (named(i, &facts.labels[i])) }
+                    span.name { (named(i, &summary.labels[i])) }
                     @for line in S::details(artifact) { span.detail { (line) } }
                 }
                 (S::score_cells(artifact))
@@ -81,7 +81,7 @@ pub(super) fn scores<S: Scene>(facts: &Facts<S>) -> Markup {
                 }
             }
             (table(name, "scroll", class, score_columns, &rows))
-            (facts.tables[0])
+            (summary.tables[0])
         }
     }
 }
@@ -107,14 +107,14 @@ pub(super) fn figure(metric: &str, interval: Interval, paper: Option<f64>) -> Ma
 }
 
 /// The viewer; the script fills it.
-pub(super) fn viewer<S: Scene>(facts: &Facts<S>) -> Markup {
+pub(super) fn viewer<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         section #viewer aria-labelledby="viewer-title" tabindex="-1" {
             div.heading {
                 h2 #viewer-title { "Rollout viewer" }
                 div.pick {
                     label { span { "Policy" } select #pick-artifact {
-                        @for (i, label) in facts.labels.iter().enumerate() { option value=(i) { (label) } }
+                        @for (i, label) in summary.labels.iter().enumerate() { option value=(i) { (label) } }
                     } }
                     label { span #seed-noun { "Seed" } select #pick-seed {} }
                     div.pair {
@@ -123,7 +123,7 @@ pub(super) fn viewer<S: Scene>(facts: &Facts<S>) -> Markup {
                     }
                 }
             }
-            @if facts.report.artifacts.iter().all(|artifact| artifact.shown().next().is_none()) {
+            @if summary.report.artifacts.iter().all(|artifact| artifact.shown().next().is_none()) {
                 p.notice { "No rollout is embedded in this page." }
             }
             div class=(S::WORDS.stage) {
@@ -142,7 +142,7 @@ pub(super) fn viewer<S: Scene>(facts: &Facts<S>) -> Markup {
                         span.badge #phase {}
                     }
                     p.reason #reason aria-live="polite" {}
-                    (S::evidence(facts.report))
+                    (S::evidence(summary.report))
                 }
             }
         }
@@ -185,12 +185,12 @@ fn transport() -> Markup {
 }
 
 /// The table of rollouts, which the script fills, and further figures.
-pub(super) fn tables<S: Scene>(facts: &Facts<S>) -> Markup {
+pub(super) fn tables<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         section #tables aria-labelledby="tables-title" {
             h2 #tables-title { "Figures" }
             details.card open {
-                summary { "Rollouts of " span #seeds-of { (facts.labels.first().map_or("", String::as_str)) } }
+                summary { "Rollouts of " span #seeds-of { (summary.labels.first().map_or("", String::as_str)) } }
                 div.scroll.tall tabindex="0" role="region" aria-label="Seeds" {
                     table.plain.sortable #seeds {
                         thead { tr {
@@ -202,24 +202,24 @@ pub(super) fn tables<S: Scene>(facts: &Facts<S>) -> Markup {
                     }
                 }
             }
-            (facts.tables[1])
+            (summary.tables[1])
         }
     }
 }
 
 /// Protocol and settings, fact by fact.
-pub(super) fn protocol<S: Scene>(facts: &Facts<S>) -> Markup {
+pub(super) fn protocol<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         section #protocol aria-labelledby="protocol-title" {
             h2 #protocol-title { "Protocol" }
             p.note {
-                @if facts.labels.len() > 1 && facts.differences().is_empty() { "All rollouts were made under one protocol. " }
+                @if summary.labels.len() > 1 && summary.differences().is_empty() { "All rollouts were made under one protocol. " }
                 (S::WORDS.comparison)
             }
-            div.card { (fact_table("Protocol", &facts.protocol, &facts.labels)) }
+            div.card { (fact_table("Protocol", &summary.protocol, &summary.labels)) }
             details.card {
                 summary { "Settings of the policies" }
-                (fact_table("Settings", &facts.settings, &facts.labels))
+                (fact_table("Settings", &summary.settings, &summary.labels))
             }
         }
     }
@@ -228,7 +228,7 @@ pub(super) fn protocol<S: Scene>(facts: &Facts<S>) -> Markup {
 fn fact_table(name: &str, rows: &[Row], labels: &[String]) -> Markup {
     html! {
         div.scroll tabindex="0" role="region" aria-label=(name) {
-            table.plain.facts {
+            table.plain.summary {
                 thead { tr {
                     th scope="col" { (name) }
                     @for (i, label) in labels.iter().enumerate() { th scope="col" { span.name { (named(i, label)) } } }
@@ -255,10 +255,10 @@ fn stated(value: &str) -> &str {
 }
 
 /// Where the page is from.
-pub(super) fn footer<S: Scene>(facts: &Facts<S>) -> Markup {
-    let artifacts = facts.report.artifacts.iter().zip(&facts.labels);
+pub(super) fn footer<S: Scene>(summary: &Summary<S>) -> Markup {
+    let artifacts = summary.report.artifacts.iter().zip(&summary.labels);
     shell::footer(
-        &html! { (facts.report.tool_version) " from these artifacts" },
+        &html! { (summary.report.tool_version) " from these artifacts" },
         artifacts.map(|(artifact, label)| (label.as_str(), "rollouts", artifact.key.as_str())),
     )
 }

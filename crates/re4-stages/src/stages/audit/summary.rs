@@ -112,7 +112,7 @@ pub(super) fn summary(audited: &Audited) -> Value {
     answer
 }
 
-/// Least, quartiles and greatest; null where there is nothing.
+/// Minimum, quartiles and maximum; null where there is nothing.
 fn quartiles(values: &[f64]) -> Value {
     let values = sorted(values.iter().copied());
     let part = |share| quantile(&values, share);

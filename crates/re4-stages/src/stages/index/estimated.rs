@@ -1,4 +1,4 @@
-//! Object poses of an index that come from pictures, and an audit that does without recorded ones.
+//! Object poses of an index that come from images, and an audit that does without recorded ones.
 
 use std::collections::BTreeMap;
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Facts, Recipe, SixAxis, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, SixAxis, Stage};
 use re4_audit::{CheckRow, FindingRow, SpatialDemo};
 use re4_fault::bail;
 use re4_index::{IndexRow, SpatialState};
@@ -87,7 +87,7 @@ impl Runner {
                     "name fewer checks"
                 );
             }
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: json!({ "episodes": demos, "frames": frames, "retrievable_frames": retrievable }),
                 warnings: Vec::new(),
             })

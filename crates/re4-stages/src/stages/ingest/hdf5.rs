@@ -16,14 +16,14 @@ use re4_ingest::{DemoSource as _, IngestError, LeftOut};
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
 
-use super::drawn::{self, Drawing};
+use super::rendered::{self, Drawing};
 use super::spool::Spool;
 use super::worker::{self, Order, Word, tell};
-use super::write::{Ingest, Pictures};
+use super::write::{Images, Ingest};
 use super::{STAGE, recipe};
 use crate::inputs::sources::find_source;
 use crate::interrupt::Interrupt;
-use crate::notes::told;
+use crate::notes::fault_of;
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
@@ -43,7 +43,7 @@ impl Runner {
         let gl = (!section.render.is_empty())
             .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
             .transpose()
-            .with_context(|| format!("cannot draw the pictures of {}", source.display()))?;
+            .with_context(|| format!("cannot draw the images of {}", source.display()))?;
         let mut sources = Sources::open(&source)?;
         let compare = section.compare.as_deref().map(find_source).transpose()?;
         let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
@@ -156,10 +156,10 @@ fn needs_library(error: &anyhow::Error) -> bool {
 
 impl Order {
     /// What decides the bytes of the artifact.
-    fn recipe(&self, facts: Value) -> Result<re4_artifact::Recipe> {
+    fn recipe(&self, summary: Value) -> Result<re4_artifact::Recipe> {
         let hash = self.hash.as_ref().context("the source was not hashed")?;
-        let render = drawn::settings(&self.pipeline.ingest.render, self.gl.as_deref());
-        recipe(&self.pipeline, hash, self.compare_hash.as_ref(), &render, facts)
+        let render = rendered::settings(&self.pipeline.ingest.render, self.gl.as_deref());
+        recipe(&self.pipeline, hash, self.compare_hash.as_ref(), &render, summary)
     }
 }
 
@@ -198,7 +198,7 @@ pub fn serve_ingest() -> Result<()> {
     });
     let word = match serve(&order, &interrupt) {
         Ok(word) => word,
-        Err(error) => Word::failed(&told(&error)),
+        Err(error) => Word::failed(&fault_of(&error)),
     };
     tell(&word);
     Ok(())
@@ -259,7 +259,7 @@ fn make(
     let compare = inputs.compare.clone();
     let source = open(order, inputs).or_else(|error| {
         interrupt.check(STAGE)?;
-        // Whatever is wrong with a file that changed is not what has to be mended.
+        // Whatever is wrong with a file that changed is not what has to be fixed.
         files.unchanged()?;
         compare.map_or(Ok(()), |compare| compare.unchanged())?;
         Err(error)
@@ -270,9 +270,9 @@ fn make(
         source: &order.source,
         compare: order.compare.as_deref(),
         conventions: source.conventions(),
-        pictures: match drawing(order, source.reader(), source.env())? {
-            Some(drawing) => Pictures::Drawn(drawing, Spool::open(&order.artifacts, recipe.key())?),
-            None => Pictures::Recorded,
+        images: match drawing(order, source.reader(), source.env())? {
+            Some(drawing) => Images::Drawn(drawing, Spool::open(&order.artifacts, recipe.key())?),
+            None => Images::Recorded,
         },
         threads: order.threads,
         interrupt,
@@ -299,7 +299,7 @@ fn open(order: &Order, inputs: Inputs) -> Result<RobomimicSource> {
     Ok(RobomimicSource::new(reader, learned, comparison, cameras)?)
 }
 
-/// What draws the pictures that are asked for.
+/// What draws the images that are asked for.
 fn drawing<'a>(order: &'a Order, reader: &RobomimicReader, env: &EnvArgs) -> Result<Option<Drawing<'a>>> {
     let render = &order.pipeline.ingest.render;
     if render.is_empty() {
@@ -308,7 +308,7 @@ fn drawing<'a>(order: &'a Order, reader: &RobomimicReader, env: &EnvArgs) -> Res
     let recorded = reader.cameras(None)?;
     ensure!(
         recorded.is_empty(),
-        "cannot render pictures for {}: it holds recorded ones ({})", order.source.display(), recorded.join(", ");
+        "cannot render images for {}: it holds recorded ones ({})", order.source.display(), recorded.join(", ");
         "leave ingest.render out"
     );
     Ok(Some(Drawing::new(render, env, &order.source)?))

@@ -1,6 +1,6 @@
-//! Finished pictures of an artifact that is not finished.
+//! Finished images of an artifact that is not finished.
 //!
-//! Drawing takes minutes, and a run may be ended at any moment. So the pictures of each demonstration and camera are written to
+//! Drawing takes minutes, and a run may be ended at any moment. So the images of each demonstration and camera are written to
 //! a file of their own, whole or not at all, in a folder beside the artifacts that is named by the artifact's key; the next run
 //! with the same key takes what is there, and the folder is removed once the artifact is published. A file that is not as it was
 //! written counts as not there.
@@ -19,7 +19,7 @@ const FOLDER: &str = "spool";
 /// Bytes of a hash.
 const HASH: usize = 32;
 
-/// A folder of finished pictures.
+/// A folder of finished images.
 pub(super) struct Spool {
     folder: PathBuf,
     key: Key,
@@ -47,12 +47,12 @@ impl Spool {
         *hasher.finalize().as_bytes()
     }
 
-    /// Keeps the pictures of a demonstration.
-    pub(super) fn put(&self, camera: &str, episode: u32, pictures: &[Vec<u8>]) -> Result<()> {
+    /// Keeps the images of a demonstration.
+    pub(super) fn put(&self, camera: &str, episode: u32, images: &[Vec<u8>]) -> Result<()> {
         let mut contents = Vec::new();
-        for picture in pictures {
-            contents.extend((picture.len() as u64).to_le_bytes());
-            contents.extend(picture);
+        for image in images {
+            contents.extend((image.len() as u64).to_le_bytes());
+            contents.extend(image);
         }
         let path = self.path(camera, episode);
         let failed = || fault!("cannot write {}", path.display(); "free some space and run again");
@@ -64,7 +64,7 @@ impl Spool {
         Ok(())
     }
 
-    /// The pictures of a demonstration of so many frames; none where they are not there, or not whole.
+    /// The images of a demonstration of so many frames; none where they are not there, or not whole.
     pub(super) fn get(&self, camera: &str, episode: u32, frames: usize) -> Result<Option<Vec<Vec<u8>>>> {
         let path = self.path(camera, episode);
         let bytes = match fs::read(&path) {
@@ -77,15 +77,15 @@ impl Spool {
         if self.hash(camera, episode, contents) != *hash {
             return Ok(None);
         }
-        let mut pictures = Vec::with_capacity(frames);
+        let mut images = Vec::with_capacity(frames);
         while let Some((length, rest)) = contents.split_first_chunk::<8>() {
-            let Some((picture, rest)) = rest.split_at_checked(u64::from_le_bytes(*length) as usize) else {
+            let Some((image, rest)) = rest.split_at_checked(u64::from_le_bytes(*length) as usize) else {
                 return Ok(None);
             };
-            pictures.push(picture.to_vec());
+            images.push(image.to_vec());
             contents = rest;
         }
-        Ok((pictures.len() == frames).then_some(pictures))
+        Ok((images.len() == frames).then_some(images))
     }
 
     /// Removes it; the artifact is published.
@@ -113,10 +113,10 @@ mod tests {
     fn only_what_was_put_is_there() {
         let place = tempfile::tempdir().unwrap();
         let spool = Spool::open(place.path(), Key::from_bytes([7; 32])).unwrap();
-        let pictures = vec![vec![1, 2, 3], vec![], vec![4; 300]];
+        let images = vec![vec![1, 2, 3], vec![], vec![4; 300]];
         assert_eq!(spool.get("a", 5, 3).unwrap(), None);
-        spool.put("a", 5, &pictures).unwrap();
-        assert_eq!(spool.get("a", 5, 3).unwrap(), Some(pictures));
+        spool.put("a", 5, &images).unwrap();
+        assert_eq!(spool.get("a", 5, 3).unwrap(), Some(images));
         // Another length, camera, episode or artifact.
         assert_eq!(spool.get("a", 5, 2).unwrap(), None);
         let path = spool.path("a", 5);

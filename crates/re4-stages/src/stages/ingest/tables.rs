@@ -15,13 +15,13 @@ use re4_ingest::{
 /// Rows of a row group, which are also those that are handed to a table at once: a group is encoded while the next one is read.
 const ROWS: usize = 4_096;
 
-/// Pictures in a row group: few enough that one picture is read without decoding many.
+/// Images in a row group: few enough that one image is read without decoding many.
 const PICTURES_IN_GROUP: usize = 256;
 
 /// Demonstrations that wait for a table.
 const WAITING: usize = 8;
 
-/// Writes all tables but those of pictures, while `read` hands demonstrations on in order.
+/// Writes all tables but those of images, while `read` hands demonstrations on in order.
 pub(super) fn write_tables(
     writer: &Writer,
     read: impl FnOnce(&mut dyn FnMut(Episode) -> Result<()>) -> Result<()>,
@@ -153,7 +153,7 @@ fn write_frames(writer: &Writer, demos: &Receiver<(u32, Frames)>) -> Result<()> 
     space.finish()
 }
 
-/// The table of pictures.
+/// The table of images.
 pub(super) struct ImageTable(RowWriter<ImageRow>);
 
 impl ImageTable {
@@ -162,9 +162,9 @@ impl ImageTable {
         Ok(Self(writer.rows_in_groups(PICTURES_IN_GROUP)?))
     }
 
-    /// Writes pictures of a camera, PNG files, with their demonstrations and frames.
-    pub(super) fn write(&mut self, camera: &str, places: &[(u32, u32)], pictures: Vec<Vec<u8>>) -> Result<()> {
-        let rows = places.iter().zip(pictures).map(|(&(episode, frame), image)| ImageRow {
+    /// Writes images of a camera, PNG files, with their demonstrations and frames.
+    pub(super) fn write(&mut self, camera: &str, places: &[(u32, u32)], images: Vec<Vec<u8>>) -> Result<()> {
+        let rows = places.iter().zip(images).map(|(&(episode, frame), image)| ImageRow {
             episode,
             frame,
             camera: Some(camera.to_owned().into()),
@@ -173,12 +173,12 @@ impl ImageTable {
         Ok(self.0.extend(rows)?)
     }
 
-    /// Pictures that were written.
+    /// Images that were written.
     pub(super) fn count(&self) -> usize {
         self.0.rows() as usize
     }
 
-    /// Ends the table; how many pictures it has.
+    /// Ends the table; how many images it has.
     pub(super) fn finish(self) -> Result<usize> {
         let count = self.count();
         self.0.finish()?;

@@ -27,13 +27,13 @@ use crate::pipeline::Pipeline;
 /// Name of the hidden subcommand.
 pub const SUBCOMMAND: &str = "ingest-worker";
 
-/// How long a worker may be silent. It tells of every demonstration and every block of pictures.
+/// How long a worker may be silent. It tells of every demonstration and every block of images.
 const PATIENCE: Duration = Duration::from_mins(3);
 
 /// Replaces [`PATIENCE`], in seconds, for tests.
 const PATIENCE_VARIABLE: &str = "RE4_WORKER_PATIENCE";
 
-/// For tests: a number and a file, separated by a blank. A worker that has done so many demonstrations or pictures writes its
+/// For tests: a number and a file, separated by a blank. A worker that has done so many demonstrations or images writes its
 /// process number to the file and waits, once, until the file is gone or it is asked to stop.
 const GATE_VARIABLE: &str = "RE4_WORKER_GATE";
 
@@ -92,17 +92,17 @@ pub(crate) struct Order {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Word {
-    /// Demonstrations, or pictures, that are done, and how many there are.
+    /// Demonstrations, or images, that are done, and how many there are.
     Progress(u64, u64),
     /// Names of models beside the source.
     Models(Vec<String>),
     /// The artifact is published.
     Done,
-    /// Why it stopped, and how to mend it.
+    /// Why it stopped, and how to fix it.
     Failed {
         /// What is wrong.
         what: String,
-        /// How to mend it, where that is known.
+        /// How to fix it, where that is known.
         remedy: Option<String>,
     },
 }
@@ -126,7 +126,7 @@ impl Word {
     }
 }
 
-/// The worker tells that so many demonstrations, or pictures, of all are done.
+/// The worker tells that so many demonstrations, or images, of all are done.
 pub(super) fn progress(done: u64, all: u64, interrupt: &Interrupt) {
     tell(&Word::Progress(done, all));
     wait_at_gate(done, interrupt);

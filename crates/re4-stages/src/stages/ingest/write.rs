@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Store, Writer};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Store, Writer};
 use re4_fault::{OrFault as _, ensure, fault};
 use re4_ingest::robomimic::GoalErrors;
 use re4_ingest::{Convention, DemoName, DemoSource, Frames, LeftOut, OnBad, Tally, WarningCode};
@@ -12,18 +12,18 @@ use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::{Map, Value, json};
 
 use super::STAGE;
-use super::drawn::Drawing;
+use super::rendered::Drawing;
 use super::spool::Spool;
 use super::tables::{ImageTable, write_tables};
-use crate::inputs::pictures::encode_png;
+use crate::inputs::images::encode_png;
 use crate::interrupt::Interrupt;
 use crate::pipeline::IngestSection;
 
-/// What the camera of pictures that are painted from states in the plane is called: as that of recorded ones.
+/// What the camera of images that are painted from states in the plane is called: as that of recorded ones.
 const PAINTED: &str = "img";
 
-/// Where the pictures come from.
-pub(super) enum Pictures<'a> {
+/// Where the images come from.
+pub(super) enum Images<'a> {
     /// From the source.
     Recorded,
     /// They are painted from the states in the plane.
@@ -40,10 +40,10 @@ pub(super) struct Ingest<'a> {
     /// Where another file of the same demonstrations lies, whose actions are compared.
     pub(super) compare: Option<&'a Path>,
     pub(super) conventions: &'a [Convention],
-    pub(super) pictures: Pictures<'a>,
+    pub(super) images: Images<'a>,
     pub(super) threads: usize,
     pub(super) interrupt: &'a Interrupt,
-    /// Hears how many demonstrations, or pictures, of all are done.
+    /// Hears how many demonstrations, or images, of all are done.
     pub(super) progress: &'a (dyn Fn(u64, u64) + Sync),
 }
 
@@ -54,23 +54,23 @@ impl Ingest<'_> {
         let artifact = loop {
             let writer = store.begin(recipe)?;
             let written = self.write(source, &excluded, &writer);
-            // Whatever is wrong with a file that changed is not what has to be mended.
+            // Whatever is wrong with a file that changed is not what has to be fixed.
             if written.is_err() {
                 self.interrupt.check(STAGE)?;
                 source.unchanged()?;
             }
             match written? {
-                Ok(facts) => {
+                Ok(summary) => {
                     self.interrupt.check(STAGE)?;
                     // After the last byte was read: what is published is of the files that were hashed.
                     source.unchanged()?;
-                    break writer.publish(facts)?;
+                    break writer.publish(summary)?;
                 }
                 // These proved to be of no use after they had been written. Each time there are fewer.
                 Err(more) => excluded.extend(more),
             }
         };
-        if let Pictures::Drawn(_, spool) = self.pictures {
+        if let Images::Drawn(_, spool) = self.images {
             spool.remove()?;
         }
         Ok(artifact)
@@ -82,7 +82,7 @@ impl Ingest<'_> {
         source: &S,
         excluded: &[LeftOut],
         writer: &Writer,
-    ) -> Result<Result<Facts, Vec<LeftOut>>> {
+    ) -> Result<Result<ArtifactSummary, Vec<LeftOut>>> {
         if !self.conventions.is_empty() {
             writer.write_rows(self.conventions.iter().cloned())?;
         }
@@ -115,9 +115,9 @@ impl Ingest<'_> {
                 "leave ingest.compare out, or give the file of the same demonstrations"
             );
         }
-        let pictures = match &self.pictures {
-            Pictures::Recorded => match self.write_recorded(source, &tally, writer)? {
-                Ok(pictures) => pictures,
+        let images = match &self.images {
+            Images::Recorded => match self.write_recorded(source, &tally, writer)? {
+                Ok(images) => images,
                 Err(more) => {
                     tally.left_out.extend(more.iter().cloned());
                     let none = tally.left_out.len() == demos;
@@ -125,8 +125,8 @@ impl Ingest<'_> {
                     return Ok(Err(more));
                 }
             },
-            Pictures::Painted => self.paint(source, &tally, writer)?,
-            Pictures::Drawn(drawing, spool) => self.draw(source, drawing, spool, &tally, writer)?,
+            Images::Painted => self.paint(source, &tally, writer)?,
+            Images::Drawn(drawing, spool) => self.draw(source, drawing, spool, &tally, writer)?,
         };
         if !tally.left_out.is_empty() {
             writer.write_rows(tally.left_out.iter().cloned())?;
@@ -137,23 +137,23 @@ impl Ingest<'_> {
             .filter(|warning| self.section.render.is_empty() || warning.code != WarningCode::NoImages)
             .map(serde_json::to_value)
             .collect::<Result<_, _>>()?;
-        let summary = self.summary(source, &tally, pictures);
-        Ok(Ok(Facts { summary, warnings }))
+        let summary = self.summary(source, &tally, images);
+        Ok(Ok(ArtifactSummary { summary, warnings }))
     }
 
-    fn summary<S: DemoSource>(&self, source: &S, tally: &Tally, pictures: usize) -> Value {
+    fn summary<S: DemoSource>(&self, source: &S, tally: &Tally, images: usize) -> Value {
         let info = source.info();
         let mut summary = Map::new();
         let mut say = |name: &str, value: Value| summary.insert(name.to_owned(), value);
         say("episodes", json!(tally.demos.len()));
         say("frames", json!(tally.frames()));
-        say("images", json!(pictures));
+        say("images", json!(images));
         say(
             "cameras",
-            match &self.pictures {
-                Pictures::Recorded => json!(info.cameras),
-                Pictures::Painted => json!([PAINTED]),
-                Pictures::Drawn(drawing, _) => json!(drawing.cameras()),
+            match &self.images {
+                Images::Recorded => json!(info.cameras),
+                Images::Painted => json!([PAINTED]),
+                Images::Drawn(drawing, _) => json!(drawing.cameras()),
             },
         );
         for told in ["actions", "conventions"] {
@@ -164,8 +164,8 @@ impl Ingest<'_> {
         if !tally.left_out.is_empty() {
             say("left_out", json!(tally.left_out.len()));
         }
-        if let Pictures::Drawn(drawing, _) = &self.pictures {
-            say("drawn", drawing.facts());
+        if let Images::Drawn(drawing, _) = &self.images {
+            say("drawn", drawing.summary());
         }
         if let Some(errors) = GoalErrors::of(&tally.goal_errors) {
             say("goal_error", json!(errors));
@@ -243,7 +243,7 @@ impl Ingest<'_> {
         })
     }
 
-    /// Paints what the states in the plane say. Contact marks are not part of a state, so these pictures have none.
+    /// Paints what the states in the plane say. Contact marks are not part of a state, so these images have none.
     fn paint<S: DemoSource>(&self, source: &S, tally: &Tally, writer: &Writer) -> Result<usize> {
         let mut table = ImageTable::new(writer)?;
         let side = OBSERVATION_SIDE as u32;
@@ -255,7 +255,7 @@ impl Ingest<'_> {
             let encoded = frames
                 .par_iter()
                 .map_init(Canvas::new, |canvas, frame| {
-                    let object = frame.object.or_fault(|| fault!("cannot render pictures of demonstrations whose object pose is not known"; "leave ingest.render out"))?;
+                    let object = frame.object.or_fault(|| fault!("cannot render images of demonstrations whose object pose is not known"; "leave ingest.render out"))?;
                     canvas.draw_state(frame.eef, object);
                     encode_png(&canvas.observation(), side, side)
                 })
@@ -281,7 +281,7 @@ impl Ingest<'_> {
             spool,
             self.threads,
             self.interrupt,
-            &|pictures| (self.progress)(pictures as u64, all),
+            &|images| (self.progress)(images as u64, all),
             |take| Self::again(source, &tally.demos, take),
         )?;
         let lengths: Vec<usize> = tally.demos.iter().map(|(_, frames)| *frames).collect();

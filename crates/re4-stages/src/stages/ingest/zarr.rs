@@ -10,7 +10,7 @@ use re4_ingest::pusht::{PushtOptions, PushtReader, PushtSource};
 use re4_ingest::{Fault, IngestError};
 use serde_json::json;
 
-use super::write::{Ingest, Pictures};
+use super::write::{Images, Ingest};
 use super::{STAGE, recipe};
 use crate::runner::{Built, Runner};
 
@@ -28,7 +28,7 @@ impl Runner {
         let hash = reader.source_hash(&stop).map_err(or_interrupted)?;
         ensure!(
             section.render.is_empty() || !reader.has_images(),
-            "cannot render pictures for {}: it holds recorded ones", path.display();
+            "cannot render images for {}: it holds recorded ones", path.display();
             "leave ingest.render out"
         );
         let recipe = recipe(
@@ -48,10 +48,10 @@ impl Runner {
             source: path,
             compare: None,
             conventions: &[],
-            pictures: if section.render.is_empty() {
-                Pictures::Recorded
+            images: if section.render.is_empty() {
+                Images::Recorded
             } else {
-                Pictures::Painted
+                Images::Painted
             },
             threads: rayon::current_num_threads(),
             interrupt: &self.interrupt,

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
 use re4_episode::SpatialEpisode;
 use re4_fault::{ensure, fault};
 use re4_ingest::{Convention, EpisodeRow, StateRow};
@@ -21,7 +21,7 @@ use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
 /// Replays that are made before their rows are written.
 const AT_A_TIME: usize = 32;
@@ -101,11 +101,11 @@ impl Runner {
             let mut summaries = [Summary::default(), Summary::default()];
             loop {
                 self.interrupt.check("replay")?;
-                let portion = recordings.by_ref().take(AT_A_TIME).collect::<Result<Vec<_>>>()?;
-                if portion.is_empty() {
+                let batch = recordings.by_ref().take(AT_A_TIME).collect::<Result<Vec<_>>>()?;
+                if batch.is_empty() {
                     break;
                 }
-                let played: Vec<Replay> = portion
+                let played: Vec<Replay> = batch
                     .par_iter()
                     .with_max_len(1)
                     .flat_map_iter(|recording| Kind::ALL.map(|kind| (recording, kind)))
@@ -135,7 +135,7 @@ impl Runner {
             replays.finish()?;
             divergence.finish()?;
             let [delta, absolute] = summaries;
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: json!({
                     "replays": delta.replays + absolute.replays,
                     "successes": delta.successes + absolute.successes,
@@ -283,7 +283,7 @@ impl Replay {
                 success_at_end: self.success.last() == Some(&true),
                 object_max: self.largest(|d| d.object),
                 object_final: self.distances.last().map_or(0.0, |d| d.object),
-                object_turn_max: self.largest(|d| d.turn),
+                object_rotation_max: self.largest(|d| d.turn),
                 eef_max: self.largest(|d| d.eef),
                 arm_max: self.largest(|d| d.arm),
             },
@@ -298,7 +298,7 @@ impl Replay {
             distance: SpatialDivergence {
                 actions: self.kind.as_str().into(),
                 object: distance.object,
-                object_turn: distance.turn,
+                object_rotation: distance.turn,
                 eef: distance.eef,
             },
         })

@@ -6,7 +6,7 @@ use re4_policy::Divergence;
 table! {
     /// One row a demonstration whose actions were replayed open-loop from its own first state: how far the simulator strays from the
     /// recording. Sorted by episode.
-    #[table("replays", version = 3, formerly = "spatial_replays")]
+    #[table("replays", version = 4, formerly = "spatial_replays")]
     pub struct ReplayRow<R> {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
@@ -28,13 +28,13 @@ columns! {
     /// A replay in the plane. The distance between two poses of the block is the root mean square displacement of its points.
     #[domain = "plane"]
     pub struct PlanarReplay {
-        /// Greatest distance between the replayed and the recorded pusher.
+        /// Maximum distance between the replayed and the recorded pusher.
         #[unit = "px"]
         pub pusher_max: f64,
         /// Median distance between the replayed and the recorded block.
         #[unit = "px"]
         pub block_median: f64,
-        /// Greatest distance between the replayed and the recorded block.
+        /// Maximum distance between the replayed and the recorded block.
         #[unit = "px"]
         pub block_max: f64,
         /// Distance between the replayed and the recorded block at the last frame.
@@ -71,7 +71,8 @@ columns! {
         pub object_final: f64,
         /// Largest angle between the object's orientation and the recorded one.
         #[unit = "rad"]
-        pub object_turn_max: f64,
+        #[formerly = "object_turn_max"]
+        pub object_rotation_max: f64,
         /// Largest distance of the grip site from the recorded one.
         #[unit = "m"]
         pub eef_max: f64,
@@ -84,7 +85,7 @@ columns! {
 table! {
     /// One row a frame of every replayed demonstration: the distance between the replay and the recording. Sorted by episode and
     /// frame, in space by episode, actions and frame.
-    #[table("divergence", version = 2, formerly = "spatial_divergence")]
+    #[table("divergence", version = 3, formerly = "spatial_divergence")]
     pub struct DivergenceRow<D> {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
@@ -107,7 +108,8 @@ columns! {
         pub object: f64,
         /// Angle between the object's orientation and the recorded one.
         #[unit = "rad"]
-        pub object_turn: f64,
+        #[formerly = "object_turn"]
+        pub object_rotation: f64,
         /// Distance of the grip site from the recorded one.
         #[unit = "m"]
         pub eef: f64,

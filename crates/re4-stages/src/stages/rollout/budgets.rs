@@ -12,7 +12,7 @@ columns! {
     /// A mean with its interval.
     #[derive(Copy)]
     pub struct MeanColumns {
-        /// Mean over the rollouts of the greatest value within the budget.
+        /// Mean over the rollouts of the maximum value within the budget.
         pub mean: f64,
         /// Lower end of its interval.
         pub low: f64,
@@ -25,7 +25,7 @@ columns! {
     /// A rate with its interval.
     #[derive(Copy)]
     pub struct RateColumns {
-        /// Share of the rollouts that succeeded within the budget.
+        /// Fraction of the rollouts that succeeded within the budget.
         pub rate: f64,
         /// Lower end of its interval.
         pub low: f64,
@@ -35,7 +35,7 @@ columns! {
 }
 
 table! {
-    /// One row a budget of control steps, every 50 up to the greatest and the greatest itself: what the rollouts of this artifact
+    /// One row a budget of control steps, every 50 up to the maximum and the maximum itself: what the rollouts of this artifact
     /// had reached by then. A rollout that ended by success keeps its maxima. Intervals are those of 95 %: percentile bootstrap
     /// of the mean, Wilson for the success rate. Sorted by budget.
     #[table("budgets", version = 1)]

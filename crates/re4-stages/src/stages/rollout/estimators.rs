@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use re4_encoder::Predictor;
 use re4_geometry::Pose2;
-use re4_pose::{Flag, LogPolarEstimator, Picture};
-use re4_rollout::{Estimator, Image, Plane, PolicyError, Space, Told};
+use re4_pose::{Flag, LogPolarEstimator, PushtImage};
+use re4_rollout::{Estimator, Image, ObservedPose, Plane, PolicyError, Space};
 
 /// The log-polar estimator through one episode of Push-T. An estimate that is not [`Flag::Clear`] is not told on: the last
 /// clear one is.
@@ -24,15 +24,15 @@ impl LogPolar {
 }
 
 impl Estimator<Plane> for LogPolar {
-    fn estimate(&mut self, image: &Image) -> Result<Told<Plane>, PolicyError> {
-        let picture = Picture::new(&image.pixels, image.width, image.height).map_err(PolicyError::look)?;
-        let estimate = self.estimator.estimate(&picture);
+    fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Plane>, PolicyError> {
+        let image = PushtImage::new(&image.pixels, image.width, image.height).map_err(PolicyError::look)?;
+        let estimate = self.estimator.estimate(&image);
         if estimate.flag == Flag::Clear {
             self.last_clear = estimate.pose;
         }
         // A doubtful pose is better than none, and worse than a clear one of a moment ago: the block is slow.
         let pose = self.last_clear.or(estimate.pose).ok_or(PolicyError::Blind)?;
-        Ok(Told {
+        Ok(ObservedPose {
             pose,
             confidence: Some(estimate.confidence),
             flag: Some(estimate.flag.as_str()),
@@ -44,11 +44,11 @@ impl Estimator<Plane> for LogPolar {
 pub(super) struct Encoder(pub(super) Predictor);
 
 impl Estimator<Space> for Encoder {
-    fn estimate(&mut self, image: &Image) -> Result<Told<Space>, PolicyError> {
+    fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
         let mut predictions = self.0.predict(&[&image.pixels]).map_err(PolicyError::look)?;
         let seen = predictions.pop();
-        let seen = seen.ok_or_else(|| PolicyError::look("the encoder says nothing of a picture"))?;
-        Ok(Told {
+        let seen = seen.ok_or_else(|| PolicyError::look("the encoder says nothing of an image"))?;
+        Ok(ObservedPose {
             pose: seen.pose,
             confidence: None,
             flag: None,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
 use re4_episode::PlanarFrame;
 use re4_fault::bail;
 use re4_geometry::spatial::Symmetry;
@@ -56,7 +56,7 @@ impl Runner {
             self.record(&play, made, &mut starts.into_iter(), writer, add)?;
             writer.write_rows(summary.budgets.rows())?;
             let mut protocol = json!({
-                "measure": "greatest value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
+                "measure": "maximum value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
                 "intervals": "95 %; percentile bootstrap of the mean (10,000 resamples), Wilson for the success rate",
                 "success_coverage": SUCCESS_COVERAGE,
                 "goal": [GOAL.x, GOAL.y, GOAL.theta],
@@ -68,7 +68,7 @@ impl Runner {
                 "physics": format!("Chipmunk {}", chipmunk_version()),
             });
             extend(&mut protocol, self.starts_config()?);
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: summary.state(&self.protocol(&made.episodes.artifact, protocol)?),
                 warnings: Vec::new(),
             })

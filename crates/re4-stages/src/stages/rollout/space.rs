@@ -1,12 +1,13 @@
 //! Rollouts of robosuite's tasks.
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, Facts, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
 use re4_encoder::{Predictor, SIDE};
 use re4_mujoco::Gl;
 use re4_policy::kinds::{Kinds as _, SpacePolicy};
 use re4_rollout::{
-    Batch, Env, Estimator, PoseNoise, RobosuiteEnv, Source, Space, SpaceDecisionRow, SpaceResultRow, Start, Studio,
+    Batch, Env, Estimator, PoseNoise, RobosuiteEnv, SceneRenderer, Source, Space, SpaceDecisionRow, SpaceResultRow,
+    Start,
 };
 use re4_sim::robosuite::{Placement, RobosuiteModel, simulation_steps};
 use re4_stats::{median, wilson_interval};
@@ -18,7 +19,7 @@ use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same states give other pictures.
+/// Raised whenever the same states give other images.
 const DRAWING_VERSION: u32 = 1;
 
 /// Makes the estimator of an episode.
@@ -35,7 +36,7 @@ pub(crate) struct Watching<'a> {
     pub(crate) through: Through,
 }
 
-/// What the key of an artifact says of pictures drawn in rollouts.
+/// What the key of an artifact says of images drawn in rollouts.
 fn drawing(camera: &str) -> Result<Value> {
     Ok(json!({
         "assets": "robosuite-1.4.1",
@@ -50,14 +51,14 @@ fn drawing(camera: &str) -> Result<Value> {
 ///
 /// # Errors
 /// When an asset is missing, or the model has no such camera.
-pub(crate) fn studio(scenes: &Scenes, episodes: &Artifact, camera: &str) -> Result<Studio> {
-    let mjcf = scenes.drawn_mjcf(episodes)?;
+pub(crate) fn scene_renderer(scenes: &Scenes, episodes: &Artifact, camera: &str) -> Result<SceneRenderer> {
+    let mjcf = scenes.rendered_mjcf(episodes)?;
     let model = scenes.compile(&mjcf)?.mujoco().clone();
-    let studio = Studio::new(mjcf, model, SIDE);
-    studio
+    let scene_renderer = SceneRenderer::new(mjcf, model, SIDE);
+    scene_renderer
         .camera(camera)
         .with_context(|| format!("cannot draw what the policy sees of {}", episodes.path().display()))?;
-    Ok(studio)
+    Ok(scene_renderer)
 }
 
 impl Runner {
@@ -98,7 +99,7 @@ impl Runner {
             "seeds": section.seeds,
         }))?;
         if watching.is_some() {
-            config["pictures"] = drawing(&camera)?;
+            config["images"] = drawing(&camera)?;
         }
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION).config(&config)?;
         for built in made.all() {
@@ -112,7 +113,7 @@ impl Runner {
             let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
             let seen = match watching {
                 Some(watching) => Some((
-                    studio(&scenes, episodes, &camera)?,
+                    scene_renderer(&scenes, episodes, &camera)?,
                     (watching.open)()?,
                     watching.through,
                 )),
@@ -123,8 +124,8 @@ impl Runner {
                     Some(model) => model.clone(),
                     None => scenes.compile(&start.scene.in_model(mjcf)?)?,
                 };
-                let studio = seen.as_ref().map(|(studio, ..)| studio);
-                let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, studio)?);
+                let scene_renderer = seen.as_ref().map(|(scene_renderer, ..)| scene_renderer);
+                let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, scene_renderer)?);
                 Ok(match &seen {
                     Some((.., through)) => through(env),
                     None => env,
@@ -170,7 +171,7 @@ impl Runner {
                     "controller": "OSC_POSE, absolute goals of the grip site",
                 }),
             )?;
-            Ok(Facts {
+            Ok(ArtifactSummary {
                 summary: summary.state(&protocol, watching.is_some()),
                 warnings: Vec::new(),
             })
@@ -211,9 +212,9 @@ impl Summary {
             "protocol": protocol,
         });
         if watched {
-            summary["pictures"] = json!(self.images);
+            summary["images"] = json!(self.images);
             summary["protocol"]["observation"] = json!(
-                "grip site, fingers, and where the policy asks for it the picture of the camera, 84 x 84; no recorded object pose"
+                "grip site, fingers, and where the policy asks for it the image of the camera, 84 x 84; no recorded object pose"
             );
         }
         summary

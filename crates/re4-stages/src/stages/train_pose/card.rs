@@ -38,8 +38,8 @@ pub(super) fn write(
 ) -> Result<()> {
     let mut text = String::from("# Pose encoder\n\n");
     text.push_str(
-        "Estimates the pose of the manipulated object from one picture, as that of the gripper that holds it. Trained on \
-         pictures, end-effector poses and modes of demonstrations alone; no recorded object pose was read before the \
+        "Estimates the pose of the manipulated object from one image, as that of the gripper that holds it. Trained on \
+         images, end-effector poses and modes of demonstrations alone; no recorded object pose was read before the \
          evaluation below.\n\n",
     );
     writeln!(text, "- artifact: `{own}`")?;

@@ -7,10 +7,12 @@ use anyhow::{Context as _, Result};
 use image::ImageFormat;
 use nalgebra::{Isometry3, UnitQuaternion};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, Facts, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns};
+use re4_artifact::{
+    Artifact, ArtifactSummary, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns,
+};
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
-use re4_encoder::pictures::{MIDDLE, PictureFile};
+use re4_encoder::images::{ImageFile, MIDDLE};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
 use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
 use re4_episode::Mode;
@@ -28,12 +30,12 @@ use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
 /// Raised whenever the same input gives other bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 /// Folder of checkpoints, below that of the artifacts.
 const CHECKPOINTS: &str = "checkpoints";
 
-/// Pictures that are estimated at once.
+/// Images that are estimated at once.
 const AT_ONCE: usize = 64;
 
 /// One demonstration in so many is held out, counted so that the first one is.
@@ -120,10 +122,10 @@ impl Runner {
         let built = self.build(&recipe, |writer| {
             info!(checkpoints = %folder.display(), going_on = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
-            let (facts, measured) =
+            let (summary, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
             rate = measured;
-            Ok(facts)
+            Ok(summary)
         })?;
         // A run that only finds the artifact has no checkpoints of its own; one that was killed between publishing and here
         // left some.
@@ -141,7 +143,7 @@ impl Runner {
                 &json!({
                     "wall_s": built.wall.as_secs_f64(),
                     "threads": rayon::current_num_threads(),
-                    "training_pictures_per_s": rate,
+                    "training_images_per_s": rate,
                 }),
             )?;
         }
@@ -156,7 +158,7 @@ impl Runner {
         key: &Key,
         checkpoints: &Checkpoints,
         writer: &Writer,
-    ) -> Result<(Facts, Option<f64>)> {
+    ) -> Result<(ArtifactSummary, Option<f64>)> {
         let demos = read_demos(config, episodes, modes)?;
         let names = demo_names(episodes)?;
         let mut warnings = Vec::new();
@@ -177,7 +179,7 @@ impl Runner {
                 taught.push(training);
             } else {
                 held_out.extend(training.before.iter().map(|&frame| Sample {
-                    picture: training.first + u64::from(frame),
+                    image: training.first + u64::from(frame),
                     crop: MIDDLE,
                     target: training.anchor,
                 }));
@@ -189,17 +191,17 @@ impl Runner {
             episodes.path().display();
             "look at its modes with re4-pipe audit"
         );
-        // A backend that is not there is told before pictures are unpacked. The one in pure Rust computes in the program's threads.
+        // A backend that is not there is told before images are unpacked. The one in pure Rust computes in the program's threads.
         config.backend.device()?;
         if config.backend != Backend::Flex {
             config.backend.set_threads(rayon::current_num_threads())?;
         }
-        let pictures = self.unpack(config, episodes, &demos, writer)?;
+        let images = self.unpack(config, episodes, &demos, writer)?;
         let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
         let task = Task {
             config,
             sampler: &sampler,
-            pictures: &pictures,
+            images: &images,
             held_out: &held_out,
             weights: weights.map(SourceFile::path),
         };
@@ -214,7 +216,7 @@ impl Runner {
             bar.set_position(progress.steps);
             let [sum, absolute, relative, cross] = progress.losses;
             bar.set_message(format!(
-                "train-pose, epoch {} of {}: {:.0} pictures/s, loss {sum:.4} (absolute {absolute:.4}, relative {relative:.4}, cross {cross:.4})",
+                "train-pose, epoch {} of {}: {:.0} images/s, loss {sum:.4} (absolute {absolute:.4}, relative {relative:.4}, cross {cross:.4})",
                 progress.epoch, config.epochs, progress.rate
             ));
             self.interrupt.check("train-pose")
@@ -224,7 +226,7 @@ impl Runner {
         write_course(&trained.epochs, writer)?;
         card::write_plot(&trained.epochs, writer)?;
         let predictor = Predictor::new(trained.encoder.clone());
-        let poses = self.estimate(&predictor, &demos, &pictures, writer)?;
+        let poses = self.estimate(&predictor, &demos, &images, writer)?;
         // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
         let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
@@ -236,22 +238,22 @@ impl Runner {
             (episodes.key(), modes.key(), key),
             writer,
         )?;
-        Ok((Facts { summary, warnings }, trained.rate))
+        Ok((ArtifactSummary { summary, warnings }, trained.rate))
     }
 
-    /// The pictures of the encoder's camera, in the order of the frames, in a scratch file.
+    /// The images of the encoder's camera, in the order of the frames, in a scratch file.
     fn unpack(
         &self,
         config: &EncoderConfig,
         episodes: &Artifact,
         demos: &[Demo],
         writer: &Writer,
-    ) -> Result<PictureFile> {
+    ) -> Result<ImageFile> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
         let table = episodes.table(ImageRow::table())?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
-        let bar = self.notes.progress(frames as u64, "pictures");
+        let bar = self.notes.progress(frames as u64, "images");
         let mut cameras = std::collections::BTreeSet::new();
         let decoded = table.batches()?.flat_map(|batch| {
             let decode = || -> Result<Vec<Result<Vec<u8>>>> {
@@ -269,49 +271,49 @@ impl Runner {
                     .map(|&row| {
                         let place = || {
                             format!(
-                                "cannot train on {}: the picture of {}, frame {}",
+                                "cannot train on {}: the image of {}, frame {}",
                                 path.display(),
                                 names.of(episode[row]),
                                 frame[row]
                             )
                         };
-                        let picture = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
-                            .or_fault(|| fault!("{} is not a PNG picture", place(); "ingest again"))?
+                        let image = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
+                            .or_fault(|| fault!("{} is not a PNG image", place(); "ingest again"))?
                             .into_rgb8();
-                        let (width, height) = picture.dimensions();
+                        let (width, height) = image.dimensions();
                         ensure!(
-                            picture.as_raw().len() == PICTURE_BYTES && width == height,
+                            image.as_raw().len() == PICTURE_BYTES && width == height,
                             "{} is {width} x {height} pixels where the encoder reads 84 x 84", place();
                             "render them with ingest.render"
                         );
-                        Ok(picture.into_raw())
+                        Ok(image.into_raw())
                     })
                     .collect())
             };
             match decode() {
-                Ok(pictures) => pictures,
+                Ok(images) => images,
                 Err(error) => vec![Err(error)],
             }
         });
-        let pictures = PictureFile::write(writer.scratch(), decoded)?;
+        let images = ImageFile::write(writer.scratch(), decoded)?;
         bar.finish_and_clear();
-        if pictures.count() == 0 {
+        if images.count() == 0 {
             let names: Vec<String> = cameras.into_iter().collect();
             bail!(
-                "cannot train on {}: it has no pictures of camera {:?}", path.display(), config.camera;
+                "cannot train on {}: it has no images of camera {:?}", path.display(), config.camera;
                 "it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
                 names.join(", ")
             );
         }
         ensure!(
-            pictures.count() == frames as u64,
-            "cannot train on {}: it has {} pictures of camera {:?} for {frames} frames",
+            images.count() == frames as u64,
+            "cannot train on {}: it has {} images of camera {:?} for {frames} frames",
             path.display(),
-            pictures.count(),
+            images.count(),
             config.camera;
             "ingest again"
         );
-        Ok(pictures)
+        Ok(images)
     }
 
     /// Estimates of all frames, written as they come.
@@ -319,10 +321,10 @@ impl Runner {
         &self,
         predictor: &Predictor,
         demos: &[Demo],
-        pictures: &PictureFile,
+        images: &ImageFile,
         writer: &Writer,
     ) -> Result<Vec<Vec<Isometry3<f64>>>> {
-        let bar = self.notes.progress(pictures.count(), "poses");
+        let bar = self.notes.progress(images.count(), "poses");
         let mut table = writer.rows()?;
         let mut all = Vec::with_capacity(demos.len());
         for demo in demos {
@@ -332,9 +334,9 @@ impl Runner {
             for start in (0..frames).step_by(AT_ONCE) {
                 let chunk = (start..frames.min(start + AT_ONCE))
                     .map(|frame| {
-                        let mut picture = vec![0; PICTURE_BYTES];
-                        pictures.read(demo.first + frame as u64, &mut picture)?;
-                        Ok(picture)
+                        let mut image = vec![0; PICTURE_BYTES];
+                        images.read(demo.first + frame as u64, &mut image)?;
+                        Ok(image)
                     })
                     .collect::<Result<Vec<_>, EncoderError>>()?;
                 let chunk: Vec<&[u8]> = chunk.iter().map(Vec::as_slice).collect();
@@ -452,7 +454,7 @@ fn summary(
         "backend": config.backend,
         "epochs": trained.epochs.len(),
         "steps": last.map(|epoch| epoch.steps),
-        "pictures_to_draw_from": sampler.pictures(),
+        "images_to_draw_from": sampler.images(),
         "demonstrations_with_a_near_anchor": sampler.with_neighbours(),
         "loss": last.map(|epoch| epoch.losses[0]),
         "evaluation": evaluation,

@@ -23,7 +23,7 @@ const TURNED: f64 = std::f64::consts::FRAC_PI_2;
 
 /// Measures the estimates of all demonstrations against the recorded poses: writes table `pose_errors`, and returns what the
 /// summary says. `poses` are those of every demonstration's frames, world frame, in the order of the artifacts, and
-/// `trained_on` says of which demonstrations pictures were trained on.
+/// `trained_on` says of which demonstrations images were trained on.
 ///
 /// Demonstrations are read one after the other; what stays in memory is poses, some 200 bytes a frame.
 ///
@@ -117,7 +117,7 @@ fn summary(demonstrations: &[Demonstration], evaluation: &Evaluation) -> Value {
         json!({
             "translation_mm": pose.translation.vector.iter().map(|part| 1e3 * part).collect::<Vec<_>>(),
             "rotation_vector_rad": rotation_vector(&pose.rotation).iter().copied().collect::<Vec<_>>(),
-            "up_to_half_a_turn_of_the_gripper": measured.offset.half_turns(),
+            "up_to_pi_about_the_approach_axis": measured.offset.allows_pi(),
         })
     });
     json!({
@@ -173,7 +173,7 @@ fn carried(arrivals: &[Arrival]) -> Value {
         "queries": arrivals.len(),
         "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)), &SHARES),
         "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()), &SHARES),
-        "share_of_the_other_side": turned as f64 / arrivals.len() as f64,
+        "fraction_on_the_other_side": turned as f64 / arrivals.len() as f64,
     })
 }
 

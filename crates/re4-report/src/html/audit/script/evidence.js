@@ -40,7 +40,7 @@ const niceTicks = (low, high, count = 3) => {
   return ticks;
 };
 
-// Least and greatest value over the whole demonstration, so that zooming in frames does not change the height.
+// Minimum and maximum value over the whole demonstration, so that zooming in frames does not change the height.
 const valueRange = (curves) => {
   let [low, high] = [Infinity, -Infinity];
   for (const values of curves) {
@@ -65,7 +65,7 @@ const modeBands = (root, scale, top, height) => {
   }
 };
 
-// The chosen finding over the whole height, the others as edges, so that the modes stay in sight.
+// The chosen finding over the whole height, the others as edges, so that the modes stay in view.
 const findingBands = (root, scale, top, height) => {
   for (const finding of FINDINGS_OF[selection.demo]) {
     const active = finding.number === selection.finding;
@@ -109,7 +109,7 @@ const drawStrips = (width, scale) => {
   const found = lanesOf([...FINDINGS_OF[selection.demo]].filter((f) => !isWhole(f)).sort((a, b) => a.first - b.first));
   const lanes = Math.max(0, ...found.map(({ lane }) => lane + 1));
   const height = strips.length * PLOT.strip + lanes * PLOT.strip + 6;
-  const root = svg("svg", { class: "chart strips", width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Mode, findings and facts of each frame" });
+  const root = svg("svg", { class: "chart strips", width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Mode, findings and summary of each frame" });
   // Of all plots below, which begin at the same height and are equally wide.
   root.append(svg("defs", {}, svg("clipPath", { id: "plot-clip" }, svg("rect", { x: PLOT.left, y: PLOT.top - 2, width: scale.room, height: PLOT.height - PLOT.top - PLOT.bottom + 4 }))));
   strips.forEach(({ label, at }, row) => {
@@ -281,11 +281,11 @@ const showDemo = () => {
   const { demo } = selection;
   byId("evidence-title").textContent = nameOf(demo);
   byId("evidence").dataset.demo = DEMOS.number[demo];
-  const facts = [
+  const summary = [
     counted(DEMOS.frames[demo], "frame"), `${(DEMOS.frames[demo] * REPORT.frame_seconds).toFixed(1)} s`, `${Math.round(100 * share(demo))} % transfer`,
     counted(DEMOS.segments[demo], "segment"), `object ends ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit} from where it began`, severityWords(demo),
   ];
-  byId("evidence-facts").textContent = facts.join(" · ");
+  byId("evidence-summary").textContent = summary.join(" · ");
   showFindings();
   showSegments();
 };

@@ -17,16 +17,16 @@ const graspScale = (canvas, width, height) => {
   const [across, up] = [...canvas.dataset.axes].map((axis) => AXES[axis]);
   const points = GRASPS.map(({ position }) => [position[across] * LENGTH.factor, position[up] * LENGTH.factor]);
   const outline = (REPORT.outline ?? []).map(([x, y]) => [x * LENGTH.factor, y * LENGTH.factor]);
-  // The origin is always in sight.
+  // The origin is always in view.
   const all = [...points, ...outline, [0, 0]].filter((point) => point.every(Number.isFinite));
-  const least = (axis) => all.reduce((low, point) => Math.min(low, point[axis]), Infinity);
+  const minimum = (axis) => all.reduce((low, point) => Math.min(low, point[axis]), Infinity);
   const most = (axis) => all.reduce((high, point) => Math.max(high, point[axis]), -Infinity);
   const box = { left: 40, right: 14, top: 12, bottom: 34 };
-  const middle = [(least(0) + most(0)) / 2, (least(1) + most(1)) / 2];
-  const span = [most(0) - least(0) || 1, most(1) - least(1) || 1];
+  const middle = [(minimum(0) + most(0)) / 2, (minimum(1) + most(1)) / 2];
+  const span = [most(0) - minimum(0) || 1, most(1) - minimum(1) || 1];
   const scale = 0.94 * Math.min((width - box.left - box.right) / span[0], (height - box.top - box.bottom) / span[1]);
   const centre = [(box.left + width - box.right) / 2, (box.top + height - box.bottom) / 2];
-  // The plane of Push-T has its y axis downwards, as pictures do.
+  // The plane of Push-T has its y axis downwards, as images do.
   const sense = REPORT.outline === null ? -1 : 1;
   return {
     box, points, outline, axes: canvas.dataset.axes,

@@ -1,4 +1,4 @@
-// One thin row a demonstration, on one canvas as large as what is in sight: only rows in sight are drawn.
+// One thin row a demonstration, on one canvas as large as what is in view: only rows in view are drawn.
 const ROW = 18;
 const BAR = { top: 5, height: 8 };
 const GUTTER = { name: 78, whole: 16, right: 12 };

@@ -16,7 +16,7 @@ use re4_stats::Interval;
 use serde_json::json;
 
 pub use self::curve::Curve;
-use super::facts::told_apart;
+use super::summary::told_apart;
 use super::{Decided, NONE, Rollout, Rollouts, Scene, Words};
 use crate::html::pack::Pack;
 use crate::html::shell::plural;
@@ -67,7 +67,7 @@ pub struct Metrics {
     pub coverage_raw_mean: Interval,
     /// Mean intersection over union.
     pub iou_mean: Interval,
-    /// Share of rollouts that succeed.
+    /// Fraction of rollouts that succeed.
     pub success_rate: Interval,
 }
 
@@ -116,7 +116,7 @@ impl Scene for Plane {
     const WORDS: Words = Words {
         of: "",
         scores: ["Scores", "Score table", "scores"],
-        note: "Mean over rollouts of the greatest value within a rollout, with 95 % intervals. \
+        note: "Mean over rollouts of the maximum value within a rollout, with 95 % intervals. \
             Scaled score is min(coverage / 0.95, 1). The paper’s measure is its “maximum coverage per episode”, without intervals; \
             it is set beside the scaled score, which is what the field reports, and marked there in blue.",
         score_columns: &[

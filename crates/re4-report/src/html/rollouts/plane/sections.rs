@@ -76,7 +76,7 @@ pub(super) fn paper_table() -> Markup {
                     }
                 }
             }
-            p.note { (paper::SOURCE) ". Mean over 100 seeds of each episode’s greatest coverage." }
+            p.note { (paper::SOURCE) ". Mean over 100 seeds of each episode’s maximum coverage." }
         }
     }
 }
@@ -122,7 +122,7 @@ pub(super) fn evidence() -> Markup {
                 div #demo {}
                 figcaption #demo-note {}
             }
-            dl.facts #facts {}
+            dl.summary #summary {}
         }
     }
 }

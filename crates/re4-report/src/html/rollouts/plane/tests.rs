@@ -8,7 +8,7 @@ use sha2::{Digest as _, Sha256};
 
 use re4_rollout::Phase;
 
-use super::super::facts::Facts;
+use super::super::summary::Summary;
 use super::*;
 use crate::html::rollouts::{Report, demo_name, page};
 
@@ -248,7 +248,7 @@ fn differences_of_protocol_are_said() {
 
 #[test]
 fn labels_say_what_tells_artifacts_apart() {
-    let labels = |sets: Vec<Rollouts<Plane>>| Facts::of(&report(sets)).labels;
+    let labels = |sets: Vec<Rollouts<Plane>>| Summary::of(&report(sets)).labels;
     assert_eq!(labels(vec![set('a', "re4"), set('b', "paper")]), ["re4", "paper"]);
     let mut sparse = set('b', "re4");
     sparse.scene.demonstrations = Some(50);
@@ -265,8 +265,8 @@ fn labels_say_what_tells_artifacts_apart() {
 #[test]
 fn budgets_follow_from_the_steps() {
     let report = report(vec![set('a', "re4")]);
-    let facts = Facts::of(&report);
-    let curve = &facts.extras[0];
+    let summary = Summary::of(&report);
+    let curve = &summary.extras[0];
     assert_eq!(curve.budgets, [50, 100, 120]);
     assert_eq!(curve.coverage[0].value, mean(&[0.4, 0.96]));
     assert_eq!(curve.score[2].value, mean(&[0.4 / 0.95, 1.0]));
@@ -282,7 +282,7 @@ fn rollouts_that_are_not_shown_count_but_leave_no_trace() {
     let mut set = set('a', "re4");
     set.rollouts[0].shown = false;
     let hidden = report(vec![set.clone()]);
-    assert_eq!(Facts::of(&hidden).extras[0].coverage[0].value, mean(&[0.4, 0.96]));
+    assert_eq!(Summary::of(&hidden).extras[0].coverage[0].value, mean(&[0.4, 0.96]));
     let artifact = &data(&page(&report(vec![set])))["artifacts"][0];
     assert_eq!(artifact["rollouts"]["seed"], json!([500, 501]));
     assert_eq!(artifact["shown"], json!([1]));

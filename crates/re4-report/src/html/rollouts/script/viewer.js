@@ -12,7 +12,7 @@ const showDecision = (data, step, number) => {
   const chunk = decision === undefined ? undefined : loadChunk(index, decision);
   const root = drawScene(data, step, number, chunk);
   root.setAttribute("aria-label", `Scene of ${REPORT.artifacts[data.artifact].noun} ${data.seed} at step ${step} of ${data.length}${SIDES}`);
-  byId("facts").replaceChildren(...(decision === undefined ? [] : [...decisionFacts(decision), ...stepFacts(data, step)].flat()));
+  byId("summary").replaceChildren(...(decision === undefined ? [] : [...decisionFacts(decision), ...stepFacts(data, step)].flat()));
   const key = [data.artifact, data.rollout, number].join();
   if (key === shownDecision) return;
   shownDecision = key;
@@ -32,8 +32,8 @@ const showStep = () => {
   byId("scrubber").value = step;
   byId("scrubber").setAttribute("aria-valuetext", `step ${step} of ${data.length}`);
   const text = byId("step-text");
-  const { facts, words } = stepWords(data, step, data.decisions[number]);
-  Object.assign(text.dataset, { step, ...facts });
+  const { summary, words } = stepWords(data, step, data.decisions[number]);
+  Object.assign(text.dataset, { step, ...summary });
   text.replaceChildren(html("b", {}, `Step ${step}`), ` of ${data.length}`, ...words);
   movePlayhead();
 };

@@ -17,7 +17,7 @@ use re4_stats::Interval;
 use re4_task::{RobosuiteTask, Solid};
 use serde_json::{Value, json};
 
-use super::facts::told_apart;
+use super::summary::told_apart;
 use super::{Decided, NONE, Report, Rollout, Rollouts, Scene, Words};
 use crate::html::pack::{Pack, f32s, u32s};
 use crate::html::shell::plural;
@@ -29,7 +29,7 @@ pub struct Space {
     pub task: RobosuiteTask,
     /// The seeds in words.
     pub seeds: String,
-    /// Share of rollouts that succeed, with its Wilson interval.
+    /// Fraction of rollouts that succeed, with its Wilson interval.
     pub success_rate: Interval,
     /// Rollouts that succeed.
     pub successes: u64,
@@ -44,27 +44,27 @@ pub struct Space {
     /// What was simulated with what, in words.
     pub simulator: String,
     /// What the camera saw at decisions, by seed and number of the decision.
-    pub pictures: BTreeMap<(u32, u32), DecisionPicture>,
+    pub images: BTreeMap<(u32, u32), DecisionImage>,
 }
 
 /// What a camera saw when a decision was taken.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DecisionPicture {
+pub struct DecisionImage {
     /// Name of the camera.
     pub camera: &'static str,
     /// Its side in pixels.
     pub side: u32,
-    /// The picture as the bytes of a PNG file.
+    /// The image as the bytes of a PNG file.
     pub png: Vec<u8>,
     /// The object's frame as the policy was told it.
-    pub told: FrameInPicture,
+    pub told: FrameInImage,
     /// The object's frame as it was in the simulator.
-    pub simulated: FrameInPicture,
+    pub simulated: FrameInImage,
 }
 
-/// Origin and ends of the three axes of a frame in a picture, in pixels from its corner at the top left; none for what is
+/// Origin and ends of the three axes of a frame in an image, in pixels from its corner at the top left; none for what is
 /// behind the camera.
-pub type FrameInPicture = [Option<[f64; 2]>; 4];
+pub type FrameInImage = [Option<[f64; 2]>; 4];
 
 impl Decided<Space> {
     /// A whole number that RE4 states of what was retrieved.
@@ -224,12 +224,7 @@ impl Scene for Space {
     }
 
     fn evidence(report: &Report<Self>) -> Markup {
-        sections::evidence(
-            report
-                .artifacts
-                .iter()
-                .any(|artifact| pictures(artifact) != Value::Null),
-        )
+        sections::evidence(report.artifacts.iter().any(|artifact| images(artifact) != Value::Null))
     }
 
     fn result(row: &SpaceResultRow) -> &ResultCore {
@@ -300,7 +295,7 @@ impl Scene for Space {
             .f64("d_q", |d| d.number(|d| d.d_q))
             .f64("d_o", |d| d.number(|d| d.d_o))
             .f64("d_e", |d| d.number(|d| d.d_e))
-            .f64("turn", |d| d.number(|d| d.symmetry_turn))
+            .f64("turn", |d| d.number(|d| d.symmetry_rotation))
             .f64("delta", |d| {
                 d.detail
                     .as_ref()
@@ -314,7 +309,7 @@ impl Scene for Space {
         pack.with("task", json!(task.title))
             .with("fixtures", solids(task.fixtures))
             .with("object", solids(task.shape))
-            .with("pictures", pictures(artifact))
+            .with("images", images(artifact))
     }
 }
 
@@ -323,28 +318,28 @@ fn solids(solids: &[Solid]) -> Value {
     solids.iter().map(solid).collect()
 }
 
-/// Pictures of some decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers each, the
+/// Images of some decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers each, the
 /// places of both frames. Null where there are none.
-fn pictures(artifact: &Rollouts<Space>) -> Value {
+fn images(artifact: &Rollouts<Space>) -> Value {
     let decisions = artifact
         .shown()
         .flat_map(|r| (0..).zip(&r.decisions).map(|(i, _)| (r.core().seed, i)));
-    let shown: Vec<(u32, &DecisionPicture)> = (0..)
+    let shown: Vec<(u32, &DecisionImage)> = (0..)
         .zip(decisions)
-        .filter_map(|(number, place)| Some((number, artifact.scene.pictures.get(&place)?)))
+        .filter_map(|(number, place)| Some((number, artifact.scene.images.get(&place)?)))
         .collect();
     let Some((_, first)) = shown.first() else {
         return Value::Null;
     };
     let places = shown
         .iter()
-        .flat_map(|(_, picture)| picture.told.iter().chain(&picture.simulated));
+        .flat_map(|(_, image)| image.told.iter().chain(&image.simulated));
     json!({
         "camera": first.camera,
         "side": first.side,
         "decision": u32s(shown.iter().map(|(number, _)| *number)),
         "places": f32s(places.flat_map(|place| place.unwrap_or([f64::NAN; 2]))),
-        "png": shown.iter().map(|(_, picture)| BASE64_STANDARD.encode(&picture.png)).collect::<Vec<_>>(),
+        "png": shown.iter().map(|(_, image)| BASE64_STANDARD.encode(&image.png)).collect::<Vec<_>>(),
     })
 }
 

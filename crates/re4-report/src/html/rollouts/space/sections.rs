@@ -70,23 +70,23 @@ pub(super) fn grid(labels: &[String]) -> Markup {
 }
 
 /// The figures of a decision, and what the camera saw; the script fills both.
-pub(super) fn evidence(pictures: bool) -> Markup {
+pub(super) fn evidence(images: bool) -> Markup {
     html! {
-        dl.facts #facts {}
+        dl.summary #summary {}
         p.hint #demo-note {}
-        @if pictures { (picture()) }
+        @if images { (image()) }
     }
 }
 
 /// The place for what the camera saw at a decision.
-fn picture() -> Markup {
+fn image() -> Markup {
     html! {
         figure.camera #camera {
             figcaption {
                 h3 { "What the camera saw" }
                 p #camera-caption {}
             }
-            div #camera-picture {}
+            div #camera-image {}
             ul.legend {
                 li {
                     svg.plane.sample viewBox="0 0 24 18" aria-hidden="true" {
@@ -100,7 +100,7 @@ fn picture() -> Markup {
                 }
             }
             p.hint #camera-note {
-                "A frame estimated from a picture is that of the gripper that would hold the object. "
+                "A frame estimated from an image is that of the gripper that would hold the object. "
                 "It is a constant rigid motion away from the object’s own at best, which is not taken away here."
             }
         }

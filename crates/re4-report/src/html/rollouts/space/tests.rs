@@ -54,7 +54,7 @@ fn trace(seed: u32, success: bool) -> Rollout<Space> {
             d_o: followed.then_some(0.1),
             d_e: followed.then_some(0.3),
             delta: followed.then_some(SixAxis([0.01, 0.0, 0.0, 0.0, 0.0, 0.5])),
-            symmetry_turn: followed.then_some(0.25),
+            symmetry_rotation: followed.then_some(0.25),
             replay_steps: followed.then_some(2),
             set_point: at(),
             bridge: true,
@@ -105,7 +105,7 @@ fn rollouts(task: &str, preset: &str) -> Rollouts<Space> {
             demonstrations: "all 20 demonstrations".to_owned(),
             dataset: "low_dim.hdf5".to_owned(),
             simulator: "MuJoCo 2.3.7".to_owned(),
-            pictures: BTreeMap::new(),
+            images: BTreeMap::new(),
         },
         rollouts: vec![trace(200_000, true), trace(200_001, false)],
     }
@@ -204,41 +204,38 @@ fn rollouts_that_are_not_shown_are_counted_alone() {
 }
 
 #[test]
-fn pictures_of_decisions_stand_beside_their_numbers() {
+fn images_of_decisions_stand_beside_their_numbers() {
     let bare = rollouts_page(&report(vec![rollouts("Lift", "re4")]));
-    assert!(!bare.contains("id=\"camera\"") && data(&bare)["artifacts"][0]["pictures"].is_null());
+    assert!(!bare.contains("id=\"camera\"") && data(&bare)["artifacts"][0]["images"].is_null());
 
     let mut artifact = rollouts("Lift", "re4");
     let behind = [None, Some([3.0, 4.0]), None, None];
-    let picture = DecisionPicture {
+    let image = DecisionImage {
         camera: "agentview",
         side: 84,
-        png: b"picture".to_vec(),
+        png: b"image".to_vec(),
         told: [Some([1.0, 2.0]); 4],
         simulated: behind,
     };
-    artifact.scene.pictures.insert((200_001, 1), picture);
+    artifact.scene.images.insert((200_001, 1), image);
     let page = rollouts_page(&report(vec![artifact.clone()]));
     assert!(page.contains("id=\"camera\""));
-    let pictures = &data(&page)["artifacts"][0]["pictures"];
-    assert_eq!(
-        (&pictures["camera"], &pictures["side"]),
-        (&"agentview".into(), &84.into())
-    );
-    assert_eq!(pictures["png"], serde_json::json!(["cGljdHVyZQ=="]));
+    let images = &data(&page)["artifacts"][0]["images"];
+    assert_eq!((&images["camera"], &images["side"]), (&"agentview".into(), &84.into()));
+    assert_eq!(images["png"], serde_json::json!(["cGljdHVyZQ=="]));
     // The second decision of the second rollout, of two decisions each.
-    assert_eq!(pictures["decision"], u32s([3].into_iter()));
+    assert_eq!(images["decision"], u32s([3].into_iter()));
     let nan = f64::NAN;
     let places = [
         [1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0],
         [nan, nan, 3.0, 4.0, nan, nan, nan, nan],
     ];
-    assert_eq!(pictures["places"], f32s(places.into_iter().flatten()));
-    // What the viewer does not hold has no picture, and does not count.
+    assert_eq!(images["places"], f32s(places.into_iter().flatten()));
+    // What the viewer does not hold has no image, and does not count.
     artifact.rollouts[0].shown = false;
     let fewer = rollouts_page(&report(vec![artifact]));
     assert_eq!(
-        data(&fewer)["artifacts"][0]["pictures"]["decision"],
+        data(&fewer)["artifacts"][0]["images"]["decision"],
         u32s([1].into_iter())
     );
 }

@@ -69,8 +69,8 @@ const drawSeeds = (host, width) => {
     height: 300, left: 36, right: 14, top: 12, bottom: 40,
     y: [0, 1], yTicks: UNIT_TICKS,
     x: bySeed ? [-0.5, last + 0.5] : [0, 1],
-    xTicks: bySeed ? seedTicks(marks, width) : [[0.005, "least"], [0.5, "median"], [0.96, "greatest"]],
-    xLabel: bySeed ? "seed" : "share of rollouts",
+    xTicks: bySeed ? seedTicks(marks, width) : [[0.005, "minimum"], [0.5, "median"], [0.96, "maximum"]],
+    xLabel: bySeed ? "seed" : "fraction of rollouts",
     name: `${MEASURES[measure]} of every rollout; the table of seeds below has the figures. Arrow keys choose a rollout.`,
   });
   root.setAttribute("tabindex", "0");

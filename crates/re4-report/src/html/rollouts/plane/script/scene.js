@@ -1,6 +1,6 @@
 const blockAt = (pose) => `${line(WORLD.outline.map((corner) => carry(pose, corner)))}Z`;
 
-// The plane as a picture: floor, walls and goal, with named layers above that are filled for each state.
+// The plane as an image: floor, walls and goal, with named layers above that are filled for each state.
 const plane = (name, layers) => {
   const { side, wall } = WORLD;
   const root = svg("svg", { class: "plane", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": name });

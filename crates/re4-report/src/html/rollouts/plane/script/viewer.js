@@ -37,10 +37,10 @@ const stepFacts = (data, step) => {
   const estimate = estimateAt(data, step);
   if (estimate === undefined) return [];
   const { away, turn, confidence, flag } = estimate;
-  const facts = [fact("Pose given", `off by ${digits(away, 2)} px, ${digits((turn * 180) / Math.PI, 2)}°`, "pose_error", `${away} ${turn}`)];
-  if (flag) facts.push(fact("Estimator says", flag.replaceAll("_", " "), "pose_flag", flag));
-  if (confidence !== null) facts.push(fact("Confidence", digits(confidence), "pose_confidence", confidence));
-  return facts;
+  const summary = [fact("Pose given", `off by ${digits(away, 2)} px, ${digits((turn * 180) / Math.PI, 2)}°`, "pose_error", `${away} ${turn}`)];
+  if (flag) summary.push(fact("Estimator says", flag.replaceAll("_", " "), "pose_flag", flag));
+  if (confidence !== null) summary.push(fact("Confidence", digits(confidence), "pose_confidence", confidence));
+  return summary;
 };
 
 const showEvidence = (data, decision, chunk, lacking) => {
@@ -52,10 +52,10 @@ const showEvidence = (data, decision, chunk, lacking) => {
 };
 
 const stepWords = (data, step) => {
-  if (step === 0) return { facts: { coverage: "" }, words: [] };
+  if (step === 0) return { summary: { coverage: "" }, words: [] };
   const [coverage, best] = [data.coverage[step - 1], data.best[step - 1]];
   return {
-    facts: { coverage },
+    summary: { coverage },
     words: [
       html("span", {}, ` · coverage `, html("b", {}, digits(coverage))),
       html("span", {}, ` · best `, html("b", {}, digits(best)), ` (score ${digits(scoreOf(best))})`),

@@ -1,12 +1,12 @@
 // What the camera saw at a decision, with the object's frame as the policy was told it and as it was.
-const picturesOf = remember((number) => {
-  const { pictures } = REPORT.artifacts[number];
-  if (!pictures) return undefined;
-  const places = unpack(pictures.places);
+const imagesOf = remember((number) => {
+  const { images } = REPORT.artifacts[number];
+  if (!images) return undefined;
+  const places = unpack(images.places);
   const of = new Map();
-  unpack(pictures.decision).forEach((decision, i) => {
+  unpack(images.decision).forEach((decision, i) => {
     const points = Array.from({ length: 8 }, (_, k) => row(places, 2, 8 * i + k));
-    of.set(decision, { png: pictures.png[i], told: points.slice(0, 4), simulated: points.slice(4) });
+    of.set(decision, { png: images.png[i], told: points.slice(0, 4), simulated: points.slice(4) });
   });
   return of;
 });
@@ -29,26 +29,26 @@ const turnBetween = (a, b) => {
   return 2 * Math.acos(Math.min(1, w));
 };
 
-const showPicture = (data, decision) => {
+const showImage = (data, decision) => {
   const place = byId("camera");
   if (place === null) return;
-  const { pictures } = REPORT.artifacts[data.artifact];
-  const picture = picturesOf(data.artifact)?.get(decision?.row);
-  place.hidden = picture === undefined;
-  if (picture === undefined) return;
-  const side = pictures.side;
+  const { images } = REPORT.artifacts[data.artifact];
+  const image = imagesOf(data.artifact)?.get(decision?.row);
+  place.hidden = image === undefined;
+  if (image === undefined) return;
+  const side = images.side;
   const simulated = data.object[decision.step];
   const off = decision.object.slice(0, 3).map((value, k) => value - simulated[k]);
   const away = apart(decision.object, simulated);
   const turn = turnBetween(decision.object, simulated);
   const caption = byId("camera-caption");
-  caption.textContent = `${pictures.camera} · origins ${millimetres(away)} apart (${off.map((value) => digits(1000 * value, 1)).join(", ")}) · axes ${degrees(turn)}`;
+  caption.textContent = `${images.camera} · origins ${millimetres(away)} apart (${off.map((value) => digits(1000 * value, 1)).join(", ")}) · axes ${degrees(turn)}`;
   Object.assign(caption.dataset, { decision: decision.row, distance: away, turn });
-  byId("camera-picture").replaceChildren(svg(
+  byId("camera-image").replaceChildren(svg(
     "svg",
-    { class: "plane seen-picture", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Picture of ${pictures.camera} at step ${decision.step}, with the frame of the object` },
-    svg("image", { href: `data:image/png;base64,${picture.png}`, width: side, height: side }),
-    ...["simulated under", "simulated"].flatMap((name) => [...frameLines(picture.simulated, [name, name, name]), ...frameMark(picture.simulated, name)]),
-    ...frameLines(picture.told, AXES.map((axis) => `told ${axis}`)),
+    { class: "plane seen-image", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Image of ${images.camera} at step ${decision.step}, with the frame of the object` },
+    svg("image", { href: `data:image/png;base64,${image.png}`, width: side, height: side }),
+    ...["simulated under", "simulated"].flatMap((name) => [...frameLines(image.simulated, [name, name, name]), ...frameMark(image.simulated, name)]),
+    ...frameLines(image.told, AXES.map((axis) => `told ${axis}`)),
   ));
 };

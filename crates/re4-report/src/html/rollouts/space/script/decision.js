@@ -16,7 +16,7 @@ const chosenFacts = (decision) => [
   fact("Compared", counted(decision.compared, "demonstration"), "compared", decision.compared),
   fact("δ", `${inCentimetres(decision.delta)}, ${degrees(Math.hypot(...decision.delta.slice(3)))}`, "delta", decision.delta.join(" "),
     "Motion that carries the demonstration's object onto ours: translation, and angle about the world's origin"),
-  fact("Symmetry turn", degrees(decision.turn), "symmetry_turn", decision.turn, "Turn about the object's symmetry axis"),
+  fact("Symmetry turn", degrees(decision.turn), "symmetry_rotation", decision.turn, "Turn about the object's symmetry axis"),
 ];
 
 const decisionFacts = (decision) => [
@@ -41,7 +41,7 @@ const stepFacts = (data, step) => {
 };
 
 const showEvidence = (data, decision, chunk, lacking) => {
-  showPicture(data, decision);
+  showImage(data, decision);
   byId("demo-note").textContent = decision?.demo === undefined || chunk !== undefined ? "" : `The recording of ${decision.name} ${lacking}`;
 };
 
@@ -49,7 +49,7 @@ const stepWords = (data, step, { demo, name } = {}) => {
   const height = heightOf(data.artifact, data.object[step][2]);
   const fingers = data.fingers[step];
   return {
-    facts: { demo: demo === undefined ? "" : name, height, fingers },
+    summary: { demo: demo === undefined ? "" : name, height, fingers },
     words: [
       demo === undefined ? " · on the way home" : html("span", {}, " · ", html("i", { class: "swatch", style: demoStyle(demo) }), " ", html("b", {}, name)),
       ` · fingers ${millimetres(fingers, 0)} apart · object ${digits(100 * height, 1)} cm above the table`,

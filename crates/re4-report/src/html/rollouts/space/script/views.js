@@ -31,7 +31,7 @@ const boundsOf = remember((number) => {
   return { low: low.map((value, k) => value - room[k]), high: high.map((value, k) => value + room[k]) };
 });
 
-// Scale and places of both views, in units of the picture.
+// Scale and places of both views, in units of the image.
 const planOf = remember((number) => {
   const { low, high } = boundsOf(number);
   const size = high.map((value, k) => value - low[k]);

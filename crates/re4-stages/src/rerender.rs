@@ -1,0 +1,207 @@
+//! Rollouts of robosuite's tasks, simulated again from their first states with their own actions, checked against the tables, and
+//! drawn by MuJoCo's renderer. Rollouts hold no images.
+
+use std::cmp::Reverse;
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use nalgebra::Isometry3;
+use re4_artifact::{Artifact, Stage};
+use re4_fault::{OrFault as _, Remedy as _, bail, ensure, fault};
+use re4_mujoco::{Data, Model, Renderer, View};
+use re4_report::html::rollouts::space::{DecisionImage, FrameInImage, Space};
+use re4_report::html::rollouts::{Rollout, Rollouts};
+use re4_report::{find_input, spatial_rollouts, stated};
+use re4_robosuite::models::looks;
+use re4_sim::Simulator as _;
+use re4_sim::robosuite::{
+    ArmAction, Fidelity, FirstTorques, Placement, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
+    RobosuiteTask,
+};
+
+use crate::inputs::images::encode_png;
+use crate::inputs::simulators::Scenes;
+use crate::notes::fault_of;
+
+/// robosuite's camera in front of the robot.
+const CAMERA: &str = "agentview";
+/// How far the object may be from where the table has it, m.
+const TOLERANCE: f64 = 1e-6;
+/// Rollouts that have images on a page, where nobody asks for a number and poses come from images.
+const ROLLOUTS: usize = 8;
+/// Decisions of a rollout that have images, at most.
+const DECISIONS: usize = 48;
+/// Side of an image on a page, in pixels: what an encoder is shown.
+const SIDE: u32 = 84;
+/// Length of the axes that are drawn, in metres.
+const AXIS: f64 = 0.05;
+
+/// Rollouts that can be drawn in each of their states.
+pub struct Rerendered {
+    /// The rollouts.
+    pub rollouts: Vec<Rollout<Space>>,
+    /// Coordinates of each rollout's states.
+    coordinates: Vec<Vec<Vec<f64>>>,
+    /// Each rollout's model with all that is drawn.
+    sets: Vec<Data>,
+    /// None where there are no rollouts.
+    renderer: Option<Renderer>,
+}
+
+impl Rerendered {
+    /// Simulates the rollouts of these seeds again, to be drawn in squares of this side, in pixels. Their demonstrations are looked
+    /// for beside the artifact and in `store`.
+    ///
+    /// # Errors
+    /// When the artifact has no such rollout, an input of it cannot be found, the simulation goes another way than the table,
+    /// or nothing can be drawn.
+    pub fn new(artifact: &Artifact, seeds: &[u32], side: u32, store: &Path) -> Result<Self> {
+        let config = &artifact.manifest().config;
+        let task: RobosuiteTask = stated(artifact, "config", config, "task")?;
+        let fidelity: Fidelity = stated(artifact, "config", config, "fidelity")?;
+        let episodes = find_input(artifact, Stage::Ingest, store)?.or_fault(|| {
+            fault!(
+                "cannot draw the rollouts of {}: the episodes artifact with their models is neither beside it nor in {}",
+                artifact.path().display(),
+                store.display();
+                "name the artifacts folder with --artifacts"
+            )
+        })?;
+        let scenes = Scenes::open(&episodes, task, fidelity)?;
+        let drawn = scenes.rendered_mjcf(&episodes)?;
+        let mut rerendered = Self {
+            rollouts: spatial_rollouts(artifact, seeds)?,
+            coordinates: Vec::new(),
+            sets: Vec::new(),
+            renderer: None,
+        };
+        for place in 0..rerendered.rollouts.len() {
+            let rollout = &rerendered.rollouts[place];
+            let placement = Placement::draw(task, rollout.core().seed);
+            let model = scenes.compile(&placement.in_model(scenes.first_mjcf()?)?)?;
+            rerendered.coordinates.push(again(artifact, &model, rollout)?);
+            rerendered.set(&placement.in_model(&drawn)?, &scenes, side)?;
+        }
+        Ok(rerendered)
+    }
+
+    /// The next rollout's model. Compiling one with all that is drawn takes seconds, so it is done once: seeds differ in the
+    /// sizes of boxes alone.
+    fn set(&mut self, mjcf: &str, scenes: &Scenes, side: u32) -> Result<()> {
+        let model: Model = if let Some(renderer) = &self.renderer {
+            let boxes = looks(mjcf)?.boxes;
+            let boxes = boxes.iter().map(|(name, size)| (name.as_str(), *size));
+            renderer.model().with_boxes(boxes)?
+        } else {
+            let model = scenes.compile(mjcf)?.mujoco().clone();
+            self.renderer = Some(Renderer::new(&model, side as usize, side as usize)?);
+            model
+        };
+        self.sets.push(Data::new(&model)?);
+        Ok(())
+    }
+
+    /// Draws a rollout, by its place, in a state: rows from top to bottom, three bytes a pixel.
+    ///
+    /// # Errors
+    /// When the renderer refuses.
+    pub fn draw(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
+        let data = &mut self.sets[rollout];
+        let renderer = self.renderer.as_mut().context("no model to draw")?;
+        data.qpos_mut().copy_from_slice(&self.coordinates[rollout][state]);
+        data.forward();
+        Ok(renderer.draw(data, CAMERA)?)
+    }
+}
+
+/// Coordinates before each step and after the last, of the rollout simulated again.
+fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) -> Result<Vec<Vec<f64>>> {
+    let mut simulation = Robosuite::new(model)?;
+    let nq = model.mujoco().nq();
+    let (seed, path) = (rollout.core().seed, artifact.path().display());
+    let Some(start) = rollout.result.state.get(1..=nq) else {
+        bail!(
+            "cannot draw seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates",
+            rollout.result.state.len();
+            "run the rollout again"
+        );
+    };
+    simulation.reset(&RobosuiteScene::Placed(start.to_vec()), FirstTorques::AsRobosuite)?;
+    let mut coordinates = vec![simulation.data().qpos().to_vec()];
+    for (number, step) in rollout.steps.iter().enumerate() {
+        let after = simulation.step(&RobosuiteAction {
+            arm: ArmAction::Absolute(step.action.0),
+            gripper: step.gripper,
+        })?;
+        let away = (after.observation.object.translation.vector - step.object.translation.vector).amax();
+        ensure!(
+            away <= TOLERANCE,
+            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table steps has it after step {number}, so images would show another rollout";
+            "run the rollout again on this machine"
+        );
+        coordinates.push(simulation.data().qpos().to_vec());
+    }
+    Ok(coordinates)
+}
+
+/// Adds what the camera saw at decisions to some of the rollouts that a viewer holds, those that failed first: the same rollouts
+/// for the same page.
+///
+/// # Errors
+/// When images were asked for and cannot be drawn. Those that nobody asked for are left out instead, which is returned as a
+/// warning.
+pub fn add_images(
+    artifact: &Artifact,
+    set: &mut Rollouts<Space>,
+    wanted: Option<usize>,
+    store: &Path,
+) -> Result<Option<String>> {
+    let usual = if set.variant == "image" { ROLLOUTS } else { 0 };
+    let count = wanted.unwrap_or(usual);
+    if count == 0 {
+        return Ok(None);
+    }
+    let drawn = images(artifact, set, count, store)
+        .or_fault(|| fault!("cannot show images of {}", artifact.path().display(); "leave --images out, or make it 0"));
+    match drawn {
+        Ok(()) => Ok(None),
+        Err(error) if wanted.is_none() => Ok(Some(format!(
+            "the page shows no images: {}",
+            fault_of(&error).sentence()
+        ))),
+        Err(error) => Err(error),
+    }
+}
+
+fn images(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &Path) -> Result<()> {
+    let mut chosen: Vec<&Rollout<Space>> = set.rollouts.iter().filter(|rollout| rollout.shown).collect();
+    chosen.sort_by_key(|rollout| Reverse(!rollout.core().success));
+    chosen.truncate(count);
+    let seeds: Vec<u32> = chosen.iter().map(|rollout| rollout.core().seed).collect();
+    let mut rerendered = Rerendered::new(artifact, &seeds, SIDE, store)?;
+    for (place, rollout) in chosen.into_iter().enumerate() {
+        for (number, decision) in (0..).zip(rollout.decisions.iter().take(DECISIONS)) {
+            let pixels = rerendered.draw(place, decision.core().step as usize)?;
+            let view = rerendered.renderer.as_mut().and_then(Renderer::view);
+            let seen = |pose: Option<&Isometry3<f64>>| seen(view.as_ref(), pose);
+            let image = DecisionImage {
+                camera: CAMERA,
+                side: SIDE,
+                png: encode_png(&pixels, SIDE, SIDE)?,
+                told: seen(decision.core.query_object.as_ref()),
+                simulated: seen(Some(&rollout.object_before(decision.core().step as usize))),
+            };
+            set.scene.images.insert((rollout.core().seed, number), image);
+        }
+    }
+    Ok(())
+}
+
+/// A frame's origin and the ends of its axes in an image; nothing where there is no such frame.
+fn seen(view: Option<&View>, pose: Option<&Isometry3<f64>>) -> FrameInImage {
+    let ends = [[0.0; 3], [AXIS, 0.0, 0.0], [0.0, AXIS, 0.0], [0.0, 0.0, AXIS]];
+    ends.map(|end| {
+        let point = pose?.transform_point(&end.into());
+        view?.pixel([point.x, point.y, point.z], SIDE as usize, SIDE as usize)
+    })
+}

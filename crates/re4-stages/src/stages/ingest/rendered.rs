@@ -1,0 +1,320 @@
+//! Images of robosuite's cameras, drawn from recorded states through each demonstration's own model.
+
+use std::path::Path;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Scope, ScopedJoinHandle};
+
+use anyhow::{Context as _, Result};
+use re4_fault::{OrFault as _, bail, ensure, fault};
+use re4_ingest::{Episode, Matrix};
+use re4_mujoco::{Data, Footprint, Gl, Kind, Library, Model, Renderer};
+use re4_robosuite::env_args::EnvArgs;
+use re4_robosuite::models::{Looks, looks, with_assets};
+use re4_sim::robosuite::Profile;
+use serde_json::{Value, json};
+
+use super::spool::Spool;
+use super::tables::ImageTable;
+use crate::inputs::images::encode_png;
+use crate::inputs::simulators;
+use crate::interrupt::Interrupt;
+use crate::pipeline::Camera;
+
+/// Side of an image, in pixels: what robomimic's datasets hold.
+const SIDE: usize = Camera::Agentview.side();
+
+/// Most memory that a process that draws is meant to take, in bytes: 512 MiB and a margin. One thread draws whatever that
+/// takes.
+const MEMORY: u64 = 480 << 20;
+
+/// What the process takes beside renderers, in bytes: its libraries, and demonstrations that wait.
+const PROCESS: u64 = 112 << 20;
+
+/// Raised whenever the same states give other images.
+const DRAWING_VERSION: u32 = 1;
+
+/// What the key of an artifact says of drawn images. Which MuJoCo draws follows from the file.
+pub(super) fn settings(cameras: &[Camera], gl: Option<&str>) -> Value {
+    json!({
+        "assets": "robosuite-1.4.1",
+        "cameras": cameras,
+        "gl": gl,
+        "side": SIDE,
+        "version": DRAWING_VERSION,
+    })
+}
+
+/// The version of robosuite whose images are drawn.
+fn profile(env: &EnvArgs) -> Result<Profile> {
+    let Some(named) = env.env_version.as_deref() else {
+        bail!(
+            "the file does not say which robosuite recorded it";
+            "give its env_args, with env_version, as ingest.env_args"
+        );
+    };
+    Profile::of(named)
+        .with_context(|| format!("it was recorded with robosuite {named}, and the versions known here are 1.4 and 1.5"))
+}
+
+/// What is drawn with: the library is there, and the cameras are known.
+pub(super) struct Drawing<'a> {
+    library: Library,
+    gl: Gl,
+    cameras: Vec<&'static str>,
+    source: &'a Path,
+}
+
+/// A demonstration to be drawn.
+struct Job {
+    episode: u32,
+    demo: String,
+    /// Names and half sizes of the boxes that are its own, in metres.
+    boxes: Vec<(String, [f64; 3])>,
+    states: Matrix,
+    cameras: Vec<&'static str>,
+}
+
+/// Threads that draw demonstrations whose models look alike, until the queue ends.
+struct Crew<'scope> {
+    /// What the models look like.
+    looks: String,
+    jobs: SyncSender<Job>,
+    threads: Vec<ScopedJoinHandle<'scope, ()>>,
+}
+
+impl Crew<'_> {
+    /// Waits until all its demonstrations are drawn, and its memory is free.
+    fn finish(self) {
+        drop(self.jobs);
+        for thread in self.threads {
+            if let Err(panic) = thread.join() {
+                std::panic::resume_unwind(panic);
+            }
+        }
+    }
+}
+
+/// Number of threads, of so many that may work, that draw a model at the same time.
+fn crew_size(model: &Model, threads: usize) -> usize {
+    let Footprint { shared, each } = Renderer::footprint(model, SIDE, SIDE);
+    let room = MEMORY.saturating_sub(PROCESS + shared);
+    usize::try_from(room / each.max(1)).map_or(threads, |fit| fit.clamp(1, threads.max(1)))
+}
+
+impl<'a> Drawing<'a> {
+    pub(super) fn new(cameras: &[Camera], env: &EnvArgs, source: &'a Path) -> Result<Self> {
+        let failed = || format!("cannot draw the images of {}", source.display());
+        let mut cameras: Vec<_> = cameras.iter().map(|camera| camera.name()).collect();
+        cameras.sort_unstable();
+        Ok(Self {
+            library: profile(env).and_then(simulators::library).with_context(failed)?,
+            gl: Gl::of_process().with_context(failed)?,
+            cameras,
+            source,
+        })
+    }
+
+    /// What the artifact says of its images.
+    pub(super) fn summary(&self) -> Value {
+        json!({
+            "by": format!("MuJoCo {} with {}", self.library.version(), self.gl),
+            "side": SIDE,
+        })
+    }
+
+    /// Names of its cameras, in alphabetical order.
+    pub(super) fn cameras(&self) -> Vec<String> {
+        self.cameras.iter().map(|&camera| camera.to_owned()).collect()
+    }
+
+    /// Draws what is not yet in the spool. `read` hands on the demonstrations in order; `tell` hears how many images are
+    /// done.
+    ///
+    /// Every thread draws whole demonstrations, as many at a time as [`MEMORY`] allows. Of several that cannot be drawn the
+    /// first is reported, whatever the number of threads.
+    pub(super) fn draw(
+        &self,
+        spool: &Spool,
+        threads: usize,
+        interrupt: &Interrupt,
+        tell: &(impl Fn(usize) + Sync),
+        read: impl FnOnce(&mut dyn FnMut(u32, Episode) -> Result<()>) -> Result<()>,
+    ) -> Result<()> {
+        let failure: Mutex<Option<(u32, anyhow::Error)>> = Mutex::new(None);
+        let failed = || failure.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = Mutex::new(0);
+        let done = |images: usize| {
+            let mut count = count.lock().unwrap_or_else(PoisonError::into_inner);
+            *count += images;
+            tell(*count);
+        };
+        let work = |job: &Job, model: &Model, renderer: &mut Option<Renderer>| {
+            // Those before the one that failed are seen to their ends, so that the first one is told.
+            let in_vain = failed().as_ref().is_some_and(|(episode, _)| *episode < job.episode);
+            if in_vain || interrupt.requested() {
+                return;
+            }
+            if let Err(error) = draw_demo(job, model, renderer, spool, interrupt, &done) {
+                let error = error.context(self.cannot(&job.demo));
+                let mut failure = failed();
+                if failure.as_ref().is_none_or(|(episode, _)| job.episode < *episode) {
+                    *failure = Some((job.episode, error));
+                }
+            }
+        };
+        let result = std::thread::scope(|scope| {
+            let mut crew: Option<Crew<'_>> = None;
+            // The queue ends with the reading.
+            read(&mut |episode, mut demo| {
+                let frames = demo.frames.count();
+                let name = demo.name.name;
+                interrupt.check("ingest")?;
+                ensure!(failed().is_none(), "a demonstration cannot be drawn");
+                let mut missing = Vec::new();
+                for &camera in &self.cameras {
+                    if spool.get(camera, episode, frames)?.is_none() {
+                        missing.push(camera);
+                    }
+                }
+                done(frames * (self.cameras.len() - missing.len()));
+                if missing.is_empty() {
+                    return Ok(());
+                }
+                let lacks = |what| {
+                    anyhow::Error::from(fault!("it has no {what}"; "leave ingest.render out"))
+                        .context(self.cannot(&name))
+                };
+                let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
+                let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
+                let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&name))?;
+                let crew = match &mut crew {
+                    Some(crew) if crew.looks == rest => crew,
+                    other => {
+                        // The memory of the last one first.
+                        if let Some(last) = other.take() {
+                            last.finish();
+                        }
+                        let model = self.compile(&mjcf).with_context(|| self.cannot(&name))?;
+                        other.insert(crew_of(scope, rest, &model, threads, &work))
+                    }
+                };
+                let job = Job {
+                    episode,
+                    demo: name,
+                    boxes,
+                    states,
+                    cameras: missing,
+                };
+                crew.jobs
+                    .send(job)
+                    .map_err(|_| fault!("no thread draws any more"; "run again").into())
+            })
+        });
+        if let Some((_, error)) = failed().take() {
+            return Err(error);
+        }
+        interrupt.check("ingest")?;
+        result
+    }
+
+    fn cannot(&self, demo: &str) -> String {
+        format!("cannot draw the images of {demo} in {}", self.source.display())
+    }
+
+    /// The model of a demonstration. Compiling it takes seconds, so those that look alike share it.
+    fn compile(&self, mjcf: &str) -> Result<Model> {
+        let text = with_assets(mjcf, &simulators::assets_folder())?;
+        Model::compile(&self.library, &text).context("its model_file does not compile")
+    }
+
+    /// Writes the images of the spool to their table: by camera, episode and frame.
+    pub(super) fn write(&self, spool: &Spool, lengths: &[usize], mut table: ImageTable) -> Result<usize> {
+        for &camera in &self.cameras {
+            for (episode, &frames) in (0_u32..).zip(lengths) {
+                let images = spool.get(camera, episode, frames)?;
+                let images = images.or_fault(|| fault!("images that were just drawn are gone"; "another run of the same artifact may have removed them, so run again"))?;
+                let places: Vec<(u32, u32)> = (0..frames as u32).map(|frame| (episode, frame)).collect();
+                table.write(camera, &places, images)?;
+            }
+        }
+        table.finish()
+    }
+}
+
+/// Draws a demonstration and puts its images into the spool, unless it is interrupted.
+fn draw_demo(
+    job: &Job,
+    model: &Model,
+    renderer: &mut Option<Renderer>,
+    spool: &Spool,
+    interrupt: &Interrupt,
+    done: &impl Fn(usize),
+) -> Result<()> {
+    let (nq, nv) = (model.nq(), model.nv());
+    ensure!(
+        job.states.columns == 1 + nq + nv,
+        "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities",
+        job.states.columns,
+        1 + nq + nv;
+        "states and model_file do not belong together"
+    );
+    let renderer = match renderer {
+        Some(renderer) => renderer,
+        none => none.insert(Renderer::new(model, SIDE, SIDE)?),
+    };
+    let cameras = job
+        .cameras
+        .iter()
+        .map(|camera| model.id(Kind::Camera, camera))
+        .collect::<Result<Vec<_>, _>>()?;
+    let model = model.with_boxes(job.boxes.iter().map(|(name, size)| (name.as_str(), *size)))?;
+    let mut data = Data::new(&model)?;
+    let mut pixels = vec![0; 3 * SIDE * SIDE];
+    let mut images = vec![Vec::with_capacity(job.states.rows()); cameras.len()];
+    for state in job.states.values.chunks_exact(job.states.columns) {
+        if interrupt.requested() {
+            return Ok(());
+        }
+        re4_rollout::set_state(&mut data, state).map_err(anyhow::Error::msg)?;
+        for (&camera, images) in cameras.iter().zip(&mut images) {
+            renderer.draw_into(&mut data, camera, &mut pixels)?;
+            images.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);
+            done(1);
+        }
+    }
+    for (camera, images) in job.cameras.iter().zip(&images) {
+        spool.put(camera, job.episode, images)?;
+    }
+    Ok(())
+}
+
+/// Starts threads that draw demonstrations of a model, each with a renderer of its own.
+fn crew_of<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    looks: String,
+    model: &Model,
+    threads: usize,
+    work: &'scope (impl Fn(&Job, &Model, &mut Option<Renderer>) + Sync),
+) -> Crew<'scope> {
+    let threads = crew_size(model, threads);
+    let (jobs, queue) = sync_channel(threads);
+    let queue = Arc::new(Mutex::new(queue));
+    let threads = (0..threads)
+        .map(|_| {
+            let (queue, model) = (Arc::clone(&queue), model.clone());
+            scope.spawn(move || {
+                let mut renderer = None;
+                while let Some(job) = next(&queue) {
+                    work(&job, &model, &mut renderer);
+                }
+            })
+        })
+        .collect();
+    Crew { looks, jobs, threads }
+}
+
+/// The next demonstration for a thread; none when there are no more.
+fn next(queue: &Mutex<Receiver<Job>>) -> Option<Job> {
+    queue.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
+}
