@@ -25,6 +25,7 @@ pub struct AuditConfig {
     pub discontinuity_object: Option<f64>,
     /// Threshold of the check `discontinuity_rotation`.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(alias = "discontinuity_turn")]
     pub discontinuity_rotation: Option<f64>,
     /// Threshold of the check `dropped`.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -23,6 +23,7 @@ pub struct SegmentConfig {
     /// The object moves when its origin moves further than this in a step ...
     pub minimum_motion: f64,
     /// ... or when it turns further than this in a step. An object that does not move is never in transfer.
+    #[serde(alias = "minimum_turn")]
     pub minimum_rotation: f64,
     /// `rigid_motion`: where the object's distance is measured that is compared with the end effector's.
     pub object_distance: ObjectDistance,
