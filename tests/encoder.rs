@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
-use arrow::array::RecordBatch;
+use arrow_array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, ArtifactSummary, Columns, Recipe, Row as _, Stage, Store, col_f64, col_u32};
 use re4_ingest::{FrameRow, SpatialColumns};

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::support::{Answer, Place, filters, repository, scripted_and_simulators};
-use arrow::array::RecordBatch;
+use arrow_array::RecordBatch;
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64, col_text, col_u32, col_u32_or_null};

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use crate::support::{PROGRAM, folders_in, real_data, repository};
-use arrow::array::Array as _;
+use arrow_array::Array as _;
 use re4_artifact::{Artifact, Batches, Row as _, Table, col_binary, col_f64, col_f64_or_null, col_u32};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;

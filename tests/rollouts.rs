@@ -9,9 +9,9 @@ use re4_sim::{GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, coverage, sce
 
 /// The tables of a `rollouts` artifact, column by column.
 struct Rollouts {
-    results: arrow::array::RecordBatch,
-    steps: arrow::array::RecordBatch,
-    decisions: arrow::array::RecordBatch,
+    results: arrow_array::RecordBatch,
+    steps: arrow_array::RecordBatch,
+    decisions: arrow_array::RecordBatch,
 }
 
 impl Rollouts {

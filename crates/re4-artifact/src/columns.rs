@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use arrow::array::{
-    Array, ArrayRef, AsArray, BinaryArray, BooleanArray, DictionaryArray, Float32Array, Float64Array, Int32Array,
-    Int64Array, ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array,
+use arrow_array::cast::AsArray;
+use arrow_array::types::{ArrowPrimitiveType, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
+use arrow_array::{
+    Array, ArrayRef, BinaryArray, BooleanArray, DictionaryArray, Float32Array, Float64Array, Int32Array, Int64Array,
+    ListArray, RecordBatch, StringArray, UInt32Array, UInt64Array,
 };
-use arrow::buffer::{NullBuffer, OffsetBuffer};
-use arrow::datatypes::{
-    ArrowPrimitiveType, DataType, Field, Float64Type, Int32Type, Int64Type, SchemaRef, UInt32Type, UInt64Type,
-};
+use arrow_buffer::{NullBuffer, OffsetBuffer};
+use arrow_schema::{DataType, Field, SchemaRef};
 
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, TABLE_KEY, TableSpec};
@@ -271,7 +271,7 @@ fn primitive<'a, T: ArrowPrimitiveType>(
     batch: &'a RecordBatch,
     name: &str,
     kind: ColumnKind,
-) -> Result<&'a arrow::array::PrimitiveArray<T>, ArtifactError> {
+) -> Result<&'a arrow_array::PrimitiveArray<T>, ArtifactError> {
     let array = column(batch, name)?;
     array
         .as_primitive_opt::<T>()

@@ -49,11 +49,12 @@ mod reader;
 mod rows;
 mod spec;
 mod store;
+mod text;
 mod verify;
 mod writer;
 
 #[doc(hidden)]
-pub use arrow;
+pub use arrow_array;
 pub use canonical::{canonical_json, canonical_text};
 pub use columns::{
     Columns, col_binary, col_bool, col_f64, col_f64_list, col_f64_or_null, col_i64, col_text, col_u32, col_u32_or_null,
@@ -68,5 +69,6 @@ pub use rows::{
 };
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
+pub use text::cell_text;
 pub use verify::{Described, VerifiedFile, VerifyReport, verify};
 pub use writer::{ArtifactSummary, DEFAULT_ROW_GROUP_ROWS, TableWriter, Writer};

@@ -81,7 +81,7 @@ fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|v| v.to_bits()).collect()
 }
 
-fn assert_same(batch: &arrow::array::RecordBatch, rows: &[Row]) {
+fn assert_same(batch: &arrow_array::RecordBatch, rows: &[Row]) {
     assert_eq!(batch.num_rows(), rows.len());
     let by = |f: fn(&Row) -> u32| rows.iter().map(f).collect::<Vec<_>>();
     assert_eq!(col_u32(batch, "episode").unwrap(), by(|r| r.episode));

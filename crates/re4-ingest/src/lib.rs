@@ -32,3 +32,10 @@ pub use re4_artifact::episodes::{
 pub use selection::{EpisodeRange, Selection, SelectionError};
 pub use source::{SourceFile, Stop};
 pub use warning::{Warning, WarningCode};
+
+/// Version of the HDF5 library that this program was linked with: `1.10.8`.
+#[must_use]
+pub fn hdf5_version() -> String {
+    let (major, minor, release) = hdf5::library_version();
+    format!("{major}.{minor}.{release}")
+}

@@ -52,6 +52,7 @@ pub(crate) enum Command {
     /// Replay the demonstrations' actions open-loop and measure how far the simulator strays from the recording
     Replay(ReplayArguments),
     /// Draw rollouts as a video: the scene, the plan, the reframed chunk, the coverage
+    #[command(alias = "film")]
     Video(VideoArguments),
     /// Check every byte of artifacts against their manifests
     Verify(VerifyArguments),
@@ -61,8 +62,13 @@ pub(crate) enum Command {
     Report(ReportArguments),
     /// Download a dataset, or weights to start an encoder from, into the data folder
     Fetch(FetchArguments),
+    /// Say what is installed, found and missing, with the command that gets it
+    Doctor(DoctorArguments),
     /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
     Schemas(SchemasArguments),
+    /// Write the pages of the reference: commands, pipeline file, tables
+    #[command(hide = true)]
+    Reference(ReferenceArguments),
     /// Read HDF5 for another process of this program
     #[command(name = re4_stages::INGEST_WORKER, hide = true)]
     IngestWorker,
@@ -85,7 +91,9 @@ impl Command {
             | Self::Inspect(InspectArguments { common, .. })
             | Self::Report(ReportArguments { common, .. })
             | Self::Fetch(FetchArguments { common, .. })
-            | Self::Schemas(SchemasArguments { common, .. }) => Some(common),
+            | Self::Doctor(DoctorArguments { common, .. })
+            | Self::Schemas(SchemasArguments { common, .. })
+            | Self::Reference(ReferenceArguments { common, .. }) => Some(common),
             Self::IngestWorker => None,
         }
     }
@@ -254,7 +262,7 @@ pub(crate) struct InspectArguments {
     #[arg(long, value_name = "SEED", requires = "image")]
     pub(crate) seed: Option<u32>,
     /// File that the image is written to
-    #[arg(long, value_name = "OUT.svg", requires = "seed")]
+    #[arg(long, value_name = "OUT.svg", requires = "seed", alias = "picture")]
     pub(crate) image: Option<PathBuf>,
     /// What all commands share.
     #[command(flatten)]
@@ -277,6 +285,7 @@ pub(crate) struct ReportArguments {
     #[arg(
         long,
         value_name = "N",
+        alias = "pictures",
         help = "Rollouts in the viewer, failures first, whose decisions are shown in the camera's image, drawn by MuJoCo [default: 8 where poses come from images, else none]"
     )]
     pub(crate) images: Option<usize>,
@@ -306,6 +315,20 @@ pub(crate) struct FetchArguments {
     pub(crate) common: Common,
 }
 
+/// Arguments of `doctor`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct DoctorArguments {
+    /// Pipeline file whose needs are checked, too: exit code 1 if one of them is not met
+    #[arg(value_name = "PIPELINE.toml")]
+    pub(crate) pipeline: Option<PathBuf>,
+    /// Override a setting of the pipeline file, as often as needed
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE", requires = "pipeline")]
+    pub(crate) set: Vec<String>,
+    /// Arguments of all commands.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
 /// Arguments of `schemas`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct SchemasArguments {
@@ -316,6 +339,20 @@ pub(crate) struct SchemasArguments {
     #[arg(long)]
     pub(crate) check: bool,
     /// What all commands share.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `reference`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct ReferenceArguments {
+    /// Folder to write to
+    #[arg(value_name = "DIR", default_value = "docs/reference")]
+    pub(crate) folder: PathBuf,
+    /// Write nothing; fail (exit code 1) when the folder is not up to date
+    #[arg(long)]
+    pub(crate) check: bool,
+    /// Arguments of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }

@@ -8,6 +8,7 @@ mod commands;
 mod console;
 mod log;
 mod output;
+mod terminal;
 
 use std::process::ExitCode;
 
@@ -46,7 +47,9 @@ fn main() -> ExitCode {
         Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
         Command::Report(arguments) => commands::report::report(&arguments),
         Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
+        Command::Doctor(arguments) => commands::doctor::doctor(&arguments),
         Command::Schemas(arguments) => commands::schemas::schemas(&arguments),
+        Command::Reference(arguments) => commands::schemas::reference(&arguments),
         Command::IngestWorker => re4_stages::serve_ingest().map(|()| commands::Outcome::Done),
     };
     match outcome {

@@ -2,6 +2,7 @@
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
@@ -13,7 +14,7 @@ use tracing::{debug, info, info_span};
 
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
-use crate::pipeline::{Pipeline, load};
+use crate::pipeline::{Pipeline, read_pipeline};
 
 /// What the stages of a pipeline are run with.
 #[derive(Debug, Clone)]
@@ -42,6 +43,8 @@ pub struct Runner {
     pub notes: Notes,
     /// Ctrl-C.
     pub(crate) interrupt: Interrupt,
+    /// Warnings of the stages run so far.
+    warnings: Mutex<Vec<Value>>,
 }
 
 /// An artifact, and how it came about.
@@ -77,7 +80,7 @@ impl Runner {
     /// # Errors
     /// When the pipeline file cannot be used, or there can be no artifacts in the folder.
     pub fn new(settings: &Settings<'_>) -> Result<Self> {
-        let pipeline = load(settings.pipeline, &settings.overrides)?;
+        let pipeline = read_pipeline(settings.pipeline, &settings.overrides)?;
         info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
         if let Some(jobs) = settings.jobs {
             rayon::ThreadPoolBuilder::new()
@@ -100,6 +103,7 @@ impl Runner {
             interrupt: Interrupt::listen(Some(&store)),
             store,
             notes: settings.notes,
+            warnings: Mutex::default(),
         })
     }
 
@@ -148,12 +152,35 @@ impl Runner {
             stage.as_str(),
             artifact.path().display()
         ));
+        self.warn(&artifact, stage);
         Ok(Some(Built {
             stage,
             artifact,
             skipped: true,
             wall: start.elapsed(),
         }))
+    }
+
+    /// Repeats the warnings of an artifact, whether or not its stage was skipped: a user of `run` or `audit` never sees the
+    /// output of `ingest`.
+    fn warn(&self, artifact: &Artifact, stage: Stage) {
+        for warning in &artifact.manifest().warnings {
+            self.notes
+                .note(&format!("{:>10}  {}", "warning", warning_text(warning)));
+            let mut warning = warning.clone();
+            if let Some(object) = warning.as_object_mut() {
+                object.insert("stage".to_owned(), stage.as_str().into());
+            }
+            self.warnings
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(warning);
+        }
+    }
+
+    /// The warnings of all stages run so far, each with its stage, in the order of the stages.
+    pub fn warnings(&self) -> Vec<Value> {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Records the run that made an artifact, and says so.
@@ -183,6 +210,7 @@ impl Runner {
             },
             wall.as_secs_f64()
         ));
+        self.warn(&artifact, stage);
         Ok(Built {
             stage,
             artifact,
@@ -190,6 +218,12 @@ impl Runner {
             wall,
         })
     }
+}
+
+/// A warning of a manifest as one line: its code and its message.
+pub fn warning_text(warning: &Value) -> String {
+    let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default();
+    format!("{}: {}", word("code"), word("message"))
 }
 
 /// Whole numbers of a summary, as `25650 frames, 206 episodes`.

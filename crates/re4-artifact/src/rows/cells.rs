@@ -5,12 +5,15 @@ use std::fmt;
 use std::ops::{Deref, Range};
 use std::sync::Arc;
 
-use arrow::array::{
-    Array as _, ArrayRef, BinaryArray, BinaryBuilder, BooleanArray, BooleanBuilder, DictionaryArray, Float32Builder,
-    Float64Builder, ListArray, ListBuilder, PrimitiveArray, PrimitiveBuilder, StringArray, StringBuilder,
+use arrow_array::builder::{
+    BinaryBuilder, BooleanBuilder, Float32Builder, Float64Builder, ListBuilder, PrimitiveBuilder, StringBuilder,
     StringDictionaryBuilder,
 };
-use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
+use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
+use arrow_array::{
+    Array as _, ArrayRef, BinaryArray, BooleanArray, DictionaryArray, ListArray, PrimitiveArray, StringArray,
+};
+use arrow_schema::{DataType, Field};
 use re4_episode::{Mode, Segment};
 
 use super::{Cell, ColumnSource, Place};
@@ -436,7 +439,7 @@ impl<T: Cell, const N: usize> Cell for [T; N] {
 }
 
 /// Where a value is null that has to be there; the row as counted from the first of the batch.
-pub(super) fn missing(batch: &arrow::array::RecordBatch) -> (String, usize) {
+pub(super) fn missing(batch: &arrow_array::RecordBatch) -> (String, usize) {
     let found = batch
         .schema_ref()
         .fields()

@@ -61,7 +61,7 @@ use std::any::TypeId;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-use arrow::array::{Array as _, ArrayRef, RecordBatch};
+use arrow_array::{Array as _, ArrayRef, RecordBatch};
 
 use crate::columns::{column, complete};
 use crate::error::ArtifactError;
@@ -361,7 +361,7 @@ macro_rules! columns {
                     $(<$type as $crate::Cell>::push(value.map(|value| &value.$field), &mut buffers.$field);)*
                 }
 
-                fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<$crate::arrow::array::ArrayRef>) {
+                fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<$crate::arrow_array::ArrayRef>) {
                     $(<$type as $crate::Cell>::finish(&mut buffers.$field, arrays);)*
                 }
 

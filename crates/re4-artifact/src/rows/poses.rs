@@ -3,7 +3,7 @@
 //! Units follow from the type, since the plane is Push-T's, in pixels, and space is robosuite's, in metres. Quaternions have the
 //! order x, y, z, w.
 
-use arrow::array::ArrayRef;
+use arrow_array::ArrayRef;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use re4_geometry::{Point2, Pose2};
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use arrow::array::RecordBatch;
+use arrow_array::RecordBatch;
 
 use super::cells::missing;
 use super::{Cell, ColumnSource, Row, columns_of};

@@ -1,6 +1,6 @@
 //! Writing tables row by row.
 
-use arrow::array::RecordBatch;
+use arrow_array::RecordBatch;
 
 use super::Row;
 use crate::error::ArtifactError;

@@ -4,6 +4,7 @@ use anyhow::Result;
 use re4_audit::Severity;
 use re4_report::{AuditSources, Findings, LARGE_PAGE, audit_page};
 use re4_stages::{Built, Runner};
+use serde_json::json;
 
 use super::Outcome;
 use crate::arguments::{AuditArguments, FailOn, StageArguments};
@@ -31,7 +32,9 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
         write_page(&runner, &arguments.stage, [&episodes, &modes, &built], output, console)?;
     }
     let found = Findings::read(&built.artifact)?;
-    console.answer(&found.to_json(built.to_json()))?;
+    let mut answer = found.to_json(built.to_json());
+    answer["warnings"] = json!(runner.warnings());
+    console.answer(&answer)?;
     console.say(&found.text()?)?;
     // The gate comes last: whatever it says, everything is written and told.
     let errors = found.count(Severity::Error);

@@ -3,8 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::{Context as _, Result};
-use arrow::util::pretty::pretty_format_batches;
-use re4_artifact::{Artifact, Table, json_description};
+use re4_artifact::{Artifact, ColumnSpec, Table, cell_text, json_description};
 use re4_fault::ensure;
 use re4_report::{is_spatial, planar_rollout, rollout_image};
 use serde_json::{Value, json};
@@ -12,6 +11,7 @@ use serde_json::{Value, json};
 use super::Outcome;
 use crate::arguments::InspectArguments;
 use crate::console::Console;
+use crate::terminal::{cut, paragraph, width};
 
 /// Prints provenance, tables and columns.
 pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
@@ -19,20 +19,30 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     let artifact = Artifact::open(&arguments.path)?;
     artifact.verify_bytes()?;
     let manifest = artifact.manifest();
+    let width = width();
     let mut descriptions = serde_json::Map::new();
-    let mut text = format!(
-        "{} artifact {}\n  made by stage {} (code version {}) of re4-pipe {}\n  config {}\n",
-        manifest.artifact, manifest.key, manifest.stage, manifest.code_version, manifest.tool_version, manifest.config
+    let mut text = format!("{} artifact {}\n", manifest.artifact, manifest.key);
+    let made = format!(
+        "made by stage {} (code version {}) of re4-pipe {}",
+        manifest.stage, manifest.code_version, manifest.tool_version
     );
+    writeln!(text, "{}", paragraph(&made, 2, 2, width))?;
     for (name, key) in &manifest.inputs {
         writeln!(text, "  input {name} {key}")?;
     }
     if let Some(hash) = &manifest.source_blake3 {
-        writeln!(text, "  raw source {} blake3 {hash}", manifest.source)?;
+        let source = format!("raw source {} blake3 {hash}", manifest.source);
+        writeln!(text, "{}", paragraph(&source, 2, 2, width))?;
     }
-    writeln!(text, "  summary {}", manifest.summary)?;
+    for (heading, value) in [("config", &manifest.config), ("summary", &manifest.summary)] {
+        writeln!(text, "  {heading}")?;
+        for (name, leaf) in leaves(value) {
+            writeln!(text, "{}", paragraph(&format!("{name} = {leaf}"), 4, 4, width))?;
+        }
+    }
     for warning in &manifest.warnings {
-        writeln!(text, "  warning {warning}")?;
+        let warning = re4_stages::warning_text(warning);
+        writeln!(text, "{}", paragraph(&format!("warning {warning}"), 2, 2, width))?;
     }
     for (name, summary) in &manifest.tables {
         writeln!(
@@ -43,24 +53,12 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
         let Some(spec) = re4_stages::tables::described(&artifact, name) else {
             continue;
         };
-        writeln!(text, "  {}", spec.description)?;
+        writeln!(text, "{}", paragraph(spec.description, 2, 0, width))?;
         for column in spec.columns_at(summary.schema_version) {
-            let unit = match (column.unit, column.frame) {
-                ("", _) => String::new(),
-                (unit, "") => format!(" [{unit}]"),
-                (unit, frame) => format!(" [{unit}, {frame} frame]"),
-            };
-            let null = if column.nullable { ", may be null" } else { "" };
-            writeln!(
-                text,
-                "  {:<24} {}{unit}{null}: {}",
-                column.name,
-                column.kind.as_str(),
-                column.description
-            )?;
+            writeln!(text, "{}", paragraph(&described(column), 2, 4, width))?;
         }
         if arguments.rows > 0 {
-            writeln!(text, "{}", first_rows(&artifact.table(spec)?, arguments.rows)?)?;
+            text += &first_rows(&artifact.table(spec)?, arguments.rows, width)?;
         }
         descriptions.insert(name.clone(), json_description(spec));
     }
@@ -79,7 +77,81 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn first_rows(table: &Table, count: usize) -> Result<String> {
+/// A column's name, type, unit and meaning, on one line.
+fn described(column: &ColumnSpec) -> String {
+    let unit = match (column.unit, column.frame) {
+        ("", _) => String::new(),
+        (unit, "") => format!(" [{unit}]"),
+        (unit, frame) => format!(" [{unit}, {frame} frame]"),
+    };
+    let null = if column.nullable { ", may be null" } else { "" };
+    let kind = column.kind.as_str();
+    format!("{:<24} {kind}{unit}{null}: {}", column.name, column.description)
+}
+
+/// The values in nested JSON objects, each with its dotted name.
+fn leaves(value: &Value) -> Vec<(String, &Value)> {
+    let Value::Object(map) = value else {
+        return Vec::new();
+    };
+    let mut found = Vec::new();
+    for (name, value) in map {
+        match value {
+            Value::Object(inner) if !inner.is_empty() => {
+                found.extend(
+                    leaves(value)
+                        .into_iter()
+                        .map(|(rest, leaf)| (format!("{name}.{rest}"), leaf)),
+                );
+            }
+            leaf => found.push((name.clone(), leaf)),
+        }
+    }
+    found
+}
+
+/// Characters of a value, if the output has no width.
+const WIDEST_CELL: usize = 40;
+
+/// The first rows of a table, one line a column and as many rows side by side as fit: tables have up to 60 columns, and few
+/// terminals are that wide.
+fn first_rows(table: &Table, count: usize, width: Option<usize>) -> Result<String> {
     let rows = table.read_rows(0..table.rows().min(count as u64))?;
-    Ok(pretty_format_batches(&[rows])?.to_string())
+    let schema = rows.schema();
+    let names: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
+    let name_width = names.iter().map(|name| name.chars().count()).max().unwrap_or_default();
+    let room = width.map_or(usize::MAX, |width| width.saturating_sub(name_width + 4));
+    let widest = WIDEST_CELL.min(room).max(8);
+    // Column by column, so that each row of the table is as wide as its widest value.
+    let cells: Vec<Vec<String>> = (0..rows.num_rows())
+        .map(|row| {
+            rows.columns()
+                .iter()
+                .map(|column| cut(&cell_text(column, row), widest))
+                .collect()
+        })
+        .collect();
+    let widths: Vec<usize> = cells
+        .iter()
+        .map(|cells| cells.iter().map(|cell| cell.chars().count()).max().unwrap_or_default())
+        .collect();
+    let mut text = String::new();
+    let mut next = 0;
+    while next < cells.len() {
+        let first = next;
+        let mut used = 0;
+        while next < cells.len() && (next == first || used + widths[next] + 2 <= room) {
+            used += widths[next] + 2;
+            next += 1;
+        }
+        writeln!(text, "\n  rows {first} to {}", next - 1)?;
+        for (i, name) in names.iter().enumerate() {
+            let mut line = format!("  {name:<name_width$}");
+            for row in first..next {
+                write!(line, "  {:>width$}", cells[row][i], width = widths[row])?;
+            }
+            writeln!(text, "{}", line.trim_end())?;
+        }
+    }
+    Ok(text)
 }

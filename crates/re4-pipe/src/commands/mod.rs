@@ -1,6 +1,7 @@
 //! The subcommands: one file each, or one for those that run stages.
 
 pub(crate) mod audit;
+pub(crate) mod doctor;
 pub(crate) mod fetch;
 pub(crate) mod inspect;
 pub(crate) mod report;

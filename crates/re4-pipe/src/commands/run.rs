@@ -27,7 +27,7 @@ pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
     let built = runner.ingest()?;
-    answer(console, &built)
+    answer(console, &runner, &built)
 }
 
 /// `re4-pipe segment`.
@@ -40,6 +40,7 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let told = Findings::read(&audit.artifact)?;
     let mut both = modes.to_json();
     both["audit"] = audit.to_json();
+    both["warnings"] = json!(runner.warnings());
     console.answer(&both)?;
     let text = format!("{}\naudit: {}; see re4-pipe audit", described(&modes)?, told.headline());
     console.say(&text)?;
@@ -65,7 +66,7 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         runner.train_spatial(&episodes, &runner.segment(&episodes)?)?
     };
     let built = built.context("no pose estimator")?;
-    answer(console, &built)
+    answer(console, &runner, &built)
 }
 
 /// `re4-pipe index`.
@@ -76,11 +77,12 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let modes = runner.segment(&episodes)?;
     if !runner.pipeline.task.is_planar() {
         let poses = runner.train_spatial(&episodes, &modes)?;
-        return answer(console, &runner.index_spatial(&episodes, &modes, poses.as_ref())?);
+        let built = runner.index_spatial(&episodes, &modes, poses.as_ref())?;
+        return answer(console, &runner, &built);
     }
     let poses = runner.train_pose(&episodes)?;
     let built = runner.index(&episodes, &modes, poses.as_ref())?;
-    answer(console, &built)
+    answer(console, &runner, &built)
 }
 
 /// `re4-pipe scenes`.
@@ -99,7 +101,7 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
         "add one with kind = \"sparse_observations\", and leave rollout.seeds out"
     );
     let built = runner.scenes(&runner.ingest()?)?.context("no table [scenes]")?;
-    answer(console, &built)
+    answer(console, &runner, &built)
 }
 
 /// `re4-pipe rollout`.
@@ -124,7 +126,7 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let built = runner.audit(&episodes, &modes)?;
-    answer(console, &built)
+    answer(console, &runner, &built)
 }
 
 fn runner(arguments: &RolloutArguments) -> Result<Runner> {
@@ -220,6 +222,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
         "max_steps": section.max_steps,
         "metrics": in_order(&metrics),
         "artifact": built.artifact.path(),
+        "warnings": runner.warnings(),
         "wall_s": start.elapsed().as_secs_f64(),
     });
     if let Some(budgets) = &budgets {
@@ -257,7 +260,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
             .with_context(|| format!("cannot draw {}", path.display()))?;
         console.image(path, &svg)?;
     }
-    answer(console, &built)
+    answer(console, &runner, &built)
 }
 
 fn record(console: Console, built: &Built, path: &Path) -> Result<()> {
@@ -275,8 +278,10 @@ fn record(console: Console, built: &Built, path: &Path) -> Result<()> {
     Ok(())
 }
 
-fn answer(console: Console, built: &Built) -> Result<Outcome> {
-    console.answer(&built.to_json())?;
+fn answer(console: Console, runner: &Runner, built: &Built) -> Result<Outcome> {
+    let mut answer = built.to_json();
+    answer["warnings"] = json!(runner.warnings());
+    console.answer(&answer)?;
     console.say(&described(built)?)?;
     Ok(Outcome::Done)
 }
@@ -291,10 +296,6 @@ fn described(built: &Built) -> Result<String> {
     text += &conventions(built)?;
     if let Some(errors) = manifest.summary.get("goal_error") {
         text += &goal_error(errors)?;
-    }
-    for warning in &manifest.warnings {
-        let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
-        write!(text, "\n  warning {}: {}", word("code"), word("message"))?;
     }
     Ok(text)
 }

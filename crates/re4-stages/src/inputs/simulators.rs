@@ -8,11 +8,13 @@ use anyhow::{Context as _, Result};
 use re4_artifact::Artifact;
 use re4_fault::{bail, ensure};
 use re4_ingest::{DemoRow, ModelRow};
-use re4_mujoco::Library;
+use re4_mujoco::{Gl, Library, Version};
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_images};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
 use tracing::{debug, info};
+
+use crate::runner::Runner;
 
 /// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
 pub(crate) fn simulators_folder() -> PathBuf {
@@ -28,10 +30,46 @@ pub(crate) fn assets_folder() -> PathBuf {
     std::path::absolute(&folder).unwrap_or(folder)
 }
 
+/// Folder with one version of MuJoCo's library.
+pub(crate) fn mujoco_folder(version: Version) -> PathBuf {
+    simulators_folder().join(format!("mujoco-{version}"))
+}
+
+impl Runner {
+    /// Refuses a robosuite task at once if nothing that simulates it is installed, before a stage has run for minutes. Which
+    /// version of MuJoCo is needed is known only after ingest. `what` says what cannot be done: "roll out".
+    ///
+    /// # Errors
+    /// When no version of MuJoCo or no meshes are installed, or nothing that renders although images are needed.
+    pub fn require_simulator(&self, what: &str) -> Result<()> {
+        const REMEDY: &str = "run scripts/setup-simulators.sh, or set RE4_SIMULATORS to the folder that it filled; re4-pipe doctor lists what is missing";
+        let pipeline = &self.pipeline;
+        if pipeline.task.is_planar() {
+            return Ok(());
+        }
+        let task = pipeline.task.name();
+        let (folder, assets) = (simulators_folder(), assets_folder());
+        ensure!(
+            Version::ALL.into_iter().any(|version| mujoco_folder(version).is_dir()),
+            "cannot {what} {}: MuJoCo is not in {}", task, folder.display();
+            "{REMEDY}"
+        );
+        ensure!(
+            assets.is_dir(),
+            "cannot {what} {}: robosuite's meshes are not in {}", task, assets.display();
+            "{REMEDY}"
+        );
+        if pipeline.needs_renderer() {
+            Gl::of_process().with_context(|| format!("cannot {what} {}, which needs images", task))?;
+        }
+        Ok(())
+    }
+}
+
 /// The MuJoCo that goes with a version of robosuite.
 pub(crate) fn library(profile: Profile) -> Result<Library> {
     let version = profile.mujoco();
-    let folder = simulators_folder().join(format!("mujoco-{version}"));
+    let folder = mujoco_folder(version);
     let library = Library::open(&folder, version)?;
     info!(%version, folder = %folder.display(), "MuJoCo loaded");
     Ok(library)

@@ -17,7 +17,7 @@ use super::{Pipeline, Policy, checks};
 /// # Errors
 /// When the file cannot be read, is not TOML, has an unknown key (named, with the nearest known one) or a value that
 /// does not fit.
-pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
+pub fn read_pipeline(path: &Path, overrides: &[String]) -> Result<Pipeline> {
     let text = std::fs::read_to_string(path).or_fault(|| {
         fault!(
             "cannot read the pipeline file {}", path.display();
@@ -30,7 +30,7 @@ pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Pipeline> {
 /// The pipeline in the text of a file; the path is for messages only.
 ///
 /// # Errors
-/// As [`load`], but for reading the file.
+/// As [`read_pipeline`], but for reading the file.
 pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pipeline> {
     let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
         anyhow::anyhow!(

@@ -16,7 +16,8 @@ use re4_segment::SegmentConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use load::{load, parse};
+pub(crate) use load::parse;
+pub use load::read_pipeline;
 pub use re4_task::{Camera, Task};
 pub use rollout::{NoiseSection, Policy, RolloutSection};
 pub use schema::schema;
@@ -63,6 +64,20 @@ impl Pipeline {
             "the pipeline file has no table [{table}], which this command needs";
             "add it, or stop at an earlier stage"
         )
+    }
+
+    /// Whether a stage needs MuJoCo and robosuite's meshes.
+    pub(crate) fn needs_simulator(&self) -> bool {
+        !self.task.is_planar() && (self.rollout.is_some() || !self.ingest.render.is_empty())
+    }
+
+    /// Whether a stage needs a library that renders images of MuJoCo's scenes.
+    pub(crate) fn needs_renderer(&self) -> bool {
+        let encoder = self
+            .pose
+            .as_ref()
+            .is_some_and(|pose| pose.source == PoseSource::Encoder);
+        !self.task.is_planar() && (!self.ingest.render.is_empty() || self.rollout.is_some() && encoder)
     }
 
     /// Where object poses come from.

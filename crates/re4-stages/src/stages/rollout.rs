@@ -62,6 +62,8 @@ impl Runner {
     pub fn roll_out(&self) -> Result<(Built, Option<Built>)> {
         let (policy, _) = (self.pipeline.policy()?, self.pipeline.rollout()?);
         let planar = self.pipeline.task.is_planar();
+        // Before ingest, which can take minutes.
+        self.require_simulator("roll out")?;
         let episodes = self.ingest()?;
         let modes = self.segment(&episodes)?;
         let poses = if planar {

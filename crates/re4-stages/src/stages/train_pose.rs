@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use anyhow::{Context as _, Result};
-use arrow::record_batch::RecordBatch;
+use arrow_array::RecordBatch;
 use image::ImageFormat;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Row as _, Stage, Table, Writer, col_binary, col_u32, columns};

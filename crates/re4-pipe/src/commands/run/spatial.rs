@@ -39,6 +39,7 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
         "median_steps_of_successes": summary["medians"]["steps_of_successes"],
         "losses": summary["losses"],
         "artifact": built.artifact.path(),
+        "warnings": runner.warnings(),
         "wall_s": start.elapsed().as_secs_f64(),
     });
     let images = summary["images"].as_u64();
@@ -79,6 +80,7 @@ pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Out
         "--plot draws Push-T's replays";
         "for robosuite's tasks, table spatial_divergence holds the distances"
     );
+    runner.require_simulator("replay")?;
     let built = runner.replay_spatial(&runner.ingest()?)?;
     console.answer(&built.to_json())?;
     console.say(&description(&built)?)?;
