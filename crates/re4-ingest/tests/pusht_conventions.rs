@@ -256,7 +256,7 @@ fn a_chunk_of_relative_actions_may_be_left_out() {
     assert_eq!(read(&copy, settings).unwrap().episodes, whole.episodes);
     let say = read(&copy, "{}").unwrap_err();
     assert!(
-        say.starts_with("2 things are wrong with it: (1) data/action explains"),
+        say.starts_with("2 problems were found: (1) data/action explains"),
         "{say}"
     );
     assert!(say.contains("(2) chunk 20.0 of array data/action is missing"), "{say}");
