@@ -1,13 +1,10 @@
 //! Fast decoder of images that are stored as bit-shuffled floats.
 //!
 //! The Push-T dataset stores the integers 0 to 255 as f32, bit-shuffled and compressed by Blosc with zstd. Undoing these steps
-//! one by
-//! one moves each image through memory four times at four bytes per value. Here each Blosc block is decompressed to a small
-//! buffer,
-//! and its bit planes are converted to bytes by boolean operations on 64 values at a time, without intermediate floats. For
-//! anything
-//! unusual the function returns `None`, and the caller uses the general path, which also reports what is wrong: this path never
-//! rejects a file.
+//! one by one moves each image through memory four times at four bytes per value. Here each Blosc block is decompressed to a
+//! small buffer, and its bit planes are converted to bytes by boolean operations on 64 values at a time, without intermediate
+//! floats. For anything unusual the function returns `None`, and the caller uses the general path, which also reports what is
+//! wrong: this path never rejects a file.
 //!
 //! Format: c-blosc 1.21, `README_CHUNK_FORMAT.rst` (header, block starts, splits) and `blosc/bitshuffle-generic.c` (bit
 //! `b` of element `8 j + k` of a block of `n` elements is bit `k` of byte `b n / 8 + j`).

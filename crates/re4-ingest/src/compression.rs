@@ -1,8 +1,7 @@
 //! Compressors of chunks.
 //!
 //! Compression libraries allocate as many bytes as a file declares, and gzip and zlib streams can expand without limit. A damaged
-//! or
-//! malicious file could therefore exhaust memory. This module never decodes more bytes than the chunk has.
+//! or malicious file could therefore exhaust memory. This module never decodes more bytes than the chunk has.
 
 use std::io::{self, Read};
 

@@ -27,9 +27,8 @@ pub trait DemoSource: Sync {
     fn demos(&self) -> &[DemoName];
 
     /// Reads the requested demonstrations in order and passes each to `take` with its index, or the reason why it cannot be used.
-    /// Only a
-    /// bounded number of demonstrations is in memory at once, unless the format stores all numbers in arrays over the whole
-    /// dataset.
+    /// Only a bounded number of demonstrations is in memory at once, unless the format stores all numbers in arrays over the
+    /// whole dataset.
     ///
     /// # Errors
     /// A fault of the dataset as a whole, or an error that `take` returns.
@@ -39,10 +38,8 @@ pub trait DemoSource: Sync {
     ) -> Result<(), E>;
 
     /// Reads the recorded images of a camera and passes them to `take` in order, block by block. `of` lists the demonstrations
-    /// with their
-    /// numbers of frames; demonstration indices in the blocks refer to it. A demonstration with images that cannot be decoded is
-    /// passed
-    /// on as left out.
+    /// with their numbers of frames; demonstration indices in the blocks refer to it. A demonstration with images that cannot be
+    /// decoded is passed on as left out.
     ///
     /// # Errors
     /// Same as [`Self::episodes`].
@@ -127,8 +124,7 @@ pub struct Episode {
     /// The simulator model as MJCF, if there is one.
     pub model: Option<Arc<str>>,
     /// Differences (metres, radians) between the recorded absolute actions and those computed from the recorded delta actions,
-    /// from the
-    /// second step on; `None` if only one kind is available.
+    /// from the second step on; `None` if only one kind is available.
     pub goal_errors: Option<Vec<(f64, f64)>>,
     /// Names of its datasets in single precision.
     pub single_precision: Vec<&'static str>,
@@ -216,11 +212,11 @@ impl Tally {
     pub(crate) fn warnings(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
         if let Some(first) = self.skipped.first() {
-            let message = format!("{first}; these values are not used, and stay empty in the table");
+            let message = format!("{first}; these values are not ingested and stay null in the table");
             warnings.push(Warning::new(WarningCode::SkippedValues, message, self.skipped.len()));
         }
         if let Some((demo, dataset)) = self.single_precision.first() {
-            let message = format!("single precision in {demo}/{dataset}, widened to double precision");
+            let message = format!("{demo}/{dataset} has single precision and was converted to double precision");
             let count = self.single_precision.len();
             warnings.push(Warning::new(WarningCode::SinglePrecision, message, count));
         }

@@ -25,8 +25,7 @@ pub(crate) fn parts(sentence: &str) -> (&str, &str) {
 }
 
 /// Returns the message that refuses a dataset of `of` demonstrations because of these. A single fault keeps its own message;
-/// several
-/// are listed in one message.
+/// several are listed in one message.
 pub fn refusal(left: &[LeftOut], of: usize) -> String {
     if let [only] = left {
         return only.why.clone();

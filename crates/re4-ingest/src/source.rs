@@ -1,8 +1,7 @@
 //! Source files of a dataset: hashing them, and detecting changes since they were hashed.
 //!
 //! The key of an artifact contains the hash of its source, so the bytes that are read must be the bytes that were hashed. A file
-//! is
-//! opened once, hashed and read through the same handle, and compared with the file at its path before anything is published.
+//! is opened once, hashed and read through the same handle, and compared with the file at its path before anything is published.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io;
@@ -56,8 +55,7 @@ impl Identity {
     }
 
     /// Whether the file was written within the current tick of the clock of file times, so that another write might not change
-    /// its
-    /// times.
+    /// its times.
     fn fresh(&self) -> bool {
         let Ok(now) = clock_gettime(ClockId::CLOCK_REALTIME_COARSE) else {
             return false;

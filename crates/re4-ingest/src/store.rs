@@ -171,8 +171,7 @@ impl Store {
     }
 
     /// BLAKE3 hash over the dataset's files in the byte order of their paths. For each file it covers the length of its path, the
-    /// path
-    /// (with `/`), the length of the file, and the BLAKE3 hash of its bytes. Lengths are u64, little-endian.
+    /// path (with `/`), the length of the file, and the BLAKE3 hash of its bytes. Lengths are u64, little-endian.
     ///
     /// Files are hashed in parallel, block by block.
     ///

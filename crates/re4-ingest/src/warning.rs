@@ -59,8 +59,7 @@ impl fmt::Display for WarningCode {
 }
 
 /// An unusual finding that does not stop a reader. One warning covers all occurrences of its kind in a dataset: it has their
-/// count
-/// and the place of the first.
+/// count and the place of the first.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
     /// Kind.

@@ -38,8 +38,7 @@ const METADATA_LIMIT: u64 = 64 << 20;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Absent {
     /// The fill value, which is a plausible recorded value. If other chunks of the array that contain only the fill value are
-    /// stored,
-    /// the writer does not omit such chunks, and the chunk counts as lost.
+    /// stored, the writer does not omit such chunks, and the chunk counts as lost.
     IsFill,
     /// Lost data: no recording has the fill value in a whole chunk.
     IsLost,
@@ -84,8 +83,7 @@ pub(crate) struct ZarrArray {
 
 impl ZarrArray {
     /// Opens `name` (such as `data/state`) of a store; `None` if it has no metadata. If both formats have metadata, format 3
-    /// takes
-    /// precedence, as in zarr-python.
+    /// takes precedence, as in zarr-python.
     pub(crate) fn open(store: &Arc<Store>, name: &str, stop: Stop<'_>) -> Result<Option<Self>, Fault> {
         let file = |end: &str| format!("{name}/{end}");
         let read = |file: &str| -> Result<Option<Vec<u8>>, Fault> {
@@ -242,8 +240,7 @@ impl ZarrArray {
     }
 
     /// Of the rows of chunks that overlap the given runs of rows, those without a file. `None` if there are none, or if they are
-    /// read as
-    /// the fill value.
+    /// read as the fill value.
     pub(crate) fn missing(&self, runs: &[Range<u64>], absent: Absent) -> Option<Lost> {
         if absent == Absent::IsFill && self.fill().is_some() {
             return None;
@@ -312,8 +309,7 @@ impl ZarrArray {
     }
 
     /// Decodes a chunk's file to elements in native byte order, including the padding of chunks at the edge. `None` stands for a
-    /// chunk
-    /// without a file. `count` is incremented for every chunk that is not stored and is read as fill values.
+    /// chunk without a file. `count` is incremented for every chunk that is not stored and is read as fill values.
     pub(crate) fn decode_chunk(
         &self,
         index: &[u64],
@@ -398,13 +394,11 @@ impl ZarrArray {
     }
 
     /// Reads runs of rows, which must be ascending and not overlap, in C order. `convert` converts the bytes of one element
-    /// (native byte
-    /// order) to a number.
+    /// (native byte order) to a number.
     ///
     /// # Errors
     /// A file changed or cannot be read because of an operating system error, or `stop` returned true. Missing and broken chunks
-    /// are
-    /// part of the result, not errors.
+    /// are part of the result, not errors.
     fn read<T: Copy + Default + Send>(
         &self,
         element: Element,
@@ -537,8 +531,7 @@ fn position(number: u64, grid: &[u64]) -> Vec<u64> {
 }
 
 /// Copies the part of a chunk that is inside an array of `shape`, run by run. `at` is the chunk's index in the grid of chunks.
-/// `copy`
-/// receives the bytes of a run and the index of its first element in the array.
+/// `copy` receives the bytes of a run and the index of its first element in the array.
 fn scatter(
     shape: &[u64],
     chunk: &[u64],

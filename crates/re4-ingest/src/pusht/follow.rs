@@ -1,11 +1,9 @@
 //! Checks that the agent follows its targets.
 //!
 //! A controller pulls the agent of Push-T towards the target of its action: each step is exactly a weighted sum of the offset to
-//! the
-//! target and the previous step. In the original dataset the weights are 0.314 and 0.234. Of the variance of the steps that the
-//! previous step leaves unexplained, the offset to the target explains 99.6 %. Actions of another kind, in another unit or in
-//! another
-//! row explain almost nothing of it, so that the kind of actions can be recognized.
+//! the target and the previous step. In the original dataset the weights are 0.314 and 0.234. Of the variance of the steps that
+//! the previous step leaves unexplained, the offset to the target explains 99.6 %. Actions of another kind, in another unit or in
+//! another row explain almost nothing of it, so that the kind of actions can be recognized.
 
 use std::ops::Range;
 
@@ -28,8 +26,7 @@ const MOVE: f64 = 0.2;
 const CHANGE: f64 = 0.5;
 
 /// Minimum fraction of the variance that the targets must explain. Targets of the original dataset explain 0.996; relative
-/// targets read
-/// as absolute ones explain 0.01; those of the previous or the next row explain 0.5 and 0.84.
+/// targets read as absolute ones explain 0.01; those of the previous or the next row explain 0.5 and 0.84.
 const MIN_EXPLAINED: f64 = 0.5;
 
 /// Minimum explained fraction to accept another interpretation of the actions.
@@ -247,8 +244,7 @@ fn lines(steps: &[Step]) -> Option<(f64, [Line; 2])> {
             .map(|step| ([step.action, step.agent, 1.0, step.before], step.onward));
         let ([action, agent, one, _], rest) = fit(rows);
         // The weight of the agent's position is minus the fraction of the offset that a step covers. Without such a pull to a
-        // target,
-        // the line is undefined.
+        // target, the line is undefined.
         if agent > -0.05 {
             return None;
         }

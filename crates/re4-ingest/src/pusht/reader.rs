@@ -27,8 +27,7 @@ const FLOATS: &str = "float32 or float64";
 const NUMBERS: &str = "a float type or an integer type of 16 bits or more";
 
 /// Maximum number of frames of a dataset: more than eleven days of recording at 10 Hz. All its numbers are read into memory, and
-/// a
-/// few bytes of compressed zeros could otherwise declare any number of frames.
+/// a few bytes of compressed zeros could otherwise declare any number of frames.
 const FRAME_LIMIT: u64 = 10_000_000;
 
 /// Control rate of the original dataset in Hz, which the checks assume.
@@ -58,8 +57,8 @@ pub struct PushtOptions<'a> {
     pub conventions: PushtConventions,
     /// What to do with episodes that cannot be used.
     pub on_bad: OnBad,
-    /// Whether images will be read, too. If so, missing image chunks are reported with the other faults, and with
-    /// [`OnBad::LeaveOut`] all images are decoded once, so that episodes with invalid images are left out.
+    /// Whether images will be read, too. Missing image chunks are then reported with the other faults, and [`OnBad::LeaveOut`]
+    /// decodes all images once, so that episodes with invalid images are left out.
     pub images: bool,
     /// Called while reading; returns true if reading should stop.
     pub stop: Stop<'a>,
@@ -106,8 +105,8 @@ impl Faults {
 }
 
 impl PushtReader {
-    /// Opens a folder store, or a zip file with a store at its root or up to two folders deep. A zip file is unpacked
-    /// to a temporary folder that is removed when the reader and its iterators are dropped.
+    /// Opens a folder store, or a zip file with a store at its root or up to two folders deep. A zip file is unpacked to a
+    /// temporary folder that is removed when the reader and its iterators are dropped.
     ///
     /// # Errors
     /// The dataset is not a complete Push-T dataset; see [`Fault`].
@@ -183,17 +182,15 @@ impl PushtReader {
                 keypoint,
                 images,
             }),
-            // Unreachable: a missing array was reported above.
+            // Unreachable, since a missing array was reported above.
             _ => Err(missing_array(store, "data/state")),
         }
     }
 
     /// BLAKE3 hash over the files of the dataset's arrays and their metadata in the byte order of their paths. For each file it
-    /// covers
-    /// the length of its path, the path (with `/`), the length of the file and the BLAKE3 hash of its bytes, with lengths as
-    /// little-endian u64. Files of other arrays and unrelated files are excluded. For a zip file it covers the unpacked store, so
-    /// that
-    /// a folder and a zip file of it have the same hash.
+    /// covers the length of its path, the path (with `/`), the length of the file and the BLAKE3 hash of its bytes, with lengths
+    /// as little-endian u64. Files of other arrays and unrelated files are excluded. For a zip file it covers the unpacked store,
+    /// so that a folder and a zip file of it have the same hash.
     ///
     /// # Errors
     /// A file cannot be read or changed since the dataset was opened, or `stop` returned true.
@@ -258,8 +255,7 @@ impl PushtReader {
     }
 
     /// Reads and validates the numeric arrays of the selected episodes with the conventions of the original dataset, and refuses
-    /// the
-    /// dataset if any of them cannot be used. See [`Self::read`].
+    /// the dataset if any of them cannot be used. See [`Self::read`].
     ///
     /// # Errors
     /// Same as [`Self::read`].
@@ -271,9 +267,9 @@ impl PushtReader {
     /// Reads and validates the numeric arrays of the selected episodes. Other episodes are not checked.
     ///
     /// # Errors
-    /// The selection does not match the dataset; the units or the kind of actions contradict the conventions; a file changed since
-    /// the dataset was opened; `stop` returned true. Missing or broken chunks and values outside the range of Push-T recordings are
-    /// reported in one error, unless the affected episodes are left out and others remain.
+    /// The selection does not match; units or kind of actions contradict the conventions; a file changed; `stop` returned true.
+    /// Missing or broken chunks and values that no Push-T recording has are reported in one error, unless the affected episodes
+    /// are left out and others remain.
     pub fn read(&self, selection: &Selection, options: &PushtOptions<'_>) -> Result<PushtReading, IngestError> {
         self.read_checked(selection, options).map_err(|fault| self.error(fault))
     }

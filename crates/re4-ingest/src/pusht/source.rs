@@ -17,8 +17,7 @@ use crate::warning::Warning;
 const CAMERA: &str = "img";
 
 /// An opened dataset with its numbers read and checked. All numbers are in memory, because the checks of conventions need the
-/// whole
-/// dataset; images are streamed.
+/// whole dataset; images are streamed.
 pub struct PushtSource {
     reader: PushtReader,
     reading: PushtReading,

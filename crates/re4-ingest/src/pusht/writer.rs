@@ -113,13 +113,11 @@ pub enum RecordError {
 
 impl PushtWriter {
     /// Writes the episodes to a new folder, completely or not at all: the dataset is built in a temporary sibling and renamed.
-    /// Equal
-    /// episodes give equal bytes. If contacts are unknown (NaN) in every frame, `n_contacts` is not written.
+    /// Equal episodes give equal bytes. If contacts are unknown (NaN) in every frame, `n_contacts` is not written.
     ///
     /// # Errors
     /// The path exists, there are no episodes or an episode has no frames, a value is outside the range that
-    /// [`super::PushtReader`]
-    /// accepts, or a file cannot be written.
+    /// [`super::PushtReader`] accepts, or a file cannot be written.
     pub fn write(path: &Path, episodes: &[RecordedEpisode]) -> Result<(), RecordError> {
         let io_error = |action, file: &Path, source| RecordError::Io {
             path: path.to_owned(),
