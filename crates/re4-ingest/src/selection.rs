@@ -393,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_the_sources_own() {
+    fn numbers_are_those_of_the_source() {
         let gaps = named(&["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
         assert_eq!(taken(&list([3]), &gaps), Ok(vec!["demo_3"]));
         assert_eq!(taken(&list([6, 0]), &gaps), Ok(vec!["demo_0", "demo_6"]));
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_leaves_numbers_as_they_are() {
+    fn a_filter_does_not_change_numbers() {
         let source = named(&["demo_0", "demo_1", "demo_2", "demo_3", "demo_4"]);
         let odd = |place: usize| place % 2 == 1;
         let resolve = |selection: &Selection| {
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn misfits_are_named() {
+    fn mismatches_are_reported() {
         let sentences: Vec<String> = [
             Selection::First(7),
             Selection::Last(7),
@@ -467,7 +467,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_lacks_is_named() {
+    fn missing_demonstrations_are_reported() {
         let gaps = named(&["demo_0", "demo_1", "demo_3"]);
         let many: Vec<String> = (0..200).map(|number| format!("demo_{number:03}")).collect();
         let many = named(&many.iter().map(String::as_str).collect::<Vec<_>>());
@@ -528,8 +528,8 @@ mod tests {
     }
 
     #[test]
-    fn selections_are_written_as_before() {
-        // Keys of artifacts are made of this text.
+    fn serialized_selections_are_stable() {
+        // This text is part of the keys of artifacts.
         let written = |selection: &Selection| serde_json::to_string(selection).unwrap();
         assert_eq!(written(&Selection::All), r#""all""#);
         assert_eq!(written(&Selection::First(50)), r#"{"first":50}"#);
