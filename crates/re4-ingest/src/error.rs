@@ -482,7 +482,7 @@ fn missing_chunk(
         None => "the array has no fill value to substitute".to_owned(),
     };
     let files = if more == 0 { "that file" } else { "those files" };
-    format!("{which}, and {why}; restore {files}, because its data is lost")
+    format!("{which}, and {why}; restore {files}, because the data is lost")
 }
 
 /// An alternative remedy for an optional array.
