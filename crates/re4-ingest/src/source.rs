@@ -335,8 +335,8 @@ mod tests {
             (&fifo, "a named pipe"),
             (Path::new("/dev/null"), "a device"),
         ] {
-            let said = SourceFile::open(path).unwrap_err().to_string();
-            assert!(said.contains(what), "{said}");
+            let message = SourceFile::open(path).unwrap_err().to_string();
+            assert!(message.contains(what), "{message}");
         }
     }
 

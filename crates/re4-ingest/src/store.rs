@@ -382,7 +382,7 @@ fn list_array(
         };
         if metadata.is_dir() {
             // Following a link to a parent folder would recurse until the system's limit on links.
-            if entry.is_symlink() && leads_up(&entry).map_err(|error| Fault::io("read", &entry, error))? {
+            if entry.is_symlink() && points_to_parent(&entry).map_err(|error| Fault::io("read", &entry, error))? {
                 return Err(Fault::CircularLink { link: inside });
             }
             list_array(&entry, &inside, false, files, stop)?;
@@ -394,7 +394,7 @@ fn list_array(
 }
 
 /// Whether a link points to one of its own parent folders.
-fn leads_up(link: &Path) -> io::Result<bool> {
+fn points_to_parent(link: &Path) -> io::Result<bool> {
     let target = link.canonicalize()?;
     let folder = link.parent().unwrap_or(link).canonicalize()?;
     Ok(folder.starts_with(target))

@@ -254,12 +254,15 @@ fn a_chunk_of_relative_actions_may_be_omitted() {
     assert_eq!(whole.episodes.frame_count(), frames);
     let copy = chunked().remove("data/action/20.0");
     assert_eq!(read(&copy, settings).unwrap().episodes, whole.episodes);
-    let say = read(&copy, "{}").unwrap_err();
+    let sentence = read(&copy, "{}").unwrap_err();
     assert!(
-        say.starts_with("2 problems were found: (1) data/action explains"),
-        "{say}"
+        sentence.starts_with("2 problems were found: (1) data/action explains"),
+        "{sentence}"
     );
-    assert!(say.contains("(2) chunk 20.0 of array data/action is missing"), "{say}");
+    assert!(
+        sentence.contains("(2) chunk 20.0 of array data/action is missing"),
+        "{sentence}"
+    );
 }
 
 /// Recordings with too little motion to judge are read unchanged.

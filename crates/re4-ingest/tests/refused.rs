@@ -83,7 +83,7 @@ fn images_with(edit: impl FnOnce(&mut Vec<f64>)) -> String {
 fn paths_that_are_not_stores() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let say = |name: &str| refusal(&at(name), folder.path());
+    let sentence = |name: &str| refusal(&at(name), folder.path());
     fs::create_dir(at("empty")).unwrap();
     fs::create_dir(at("other")).unwrap();
     fs::write(at("other/readme.txt"), "hello").unwrap();
@@ -125,7 +125,7 @@ fn paths_that_are_not_stores() {
             "fifo",
             "piped"
         ]
-        .map(say)
+        .map(sentence)
         .join("\n")
     );
 }

@@ -57,7 +57,7 @@ pub enum ActionKind {
 /// The window of the original dataset.
 const PIXELS: [f64; 2] = [0.0, WINDOW];
 
-/// Largest angle in radians that is treated as an unwrapped angle: the scenes of Diffusion Policy start with up to about three
+/// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with up to about three
 /// turns.
 const UNWRAPPED: f64 = 25.0;
 
@@ -65,16 +65,17 @@ const UNWRAPPED: f64 = 25.0;
 const BLOCK_LOW: f64 = 40.0;
 
 /// Minimum number of frames for judging a range of values.
-const ENOUGH: usize = 100;
+const MIN_FRAMES: usize = 100;
 
 /// Minimum number of episodes for judging the region in which the block moves.
-const SEVERAL: usize = 5;
+const MIN_EPISODES: usize = 5;
 
-/// Bounds in pixels of the lower and of the upper half of the window, each including the middle, where the goal is.
-const HALF: [f64; 2] = [230.0, 282.0];
+/// Lower bound of the upper half and upper bound of the lower half of the window, in pixels. Both halves include the middle, where
+/// the goal is.
+const MIDDLE: [f64; 2] = [230.0, 282.0];
 
 /// Fraction of unusual frames above which the whole dataset, not single frames, is at fault.
-const ODD: f64 = 0.2;
+const MAX_UNUSUAL: f64 = 0.2;
 
 impl PushtConventions {
     /// Whether all conventions are those of the original dataset.
@@ -116,7 +117,7 @@ impl PushtConventions {
     }
 
     /// The settings as in the pipeline file, for messages.
-    fn in_words(&self) -> String {
+    fn settings(&self) -> String {
         let mut words = Vec::new();
         if let Some([low, high]) = self.window {
             words.push(format!("ingest.pusht.window = [{low}, {high}]"));
@@ -125,12 +126,12 @@ impl PushtConventions {
             Some(AngleUnit::Degrees) => words.push("ingest.pusht.angle = \"degrees\"".to_owned()),
             Some(AngleUnit::Radians) | None => {}
         }
-        words.extend(self.action_in_words());
+        words.extend(self.action_settings());
         words.join(", ")
     }
 
     /// The settings of actions as in the pipeline file, if any.
-    pub(super) fn action_in_words(&self) -> Option<String> {
+    pub(super) fn action_settings(&self) -> Option<String> {
         match (self.action, self.action_window, self.action_scale) {
             (Some(ActionKind::Relative), _, None) => Some("ingest.pusht.action = \"relative\"".to_owned()),
             (Some(ActionKind::Relative), _, Some(scale)) => Some(format!(
@@ -142,21 +143,21 @@ impl PushtConventions {
     }
 
     /// Pixels per unit of a coordinate.
-    pub(super) fn pixels_a_unit(&self) -> f64 {
+    pub(super) fn pixels_per_unit(&self) -> f64 {
         let [low, high] = self.window.unwrap_or(PIXELS);
         WINDOW / (high - low)
     }
 
     /// Pixels per unit of a relative action.
-    pub(super) fn pixels_an_action(&self) -> f64 {
-        self.action_scale.unwrap_or_else(|| self.pixels_a_unit())
+    pub(super) fn pixels_per_action(&self) -> f64 {
+        self.action_scale.unwrap_or_else(|| self.pixels_per_unit())
     }
 
     /// The target of an action, in pixels; `agent` is in pixels, too.
     pub(super) fn target(&self, agent: [f64; 2], action: [f64; 2]) -> [f64; 2] {
         match self.action {
             Some(ActionKind::Relative) => {
-                let scale = self.pixels_an_action();
+                let scale = self.pixels_per_action();
                 [agent[0] + scale * action[0], agent[1] + scale * action[1]]
             }
             _ => action.map(|value| pixels(value, self.action_window.or(self.window))),
@@ -238,14 +239,15 @@ impl PushtConventions {
         let small: Vec<usize> = (0..good.len())
             .filter(|&number| good[number] && is_small(&episodes.frames[number]))
             .collect();
-        let enough = frames.len() >= ENOUGH;
-        let far = outside as f64 > ODD * frames.len() as f64;
+        let enough = frames.len() >= MIN_FRAMES;
+        let far = outside as f64 > MAX_UNUSUAL * frames.len() as f64;
         let tiny = 2 * small.len() > good.iter().filter(|good| **good).count();
-        let of_images = self.window.is_none() && frames.len() >= ENOUGH / 2 && high <= 97.0 && high > 20.0;
+        // Coordinates up to 96 are probably pixels of the 96 px images.
+        let of_images = self.window.is_none() && frames.len() >= MIN_FRAMES / 2 && high <= 97.0 && high > 20.0;
         // If the window is too large for the coordinates, all of them are in one half of it.
-        let several = frames.len() >= 3 * ENOUGH && good.iter().filter(|good| **good).count() >= SEVERAL;
-        let upper = (several || self.window.is_some() && enough) && pixels(high, self.window) <= HALF[1];
-        let half = upper || self.window.is_some() && enough && pixels(low, self.window) >= HALF[0];
+        let several = frames.len() >= 3 * MIN_FRAMES && good.iter().filter(|good| **good).count() >= MIN_EPISODES;
+        let upper = (several || self.window.is_some() && enough) && pixels(high, self.window) <= MIDDLE[1];
+        let half = upper || self.window.is_some() && enough && pixels(low, self.window) >= MIDDLE[0];
         if !(far || tiny || of_images || half) {
             judgement.small = small;
             return self.window;
@@ -286,7 +288,8 @@ impl PushtConventions {
         let [low, high] = middle(frames.iter().map(|state| state[4]));
         let [low_text, high_text] = [low, high].map(|value| rounded(value).to_string());
         let largest = low.abs().max(high.abs());
-        let enough = frames.len() >= ENOUGH;
+        let enough = frames.len() >= MIN_FRAMES;
+        // In unit coordinates, angles of at most 1 were probably normalized, too.
         let normalised = window.is_some_and(|[left, right]| right - left <= 2.2);
         if self.angle == Some(AngleUnit::Degrees) {
             if enough && largest <= 6.3 {
@@ -298,7 +301,7 @@ impl PushtConventions {
             return;
         }
         let far = frames.iter().filter(|state| state[4].abs() > UNWRAPPED).count();
-        if far as f64 > ODD * frames.len() as f64 {
+        if far as f64 > MAX_UNUSUAL * frames.len() as f64 {
             faults.push(Fault::Convention {
                 what: format!("block_theta ranges from {low_text} to {high_text}, which are not radians"),
                 fix: if largest <= 720.0 {
@@ -320,7 +323,7 @@ impl PushtConventions {
 
 impl std::fmt::Display for PushtConventions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.in_words())
+        f.write_str(&self.settings())
     }
 }
 

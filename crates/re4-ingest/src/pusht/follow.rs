@@ -13,24 +13,24 @@ use super::validate::WINDOW;
 use crate::error::Fault;
 
 /// Minimum number of steps along either axis with motion for judging the dataset.
-const ENOUGH_STEPS: usize = 100;
+const MIN_STEPS: usize = 100;
 
 /// The same for a single episode.
-const ENOUGH_IN_EPISODE: usize = 60;
+const MIN_STEPS_IN_EPISODE: usize = 60;
 
 /// Minimum length of a step along an axis that counts as motion, in pixels.
-const MOVE: f64 = 0.2;
+const MIN_STEP: f64 = 0.2;
 
 /// Minimum RMS of the part of a step that the previous step does not explain, in pixels. Below it, the controller's effect is not
 /// measurable.
-const CHANGE: f64 = 0.5;
+const MIN_CHANGE: f64 = 0.5;
 
 /// Minimum fraction of the variance that the targets must explain. Targets of the original dataset explain 0.996; relative
 /// targets read as absolute ones explain 0.01; those of the previous or the next row explain 0.5 and 0.84.
 const MIN_EXPLAINED: f64 = 0.5;
 
 /// Minimum explained fraction to accept another interpretation of the actions.
-const SURE: f64 = 0.9;
+const MIN_ACCEPTED: f64 = 0.9;
 
 /// Explained fraction below which there is a warning.
 pub(super) const USUAL: f64 = 0.9;
@@ -39,7 +39,7 @@ pub(super) const USUAL: f64 = 0.9;
 const REACH: f64 = 0.314;
 
 /// Maximum error of the targets, in pixels, before another unit is assumed. Fits of single episodes deviate by up to 7.
-const OFF: f64 = 10.0;
+const MAX_ERROR: f64 = 10.0;
 
 /// Result of checking the actions against the agent's steps.
 pub(super) struct Following {
@@ -49,7 +49,7 @@ pub(super) struct Following {
     pub(super) fault: Option<Fault>,
     /// Indices of episodes in which the agent does not follow its targets, unlike in the dataset as a whole, with the explained
     /// fraction.
-    pub(super) odd: Vec<(usize, f64)>,
+    pub(super) outliers: Vec<(usize, f64)>,
 }
 
 /// A step of the agent along one axis. All values are in pixels except the action, which is as in the dataset.
@@ -91,20 +91,20 @@ pub(super) fn judge(
     let mut following = Following {
         explained: None,
         fault: None,
-        odd: Vec::new(),
+        outliers: Vec::new(),
     };
-    let Some(unexplained) = evidence(&all, ENOUGH_STEPS) else {
+    let Some(unexplained) = evidence(&all, MIN_STEPS) else {
         return following;
     };
     let (explained, [reach, _]) = explain(&all, unexplained, |step| [step.target - step.agent, step.before]);
     following.explained = Some(explained);
     following.fault = fault(conventions, &all, unexplained, explained, reach);
     if following.fault.is_none() {
-        following.odd = each
+        following.outliers = each
             .iter()
             .enumerate()
             .filter_map(|(number, steps)| {
-                let unexplained = evidence(steps, ENOUGH_IN_EPISODE)?;
+                let unexplained = evidence(steps, MIN_STEPS_IN_EPISODE)?;
                 let (explained, _) = explain(steps, unexplained, |step| [step.target - step.agent, step.before]);
                 (explained < MIN_EXPLAINED).then_some((number, explained))
             })
@@ -142,10 +142,10 @@ fn steps(
 
 /// Sum of squares of the steps that the previous step does not explain; `None` if there is too little motion.
 fn evidence(steps: &[Step], enough: usize) -> Option<f64> {
-    let moves = |step: &&Step| step.onward.abs() > MOVE || step.before.abs() > MOVE;
+    let moves = |step: &&Step| step.onward.abs() > MIN_STEP || step.before.abs() > MIN_STEP;
     let moving = steps.iter().filter(moves).count();
     let (_, left) = fit(steps.iter().map(|step| ([step.before], step.onward)));
-    (moving >= enough && (left / moving as f64).sqrt() >= CHANGE).then_some(left)
+    (moving >= enough && (left / moving as f64).sqrt() >= MIN_CHANGE).then_some(left)
 }
 
 /// Fraction of that sum of squares that the quantities of `of` explain, and their weights.
@@ -270,9 +270,9 @@ fn fault(
     explained: f64,
     reach: f64,
 ) -> Option<Fault> {
-    let settings = conventions.action_in_words();
+    let settings = conventions.action_settings();
     let relative = conventions.action == Some(ActionKind::Relative);
-    let so_far = |then: &str| {
+    let describe = |then: &str| {
         let with = settings
             .as_ref()
             .map_or_else(String::new, |settings| format!("with {settings}, "));
@@ -286,28 +286,28 @@ fn fault(
     let (of_relative, [weight, carried]) = explain(steps, unexplained, |step| [step.action, step.before]);
     let fitted = lines(steps);
     if relative && explained >= MIN_EXPLAINED {
-        return wrong_reach(conventions, reach, carried, &so_far);
+        return wrong_reach(conventions, reach, carried, &describe);
     }
     // Another interpretation must explain the motion well by itself, and much better than that of the settings.
     let better = |other: f64| {
         if explained < MIN_EXPLAINED {
-            other >= SURE
+            other >= MIN_ACCEPTED
         } else {
             other >= 0.97 && other > explained + 0.05
         }
     };
     if !relative && better(of_relative) {
         if is_displacement(weight, carried, of_relative) {
-            return Some(displacement(&so_far(
+            return Some(displacement(&describe(
                 ", and all of it as the agent's own displacement to the next row",
             )));
         }
-        let what = so_far(&format!(
+        let what = describe(&format!(
             ", and {} as targets relative to the agent",
             percent(of_relative)
         ));
         let pixels = weight / REACH;
-        let scale = if (0.4..=3.0).contains(&(pixels / conventions.pixels_a_unit())) {
+        let scale = if (0.4..=3.0).contains(&(pixels / conventions.pixels_per_unit())) {
             String::new()
         } else {
             format!(
@@ -319,23 +319,23 @@ fn fault(
     }
     if let Some((fraction, lines)) = fitted {
         if relative && better(fraction) {
-            let what = so_far(&format!(", and {} as absolute targets", percent(fraction)));
+            let what = describe(&format!(", and {} as absolute targets", percent(fraction)));
             return convention(what, "remove ingest.pusht.action".to_owned());
         }
         let off = farthest(conventions, lines);
-        let is_off = fraction >= 0.95 && off > OFF && steps.len() >= 4 * ENOUGH_STEPS;
-        if !relative && (is_off || off > OFF && better(fraction)) {
+        let is_off = fraction >= 0.95 && off > MAX_ERROR && steps.len() >= 4 * MIN_STEPS;
+        if !relative && (is_off || off > MAX_ERROR && better(fraction)) {
             let off = (explained >= MIN_EXPLAINED).then_some(off);
-            return Some(other_window(conventions, &so_far, fraction, lines, off));
+            return Some(other_window(conventions, &describe, fraction, lines, off));
         }
     }
     if explained >= MIN_EXPLAINED {
-        return other_row(steps, unexplained, explained, &so_far);
+        return other_row(steps, unexplained, explained, &describe);
     }
-    let row = other_row(steps, unexplained, explained, &so_far);
+    let row = other_row(steps, unexplained, explained, &describe);
     row.or_else(|| {
         convention(
-            so_far(&format!(
+            describe(&format!(
                 ", and {} as relative targets (absolute targets of the original dataset explain 99.6 %)",
                 percent(of_relative)
             )),
@@ -350,17 +350,17 @@ fn wrong_reach(
     conventions: &PushtConventions,
     reach: f64,
     carried: f64,
-    so_far: &impl Fn(&str) -> String,
+    describe: &impl Fn(&str) -> String,
 ) -> Option<Fault> {
-    let scale = conventions.pixels_an_action();
+    let scale = conventions.pixels_per_action();
     if is_displacement(reach * scale, carried, 1.0) {
-        return Some(displacement(&so_far(
+        return Some(displacement(&describe(
             ", and all of it as the agent's own displacement to the next row",
         )));
     }
     let pixels = reach * scale / REACH;
     (!(0.4..=3.0).contains(&(pixels / scale))).then(|| Fault::Convention {
-        what: so_far(&format!(
+        what: describe(&format!(
             ", but a step covers {} of the distance to such a target, and about a third is usual",
             rounded(reach)
         )),
@@ -384,7 +384,7 @@ fn displacement(what: &str) -> Fault {
 }
 
 /// Checks whether the targets of the previous or the next row explain the motion better.
-fn other_row(steps: &[Step], unexplained: f64, explained: f64, so_far: &impl Fn(&str) -> String) -> Option<Fault> {
+fn other_row(steps: &[Step], unexplained: f64, explained: f64, describe: &impl Fn(&str) -> String) -> Option<Fault> {
     let (of_earlier, _) = explain(steps, unexplained, |step| [step.earlier - step.agent, step.before]);
     let (of_later, _) = explain(steps, unexplained, |step| [step.later - step.agent, step.before]);
     let (fraction, row, move_by) = if of_earlier > of_later {
@@ -393,7 +393,7 @@ fn other_row(steps: &[Step], unexplained: f64, explained: f64, so_far: &impl Fn(
         (of_later, "next", "up")
     };
     (fraction >= 0.97 && fraction > explained + 0.05).then(|| Fault::Convention {
-        what: so_far(&format!(", and {} as the targets of the {row} row", percent(fraction))),
+        what: describe(&format!(", and {} as the targets of the {row} row", percent(fraction))),
         fix: format!(
             "move data/action {move_by} by one row within each episode, so that each row has the target that applies from its state on"
         ),
@@ -416,7 +416,7 @@ fn farthest(conventions: &PushtConventions, lines: [Line; 2]) -> f64 {
 /// The fault of absolute targets in another unit, with the window that fits.
 fn other_window(
     conventions: &PushtConventions,
-    so_far: &impl Fn(&str) -> String,
+    describe: &impl Fn(&str) -> String,
     fraction: f64,
     lines: [Line; 2],
     off: Option<f64>,
@@ -424,8 +424,8 @@ fn other_window(
     let windows = lines.map(Line::window);
     let width = (windows[0][1] - windows[0][0]).abs();
     let alike = |a: [f64; 2], b: [f64; 2], slack: f64| (a[0] - b[0]).abs() <= slack && (a[1] - b[1]).abs() <= slack;
-    // The same tolerance as `OFF`, in units of actions, so that the suggested window passes this check.
-    let slack = OFF / WINDOW * width;
+    // The same tolerance as `MAX_ERROR`, in units of actions, so that the suggested window passes this check.
+    let slack = MAX_ERROR / WINDOW * width;
     let usual = [
         [0.0, WINDOW],
         [-1.0, 1.0],
@@ -447,7 +447,7 @@ fn other_window(
             .collect::<Vec<_>>()
             .join(" and ")
     };
-    let what = so_far(&format!(
+    let what = describe(&format!(
         "{off}, and {} if its window is {}",
         percent(fraction),
         of_axes([" along x", " along y"])

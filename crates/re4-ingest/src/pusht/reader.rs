@@ -306,7 +306,7 @@ impl PushtReader {
         let following = follow::judge(&conventions, &episodes, &raw_actions, &is_good(&bad));
         faults.extend(following.fault);
         notes.explained = following.explained;
-        bad.extend(following.odd.into_iter().map(|(number, fraction)| {
+        bad.extend(following.outliers.into_iter().map(|(number, fraction)| {
             (
                 number,
                 Fault::Contradicts {

@@ -215,7 +215,7 @@ fn first_of_each<T>(
 
 /// Collects warnings, one per kind, in the order of [`WarningCode`].
 pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> {
-    let steps = |odd: &dyn Fn(usize) -> bool| in_episodes(episodes, |start, frame| frame > start && odd(frame));
+    let steps = |unusual: &dyn Fn(usize) -> bool| in_episodes(episodes, |start, frame| frame > start && unusual(frame));
     let seam = steps(&|frame| (episodes.state[frame][THETA] - episodes.state[frame - 1][THETA]).abs() > PI);
     let outside = in_episodes(episodes, |_, frame| {
         episodes.action[frame]
@@ -350,8 +350,8 @@ pub(super) struct Notes {
     pub(super) explained: Option<f64>,
 }
 
-/// Episode, and frame within it, of every frame for which `odd(first frame of its episode, frame)` returns true.
-fn in_episodes(episodes: &PushtEpisodes, odd: impl Fn(usize, usize) -> bool) -> Vec<(u32, u64)> {
+/// Episode, and frame within it, of every frame for which `unusual(first frame of its episode, frame)` returns true.
+fn in_episodes(episodes: &PushtEpisodes, unusual: impl Fn(usize, usize) -> bool) -> Vec<(u32, u64)> {
     episodes
         .sources
         .iter()
@@ -360,7 +360,7 @@ fn in_episodes(episodes: &PushtEpisodes, odd: impl Fn(usize, usize) -> bool) -> 
             let start = frames.start;
             frames
                 .clone()
-                .filter(|&frame| odd(start, frame))
+                .filter(|&frame| unusual(start, frame))
                 .map(move |frame| (source, (frame - start) as u64))
                 .collect::<Vec<_>>()
         })
@@ -368,11 +368,11 @@ fn in_episodes(episodes: &PushtEpisodes, odd: impl Fn(usize, usize) -> bool) -> 
 }
 
 /// Minimum number of steps with motion for deciding whether two columns are a velocity.
-const ENOUGH_STEPS: usize = 20;
+const MIN_STEPS: usize = 20;
 
 /// Minimum cosine similarity between steps and velocities. It exceeds 0.95 for the simulator's velocities and for differences of
 /// positions.
-const VELOCITY: f64 = 0.8;
+const MIN_SIMILARITY: f64 = 0.8;
 
 /// Accepts the last two of seven columns if they are proportional to the agent's steps, as its velocity is in any unit.
 pub(super) fn velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(), Fault> {
@@ -394,13 +394,13 @@ pub(super) fn velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(
             }
         }
     }
-    if moving < ENOUGH_STEPS {
+    if moving < MIN_STEPS {
         return Err(columns(format!(
             "the agent moves in only {moving} steps, too few to decide"
         )));
     }
     let similarity = products / (steps * velocities).sqrt();
-    if similarity >= VELOCITY {
+    if similarity >= MIN_SIMILARITY {
         return Ok(());
     }
     let similarity = if similarity.is_finite() { similarity } else { 0.0 };

@@ -248,16 +248,16 @@ fn several(faults: &[Hdf5Fault]) -> String {
 
 /// The remedy for an error of the HDF5 library, chosen by words of its message.
 fn fix(why: &str) -> &'static str {
-    let says = |words: &[&str]| words.iter().any(|word| why.contains(word));
-    if says(&["external file"]) {
+    let mentions = |words: &[&str]| words.iter().any(|word| why.contains(word));
+    if mentions(&["external file"]) {
         "it is stored in another file, so copy it into this one, because all data must be in one file"
-    } else if says(&["doesn't exist", "not found", "too many links"]) {
+    } else if mentions(&["doesn't exist", "not found", "too many links"]) {
         "restore it, or leave that demonstration or camera out"
-    } else if says(&["not a dataset", "not a group"]) {
+    } else if mentions(&["not a dataset", "not a group"]) {
         "it is an object of another type, so correct the file's layout"
-    } else if says(&["size of float datatype"]) {
+    } else if mentions(&["size of float datatype"]) {
         "convert it to float64 or float32"
-    } else if says(&["plugin", "filter"]) {
+    } else if mentions(&["plugin", "filter"]) {
         "it is compressed with a filter that the HDF5 library lacks, so rewrite it with gzip or without compression"
     } else {
         "the file is damaged or truncated, so copy or download it again"

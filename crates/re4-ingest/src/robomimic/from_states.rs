@@ -110,6 +110,7 @@ impl FromStates {
             ));
         };
         let rows = || states.values.chunks_exact(states.columns);
+        // Rows of zeros were allocated but never recorded.
         if let Some(zeros) = zero_rows(&demo.actions, &rows().collect::<Vec<_>>()) {
             let why = Contradiction::zeros(&demo.name, &zeros);
             return Err(Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}")));

@@ -103,6 +103,7 @@ impl Interpreter {
                 "{error}; restore what attribute env_args lacks, or give it as ingest.env_args"
             ))
         })?;
+        // If the controller's first goal is the pose after a reset, it is computed from the model.
         let models = first.iter().filter_map(|first| first.model.as_deref());
         let initial = match conventions.initial_goal {
             InitialGoal::ResetPose => models.into_iter().find_map(|model| model.site_at(&PANDA_RESET).ok()),

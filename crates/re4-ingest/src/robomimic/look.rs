@@ -100,8 +100,8 @@ fn in_use(source: &SourceFile) -> Option<Hdf5Fault> {
 
 /// Converts the library's message when it cannot open a file.
 pub(super) fn unreadable(why: &str) -> Hdf5Fault {
-    let says = |words: &[&str]| words.iter().any(|word| why.contains(word));
-    if says(&["lock file", "already open for write", "consistency flag"]) {
+    let mentions = |words: &[&str]| words.iter().any(|word| why.contains(word));
+    if mentions(&["lock file", "already open for write", "consistency flag"]) {
         Hdf5Fault::InUse
     } else {
         Hdf5Fault::Unreadable { why: why.to_owned() }

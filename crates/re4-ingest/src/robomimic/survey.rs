@@ -143,7 +143,7 @@ mod tests {
     fn the_chosen_layout_is_available_in_all_demonstrations() {
         use Observed::{Lacks, None, Whole};
         let lacks = || Lacks("obs/robot0_eef_pos");
-        for (observed, states, layout, said) in [
+        for (observed, states, layout, warned) in [
             (vec![Whole, Whole], true, Layout::Observed, false),
             (vec![Whole, Whole], false, Layout::Observed, false),
             (vec![None, None], true, Layout::Raw, false),
@@ -160,7 +160,7 @@ mod tests {
         ] {
             let survey = survey(&observed, states);
             assert_eq!(survey.layout(), layout, "{observed:?} {states}");
-            assert_eq!(survey.warning().is_some(), said, "{observed:?} {states}");
+            assert_eq!(survey.warning().is_some(), warned, "{observed:?} {states}");
         }
     }
 }
