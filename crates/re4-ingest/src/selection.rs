@@ -14,11 +14,10 @@ use crate::name::{Pick, SourceName};
 /// Maximum number of names in a message; of more, only the first and the last are listed.
 const NAMES_SHOWN: usize = 8;
 
-/// The demonstrations to read, by their names or numbers in the source. Demonstrations of Push-T are its episodes, numbered from
-/// 0.
-/// Demonstrations of an HDF5 file are groups, numbered by the digits at the end of their names: `demo_3` has the number 3. They
-/// are ordered by number; those without a number come last. With `ingest.filter`, only demonstrations that the filter key lists
-/// can be selected.
+/// The demonstrations to read, by their names or numbers in the source. Demonstrations of Push-T are its episodes, counted from
+/// zero. Demonstrations of an HDF5 file are groups, numbered by the digits at the end of their names: `demo_3` has the number 3.
+/// They are ordered by number; those without a number come last. With `ingest.filter`, only demonstrations that the filter key
+/// lists can be selected.
 ///
 /// In TOML it is one of `"all"`, `{ first = 50 }`, `{ last = 10 }`, `{ episodes = [0, 3, "demo_5"] }` (numbers or names) and
 /// `{ range = "10..20" }` (half-open, by number). Any other key is refused.

@@ -1,5 +1,4 @@
-//! Conventions of a dataset (units and the kind of actions): settings for those that differ from the original dataset, and
-//! checks.
+//! Conventions of a dataset (units and the kind of actions): settings for differences from the original dataset, and checks.
 
 use re4_geometry::wrap_to_two_pi;
 use schemars::JsonSchema;
@@ -9,9 +8,9 @@ use super::episodes::PushtEpisodes;
 use super::validate::{ANGLE_TOLERANCE, POSITION_HIGH, POSITION_LOW, WINDOW};
 use crate::error::Fault;
 
-/// Units and the kind of actions of a dataset that differ from the original dataset, which has positions in pixels of a 512 x 512
-/// window, angles in radians, and absolute targets as actions. The numbers are converted to these conventions and then checked;
-/// settings that contradict the numbers are refused.
+/// Units and the kind of actions of a dataset that differ from those of the original dataset: positions in pixels of a 512 x 512
+/// window, angles in radians, and absolute targets as actions. The numbers are converted to the conventions of the original dataset
+/// and then checked; settings that contradict the numbers are refused.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushtConventions {

@@ -84,9 +84,8 @@ pub struct PushtReading {
     pub warnings: Vec<Warning>,
     /// Selected episodes that cannot be used, in the order of the dataset; empty with [`OnBad::Refuse`].
     pub left_out: Vec<LeftOut>,
-    /// Fraction of the change in the agent's steps that its targets explain, from 0 to 1; `None` if there is too little motion.
-    /// It is
-    /// 0.996 for the original dataset.
+    /// Fraction (0 to 1) of the change in the agent's steps that its targets explain; `None` if there is too little motion. The
+    /// original dataset has 0.996.
     pub explained: Option<f64>,
 }
 
