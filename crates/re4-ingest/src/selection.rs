@@ -375,7 +375,7 @@ mod tests {
         Selection::List(picks.map(Pick::from).to_vec())
     }
 
-    /// Names of what a selection takes of these.
+    /// Names of the demonstrations that a selection takes.
     fn taken<'a>(selection: &Selection, source: &'a [SourceName]) -> Result<Vec<&'a str>, String> {
         let places = selection.resolve(source).map_err(|error| error.to_string())?;
         Ok(places.into_iter().map(|place| source[place].as_str()).collect())
