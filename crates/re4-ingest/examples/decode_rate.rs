@@ -1,4 +1,4 @@
-//! Times the reading of a Push-T dataset: `decode_rate DATASET [REPEATS]`. Prints one JSON object a repeat.
+//! Times the reading of a Push-T dataset: `decode_rate DATASET [REPEATS]`. Prints one JSON object per repeat.
 
 use std::path::Path;
 use std::time::Instant;
@@ -6,7 +6,7 @@ use std::time::Instant;
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
 
-#[expect(clippy::print_stdout, reason = "printing the figures is what this program is for")]
+#[expect(clippy::print_stdout, reason = "this program prints its measurements")]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let path = arguments.next().ok_or("usage: decode_rate DATASET [REPEATS]")?;
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             for block in reader.image_blocks(&Selection::All)? {
                 let block = block?;
                 image_bytes += block.bytes.len();
-                // A sum that a compiler cannot skip, and that the benchmark compares with its rival's.
+                // The sum keeps the compiler from removing the work; the benchmark compares it with that of the other reader.
                 checksum += block.bytes.iter().map(|&byte| u64::from(byte)).sum::<u64>();
             }
         }

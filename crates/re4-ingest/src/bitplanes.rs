@@ -1,10 +1,10 @@
-//! Images stored as bit-shuffled floats, decoded straight to bytes.
+//! Fast decoder of images that are stored as bit-shuffled floats.
 //!
-//! The Push-T dataset stores whole numbers 0..255 as f32, bit-shuffled and compressed by Blosc with zstd. Undoing that
-//! step by step moves each image through memory four times at four bytes a value. Here each Blosc block is
-//! decompressed into a small buffer, and its bit planes are turned into bytes by boolean algebra, 64 values at a time,
-//! without ever being a float. Anything unusual makes the function give up with `None`, and the caller takes the
-//! general path, which also names what is wrong: this path never decides that a file is bad.
+//! The Push-T dataset stores the integers 0 to 255 as f32, bit-shuffled and compressed by Blosc with zstd. Undoing these steps
+//! one by one moves each image through memory four times at four bytes per value. Here each Blosc block is decompressed to a
+//! small buffer, and its bit planes are converted to bytes by boolean operations on 64 values at a time, without intermediate
+//! floats. For anything unusual the function returns `None`, and the caller uses the general path, which also reports what is
+//! wrong: this path never rejects a file.
 //!
 //! Format: c-blosc 1.21, `README_CHUNK_FORMAT.rst` (header, block starts, splits) and `blosc/bitshuffle-generic.c` (bit
 //! `b` of element `8 j + k` of a block of `n` elements is bit `k` of byte `b n / 8 + j`).
@@ -21,25 +21,25 @@ const CODEC_SHIFT: u8 = 5;
 const CODEC_ZSTD: u8 = 4;
 /// Bytes of an f32.
 const TYPE_SIZE: usize = 4;
-/// Lowest bit plane that a whole number below 256 can use: its top seven fraction bits are bits 16 to 22.
+/// Lowest bit plane that an integer below 256 can use: its top seven fraction bits are bits 16 to 22.
 const FRACTION: usize = 16;
 const SIGN: usize = 31;
-/// Largest block that gets a buffer; c-blosc makes blocks of at most a few MiB.
+/// Maximum size of a block; c-blosc makes blocks of at most a few MiB.
 const LARGEST_BLOCK: usize = 16 << 20;
 /// Words of 64 values handled at once, so that the compiler can use vector registers.
 const LANES: usize = 4;
-/// Values handled at once.
+/// Values processed at once.
 const GROUP: usize = LANES * 64;
 
-/// Buffers of one thread, kept between chunks.
+/// Buffers of one thread, reused between chunks.
 #[derive(Default)]
 pub(crate) struct Scratch {
     zstd: zstd::bulk::Decompressor<'static>,
     block: Vec<u8>,
 }
 
-/// Decodes the first `out.len()` values of a Blosc buffer that holds `values` f32; `None` if the buffer is not of the
-/// expected kind, or some value is not a whole number from 0 to 255.
+/// Decodes the first `out.len()` values of a Blosc buffer that contains `values` f32. Returns `None` if the buffer is not in the
+/// expected format, or some value is not an integer from 0 to 255.
 pub(crate) fn decode(encoded: &[u8], values: usize, out: &mut [u8], scratch: &mut Scratch) -> Option<()> {
     let field = |at: usize| {
         let bytes = encoded.get(at..at.checked_add(4)?)?;
@@ -65,7 +65,7 @@ pub(crate) fn decode(encoded: &[u8], values: usize, out: &mut [u8], scratch: &mu
             break;
         }
         let bytes = block_bytes.min(decoded_bytes - number * block_bytes);
-        // c-blosc leaves a block unshuffled if its elements do not fill whole bytes of the planes.
+        // c-blosc does not shuffle a block if its elements do not fill whole bytes of the planes.
         if bytes % (8 * TYPE_SIZE) != 0 {
             return None;
         }
@@ -73,6 +73,7 @@ pub(crate) fn decode(encoded: &[u8], values: usize, out: &mut [u8], scratch: &mu
         let length = field(start)?;
         let source = encoded.get(start + 4..(start + 4).checked_add(length)?)?;
         scratch.block.resize(bytes, 0);
+        // c-blosc stores a block uncompressed if compression does not shrink it.
         let block = if length == bytes {
             source
         } else {
@@ -95,7 +96,7 @@ pub(crate) fn decode(encoded: &[u8], values: usize, out: &mut [u8], scratch: &mu
     (written == out.len()).then_some(())
 }
 
-/// Turns the 32 bit planes of a block into bytes; `out` may be shorter than the block.
+/// Converts the 32 bit planes of a block to bytes; `out` may be shorter than the block.
 fn planes_to_bytes(block: &[u8], out: &mut [u8]) -> Option<()> {
     let stride = block.len() / (8 * TYPE_SIZE);
     let planes: Vec<&[u8]> = block.chunks_exact(stride).collect();
@@ -209,10 +210,10 @@ impl Not for Word {
     }
 }
 
-/// The eight bits of each value, lowest first, and where a value is not a whole number from 0 to 255.
+/// Returns the eight bits of each value, lowest first, and a mask of the values that are not integers from 0 to 255.
 ///
 /// A float `2^e (1 + f)` with `0 <= e <= 7` has its bit `e` set, its bits below `e` are the first `e` fraction bits, and
-/// it is whole if the other fraction bits are zero. `planes` holds seven fraction bits and the eight bits of `e + 127`,
+/// it is an integer if the other fraction bits are zero. `planes` contains seven fraction bits and the eight bits of `e + 127`,
 /// lowest first.
 #[inline]
 fn value_bits(planes: &[Word; SIGN - FRACTION]) -> ([Word; 8], Word) {
@@ -253,10 +254,10 @@ fn value_bits(planes: &[Word; SIGN - FRACTION]) -> ([Word; 8], Word) {
     (bits, fractional | (any & !known))
 }
 
-/// 256 bytes from their eight bit planes: byte `i` has bit `b` from bit `i` of `planes[b]`.
+/// Transposes eight bit planes to 256 bytes: byte `i` has bit `b` from bit `i` of `planes[b]`.
 ///
-/// In each lane the planes are an 8 x 8 matrix of bytes, transposed by swapping its blocks of 4, 2 and 1; then each word
-/// is an 8 x 8 matrix of bits, transposed the same way (Hacker's Delight, section 7-3).
+/// In each lane the planes are an 8 x 8 matrix of bytes, which is transposed by swapping its blocks of 4, 2 and 1. Then each word
+/// is an 8 x 8 matrix of bits, which is transposed the same way (Hacker's Delight, section 7-3).
 #[inline]
 fn interleave(mut planes: [Word; 8], out: &mut [u8; GROUP]) {
     for (distance, mask) in [
@@ -320,7 +321,7 @@ mod tests {
         decode(encoded, values, &mut out, &mut Scratch::default()).map(|()| out)
     }
 
-    /// Values with runs, so that they compress and blosc does not store them plainly.
+    /// Values with runs, so that they are compressible and blosc does not store them uncompressed.
     fn bytes() -> impl Strategy<Value = Vec<u8>> {
         prop::collection::vec((any::<u8>(), 1..60usize), 8..200).prop_map(|runs| {
             let mut bytes: Vec<u8> = runs.iter().flat_map(|&(byte, count)| vec![byte; count]).collect();
@@ -340,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn the_original_format_takes_this_path() {
+    fn the_original_dataset_uses_this_path() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/original/data/img/0.0.0.0");
         let values = 7 * 8 * 8 * 3;
         let bytes = decoded(&std::fs::read(path).unwrap(), values, values).unwrap();
@@ -373,11 +374,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whole_numbers_survive(bytes in bytes(), blocksize in prop::sample::select(vec![0, 128, 512, 4096]), part in 0.0..1.0f64) {
+        fn integers_are_decoded_exactly(bytes in bytes(), blocksize in prop::sample::select(vec![0, 128, 512, 4096]), part in 0.0..1.0f64) {
             let floats: Vec<f32> = bytes.iter().copied().map(f32::from).collect();
             let encoded = encode(&floats, "zstd", 2, blocksize);
             let wanted = (part * bytes.len() as f64) as usize;
-            // Blosc stores plainly what does not shrink; that is for the general path.
+            // Blosc stores incompressible data without compression, which the general path reads.
             prop_assume!(encoded[2] & FLAG_COPIED == 0);
             if let Some(out) = decoded(&encoded, bytes.len(), bytes.len()) {
                 prop_assert_eq!(&out, &bytes);
@@ -389,7 +390,7 @@ mod tests {
         }
 
         #[test]
-        fn anything_else_is_noticed(
+        fn other_values_are_rejected(
             bytes in bytes(),
             at in any::<prop::sample::Index>(),
             odd in prop_oneof![

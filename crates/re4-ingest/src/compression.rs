@@ -1,14 +1,14 @@
 //! Compressors of chunks.
 //!
-//! Libraries reserve as many bytes as a file claims to hold, and let gzip and zlib grow without end: a few damaged bytes, or a
-//! few hundred written with intent, would end the program. Here no more is decoded than the chunk may hold.
+//! Compression libraries allocate as many bytes as a file declares, and gzip and zlib streams can expand without limit. A damaged
+//! or malicious file could therefore exhaust memory. This module never decodes more bytes than the chunk has.
 
 use std::io::{self, Read};
 
 use flate2::read::{GzDecoder, ZlibDecoder};
 use zarrs::array::codec::{blosc_decompress_bytes, blosc_validate};
 
-/// A compressor.
+/// A supported compressor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Compressor {
     Blosc,
@@ -19,7 +19,7 @@ pub(crate) enum Compressor {
 }
 
 impl Compressor {
-    /// The compressor of this name in an array's metadata.
+    /// The compressor with this name in an array's metadata.
     pub(crate) fn of(id: &str) -> Option<Self> {
         Some(match id {
             "blosc" => Self::Blosc,
@@ -34,7 +34,7 @@ impl Compressor {
     /// Decodes a file to the bytes of a chunk.
     ///
     /// # Errors
-    /// Why not, in words: a broken stream, or another number of bytes.
+    /// A description of what is wrong: a corrupt stream, or a wrong number of bytes.
     pub(crate) fn decode(self, encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
         let decoded = match self {
             Self::Blosc => return blosc(encoded, expected),
@@ -47,21 +47,23 @@ impl Compressor {
         };
         match decoded {
             Ok(bytes) if bytes.len() > expected => Err(format!("it decodes to more than {expected} bytes")),
-            Ok(bytes) if bytes.len() < expected => Err(format!("{} bytes decoded instead of {expected}", bytes.len())),
+            Ok(bytes) if bytes.len() < expected => {
+                Err(format!("it decodes to {} bytes instead of {expected}", bytes.len()))
+            }
             Ok(bytes) => Ok(bytes),
             Err(error) => Err(error.to_string()),
         }
     }
 }
 
-/// All bytes of a stream, or one more than expected.
+/// Reads a stream up to one byte more than expected, so that an oversized stream is detected.
 fn at_most(stream: impl Read, expected: usize) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     stream.take(expected as u64 + 1).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// Blosc states its lengths in a header, which is compared with the file and the chunk before anything is reserved.
+/// Decodes Blosc. The lengths in its header are compared with the file and the chunk before anything is allocated.
 fn blosc(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
     let field = |at: usize| {
         encoded
@@ -72,7 +74,7 @@ fn blosc(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
     match (field(4), field(12)) {
         (Some(_), Some(length)) if length != encoded.len() => {
             return Err(format!(
-                "the file has {} bytes and its header says {length}",
+                "the file has {} bytes, but its header says {length}",
                 encoded.len()
             ));
         }
@@ -92,21 +94,21 @@ fn blosc(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
     }
     let decoded = blosc_decompress_bytes(encoded, expected, 1).map_err(|error| error.to_string())?;
     if decoded.len() != expected {
-        return Err(format!("{} bytes decoded instead of {expected}", decoded.len()));
+        return Err(format!("it decodes to {} bytes instead of {expected}", decoded.len()));
     }
     Ok(decoded)
 }
 
-/// A block of LZ4 behind its decoded length, as numcodecs writes it. The format: `lz4_Block_format.md` of lz4 1.10.
+/// Decodes an LZ4 block that follows its decoded length, as numcodecs writes it. Format: `lz4_Block_format.md` of lz4 1.10.
 fn lz4(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
-    let cut_off = || "the LZ4 block is cut off".to_owned();
+    let cut_off = || "the LZ4 block is truncated".to_owned();
     let (length, mut rest) = encoded.split_first_chunk().ok_or_else(cut_off)?;
     let length = u32::from_le_bytes(*length) as usize;
     if length != expected {
         return Err(format!("it decodes to {length} bytes instead of {expected}"));
     }
     let mut decoded: Vec<u8> = Vec::with_capacity(expected);
-    // A length of 15 goes on in the bytes that follow, as long as these are 255.
+    // A length of 15 continues in the following bytes until one of them is not 255.
     let long = |nibble: u8, rest: &mut &[u8]| -> Option<usize> {
         let mut length = usize::from(nibble);
         if nibble == 15 {
@@ -139,18 +141,19 @@ fn lz4(encoded: &[u8], expected: usize) -> Result<Vec<u8>, String> {
         rest = after;
         let start = decoded.len().checked_sub(usize::from(u16::from_le_bytes(*offset)));
         let start = start.filter(|&start| start < decoded.len());
-        let start = start.ok_or("the LZ4 block refers to what is not there")?;
+        let start = start.ok_or("the LZ4 block refers to bytes before its start")?;
+        // Matches have a minimum length of 4, which is not encoded.
         let matched = long(token & 15, &mut rest).ok_or_else(cut_off)? + 4;
         if decoded.len() + matched > expected {
             return Err(too_long());
         }
-        // A match may reach into what it writes.
+        // Copied byte by byte because a match may overlap its own output.
         for at in start..start + matched {
             decoded.push(decoded[at]);
         }
     }
     if decoded.len() != expected {
-        return Err(format!("{} bytes decoded instead of {expected}", decoded.len()));
+        return Err(format!("it decodes to {} bytes instead of {expected}", decoded.len()));
     }
     Ok(decoded)
 }
@@ -208,7 +211,7 @@ mod tests {
     const LZ4_FILE: &str = "d8 04 00 00 ff 1b 41 42 43 44 45 46 47 48 49 4a 4b 4c 4d 4e 4f 50 51 52 53 54 55 56 57 58 59 5a 5b 5c 5d 5e 5f 60 61 62 63 64 65 66 67 68 61 62 02 00 ff ff 45 1f 07 01 00 ff ff 41 50 07 07 07 07 07";
 
     #[test]
-    fn no_more_is_decoded_than_expected() {
+    fn decoding_stops_at_the_expected_size() {
         for compressor in [Compressor::Gzip, Compressor::Zlib, Compressor::Zstd] {
             let file = encoded(compressor, &vec![7; 1 << 20]);
             assert_eq!(compressor.decode(&file, 1 << 20).unwrap(), vec![7; 1 << 20]);
@@ -218,7 +221,7 @@ mod tests {
             );
             assert_eq!(
                 compressor.decode(&file, (1 << 20) + 1).unwrap_err(),
-                "1048576 bytes decoded instead of 1048577"
+                "it decodes to 1048576 bytes instead of 1048577"
             );
             for cut in [0, 1, 10, file.len() / 2, file.len() - 1] {
                 assert!(
@@ -231,7 +234,7 @@ mod tests {
 
     /// The frame header, RFC 8878, section 3.1.1.1: a single segment whose content size has eight bytes.
     #[test]
-    fn a_length_that_a_zstd_frame_claims_is_not_reserved() {
+    fn a_size_declared_by_a_zstd_frame_is_not_allocated() {
         let mut file = vec![0x28, 0xB5, 0x2F, 0xFD, 0xE0];
         file.extend(u64::MAX.to_le_bytes());
         file.extend([1, 0, 0]);

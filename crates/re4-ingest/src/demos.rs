@@ -1,4 +1,4 @@
-//! Sources of demonstrations, whatever their format: what a dataset holds, and its demonstrations one after the other.
+//! The interface of demonstration sources, independent of their format.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,36 +11,38 @@ use crate::left_out::refusal;
 use crate::tables::{LeftOut, PlanarColumns, SpatialColumns};
 use crate::warning::{Warning, WarningCode};
 
-/// A dataset of one format, opened: which of its demonstrations are asked for is known, and that they can be read.
+/// An opened dataset of one format. The requested demonstrations have been resolved and found readable.
 ///
-/// A new format is a module with one more of these; what is written of a demonstration is the same for all.
+/// A new format implements this trait in a module of its own; what is written to the tables is the same for all formats.
 pub trait DemoSource: Sync {
-    /// Whether something at a path looks like this format: by its first bytes, or by the names in a folder. Nothing else is read.
+    /// Whether the file or folder at a path looks like this format, judged by its first bytes or by the names in the folder.
     fn probe(path: &Path) -> bool
     where
         Self: Sized;
 
-    /// What the dataset holds.
+    /// Describes the contents of the dataset.
     fn info(&self) -> &Info;
 
-    /// The demonstrations that are asked for, in order.
+    /// The requested demonstrations, in order.
     fn demos(&self) -> &[DemoName];
 
-    /// Hands on these demonstrations in order, each with its place among them, or why it cannot be used. Only a bounded number of
-    /// them is in memory, unless the format keeps all its numbers in arrays of the whole dataset.
+    /// Reads the requested demonstrations in order and passes each to `take` with its index, or the reason why it cannot be used.
+    /// Only a bounded number of demonstrations is in memory at once, unless the format stores all numbers in arrays over the
+    /// whole dataset.
     ///
     /// # Errors
-    /// What is wrong with the dataset as a whole, or whatever `take` refuses.
+    /// A fault of the dataset as a whole, or an error that `take` returns.
     fn episodes<E: From<IngestError> + Send>(
         &self,
         take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E>;
 
-    /// Hands on the recorded images of a camera, block by block, of these demonstrations and numbers of frames, in order; numbers
-    /// in the blocks are places among these. A demonstration whose images cannot be decoded is handed on as left out.
+    /// Reads the recorded images of a camera and passes them to `take` in order, block by block. `of` lists the demonstrations
+    /// with their numbers of frames; demonstration indices in the blocks refer to it. A demonstration with images that cannot be
+    /// decoded is passed on as left out.
     ///
     /// # Errors
-    /// As [`Self::episodes`].
+    /// Same as [`Self::episodes`].
     fn images<E: From<IngestError>>(
         &self,
         camera: &str,
@@ -48,58 +50,58 @@ pub trait DemoSource: Sync {
         take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E>;
 
-    /// What is odd, beside what single demonstrations told, in a fixed order.
+    /// Returns the warnings about the dataset, including those about single demonstrations in `tally`, in a fixed order.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// A file cannot be read.
     fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError>;
 
-    /// Whether all files are still what they were when they were opened.
+    /// Checks that no file has changed since it was opened.
     ///
     /// # Errors
-    /// The first that is not.
+    /// Names the first file that changed.
     fn unchanged(&self) -> Result<(), IngestError>;
 }
 
-/// What a dataset holds.
+/// Description of a dataset.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Info {
-    /// The format, and its version.
+    /// The format and its version.
     pub format: String,
-    /// Control steps a second, in Hz; none where nothing says it.
+    /// Control rate in Hz; `None` if the dataset does not state it.
     pub rate: Option<f64>,
-    /// Cameras whose images are recorded and asked for, in the order of their names.
+    /// Cameras with recorded images that are requested, in alphabetical order.
     pub cameras: Vec<String>,
-    /// What is recorded of every frame, as the source calls it.
+    /// What is recorded in every frame, by the names of the source.
     pub features: Vec<String>,
     /// Whether the pose of the manipulated object is known.
     pub object_poses: bool,
-    /// Demonstrations of the whole dataset.
+    /// Number of demonstrations in the whole dataset.
     pub demonstrations: usize,
-    /// Names of the lists of demonstrations that can be filtered by.
+    /// Names of the lists of demonstrations that can be used as a filter.
     pub filter_keys: Vec<String>,
-    /// What is to be said of it in the words of its format, such as `environment`.
+    /// Further properties that are specific to the format, such as `environment`.
     #[serde(flatten)]
     pub details: Map<String, Value>,
 }
 
-/// A demonstration that is to be read. What it is called in the source is what it is called everywhere.
+/// A demonstration to read. Its name in the source is its name in all tables and messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DemoName {
-    /// Its name: that of a group such as `demo_12`, or of Push-T the word episode and its number.
+    /// Its name: that of an HDF5 group, such as `demo_12`, or `episode N` for Push-T.
     pub name: String,
-    /// Its number in the source; none where the name has none, it exceeds 32 bits, or another demonstration has the same.
+    /// Its number in the source; `None` if the name has none, it exceeds 32 bits, or another demonstration has the same number.
     pub number: Option<u32>,
     /// Filter keys that list it, in alphabetical order.
     pub filter_keys: Vec<String>,
 }
 
-/// Rows of numbers, one after the other.
+/// A row-major matrix.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Matrix {
-    /// Numbers of a row.
+    /// Number of columns.
     pub columns: usize,
-    /// All numbers.
+    /// All values, row by row.
     pub values: Vec<f64>,
 }
 
@@ -113,34 +115,34 @@ impl Matrix {
 /// A demonstration, in the frames, units and signs of the pipeline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
-    /// What it is called.
+    /// Its name.
     pub name: DemoName,
     /// Its frames.
     pub frames: Frames,
-    /// Flattened state of the simulator before each action, where it is recorded.
+    /// Flattened simulator state before each action, if recorded.
     pub states: Option<Matrix>,
-    /// The simulator's model, as MJCF, where there is one.
+    /// The simulator model as MJCF, if there is one.
     pub model: Option<Arc<str>>,
-    /// Distances (metres, radians) of recorded absolute actions from those that follow from recorded delta actions, beyond
-    /// the first step; none where only one kind is known.
+    /// Differences (metres, radians) between the recorded absolute actions and those computed from the recorded delta actions,
+    /// from the second step on; `None` if only one kind is available.
     pub goal_errors: Option<Vec<(f64, f64)>>,
-    /// Datasets that hold single precision.
+    /// Names of its datasets in single precision.
     pub single_precision: Vec<&'static str>,
-    /// What nothing needs and was left out for the values in it, in words.
+    /// Descriptions of optional data that was skipped because of invalid values.
     pub skipped: Vec<String>,
 }
 
-/// The frames of a demonstration, by where the task is.
+/// The frames of a demonstration, of a planar or a spatial task.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Frames {
-    /// In a plane.
+    /// Of a planar task, in SE(2).
     Planar(Vec<PlanarColumns>),
-    /// In space.
+    /// Of a spatial task, in SE(3).
     Spatial(Vec<SpatialColumns>),
 }
 
 impl Frames {
-    /// Their number.
+    /// Number of frames.
     pub fn count(&self) -> usize {
         match self {
             Self::Planar(frames) => frames.len(),
@@ -152,35 +154,35 @@ impl Frames {
 /// Consecutive images of a camera.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImageBlock {
-    /// Of each image, the place of its demonstration among those asked for, and its frame there.
+    /// For each image, the index of its demonstration among those requested, and its frame in that demonstration.
     pub places: Vec<(u32, u32)>,
     /// Rows of pixels.
     pub height: usize,
     /// Pixels of a row.
     pub width: usize,
-    /// Red, green and blue, pixel by pixel, first row at the top, image by image.
+    /// RGB bytes, pixel by pixel, top row first, image by image.
     pub bytes: Vec<u8>,
 }
 
-/// What was learned of the demonstrations that were used.
+/// Statistics about the demonstrations that were read, for warnings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tally {
-    /// The demonstrations in order, with their frames.
+    /// The demonstrations that were used, in order, with their numbers of frames.
     pub demos: Vec<(DemoName, usize)>,
-    /// Those that cannot be used.
+    /// The demonstrations that cannot be used.
     pub left_out: Vec<LeftOut>,
-    /// Errors of converted actions, of all that are known in both kinds.
+    /// Differences (metres, radians) between recorded and computed absolute actions, of all demonstrations that have both kinds.
     pub goal_errors: Vec<(f64, f64)>,
-    /// Demonstrations of which one kind alone is known.
+    /// Demonstrations with only one kind of action.
     pub not_compared: Vec<String>,
-    /// Datasets that hold single precision, by demonstration.
+    /// Datasets in single precision, by demonstration.
     single_precision: Vec<(String, &'static str)>,
-    /// What is not used for the values in it.
+    /// Descriptions of data that was skipped because of invalid values.
     skipped: Vec<String>,
 }
 
 impl Tally {
-    /// Notes a demonstration.
+    /// Adds a demonstration that was used.
     pub fn add(&mut self, episode: &mut Episode) {
         let name = &episode.name.name;
         match &episode.goal_errors {
@@ -199,22 +201,22 @@ impl Tally {
         self.demos.iter().map(|(_, frames)| frames).sum()
     }
 
-    /// That demonstrations were left out, where any were, `of` so many.
+    /// The warning about demonstrations that were left out of `of` in total, if any.
     pub(crate) fn left_out_warning(&self, of: usize) -> Option<Warning> {
         let left = &self.left_out;
         let message = || format!("left out: {}", refusal(left, of));
         (!left.is_empty()).then(|| Warning::new(WarningCode::LeftOut, message(), left.len()))
     }
 
-    /// What single demonstrations had that is odd.
+    /// Warnings about single demonstrations.
     pub(crate) fn warnings(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
         if let Some(first) = self.skipped.first() {
-            let message = format!("{first}; these values are not used, and stay empty in the table");
+            let message = format!("{first}; these values are not ingested and stay null in the table");
             warnings.push(Warning::new(WarningCode::SkippedValues, message, self.skipped.len()));
         }
         if let Some((demo, dataset)) = self.single_precision.first() {
-            let message = format!("single precision in {demo}/{dataset}, widened to double precision");
+            let message = format!("{demo}/{dataset} has single precision and was converted to double precision");
             let count = self.single_precision.len();
             warnings.push(Warning::new(WarningCode::SinglePrecision, message, count));
         }

@@ -1,4 +1,4 @@
-//! Why an ingest stops: one sentence that says what, where and how to fix it.
+//! Errors of ingesting a dataset. Each message states what is wrong and where, and after the first `"; "` how to fix it.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -21,112 +21,112 @@ pub struct IngestError {
     pub fault: Box<Fault>,
 }
 
-/// What is wrong with a dataset. Frames are rows of the arrays, counted from 0 over the whole dataset.
+/// A fault of a dataset. Frames are rows of the arrays, counted from 0 over the whole dataset.
 #[derive(Debug, Error)]
 pub enum Fault {
-    /// Nothing at the path.
+    /// There is nothing at the path.
     #[error("there is no such file or folder; correct the path, or fetch the dataset first")]
     MissingPath,
     /// Neither a regular file nor a folder, or a folder where a file is needed.
     #[error("it is {what}, not a regular file; give the path of the file itself")]
     NotAFile {
-        /// What it is.
+        /// Description of what is at the path.
         what: &'static str,
     },
-    /// A file that is no longer what it was when it was opened.
+    /// A file changed after it was opened.
     #[error(
-        "{} changed while it was read, so nothing was published; wait until whatever writes it is done and run again",
+        "{} changed while it was read, so nothing was published; wait until the program that writes it has finished, then run again",
         path.display()
     )]
     Changed {
         /// The file.
         path: PathBuf,
     },
-    /// The caller asked to stop.
-    #[error("reading was stopped; run again to go on")]
+    /// The caller requested a stop.
+    #[error("reading was stopped; run again to continue")]
     Stopped,
-    /// A folder without content.
-    #[error("the folder is empty; give the folder of a zarr store (it holds .zgroup, data/ and meta/)")]
+    /// The folder is empty.
+    #[error("the folder is empty; give the folder of a zarr store (it contains .zgroup, data/ and meta/)")]
     EmptyFolder,
-    /// A folder that is no store.
+    /// The folder is not a store.
     #[error("it is not a zarr store (no .zgroup in it); {hint}")]
     NotAStore {
-        /// What to give instead.
+        /// The remedy.
         hint: String,
     },
-    /// An array where a group should be.
-    #[error("it is a single zarr array, not a dataset; give the folder above data/ and meta/")]
+    /// The path is an array, but a group is needed.
+    #[error("it is a single zarr array, not a dataset; give the folder that contains data/ and meta/")]
     SingleArray,
-    /// A file of another kind where a store should be.
+    /// The path is a file that is not a zip file.
     #[error("{what}; {fix}")]
     NotAStoreFile {
-        /// What it is.
+        /// Description of the file.
         what: &'static str,
-        /// How to get a store of it.
+        /// The remedy.
         fix: &'static str,
     },
-    /// Something of a store that is neither a regular file nor a folder.
+    /// An entry of the store is neither a regular file nor a folder.
     #[error("{file} of the store is {what}, not a regular file; remove it, or restore the file")]
     NotAFileInside {
         /// Path within the store.
         file: String,
-        /// What it is.
+        /// Description of what is at the path.
         what: &'static str,
     },
-    /// A file that is no zip.
+    /// The zip file cannot be opened.
     #[error("the zip file is unreadable ({why}); download or pack it again")]
     UnreadableZip {
-        /// The unpacker's words.
+        /// Message of the zip library.
         why: String,
     },
-    /// An entry of a zip that cannot be unpacked.
+    /// An entry of a zip file cannot be unpacked.
     #[error("entry {entry} of the zip file is unreadable ({why}); download or pack it again")]
     UnreadableZipEntry {
         /// Name of the entry.
         entry: String,
-        /// The unpacker's words.
+        /// Message of the zip library.
         why: String,
     },
-    /// An entry that would be unpacked outside the store.
+    /// An entry of a zip file that would be unpacked outside the store.
     #[error(
-        "entry {entry} of the zip file is a link or leads outside of it; pack the store again without such entries"
+        "entry {entry} of the zip file is a symbolic link or its path leads outside the archive; pack the store again without such entries"
     )]
     UnsafeZipEntry {
         /// Name of the entry.
         entry: String,
     },
-    /// A link in a folder store that leads back to a folder that holds it.
-    #[error("{link} is a link to a folder that it lies in; remove the link")]
+    /// A link in a folder store points to one of its own parent folders.
+    #[error("{link} is a symbolic link to one of its own parent folders; remove the link")]
     CircularLink {
         /// Path of the link within the store.
         link: String,
     },
-    /// A zip without a store.
+    /// The zip file contains no store.
     #[error(
-        "the zip file holds no zarr store (no .zgroup or zarr.json at its root or up to two folders down); pack the folder of the store"
+        "the zip file contains no zarr store (no .zgroup or zarr.json at its root or up to two folders deep); zip the folder of the store"
     )]
     ZipWithoutStore,
-    /// A zip with more than one store.
-    #[error("the zip file holds {count} zarr stores ({first} and {second} among them); pack one store only")]
+    /// The zip file contains more than one store.
+    #[error("the zip file contains {count} zarr stores, including {first} and {second}; zip only one store")]
     SeveralStoresInZip {
-        /// How many.
+        /// Number of stores.
         count: usize,
         /// The first in alphabetical order.
         first: String,
         /// The second in alphabetical order.
         second: String,
     },
-    /// The operating system refused something.
+    /// An operation of the operating system failed.
     #[error("cannot {action} {}: {source}; {}", path.display(), io_fix(source))]
     Io {
-        /// What was tried, such as "read".
+        /// The operation, such as "read".
         action: &'static str,
-        /// On which path.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         source: io::Error,
     },
-    /// A required array is not there.
+    /// A required array is missing.
     #[error(
         "array {array} is missing (no {array}/{file}{}); restore it, or give a complete dataset",
         there(arrays)
@@ -134,12 +134,12 @@ pub enum Fault {
     MissingArray {
         /// Array within the store.
         array: String,
-        /// Name of its metadata.
+        /// Name of its metadata file.
         file: &'static str,
-        /// Arrays that the store has.
+        /// Arrays that the store contains.
         arrays: Vec<String>,
     },
-    /// Metadata of an array that cannot be understood.
+    /// The metadata of an array is invalid.
     #[error("the metadata of array {array} ({file}) cannot be read: {why}; restore that file")]
     ArrayMetadata {
         /// Array within the store.
@@ -149,9 +149,9 @@ pub enum Fault {
         /// What is wrong with it.
         why: String,
     },
-    /// A valid encoding that this reader does not know.
+    /// The encoding of an array is valid but not supported.
     #[error(
-        "array {array} is stored in a way that is not supported: {why}; rewrite it with zarr's default compressor and no filters"
+        "array {array} uses an unsupported encoding: {why}; rewrite it with zarr's default compressor and no filters"
     )]
     Encoding {
         /// Array within the store.
@@ -159,9 +159,9 @@ pub enum Fault {
         /// What is not supported.
         why: String,
     },
-    /// Chunks too large for the memory budget.
+    /// The chunks of an array exceed the memory budget.
     #[error(
-        "array {array} has chunks of {} MiB and the limit is {} MiB; rewrite it with smaller chunks along its first axis",
+        "array {array} has chunks of {} MiB, but the limit is {} MiB; rewrite it with smaller chunks along its first axis",
         bytes.div_ceil(1 << 20), limit >> 20
     )]
     ChunkTooLarge {
@@ -172,7 +172,7 @@ pub enum Fault {
         /// The limit.
         limit: u64,
     },
-    /// An array of the wrong element type.
+    /// The element type of an array is not accepted.
     #[error(
         "array {array} has dtype {found}, but {expected} is expected; convert it{}",
         or_without(array)
@@ -180,12 +180,12 @@ pub enum Fault {
     WrongDtype {
         /// Array within the store.
         array: String,
-        /// As written in `.zarray`.
+        /// Type as written in the metadata.
         found: String,
-        /// Types that are accepted.
+        /// Accepted types, in words.
         expected: &'static str,
     },
-    /// An array of the wrong shape.
+    /// The shape of an array is not accepted.
     #[error(
         "array {array} has shape {found:?}, but {expected} is expected (N: number of frames); reshape it, or give a Push-T dataset{}",
         or_without(array)
@@ -195,12 +195,12 @@ pub enum Fault {
         array: String,
         /// Its shape.
         found: Vec<u64>,
-        /// The shape in words.
+        /// Accepted shape, in words.
         expected: &'static str,
     },
-    /// Arrays of different lengths.
+    /// The length of an array differs from that of `data/state`.
     #[error(
-        "array {array} has {found} frames and data/state has {expected}; every array of data/ must have one row per frame, so restore or cut the odd one"
+        "array {array} has {found} frames, but data/state has {expected}; every array in data/ must have one row per frame, so restore or truncate the array that differs"
     )]
     LengthMismatch {
         /// Array within the store.
@@ -210,17 +210,17 @@ pub enum Fault {
         /// Length of `data/state`.
         expected: u64,
     },
-    /// More frames than are read.
-    #[error("data/state has {frames} frames, and at most {limit} are read; split the dataset")]
+    /// There are too many frames.
+    #[error("data/state has {frames} frames, more than the limit of {limit}; split the dataset")]
     TooManyFrames {
         /// Frames of the dataset.
         frames: u64,
         /// The limit.
         limit: u64,
     },
-    /// More episodes than frames.
+    /// There are more episodes than frames.
     #[error(
-        "meta/episode_ends has {episodes} entries and data/state has {frames} frames; every episode has a frame or more, so repair or restore meta/episode_ends"
+        "meta/episode_ends has {episodes} entries, but data/state has {frames} frames; every episode needs at least one frame, so repair or restore meta/episode_ends"
     )]
     TooManyEnds {
         /// Entries of `meta/episode_ends`.
@@ -228,58 +228,60 @@ pub enum Fault {
         /// Frames in the arrays.
         frames: u64,
     },
-    /// No episodes.
+    /// There are no episodes.
     #[error("meta/episode_ends is empty, so the dataset has no episodes; give a dataset with at least one")]
     NoEpisodes,
-    /// A negative end.
-    #[error("meta/episode_ends is negative at index {index} ({value}); ends are frame counts, so repair that entry")]
+    /// An entry of `meta/episode_ends` is negative.
+    #[error(
+        "meta/episode_ends is negative at index {index} ({value}); ends are cumulative frame counts, so repair that entry"
+    )]
     NegativeEnd {
-        /// Episode.
+        /// Index of the entry.
         index: usize,
-        /// Its end.
+        /// The entry.
         value: i128,
     },
-    /// Ends that do not grow.
+    /// Entries of `meta/episode_ends` do not increase.
     #[error(
         "meta/episode_ends is not strictly increasing at index {index} ({value} after {previous}); repair that entry"
     )]
     EndsNotIncreasing {
-        /// Episode.
+        /// Index of the entry.
         index: usize,
-        /// Its end.
+        /// The entry.
         value: i128,
-        /// End of the episode before it; 0 for the first.
+        /// The entry before it; 0 for the first.
         previous: i128,
     },
-    /// Ends that do not cover the arrays.
+    /// The last entry of `meta/episode_ends` does not equal the number of frames.
     #[error(
-        "meta/episode_ends ends at frame {last} (index {index}) but the arrays have {frames} frames; the last end must be the number of frames, so repair it or restore the missing frames"
+        "meta/episode_ends ends at frame {last} (index {index}) but the arrays have {frames} frames; the last end must equal the number of frames, so repair it or restore the missing frames"
     )]
     EndsDoNotMatch {
-        /// The last episode.
+        /// Index of the last entry.
         index: usize,
-        /// Its end.
+        /// The last entry.
         last: i128,
         /// Frames in the arrays.
         frames: u64,
     },
-    /// A chunk that is not stored, where it cannot stand for the fill value.
+    /// A chunk is not stored, and may not be replaced by the fill value.
     #[error("{}", missing_chunk(array, chunk, *more, *inside, fill.as_deref(), *fills_are_stored))]
     MissingChunk {
         /// Array within the store.
         array: String,
         /// Name of the chunk's file within the array.
         chunk: String,
-        /// How many others of the array are missing, too.
+        /// Number of further missing chunks of the array.
         more: u64,
-        /// Number of the chunk in its file, where files hold several.
+        /// Number of the chunk in its file, if a file contains several (a shard).
         inside: Option<usize>,
-        /// The fill value as it is written in the metadata, if there is one.
+        /// The fill value as written in the metadata, if there is one.
         fill: Option<String>,
-        /// Whether other chunks hold nothing else and are stored.
+        /// Whether other chunks that contain only the fill value are stored.
         fills_are_stored: bool,
     },
-    /// A chunk file that cannot be decoded.
+    /// A chunk file cannot be decoded.
     #[error("chunk {chunk} of array {array} cannot be decoded (file {array}/{chunk}): {why}; restore that file")]
     UndecodableChunk {
         /// Array within the store.
@@ -289,7 +291,7 @@ pub enum Fault {
         /// What is wrong with it.
         why: String,
     },
-    /// A NaN or an infinity.
+    /// A value is NaN or infinite.
     #[error(
         "array {array} has {value} at frame {frame} (episode {episode}), column {column} ({name}); remove or repair that frame, or leave that episode out"
     )]
@@ -307,7 +309,7 @@ pub enum Fault {
         /// The value.
         value: f64,
     },
-    /// A value no Push-T recording can have.
+    /// A value is outside the range of Push-T recordings.
     #[error(
         "array {array} has {value} at frame {frame} (episode {episode}), column {column} ({name}), outside {low} to {high} {unit}; repair that frame, convert its units, or leave that episode out"
     )]
@@ -331,9 +333,9 @@ pub enum Fault {
         /// Unit of the range.
         unit: &'static str,
     },
-    /// A number of contacts that is no count.
+    /// A number of contacts is not a non-negative integer.
     #[error(
-        "array data/n_contacts has {value} at frame {frame} (episode {episode}), which is no count; repair that frame, or leave that episode out"
+        "array data/n_contacts has {value} at frame {frame} (episode {episode}), which is not a valid contact count; repair that frame, or leave that episode out"
     )]
     NotACount {
         /// Frame.
@@ -343,9 +345,9 @@ pub enum Fault {
         /// The value.
         value: f64,
     },
-    /// An image value that is no byte.
+    /// An image value is not an integer from 0 to 255.
     #[error(
-        "array data/img has {value} at frame {frame}, row {row}, column {column}, channel {channel}; images hold whole numbers from 0 to 255, so repair or convert that frame"
+        "array data/img has {value} at frame {frame}, row {row}, column {column}, channel {channel}; images contain integers from 0 to 255, so repair or convert that frame"
     )]
     NotAByte {
         /// Frame.
@@ -359,9 +361,9 @@ pub enum Fault {
         /// The value.
         value: f64,
     },
-    /// Images scaled to 0..1.
+    /// Image values are scaled to 0..1.
     #[error(
-        "array data/img looks scaled to 0..1 (it has {value} at frame {frame}); images hold whole numbers from 0 to 255, so multiply it by 255 and round"
+        "array data/img looks scaled to 0..1 (it has {value} at frame {frame}); images contain integers from 0 to 255, so multiply it by 255 and round"
     )]
     ScaledImages {
         /// Frame.
@@ -369,13 +371,15 @@ pub enum Fault {
         /// The first fractional value.
         value: f64,
     },
-    /// An end that is no whole number.
-    #[error("meta/episode_ends is no whole number at index {index}; ends are frame counts, so repair that entry")]
+    /// An entry of `meta/episode_ends` is not an integer.
+    #[error(
+        "meta/episode_ends is not an integer at index {index}; ends are cumulative frame counts, so repair that entry"
+    )]
     FractionalEnd {
-        /// Episode.
+        /// Index of the entry.
         index: usize,
     },
-    /// More columns than a state has, which are not the agent's velocity.
+    /// States have seven columns, but the last two are not the agent's velocity.
     #[error(
         "array data/state has seven columns, and the last two are not the agent's velocity ({why}); keep agent_x, agent_y, block_x, block_y, block_theta"
     )]
@@ -383,66 +387,66 @@ pub enum Fault {
         /// What was found.
         why: String,
     },
-    /// An episode that is not as the others are.
+    /// An episode contradicts the others.
     #[error("{what} (episode {episode}), unlike the other episodes; repair it, or leave that episode out")]
     Contradicts {
         /// Episode.
         episode: u32,
-        /// What is odd about it.
+        /// What is unusual about it.
         what: String,
     },
-    /// Numbers that are not what the settings say that they are.
+    /// Values contradict the settings, or the conventions of the original dataset.
     #[error("{what}; {fix}")]
     Convention {
-        /// What was found, with the figures.
+        /// What was found, with the values.
         what: String,
-        /// What to set, or to convert.
+        /// What to set or to convert.
         fix: String,
     },
-    /// Episodes that cannot be used.
+    /// Episodes cannot be used.
     #[error("{}", unusable(*bad, *episodes, list, *more, *all))]
     Episodes {
-        /// How many.
+        /// Number of these episodes.
         bad: usize,
-        /// Of how many that were selected.
+        /// Number of selected episodes.
         episodes: usize,
-        /// What is wrong with them, one entry a fault, without remedies.
+        /// Their faults, one entry each, without remedies.
         list: Vec<String>,
-        /// Faults beyond these.
+        /// Number of faults that are not listed.
         more: usize,
-        /// Whether leaving them out is no remedy, as nothing would be left or it was asked for already.
+        /// Whether `ingest.on_bad = "leave_out"` is no remedy, because no episode would remain or because it is set already.
         all: bool,
     },
     /// Several faults of the dataset as a whole.
-    #[error("{} things are wrong with it:{}", list.len() + more, several(list, *more))]
+    #[error("{} problems were found:{}", list.len() + more, several(list, *more))]
     Several {
-        /// A sentence for each.
+        /// One message for each fault.
         list: Vec<String>,
-        /// Faults beyond these.
+        /// Number of faults that are not listed.
         more: usize,
     },
-    /// Images asked for, but none there.
+    /// Images are requested, but there are none.
     #[error("the dataset has no images (no array data/img); ingest it without images")]
     NoImages,
-    /// A selection that does not fit.
+    /// The selection does not match the dataset.
     #[error(transparent)]
     Selection(#[from] SelectionError),
-    /// An HDF5 file that is not as it has to be.
+    /// An HDF5 file cannot be used.
     #[error(transparent)]
     Hdf5(#[from] Hdf5Fault),
 }
 
 impl IngestError {
-    /// Whether a file was opened without the HDF5 library and cannot be read so.
+    /// Whether a file was opened without the HDF5 library but needs it.
     pub fn needs_library(&self) -> bool {
         matches!(*self.fault, Fault::Hdf5(Hdf5Fault::NeedsLibrary))
     }
 }
 
-/// Entries of a list that are spelled out.
+/// Maximum number of list entries in a message.
 const SPELLED_OUT: usize = 20;
 
-/// What a store has, in brackets of a sentence that says what it lacks.
+/// The arrays of a store, as a clause for the parentheses after a missing array's name.
 fn there(arrays: &[String]) -> String {
     match arrays {
         [] => String::new(),
@@ -469,19 +473,19 @@ fn missing_chunk(
     let why = match fill {
         Some(fill) if fills_are_stored => {
             format!(
-                "others that hold nothing but the fill value {fill} are stored, so that it was not left out for that"
+                "other chunks that contain only the fill value {fill} are stored, so this one was not omitted for that reason"
             )
         }
         Some(fill) => {
-            format!("the fill value {fill}, which zarr's rule puts in its place, is not what a recording holds")
+            format!("the fill value {fill}, which zarr would substitute, is not valid recorded data")
         }
-        None => "the array has no fill value that could stand for it".to_owned(),
+        None => "the array has no fill value to substitute".to_owned(),
     };
     let files = if more == 0 { "that file" } else { "those files" };
-    format!("{which}, and {why}; restore {files}, since the data is lost")
+    format!("{which}, and {why}; restore {files}, because the data is lost")
 }
 
-/// What else to do about an array that need not be there.
+/// An alternative remedy for an optional array.
 fn or_without(array: &str) -> &'static str {
     match array {
         "data/keypoint" | "data/n_contacts" => ", or remove the array, which is optional",
@@ -498,7 +502,7 @@ fn unusable(bad: usize, of: usize, list: &[String], more: usize, all: bool) -> S
     let fix = if all {
         "repair them"
     } else {
-        "repair them, or set ingest.on_bad = \"leave_out\" to go on with the others"
+        "repair them, or set ingest.on_bad = \"leave_out\" to ingest the others"
     };
     format!(
         "{bad} of {of} episodes cannot be used: {}{more}; {fix}",
@@ -519,17 +523,17 @@ fn several(list: &[String], more: usize) -> String {
 }
 
 impl Fault {
-    /// What is wrong, without the remedy.
+    /// The fault without the remedy.
     pub(crate) fn what(&self) -> String {
         parts(&self.to_string()).0.to_owned()
     }
 
-    /// Whether reading has to end at once: nothing more can be said of the dataset.
+    /// Whether reading must end at once, because nothing reliable can be said about the rest of the dataset.
     pub(crate) fn ends_reading(&self) -> bool {
         matches!(self, Self::Stopped | Self::Changed { .. } | Self::Io { .. })
     }
 
-    /// One fault of several of the dataset as a whole; `None` if there are none.
+    /// Combines faults of the dataset as a whole into one; `None` if there are none.
     pub(crate) fn of_all(mut faults: Vec<Self>) -> Option<Self> {
         if let Some(place) = faults.iter().position(Self::ends_reading) {
             return Some(faults.swap_remove(place));
@@ -543,7 +547,7 @@ impl Fault {
         })
     }
 
-    /// One fault of several of single episodes. `bad` of `episodes` are affected.
+    /// Combines faults of single episodes into one. `bad` of `episodes` are affected.
     pub(crate) fn of_episodes(faults: &[Self], bad: usize, episodes: usize, all: bool) -> Self {
         Self::Episodes {
             bad,
@@ -554,7 +558,7 @@ impl Fault {
         }
     }
 
-    /// Attaches the dataset's path.
+    /// Adds the dataset's path.
     pub(crate) fn of(self, dataset: &Path) -> IngestError {
         IngestError {
             dataset: dataset.to_owned(),

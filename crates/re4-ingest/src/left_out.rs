@@ -9,22 +9,23 @@ use crate::tables::LeftOut;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnBad {
-    /// Refuse the dataset, naming all of them.
+    /// Refuse the dataset, and name all such demonstrations.
     #[default]
     Refuse,
-    /// Go on with the others; the artifact lists those that were left out.
+    /// Ingest the other demonstrations; the artifact lists those that were left out.
     LeaveOut,
 }
 
-/// Demonstrations that are named one by one in a sentence.
+/// Maximum number of demonstrations that a message names individually.
 const NAMED: usize = 20;
 
-/// What is wrong, and what to do about it, of a sentence that says both.
+/// Splits a message into the fault and its remedy, which the first `"; "` separates.
 pub(crate) fn parts(sentence: &str) -> (&str, &str) {
     sentence.split_once("; ").unwrap_or((sentence, ""))
 }
 
-/// Why a dataset of so many demonstrations is refused for these: one alone with its own sentence, several in one.
+/// Returns the message that refuses a dataset of `of` demonstrations because of these. A single fault keeps its own message;
+/// several are listed in one message.
 pub fn refusal(left: &[LeftOut], of: usize) -> String {
     if let [only] = left {
         return only.why.clone();
@@ -43,13 +44,14 @@ pub fn refusal(left: &[LeftOut], of: usize) -> String {
         more => format!(" and {more} more"),
     };
     format!(
-        "{} of {of} demonstrations cannot be used: {}{more}; repair them, leave them out with ingest.select, or set ingest.on_bad = \"leave_out\" to go on without them",
+        "{} of {of} demonstrations cannot be used: {}{more}; repair them, leave them out with ingest.select, or set ingest.on_bad = \"leave_out\" to ingest the others",
         left.len(),
         named.join(", ")
     )
 }
 
-/// The first sentence, where all say the same of other demonstrations and in other numbers: then that is how the dataset is.
+/// Returns one message for all demonstrations if their messages differ only in names and numbers: the fault is then a property of
+/// the whole dataset.
 fn same(left: &[LeftOut]) -> Option<String> {
     let plain = |left: &LeftOut| -> String {
         let text = left.why.replace(&left.demo, "");
@@ -58,7 +60,12 @@ fn same(left: &[LeftOut]) -> Option<String> {
     let first = left.first()?;
     let (what, remedy) = parts(&first.why);
     let all = left.iter().all(|other| plain(other) == plain(first));
-    all.then(|| format!("{what}, and so in all {} demonstrations; {remedy}", left.len()))
+    all.then(|| {
+        format!(
+            "{what}, and all {} demonstrations have this fault; {remedy}",
+            left.len()
+        )
+    })
 }
 
 #[cfg(test)]
@@ -66,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_faults_are_told_at_once() {
+    fn all_faults_are_listed_at_once() {
         let left = |demo: usize| LeftOut {
             demo: format!("demo_{demo}"),
             why: format!("row {demo} is odd; repair it"),
@@ -78,7 +85,7 @@ mod tests {
             "{two}"
         );
         let all = refusal(&[left(3), left(5)], 2);
-        assert_eq!(all, "row 3 is odd, and so in all 2 demonstrations; repair it");
+        assert_eq!(all, "row 3 is odd, and all 2 demonstrations have this fault; repair it");
         let many: Vec<LeftOut> = (0..25).map(left).collect();
         assert!(refusal(&many, 30).contains("demo_19 (row 19 is odd) and 5 more; "));
     }

@@ -1,10 +1,12 @@
 //! Readers and writers of raw demonstration datasets.
 //!
-//! A dataset of any format is a [`DemoSource`]: it is told by a look at its path, says what it holds, and hands on demonstrations one
-//! after the other, what is wrong with one as a value. [`pusht`] reads the Push-T replay dataset, a Zarr store of format 2 or 3, as a folder or in a `.zip` file, and writes it. [`robomimic`] reads
-//! demonstrations of robosuite's tasks from HDF5 files. A reader
-//! checks everything it hands on; what it refuses is an [`IngestError`] that names the array and the index, what it
-//! only finds odd is a [`Warning`] that travels with the data.
+//! A dataset of any format is a [`DemoSource`]: it is recognized by its path, describes its contents, and yields demonstrations
+//! one after the other. A fault of a single demonstration is a value ([`LeftOut`]), not an error. [`pusht`] reads and writes the
+//! Push-T replay dataset, a Zarr store of format 2 or 3 in a folder or a `.zip` file. [`robomimic`] reads demonstrations of
+//! robosuite's tasks from HDF5 files.
+//!
+//! A reader checks everything that it returns. An [`IngestError`] rejects a dataset and names the array and the index; a
+//! [`Warning`] reports something unusual and is returned with the data.
 
 mod bitplanes;
 mod compression;

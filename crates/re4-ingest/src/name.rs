@@ -1,4 +1,4 @@
-//! What a source calls its demonstrations, their order, and how a user names one.
+//! Names of demonstrations in their source, the order of names, and how a user selects one.
 
 use std::borrow::Cow;
 use std::cmp::Ordering;
@@ -8,40 +8,41 @@ use re4_episode::episode_name;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, de};
 
-/// What a source calls a demonstration.
+/// The name of a demonstration in its source.
 ///
-/// They are ordered by the numbers that they end in, whatever stands before these, then by name: `demo1`, `demo2`, `demo10`. Those
-/// without a number come last. Numbers inside names count as numbers, too, so that `take2b` comes before `take10b`. No number is
-/// too long.
+/// Names are ordered by the number at their end, whatever precedes it, then by the whole name: `demo1`, `demo2`, `demo10`. Names
+/// without a number at the end come last. Digits inside a name are compared as numbers, too, so that `take2b` precedes `take10b`.
+/// Numbers may have any number of digits.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct SourceName {
     name: String,
-    /// Where the digits that it ends in begin, leading zeros left out; where there are none, its length.
+    /// Byte index at which the digits at the end begin, without leading zeros; the length of the name if it does not end in a
+    /// digit.
     digits: usize,
 }
 
-/// A demonstration as a selection names it.
+/// A demonstration as a selection refers to it.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize)]
 #[serde(untagged)]
 pub enum Pick {
-    /// Its own number: for Push-T that of the episode, from 0, for an HDF5 file that which the name of its group ends in.
+    /// Its number: the episode number of Push-T, counted from 0, or the number at the end of an HDF5 group's name.
     Number(u64),
-    /// Its name: that of its group, such as `demo_3`; for Push-T, the word episode and the number.
+    /// Its name: that of an HDF5 group, such as `demo_3`, or `episode N` for Push-T.
     Name(String),
 }
 
 impl SourceName {
-    /// A name as the source has it.
+    /// Creates a name from the text in the source.
     pub fn new(name: impl Into<String>) -> Self {
         let name = name.into();
         let before = name.trim_end_matches(|c: char| c.is_ascii_digit()).len();
         let zeros = name[before..].len() - name[before..].trim_start_matches('0').len();
-        // Of 000 the last digit is the number.
+        // `000` consists of leading zeros only; its last digit is kept as the number 0.
         let digits = (before + zeros).min(name.len().saturating_sub(1)).max(before);
         Self { name, digits }
     }
 
-    /// An episode of Push-T, by its number in the dataset.
+    /// Name of a Push-T episode, by its number in the dataset.
     pub fn episode(number: u32) -> Self {
         Self::new(episode_name(number))
     }
@@ -51,22 +52,22 @@ impl SourceName {
         &self.name
     }
 
-    /// Its own number as decimal digits without leading zeros; none where the name does not end in a digit.
+    /// Its number as decimal digits without leading zeros; `None` if the name does not end in a digit.
     pub fn digits(&self) -> Option<&str> {
         self.name.get(self.digits..).filter(|digits| !digits.is_empty())
     }
 
-    /// Its own number, where it has one of at most 64 bits.
+    /// Its number; `None` if it has none or the number exceeds 64 bits.
     pub fn number(&self) -> Option<u64> {
         self.digits()?.parse().ok()
     }
 
-    /// What stands before the digits that it ends in.
+    /// The part of the name before the digits at its end.
     pub(crate) fn stem(&self) -> &str {
         self.name.trim_end_matches(|c: char| c.is_ascii_digit())
     }
 
-    /// The name that a demonstration with another number would have: `demo_7` of `demo_3`.
+    /// The name with another number, zero-padded to the same width if this one is padded: `demo_7` for `demo_3`.
     pub(crate) fn with_number(&self, number: u64) -> String {
         let stem = self.stem();
         let width = self.name.len() - stem.len();
@@ -103,12 +104,12 @@ impl PartialOrd for SourceName {
     }
 }
 
-/// Numbers of any length, without leading zeros.
+/// Compares numbers of any length, given without leading zeros.
 fn compare_digits(a: &str, b: &str) -> Ordering {
     a.len().cmp(&b.len()).then_with(|| a.cmp(b))
 }
 
-/// Natural order: runs of digits are compared as numbers, all else byte by byte.
+/// Natural order: runs of digits are compared as numbers, all other bytes individually.
 fn natural(a: &str, b: &str) -> Ordering {
     fn runs(text: &str) -> impl Iterator<Item = &[u8]> {
         text.as_bytes()
@@ -131,7 +132,7 @@ fn natural(a: &str, b: &str) -> Ordering {
 }
 
 impl Pick {
-    /// Whether it is this demonstration.
+    /// Whether it refers to this demonstration.
     pub(crate) fn means(&self, name: &SourceName) -> bool {
         match self {
             Self::Number(number) => name.number() == Some(*number),
@@ -140,7 +141,7 @@ impl Pick {
     }
 }
 
-/// As TOML writes it.
+/// The TOML form.
 impl fmt::Display for Pick {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -162,7 +163,7 @@ impl From<&str> for Pick {
     }
 }
 
-/// By hand, since a value that is neither is then named in the message.
+// Written by hand because the derived implementation for untagged enums does not name the offending value in its message.
 impl<'de> Deserialize<'de> for Pick {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Visitor;
@@ -200,7 +201,7 @@ impl JsonSchema for Pick {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "A demonstration: its own number (that of a Push-T episode, from 0, or that which the name of a group of an HDF5 file ends in, 3 for demo_3), or its name.",
+            "description": "A demonstration: its number (of a Push-T episode, counted from 0, or at the end of the name of an HDF5 group, 3 for demo_3), or its name.",
             "anyOf": [
                 { "type": "integer", "minimum": 0 },
                 { "type": "string" }
@@ -214,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_come_in_the_order_of_the_numbers_they_end_in() {
+    fn names_are_ordered_by_the_number_at_their_end() {
         for sorted in [
             &["demo1", "demo2", "demo10", "demo11"][..],
             &["demo_0", "demo_2", "demo_03", "demo_10", "notes"],
@@ -233,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_has_the_number_that_it_ends_in() {
+    fn the_number_of_a_name_is_at_its_end() {
         for (name, digits) in [
             ("demo_3", Some("3")),
             ("demo3", Some("3")),

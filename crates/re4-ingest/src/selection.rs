@@ -1,4 +1,4 @@
-//! Which demonstrations of a dataset to read.
+//! Selection of the demonstrations of a dataset.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -11,33 +11,34 @@ use thiserror::Error;
 
 use crate::name::{Pick, SourceName};
 
-/// Names in a sentence; more are counted.
+/// Maximum number of names in a message; of more, only the first and the last are listed.
 const NAMES_SHOWN: usize = 8;
 
-/// Which demonstrations to read, by what the source calls them. Those of Push-T are its episodes, numbered from 0; those of an HDF5
-/// file are groups, each with the number that its name ends in: `demo_3` has 3. They come in the order of these numbers, and those
-/// without one last. With `ingest.filter`, what is selected are demonstrations that the filter key lists.
+/// The demonstrations to read, by their names or numbers in the source. Demonstrations of Push-T are its episodes, counted from
+/// zero. Demonstrations of an HDF5 file are groups, numbered by the digits at the end of their names: `demo_3` has the number 3.
+/// They are ordered by number; those without a number come last. With `ingest.filter`, only demonstrations that the filter key
+/// lists can be selected.
 ///
 /// In TOML it is one of `"all"`, `{ first = 50 }`, `{ last = 10 }`, `{ episodes = [0, 3, "demo_5"] }` (numbers or names) and
-/// `{ range = "10..20" }` (half-open, by number); any other key is refused.
+/// `{ range = "10..20" }` (half-open, by number). Any other key is refused.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Selection {
     /// Every demonstration.
     #[default]
     All,
-    /// The first so many demonstrations.
+    /// The first N demonstrations.
     First(u32),
-    /// The last so many demonstrations.
+    /// The last N demonstrations.
     Last(u32),
-    /// These demonstrations, each once, in any order.
+    /// These demonstrations, each listed once, in any order.
     #[serde(rename = "episodes")]
     List(Vec<Pick>),
-    /// Demonstrations whose numbers are in a half-open range; numbers in it that none has are passed over.
+    /// Demonstrations with numbers in a half-open range; numbers in it that no demonstration has are ignored.
     Range(EpisodeRange),
 }
 
-/// A half-open range of demonstrations' own numbers, written `10..20`.
+/// A half-open range of demonstration numbers, written `10..20`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EpisodeRange {
     /// First number.
@@ -51,7 +52,7 @@ pub struct EpisodeRange {
 pub enum SelectionError {
     /// Nothing is selected.
     #[error(
-        "the selection {selection} selects no demonstration; select at least one of the {demonstrations} demonstrations"
+        "the selection {selection} selects no demonstrations; select at least one of the {demonstrations} demonstrations"
     )]
     Empty {
         /// The selection in its TOML form.
@@ -59,35 +60,35 @@ pub enum SelectionError {
         /// Demonstrations to select from.
         demonstrations: usize,
     },
-    /// A number or a name that none has.
-    #[error("the selection {selection} asks for {wanted}, {absent}; select among {there}")]
+    /// No demonstration has a requested number or name.
+    #[error("the selection {selection} asks for {wanted}, {absent}; select from {there}")]
     Missing {
         /// The selection in its TOML form.
         selection: String,
-        /// What it asks for: `demonstration 2`.
+        /// The requested demonstration, such as `demonstration 2`.
         wanted: String,
-        /// In which way it is not there, as words that go on from there: `but there is no demo_2`.
+        /// Why it is missing, as the rest of the sentence: `but there is no demo_2`.
         absent: String,
-        /// What is there.
+        /// The available demonstrations.
         there: String,
     },
-    /// A number that several have.
+    /// Several demonstrations have a requested number.
     #[error(
-        "the selection {selection} asks for demonstration {number}, and {candidates} have that number; name the one that is meant, as in episodes = [\"{first}\"]"
+        "the selection {selection} asks for demonstration {number}, but {candidates} all have that number; select one by name, as in episodes = [\"{first}\"]"
     )]
     Ambiguous {
         /// The selection in its TOML form.
         selection: String,
         /// The number.
         number: u64,
-        /// Names of those that have it.
+        /// Names of the demonstrations that have it.
         candidates: String,
         /// Name of the first of them.
         first: String,
     },
     /// More demonstrations than there are.
     #[error(
-        "the selection {selection} asks for {wanted} demonstrations, but there are {demonstrations}; ask for no more than that"
+        "the selection {selection} asks for {wanted} demonstrations, but there are {demonstrations}; request at most that many"
     )]
     TooMany {
         /// The selection in its TOML form.
@@ -106,14 +107,14 @@ pub enum SelectionError {
         demonstration: String,
     },
     /// Text that is not a range.
-    #[error("\"{text}\" is no range of episodes; write it as \"10..20\" (episode 10 to episode 19)")]
+    #[error("\"{text}\" is not a range of episodes; write it as \"10..20\" (episode 10 to episode 19)")]
     NotARange {
         /// The text.
         text: String,
     },
 }
 
-/// Names as a sentence lists them; of many, the first and the last.
+/// Joins names for a message; of many, it lists the first few and the last.
 fn listed<'a>(names: impl Iterator<Item = &'a SourceName> + Clone) -> String {
     let count = names.clone().count();
     let shown = if count > NAMES_SHOWN + 2 { NAMES_SHOWN } else { count };
@@ -129,7 +130,7 @@ fn listed<'a>(names: impl Iterator<Item = &'a SourceName> + Clone) -> String {
     text
 }
 
-/// The demonstrations of a source, in their order, and which of them can be selected.
+/// The demonstrations of a source, in order, and which of them can be selected.
 struct Among<'a> {
     all: &'a [SourceName],
     eligible: &'a dyn Fn(usize) -> bool,
@@ -147,18 +148,19 @@ impl<'a> Among<'a> {
 }
 
 impl Selection {
-    /// The places in `source` of the selected demonstrations, ascending. `source` is in the order of [`SourceName`].
+    /// Returns the indices in `source` of the selected demonstrations, ascending. `source` must be in the order of
+    /// [`SourceName`].
     ///
     /// # Errors
-    /// A selection that is empty, names what is not there or what several could be, or lists a demonstration twice.
+    /// The selection is empty, refers to a missing or an ambiguous demonstration, or lists a demonstration twice.
     pub fn resolve(&self, source: &[SourceName]) -> Result<Vec<usize>, SelectionError> {
         self.resolve_among(source, &|_| true)
     }
 
-    /// The numbers of the selected episodes of Push-T, ascending, for a dataset of so many.
+    /// Returns the numbers of the selected Push-T episodes, ascending, for a dataset of `episodes` episodes.
     ///
     /// # Errors
-    /// As [`Selection::resolve`].
+    /// Same as [`Selection::resolve`].
     pub fn resolve_episodes(&self, episodes: usize) -> Result<Vec<u32>, SelectionError> {
         let episodes = u32::try_from(episodes).unwrap_or(u32::MAX);
         let names: Vec<SourceName> = (0..episodes).map(SourceName::episode).collect();
@@ -169,10 +171,11 @@ impl Selection {
             .collect())
     }
 
-    /// As [`Selection::resolve`], of the demonstrations whose places are `eligible`, since a filter lists them.
+    /// Like [`Selection::resolve`], but restricted to the indices for which `eligible` returns true, such as those that a filter
+    /// lists.
     ///
     /// # Errors
-    /// As [`Selection::resolve`].
+    /// Same as [`Selection::resolve`].
     pub fn resolve_among(
         &self,
         source: &[SourceName],
@@ -234,7 +237,8 @@ impl Selection {
             return Ok(Vec::new());
         }
         let numbers = || among.all.iter().filter_map(SourceName::number);
-        // Numbers beyond the last were not meant, or their demonstrations are lost; those between are gaps.
+        // A range that extends past the last number is refused: it is a mistake, or demonstrations are missing. Gaps inside it
+        // are allowed.
         let beyond = numbers().max().map_or(0, |last| last.saturating_add(1));
         if range.end > beyond {
             return Err(self.missing(&Pick::Number(range.start.max(beyond)), among));
@@ -263,14 +267,14 @@ impl Selection {
                 let alike = first.filter(|first| numbered().all(|name| name.stem() == first.stem()));
                 let absent = match (unlisted, alike) {
                     (Some(name), _) => format!("but the filter key does not list {name}"),
-                    // Where all names are alike, the name that it would have is clear.
+                    // If all names have the same stem, the name with the missing number is known.
                     (None, Some(first)) => format!("but there is no {}", first.with_number(*number)),
-                    (None, None) => "but none has that number".to_owned(),
+                    (None, None) => "but no demonstration has that number".to_owned(),
                 };
                 (format!("demonstration {number}"), absent)
             }
             Pick::Name(_) if unlisted.is_some() => (pick.to_string(), "which the filter key does not list".to_owned()),
-            Pick::Name(_) => (pick.to_string(), "which is not there".to_owned()),
+            Pick::Name(_) => (pick.to_string(), "which does not exist".to_owned()),
         };
         SelectionError::Missing {
             selection: self.to_string(),
@@ -281,7 +285,7 @@ impl Selection {
     }
 }
 
-/// The selection in its TOML form.
+// The TOML form.
 impl fmt::Display for Selection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -371,7 +375,7 @@ mod tests {
         Selection::List(picks.map(Pick::from).to_vec())
     }
 
-    /// Names of what a selection takes of these.
+    /// Names of the demonstrations that a selection takes.
     fn taken<'a>(selection: &Selection, source: &'a [SourceName]) -> Result<Vec<&'a str>, String> {
         let places = selection.resolve(source).map_err(|error| error.to_string())?;
         Ok(places.into_iter().map(|place| source[place].as_str()).collect())
@@ -388,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_the_sources_own() {
+    fn numbers_are_those_of_the_source() {
         let gaps = named(&["demo_0", "demo_1", "demo_3", "demo_4", "demo_6"]);
         assert_eq!(taken(&list([3]), &gaps), Ok(vec!["demo_3"]));
         assert_eq!(taken(&list([6, 0]), &gaps), Ok(vec!["demo_0", "demo_6"]));
@@ -414,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_leaves_numbers_as_they_are() {
+    fn a_filter_does_not_change_numbers() {
         let source = named(&["demo_0", "demo_1", "demo_2", "demo_3", "demo_4"]);
         let odd = |place: usize| place % 2 == 1;
         let resolve = |selection: &Selection| {
@@ -440,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn misfits_are_named() {
+    fn mismatches_are_reported() {
         let sentences: Vec<String> = [
             Selection::First(7),
             Selection::Last(7),
@@ -462,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_lacks_is_named() {
+    fn missing_demonstrations_are_reported() {
         let gaps = named(&["demo_0", "demo_1", "demo_3"]);
         let many: Vec<String> = (0..200).map(|number| format!("demo_{number:03}")).collect();
         let many = named(&many.iter().map(String::as_str).collect::<Vec<_>>());
@@ -523,8 +527,8 @@ mod tests {
     }
 
     #[test]
-    fn selections_are_written_as_before() {
-        // Keys of artifacts are made of this text.
+    fn serialized_selections_are_stable() {
+        // This text is part of the keys of artifacts.
         let written = |selection: &Selection| serde_json::to_string(selection).unwrap();
         assert_eq!(written(&Selection::All), r#""all""#);
         assert_eq!(written(&Selection::First(50)), r#"{"first":50}"#);

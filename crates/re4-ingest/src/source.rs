@@ -1,7 +1,7 @@
-//! The files that a dataset is read from: what they were when they were hashed, and whether they still are.
+//! Source files of a dataset: hashing them, and detecting changes since they were hashed.
 //!
-//! An artifact stands under the hash of its source, so what is read has to be what was hashed. A file is opened once, hashed
-//! and read through the same handle, and compared with what stands at its path before anything is published.
+//! The key of an artifact contains the hash of its source, so the bytes that are read must be the bytes that were hashed. A file
+//! is opened once, hashed and read through the same handle, and compared with the file at its path before anything is published.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io;
@@ -14,20 +14,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Fault, IngestError};
 
-/// Asked between blocks of a long read: whether to stop.
+/// Callback that long reads call between blocks. It returns true if reading should stop.
 pub type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// Bytes that are hashed at once: enough for all threads, few enough to stop soon.
+/// Bytes hashed at once: large enough to occupy all threads, small enough that a request to stop takes effect soon.
 const BLOCK: usize = 4 << 20;
 
-/// Longest wait for the clock of file times, which Linux moves once a timer tick, at most 10 ms apart. A file with a time of
-/// another machine's clock may be ahead of ours for ever.
+/// Maximum time to wait for the clock of file times, which Linux advances once per timer tick, at most 10 ms apart. The limit is
+/// needed because a file written by another machine can have a time that is far ahead of the local clock.
 const LONGEST_TICK: Duration = Duration::from_millis(100);
 
-/// `O_NONBLOCK` of Linux: what is no regular file answers at once instead of waiting for a writer.
+/// `O_NONBLOCK` of Linux: opening a named pipe returns at once instead of waiting for a writer.
 const NONBLOCK: i32 = 0o4000;
 
-/// What tells a version of a file from another one.
+/// Metadata that identifies one version of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Identity {
     device: u64,
@@ -38,7 +38,7 @@ pub(crate) struct Identity {
 }
 
 impl Identity {
-    /// Of a file's metadata.
+    /// The identity in a file's metadata.
     pub(crate) fn of(metadata: &Metadata) -> Self {
         Self {
             device: metadata.dev(),
@@ -54,8 +54,8 @@ impl Identity {
         self.length
     }
 
-    /// Whether the file was written within this tick of the clock of file times, so that another write might leave them as they
-    /// are.
+    /// Whether the file was written within the current tick of the clock of file times, so that another write might not change
+    /// its times.
     fn fresh(&self) -> bool {
         let Ok(now) = clock_gettime(ClockId::CLOCK_REALTIME_COARSE) else {
             return false;
@@ -64,7 +64,7 @@ impl Identity {
     }
 }
 
-/// Waits until any later write to files of these identities would show in their times; whether it had to.
+/// Waits until any later write to files of these identities would change their times. Returns whether it had to wait.
 pub(crate) fn settle<'a>(identities: impl IntoIterator<Item = &'a Identity>) -> bool {
     let start = Instant::now();
     let mut waited = false;
@@ -89,7 +89,7 @@ impl SourceFile {
     /// Opens a file.
     ///
     /// # Errors
-    /// No file there, or something else than a regular file; it is refused at once, whatever it is.
+    /// There is no file at the path, or it is not a regular file. Special files such as pipes are refused without blocking.
     pub fn open(path: &Path) -> Result<Self, IngestError> {
         Self::open_checked(path).map_err(|fault| fault.of(path))
     }
@@ -99,7 +99,7 @@ impl SourceFile {
             io::ErrorKind::NotFound => Fault::MissingPath,
             _ => Fault::io("read", path, error),
         };
-        // Before it is opened: opening a device can do anything.
+        // Checked before opening, because opening a device can have side effects.
         check_regular(&fs::metadata(path).map_err(io)?)?;
         let file = OpenOptions::new()
             .read(true)
@@ -117,12 +117,12 @@ impl SourceFile {
         })
     }
 
-    /// Where it was opened.
+    /// The path at which it was opened.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The open handle. It reads the file that was opened, whatever stands at the path by now.
+    /// The open handle. It reads the file that was opened, even if another file is at the path by now.
     pub fn file(&self) -> &File {
         &self.file
     }
@@ -132,15 +132,15 @@ impl SourceFile {
         self.identity.length
     }
 
-    /// What it was when it was opened.
+    /// Its identity when it was opened.
     pub(crate) fn identity(&self) -> Identity {
         self.identity
     }
 
-    /// BLAKE3 of its bytes, read through the handle block by block and hashed on all threads.
+    /// BLAKE3 hash of its bytes, read through the handle block by block and hashed on all threads.
     ///
     /// # Errors
-    /// A file that cannot be read, or changed meanwhile; `stop` answered yes.
+    /// The file cannot be read, it changed, or `stop` returned true.
     pub fn hash(&self, stop: Stop<'_>) -> Result<[u8; 32], IngestError> {
         self.hash_checked(stop).map_err(|fault| fault.of(&self.path))
     }
@@ -166,10 +166,10 @@ impl SourceFile {
         Ok(*hasher.finalize().as_bytes())
     }
 
-    /// Whether the file at the path is still the one that was opened, of the same size and times.
+    /// Checks that the file at the path is still the one that was opened, with the same size and times.
     ///
     /// # Errors
-    /// [`Fault::Changed`] where it is not.
+    /// [`Fault::Changed`] if it is not.
     pub fn unchanged(&self) -> Result<(), IngestError> {
         self.unchanged_checked().map_err(|fault| fault.of(&self.path))
     }
@@ -185,7 +185,7 @@ impl SourceFile {
     }
 }
 
-/// Whether what stands at a path is still of this identity.
+/// Checks that the file at a path still has this identity.
 pub(crate) fn check_unchanged(path: &Path, identity: &Identity) -> Result<(), Fault> {
     match fs::metadata(path) {
         Ok(metadata) if Identity::of(&metadata) == *identity => Ok(()),
@@ -193,12 +193,12 @@ pub(crate) fn check_unchanged(path: &Path, identity: &Identity) -> Result<(), Fa
     }
 }
 
-/// Refuses what is no regular file.
+/// Refuses anything that is not a regular file.
 fn check_regular(metadata: &Metadata) -> Result<(), Fault> {
     irregular(metadata).map_or(Ok(()), |what| Err(Fault::NotAFile { what }))
 }
 
-/// What something is that is no regular file.
+/// Describes a file that is not a regular file; `None` for a regular file.
 pub(crate) fn irregular(metadata: &Metadata) -> Option<&'static str> {
     let kind = metadata.file_type();
     Some(if kind.is_file() {
@@ -214,12 +214,12 @@ pub(crate) fn irregular(metadata: &Metadata) -> Option<&'static str> {
     })
 }
 
-/// What to do about an error of the operating system.
+/// The remedy for an error of the operating system.
 pub(crate) fn io_fix(error: &io::Error) -> &'static str {
     match error.kind() {
-        io::ErrorKind::PermissionDenied => "change its permissions or run as a user who may",
+        io::ErrorKind::PermissionDenied => "change its permissions or run as a user with access",
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "free some space there, or use a folder on a larger disk (TMPDIR for unpacked zip files)"
+            "free some space there, or use a folder on a larger disk (zip files are unpacked to TMPDIR)"
         }
         io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
         io::ErrorKind::NotFound => "restore or create it",
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn any_change_is_seen() {
+    fn every_change_is_detected() {
         type Change = fn(&Path);
         let changes: [(&str, Change); 6] = [
             ("rewritten", |path| write(path, 1000, 9)),
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_cut_off_while_it_is_hashed_is_an_error() {
+    fn a_file_truncated_during_hashing_is_an_error() {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("file");
         write(&path, 3 * BLOCK, 3);
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_regular_file_is_refused_at_once() {
+    fn special_files_are_refused_at_once() {
         let place = tempfile::tempdir().unwrap();
         let fifo = place.path().join("fifo");
         let made = std::process::Command::new("mkfifo").arg(&fifo).status().unwrap();
@@ -335,13 +335,13 @@ mod tests {
             (&fifo, "a named pipe"),
             (Path::new("/dev/null"), "a device"),
         ] {
-            let said = SourceFile::open(path).unwrap_err().to_string();
-            assert!(said.contains(what), "{said}");
+            let message = SourceFile::open(path).unwrap_err().to_string();
+            assert!(message.contains(what), "{message}");
         }
     }
 
     #[test]
-    fn errors_of_the_system_name_the_path_and_the_fix() {
+    fn system_errors_name_the_path_and_the_remedy() {
         let sentences: Vec<String> = [
             io::ErrorKind::PermissionDenied,
             io::ErrorKind::StorageFull,

@@ -1,4 +1,5 @@
-//! Where the store lies: a folder, or a zip file unpacked to a temporary folder; and which of its files belong to the dataset.
+//! Access to a zarr store, which is a folder or a zip file unpacked to a temporary folder; lists the files that belong to the
+//! dataset.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -14,10 +15,10 @@ use zip::result::ZipError;
 use crate::error::Fault;
 use crate::source::{Identity, SourceFile, Stop, irregular, settle};
 
-/// How many folders above the store a zip file may have.
+/// Maximum number of folders above the store in a zip file.
 const ZIP_DEPTH: usize = 2;
 
-/// The arrays that are read. Nothing else below the store is opened, and nothing else is part of its hash.
+/// The arrays that are read. Nothing else in the store is opened, and nothing else is part of its hash.
 const ARRAYS: [&str; 6] = [
     "data/action",
     "data/img",
@@ -27,27 +28,27 @@ const ARRAYS: [&str; 6] = [
     "meta/episode_ends",
 ];
 
-/// The groups that hold them.
+/// The groups that contain them.
 const GROUPS: [&str; 3] = ["", "data/", "meta/"];
 
-/// Files beside chunks that say what an array or a group is: Zarr v2, and v3.
+/// Metadata files of arrays and groups, of Zarr v2 and v3.
 const METADATA: [&str; 4] = [".zarray", ".zattrs", ".zgroup", "zarr.json"];
 
-/// Names that make a folder a store of any version, or an array of one.
+/// Files that mark a folder as a store, or as an array of one, of either version.
 const MARKERS: [&str; 3] = [".zgroup", "zarr.json", ".zarray"];
 
-/// Bytes that are read at once, so that reading stops soon when asked to.
+/// Bytes read at once, so that a request to stop takes effect soon.
 const BLOCK: usize = 4 << 20;
 
-/// An opened store: the folder that holds `.zgroup` or `zarr.json`, and what its files were when it was opened.
+/// An opened store: the folder that contains `.zgroup` or `zarr.json`, and the identities of its files when it was opened.
 #[derive(Debug)]
 pub(crate) struct Store {
     folder: PathBuf,
-    /// The files of the dataset by their paths in the store, with `/`.
+    /// The files of the dataset by their paths in the store, separated by `/`.
     files: BTreeMap<String, Identity>,
-    /// The zip file that was unpacked.
+    /// The zip file, if the store was unpacked from one.
     archive: Option<SourceFile>,
-    /// Keeps an unpacked zip alive; dropping it removes the files.
+    /// Keeps the unpacked zip; dropping it removes the files.
     _unpacked: Option<TempDir>,
 }
 
@@ -67,9 +68,9 @@ impl Store {
         let unpacked = tempfile::Builder::new()
             .prefix("re4-ingest-")
             .tempdir()
-            // The kind alone: tempfile's own words repeat the path.
+            // Only the kind of the error: tempfile's own message repeats the path.
             .map_err(|error| Fault::io("create a folder in", std::env::temp_dir(), error.kind().into()))?;
-        // What a zip file holds that is being written is anything: say that it is, not what is wrong with half of it.
+        // A zip file that is still being written can be corrupt anywhere: report the change rather than the corruption.
         unpack(&archive, unpacked.path(), stop).map_err(|fault| changed_or(&archive, fault))?;
         archive.unchanged_checked()?;
         let mut stores = Vec::new();
@@ -105,7 +106,7 @@ impl Store {
     ) -> Result<Self, Fault> {
         check_folder(&folder)?;
         let mut files = list(&folder, stop)?;
-        // A file that was written a moment ago might be written again without a trace in its times.
+        // A file that was just written might be written again without a change of its times.
         if settle(files.values()) {
             files = list(&folder, stop)?;
         }
@@ -117,12 +118,12 @@ impl Store {
         })
     }
 
-    /// Whether its root says that it is of Zarr's format 3.
+    /// Whether its root is of Zarr format 3.
     pub(crate) fn is_format_3(&self) -> bool {
         self.files.contains_key("zarr.json")
     }
 
-    /// Length of a file of the dataset; `None` if there was none when the store was opened.
+    /// Length of a file of the dataset; `None` if it did not exist when the store was opened.
     pub(crate) fn length(&self, name: &str) -> Option<u64> {
         self.files.get(name).map(Identity::length)
     }
@@ -136,10 +137,10 @@ impl Store {
             .filter_map(move |name| name.strip_prefix(folder)?.strip_prefix('/'))
     }
 
-    /// The bytes of a file of the dataset; `None` if there was none when the store was opened.
+    /// The bytes of a file of the dataset; `None` if it did not exist when the store was opened.
     ///
     /// # Errors
-    /// A file that is no longer what it was, or cannot be read; `stop` answered yes.
+    /// The file changed or cannot be read, or `stop` returned true.
     pub(crate) fn read(&self, name: &str, stop: Stop<'_>) -> Result<Option<Vec<u8>>, Fault> {
         let Some(identity) = self.files.get(name) else {
             return Ok(None);
@@ -159,7 +160,7 @@ impl Store {
         Ok(Some(bytes))
     }
 
-    /// Opens a file of the dataset, if it is still what it was.
+    /// Opens a file of the dataset, and checks that it has not changed.
     fn open_file(&self, name: &str, identity: &Identity) -> Result<SourceFile, Fault> {
         let path = self.folder.join(name);
         match SourceFile::open_checked(&path) {
@@ -169,19 +170,20 @@ impl Store {
         }
     }
 
-    /// BLAKE3 over the dataset's files in the byte order of their paths: for each, the length of its path and the path
-    /// (with `/`), the length of the file, and the BLAKE3 of its bytes. Lengths are u64, little-endian.
+    /// BLAKE3 hash over the dataset's files in the byte order of their paths. For each file it covers the length of its path, the
+    /// path (with `/`), the length of the file, and the BLAKE3 hash of its bytes. Lengths are u64, little-endian.
     ///
     /// Files are hashed in parallel, block by block.
     ///
     /// # Errors
-    /// A file that is no longer what it was when the store was opened, or cannot be read; `stop` answered yes.
+    /// A file changed since the store was opened or cannot be read, or `stop` returned true.
     pub(crate) fn hash(&self, stop: Stop<'_>) -> Result<[u8; 32], Fault> {
         let files: Vec<(&String, &Identity)> = self.files.iter().collect();
         let hashes: Vec<[u8; 32]> = files
             .par_iter()
             .map(|(name, identity)| self.open_file(name, identity)?.hash_checked(stop))
-            // In order, so that the first of several errors is told for any number of threads.
+            // Collected in order before the errors are examined, so that the reported error does not depend on the number of
+            // threads.
             .collect::<Vec<_>>()
             .into_iter()
             .collect::<Result<_, Fault>>()?;
@@ -195,13 +197,13 @@ impl Store {
         Ok(*whole.finalize().as_bytes())
     }
 
-    /// Whether the dataset's files are still those that it had when it was opened: none changed, replaced, added or removed.
+    /// Checks that no file of the dataset was changed, replaced, added or removed since the store was opened.
     ///
     /// # Errors
-    /// [`Fault::Changed`], with the first file for which it does not hold.
+    /// [`Fault::Changed`], with the first file that differs.
     pub(crate) fn unchanged(&self) -> Result<(), Fault> {
         if let Some(archive) = &self.archive {
-            // The unpacked files are this process's own.
+            // Only this process has access to the unpacked files.
             return archive.unchanged_checked();
         }
         let now = list(&self.folder, &|| false).map_err(|fault| match fault {
@@ -216,7 +218,7 @@ impl Store {
         }
     }
 
-    /// The fault, or that the store changed, where it did: what is read of files that are being written can be anything.
+    /// Returns [`Fault::Changed`] if the store changed, else the fault itself: files that are being written can cause any fault.
     pub(crate) fn explain(&self, fault: Fault) -> Fault {
         match fault {
             Fault::Stopped | Fault::Changed { .. } => fault,
@@ -224,7 +226,7 @@ impl Store {
         }
     }
 
-    /// Arrays that the store has at the top, in `data` and in `meta`, whatever their names, for messages.
+    /// Names of all arrays at the top, in `data` and in `meta`, for messages.
     pub(crate) fn arrays(&self) -> Vec<String> {
         let is_array = |folder: &Path| folder.join(".zarray").is_file() || is_array_v3(&folder.join("zarr.json"));
         GROUPS
@@ -251,7 +253,7 @@ fn changed_or(archive: &SourceFile, fault: Fault) -> Fault {
     }
 }
 
-/// Says what a folder is if it is not a group of Zarr's format 2 or 3.
+/// Refuses a folder that is not a group of Zarr format 2 or 3, and suggests a remedy.
 fn check_folder(folder: &Path) -> Result<(), Fault> {
     let has = |name: &str| folder.join(name).is_file();
     if has(".zarray") || has("zarr.json") && is_array_v3(&folder.join("zarr.json")) {
@@ -268,18 +270,18 @@ fn check_folder(folder: &Path) -> Result<(), Fault> {
     let hint = match entries.first().and_then(|entry| entry.file_name().zip(Some(entry))) {
         Some((name, entry)) if name == "data" || name == "meta" => {
             if entry.join("zarr.json").is_file() {
-                "restore zarr.json: its content is {\"zarr_format\": 3, \"node_type\": \"group\"}".to_owned()
+                "restore zarr.json with the content {\"zarr_format\": 3, \"node_type\": \"group\"}".to_owned()
             } else {
-                "restore that file: its content is {\"zarr_format\": 2}".to_owned()
+                "restore .zgroup with the content {\"zarr_format\": 2}".to_owned()
             }
         }
-        Some((name, _)) => format!("it holds the store {}: give that path", name.display()),
-        None => "give the folder that holds .zgroup, data/ and meta/".to_owned(),
+        Some((name, _)) => format!("give the path of the store {} inside it", name.display()),
+        None => "give the folder that contains .zgroup, data/ and meta/".to_owned(),
     };
     Err(Fault::NotAStore { hint })
 }
 
-/// Whether a `zarr.json` says that it is an array's. What cannot be read is left for the arrays to tell.
+/// Whether a `zarr.json` belongs to an array. An unreadable file returns false; opening the arrays then reports the error.
 fn is_array_v3(path: &Path) -> bool {
     let mut text = String::new();
     let mut read = |path| File::open(path).and_then(|file| file.take(1 << 20).read_to_string(&mut text));
@@ -301,7 +303,7 @@ fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, Fault> {
     Ok(entries)
 }
 
-/// Collects the topmost folders that are stores of any version.
+/// Collects the topmost folders that are stores of either version.
 fn find_stores(folder: &Path, depth: usize, stores: &mut Vec<PathBuf>) -> Result<(), Fault> {
     if MARKERS.iter().any(|name| folder.join(name).is_file()) {
         stores.push(folder.to_owned());
@@ -313,7 +315,7 @@ fn find_stores(folder: &Path, depth: usize, stores: &mut Vec<PathBuf>) -> Result
     Ok(())
 }
 
-/// The dataset's files with what they are now, by their paths in the store.
+/// Lists the dataset's files by their paths in the store, with their present identities.
 fn list(folder: &Path, stop: Stop<'_>) -> Result<BTreeMap<String, Identity>, Fault> {
     let mut files = BTreeMap::new();
     for group in GROUPS {
@@ -342,7 +344,8 @@ fn add(files: &mut BTreeMap<String, Identity>, name: String, metadata: &fs::Meta
     Ok(())
 }
 
-/// Whether a file or folder of an array's folder belongs to it: metadata, `3.0`, `c` and `c.3.0`, and below folders `3`.
+/// Whether an entry of an array's folder belongs to the array: metadata, chunks such as `3.0`, `c` and `c.3.0`, and `3` below
+/// folders.
 fn belongs(name: &str, at_top: bool) -> bool {
     let numbers = |name: &str| {
         name.split('.')
@@ -371,15 +374,15 @@ fn list_array(
         let inside = format!("{prefix}/{name}");
         let metadata = match fs::metadata(&entry) {
             Ok(metadata) => metadata,
-            // It was there when the folder was listed.
+            // It existed when the folder was listed.
             Err(error) if error.kind() == io::ErrorKind::NotFound && !entry.is_symlink() => {
                 return Err(changed(&entry));
             }
             Err(error) => return Err(Fault::io("read", entry, error)),
         };
         if metadata.is_dir() {
-            // A link to a folder that it lies in would be followed for ever, or as often as the system allows.
-            if entry.is_symlink() && leads_up(&entry).map_err(|error| Fault::io("read", &entry, error))? {
+            // Following a link to a parent folder would recurse until the system's limit on links.
+            if entry.is_symlink() && points_to_parent(&entry).map_err(|error| Fault::io("read", &entry, error))? {
                 return Err(Fault::CircularLink { link: inside });
             }
             list_array(&entry, &inside, false, files, stop)?;
@@ -390,14 +393,14 @@ fn list_array(
     Ok(())
 }
 
-/// Whether a link leads to a folder that it lies in.
-fn leads_up(link: &Path) -> io::Result<bool> {
+/// Whether a link points to one of its own parent folders.
+fn points_to_parent(link: &Path) -> io::Result<bool> {
     let target = link.canonicalize()?;
     let folder = link.parent().unwrap_or(link).canonicalize()?;
     Ok(folder.starts_with(target))
 }
 
-/// Names what a file is that is no zip.
+/// Identifies common files that are not zip files by their first bytes, and refuses them with a remedy.
 fn check_kind(file: &SourceFile) -> Result<(), Fault> {
     let mut head = [0; 512];
     let length = head.len().min(file.length() as usize);
@@ -410,22 +413,22 @@ fn check_kind(file: &SourceFile) -> Result<(), Fault> {
         ("the file is empty", "copy or download it again")
     } else if starts(b"\x89HDF\r\n\x1a\n") {
         (
-            "it is an HDF5 file",
-            "Push-T is read from a zarr store: give one, or set task to the file's own, such as \"can\"",
+            "it is an HDF5 file, but Push-T is read from a zarr store",
+            "give a zarr store, or set task to the task of the file, such as \"can\"",
         )
     } else if starts(b"\x1f\x8b") {
         (
-            "it is compressed by gzip",
-            "unpack it (tar -xzf for a .tar.gz, else gunzip) and give the folder of the store",
+            "it is compressed with gzip",
+            "unpack it (tar -xzf for a .tar.gz, otherwise gunzip) and give the folder of the store",
         )
     } else if starts(b"\x28\xb5\x2f\xfd") {
         (
-            "it is compressed by zstd",
-            "unpack it (tar --zstd -xf for a .tar.zst, else unzstd) and give the folder of the store",
+            "it is compressed with zstd",
+            "unpack it (tar --zstd -xf for a .tar.zst, otherwise unzstd) and give the folder of the store",
         )
     } else if starts(b"\xfd7zXZ\0") || starts(b"BZh") {
         (
-            "it is compressed by xz or bzip2",
+            "it is compressed with xz or bzip2",
             "unpack it (tar -xf for an archive) and give the folder of the store",
         )
     } else if starts(b"7z\xbc\xaf\x27\x1c") || starts(b"Rar!") {
@@ -440,8 +443,8 @@ fn check_kind(file: &SourceFile) -> Result<(), Fault> {
         )
     } else if starts(b"\x93NUMPY") || starts(b"PAR1") {
         (
-            "it is a NumPy or Parquet file",
-            "Push-T is read from a zarr store: write its arrays into one",
+            "it is a NumPy or Parquet file, but Push-T is read from a zarr store",
+            "write its arrays to a zarr store",
         )
     } else {
         return Ok(());
@@ -449,7 +452,7 @@ fn check_kind(file: &SourceFile) -> Result<(), Fault> {
     Err(Fault::NotAStoreFile { what, fix })
 }
 
-/// Unpacks a zip file, read through its one handle. Nothing is written outside of `target`, and no links are made.
+/// Unpacks a zip file, read through its open handle. Nothing is written outside `target`, and no links are created.
 fn unpack(file: &SourceFile, target: &Path, stop: Stop<'_>) -> Result<(), Fault> {
     let mut archive = ZipArchive::new(io::BufReader::new(file.file())).map_err(|error| match error {
         ZipError::Io(error) if error.kind() == io::ErrorKind::PermissionDenied => Fault::io("read", file.path(), error),
@@ -481,6 +484,7 @@ fn unpack(file: &SourceFile, target: &Path, stop: Stop<'_>) -> Result<(), Fault>
         }
         let mut output = File::create(&inside).map_err(|error| Fault::io("write", &inside, error))?;
         let expected = entry.size();
+        // At most one byte more than the entry declares is unpacked, so that a wrong size cannot fill the disk.
         let written = copy(&mut (&mut entry).take(expected.saturating_add(1)), &mut output, stop);
         let written = written.map_err(|error| match error {
             Copying::Stopped => Fault::Stopped,
@@ -494,14 +498,14 @@ fn unpack(file: &SourceFile, target: &Path, stop: Stop<'_>) -> Result<(), Fault>
     Ok(())
 }
 
-/// Why copying ended early.
+/// Why a copy ended early.
 enum Copying {
     Stopped,
     Read(io::Error),
     Write(io::Error),
 }
 
-/// Copies all that there is to read, block by block; the number of bytes.
+/// Copies everything from a reader to a file, block by block. Returns the number of bytes.
 fn copy(from: &mut impl Read, to: &mut File, stop: Stop<'_>) -> Result<u64, Copying> {
     let mut block = vec![0; 1 << 16];
     let mut copied = 0;

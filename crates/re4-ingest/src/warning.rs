@@ -1,4 +1,4 @@
-//! What a reader finds odd, as data.
+//! Warnings of readers, as data.
 
 use std::fmt;
 
@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WarningCode {
-    /// The block angle jumps between 0 and 2π inside an episode: no fault, but a raw difference of angles is wrong there.
+    /// The block angle jumps between 0 and 2π inside an episode. The data is valid, but plain differences of angles are wrong
+    /// there.
     AngleSeam,
     /// A commanded target outside the 512 px window.
     ActionOutsideWindow,
@@ -24,57 +25,57 @@ pub enum WarningCode {
     NoImages,
     /// Numbers in single precision where double precision is usual; they are widened.
     SinglePrecision,
-    /// Members of `/data` that are no demonstrations.
+    /// Members of `/data` that are not demonstrations.
     SkippedMembers,
-    /// Filter keys that cannot be read, and were not asked for.
+    /// Filter keys that cannot be read and were not requested.
     SkippedFilterKeys,
     /// The attribute `total` of `/data` is not the number of frames.
     StaleTotal,
-    /// Observations that are not used, since some demonstrations lack them and all have states.
+    /// Observations that are not used because some demonstrations lack them and all demonstrations have states.
     UnusedObservations,
-    /// Arrays that nothing needs, with values that they cannot have.
+    /// Optional arrays that contain invalid values.
     SkippedValues,
     /// Demonstrations that cannot be used and were left out.
     LeftOut,
     /// Datasets of the file that are not ingested.
     SkippedDatasets,
-    /// What should be known of a convention although it is settled.
+    /// A remark on a convention that is established.
     Convention,
-    /// Demonstrations that the file to compare with lacks.
+    /// Demonstrations that are missing from the file used for comparison.
     NotCompared,
-    /// Block angles outside of 0 to 2π.
+    /// Block angles outside 0 to 2π.
     AngleWrapped,
-    /// Chunks of a zarr array that are not stored and stand for the fill value.
+    /// Chunks of a zarr array that are not stored and are read as the fill value.
     AbsentChunks,
     /// Columns of an array that are not ingested.
     SkippedColumns,
 }
 
-/// The word used in tables and messages.
+/// The code as it is written in tables and messages.
 impl fmt::Display for WarningCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
     }
 }
 
-/// Something odd that does not stop a reader. One warning stands for all places of its kind: it counts them and names
-/// the first.
+/// An unusual finding that does not stop a reader. One warning covers all occurrences of its kind in a dataset: it has their
+/// count and the place of the first.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
     /// Kind.
     pub code: WarningCode,
-    /// One sentence for people.
+    /// One sentence for the user.
     pub message: String,
-    /// Episode of the first place, by its number in the source dataset.
+    /// Episode of the first occurrence, by its number in the source dataset.
     pub episode: Option<u32>,
-    /// Frame of the first place, counted from the start of its episode.
+    /// Frame of the first occurrence, counted from the start of its episode.
     pub frame: Option<u64>,
-    /// How many places there are.
+    /// Number of occurrences.
     pub count: u64,
 }
 
 impl Warning {
-    /// Of the dataset as a whole.
+    /// A warning about the dataset as a whole.
     pub fn new(code: WarningCode, message: String, count: usize) -> Self {
         Self {
             code,

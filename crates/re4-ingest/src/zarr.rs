@@ -1,4 +1,5 @@
-//! One array of a Zarr store of format 2 or 3: its metadata, and its chunks read so that a missing or broken one can be named.
+//! Reader of one array of a Zarr store of format 2 or 3. It reads chunks individually, so that errors name the missing or broken
+//! one.
 
 mod codecs;
 mod element;
@@ -17,47 +18,47 @@ use crate::store::Store;
 pub(crate) use element::Element;
 use metadata::Layout;
 
-/// Largest decoded chunk, and largest row of chunks converted to bytes: 128 MiB. It bounds the memory of every reader.
+/// Maximum size of a decoded chunk, and of a row of chunks converted to bytes: 128 MiB. It bounds the memory of every reader.
 pub(crate) const CHUNK_LIMIT: u64 = 128 << 20;
 
-/// How much larger than its content a chunk's file may be.
+/// Maximum number of bytes by which a chunk's file may exceed the chunk's content.
 const FILE_SLACK: u64 = 1 << 20;
 
-/// Missing chunks that are counted one by one.
-const MOST_MISSING: u64 = 10_000;
+/// Maximum number of missing chunks that are counted individually.
+const MAX_MISSING: u64 = 10_000;
 
-/// Rows of chunks that are decoded at once, before their content is put together.
+/// Rows of chunks decoded at once, before their content is assembled.
 const BATCH: usize = 256;
 
-/// Longest metadata of an array. Attributes of format 3 stand in it, too.
+/// Maximum size of an array's metadata, which in format 3 includes its attributes.
 const METADATA_LIMIT: u64 = 64 << 20;
 
-/// What a chunk that is not stored means. By Zarr's rule each of its elements is the fill value; writers may leave out chunks that
-/// hold nothing else, and a copy that lost a file looks the same.
+/// How to interpret a chunk that is not stored. By the Zarr specification all its elements have the fill value. Writers may omit
+/// chunks that contain only the fill value, but a copy that lost a file looks the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Absent {
-    /// The fill value, which a recording can well hold; lost data, though, where other chunks of the array are stored that hold
-    /// nothing else: then the writer does not leave such chunks out.
+    /// The fill value, which is a plausible recorded value. If other chunks of the array that contain only the fill value are
+    /// stored, the writer does not omit such chunks, and the chunk counts as lost.
     IsFill,
-    /// Lost data: no recording holds the fill value in a whole chunk.
+    /// Lost data: no recording has the fill value in a whole chunk.
     IsLost,
 }
 
-/// Rows of an array, and what could not be read of them.
+/// Rows of an array, and those that could not be read.
 pub(crate) struct Rows<T> {
-    /// The rows that were asked for, in C order; rows that are lost hold zeros.
+    /// The requested rows, in C order; lost rows are zero.
     pub(crate) values: Vec<T>,
-    /// What is lost, in the order of rows.
+    /// The lost rows, in order.
     pub(crate) lost: Vec<Lost>,
-    /// Chunks that are not stored and were read as fill values.
+    /// Number of chunks that are not stored and were read as fill values.
     pub(crate) absent: u64,
 }
 
-/// Rows that cannot be read, for one reason.
+/// Rows that cannot be read for one reason.
 pub(crate) struct Lost {
     /// Rows of the array.
     pub(crate) rows: Vec<Range<u64>>,
-    /// Why.
+    /// The reason.
     pub(crate) fault: Fault,
 }
 
@@ -71,7 +72,7 @@ impl Lost {
     }
 }
 
-/// An opened array. Nothing but its metadata has been read.
+/// An opened array. Only its metadata has been read.
 pub(crate) struct ZarrArray {
     name: String,
     store: Arc<Store>,
@@ -81,8 +82,8 @@ pub(crate) struct ZarrArray {
 }
 
 impl ZarrArray {
-    /// Opens `name` (such as `data/state`) of a store; `None` if it has no metadata. Where there is some of both formats, that of
-    /// format 3 counts, as for zarr-python.
+    /// Opens `name` (such as `data/state`) of a store; `None` if it has no metadata. If both formats have metadata, format 3
+    /// takes precedence, as in zarr-python.
     pub(crate) fn open(store: &Arc<Store>, name: &str, stop: Stop<'_>) -> Result<Option<Self>, Fault> {
         let file = |end: &str| format!("{name}/{end}");
         let read = |file: &str| -> Result<Option<Vec<u8>>, Fault> {
@@ -90,7 +91,7 @@ impl ZarrArray {
                 return Err(Fault::ArrayMetadata {
                     array: name.to_owned(),
                     file: file.to_owned(),
-                    why: format!("it has more than {} MiB", METADATA_LIMIT >> 20),
+                    why: format!("it is larger than {} MiB", METADATA_LIMIT >> 20),
                 });
             }
             store.read(file, stop)
@@ -148,7 +149,7 @@ impl ZarrArray {
         self.shape.first().copied().unwrap_or(0)
     }
 
-    /// The element type, if it is one that `accept` takes.
+    /// The element type, if `accept` returns true for it.
     pub(crate) fn element(&self, accept: impl Fn(Element) -> bool, expected: &'static str) -> Result<Element, Fault> {
         self.layout
             .element
@@ -160,7 +161,7 @@ impl ZarrArray {
             })
     }
 
-    /// Whether files are what the fast path of images understands: Blosc around elements that lie in order, lowest byte first.
+    /// Whether the fast path for images can read the files: Blosc-compressed elements in C order and little-endian.
     pub(crate) fn is_little_endian_blosc(&self) -> bool {
         self.layout.shard.is_none() && self.layout.chain.plain() == Some(Compressor::Blosc)
     }
@@ -178,13 +179,13 @@ impl ZarrArray {
         self.chunk.first().copied().unwrap_or(1)
     }
 
-    /// Rows of the array in a row of chunks: a group of chunks that hold the same rows of the array.
+    /// Rows of the array in a row of chunks, which is the group of chunks that contain the same rows of the array.
     pub(crate) fn rows_of(&self, chunk_row: u64) -> Range<u64> {
         let start = chunk_row * self.chunk_length();
         start..self.len().min(start.saturating_add(self.chunk_length()))
     }
 
-    /// Whether one chunk holds whole rows of the array.
+    /// Whether every chunk contains whole rows of the array.
     pub(crate) fn chunks_hold_whole_rows(&self) -> bool {
         self.chunk
             .iter()
@@ -193,7 +194,7 @@ impl ZarrArray {
             .all(|(chunk, length)| chunk == length)
     }
 
-    /// Indices of all chunks in a row of chunks, in C order. Lazy: broken metadata can ask for any number of them.
+    /// Indices of all chunks in a row of chunks, in C order. It is lazy because broken metadata can declare any number of chunks.
     pub(crate) fn chunks_of(&self, chunk_row: u64) -> impl Iterator<Item = Vec<u64>> + Clone + '_ {
         let grid: Vec<u64> = self
             .shape
@@ -221,7 +222,7 @@ impl ZarrArray {
         format!("{}/{}", self.name, self.chunk_name(index))
     }
 
-    /// Rows of chunks that overlap runs of rows, ascending, each once.
+    /// Rows of chunks that overlap the given runs of rows, ascending and without duplicates.
     pub(crate) fn chunk_rows_of(&self, runs: &[Range<u64>]) -> Vec<u64> {
         let mut rows: Vec<u64> = runs
             .iter()
@@ -232,14 +233,14 @@ impl ZarrArray {
         rows
     }
 
-    /// Whether a row of chunks has all its files.
+    /// Whether all chunks of a row of chunks have files.
     fn is_stored(&self, chunk_row: u64) -> bool {
         self.chunks_of(chunk_row)
             .all(|index| self.store.length(&self.chunk_file(&index)).is_some())
     }
 
-    /// The rows of chunks without a file, of those that overlap runs of rows. `None` if there are none, or if they stand for the
-    /// fill value.
+    /// Of the rows of chunks that overlap the given runs of rows, those without a file. `None` if there are none, or if they are
+    /// read as the fill value.
     pub(crate) fn missing(&self, runs: &[Range<u64>], absent: Absent) -> Option<Lost> {
         if absent == Absent::IsFill && self.fill().is_some() {
             return None;
@@ -248,8 +249,8 @@ impl ZarrArray {
         let mut chunks = 0;
         let mut rows: Vec<Range<u64>> = Vec::new();
         for chunk_row in self.chunk_rows_of(runs) {
-            // Broken metadata can claim any number of chunks; after so many the rest is not looked for.
-            let enough = chunks > MOST_MISSING;
+            // Broken metadata can declare any number of chunks; the search ends after this many.
+            let enough = chunks > MAX_MISSING;
             if !enough && self.is_stored(chunk_row) {
                 continue;
             }
@@ -262,7 +263,7 @@ impl ZarrArray {
                 continue;
             }
             let lacks = |index: &Vec<u64>| self.store.length(&self.chunk_file(index)).is_none();
-            let looked_at = self.chunks_of(chunk_row).take(MOST_MISSING as usize);
+            let looked_at = self.chunks_of(chunk_row).take(MAX_MISSING as usize);
             chunks += looked_at.filter(lacks).count() as u64;
             first = first.or_else(|| self.chunks_of(chunk_row).find(lacks));
         }
@@ -283,22 +284,22 @@ impl ZarrArray {
         }
     }
 
-    /// The fill value as the bytes of an element; `None` if the metadata gives none.
+    /// The fill value as the bytes of one element; `None` if the metadata has none.
     fn fill(&self) -> Option<Vec<u8>> {
         self.layout.element?.bytes_of(&self.layout.fill)
     }
 
-    /// The bytes of a chunk's file; `None` if there is none.
+    /// The bytes of a chunk's file; `None` if the file does not exist.
     pub(crate) fn read_chunk(&self, index: &[u64], stop: Stop<'_>) -> Result<Option<Vec<u8>>, Fault> {
         let limit = CHUNK_LIMIT + FILE_SLACK;
         let file = self.chunk_file(index);
         if self.store.length(&file).is_some_and(|length| length > limit) {
-            return Err(self.undecodable(index, format!("the file has more than {} MiB", limit >> 20)));
+            return Err(self.undecodable(index, format!("the file is larger than {} MiB", limit >> 20)));
         }
         self.store.read(&file, stop)
     }
 
-    /// Names a chunk that cannot be decoded.
+    /// The fault of a chunk that cannot be decoded.
     pub(crate) fn undecodable(&self, index: &[u64], why: impl Into<String>) -> Fault {
         Fault::UndecodableChunk {
             array: self.name.clone(),
@@ -307,8 +308,8 @@ impl ZarrArray {
         }
     }
 
-    /// Decodes a chunk's file to elements in the machine's byte order; padding of chunks at the edge is included. `None` stands
-    /// for a chunk without a file. `count` is raised for every chunk that is not stored and read as fill values.
+    /// Decodes a chunk's file to elements in native byte order, including the padding of chunks at the edge. `None` stands for a
+    /// chunk without a file. `count` is incremented for every chunk that is not stored and is read as fill values.
     pub(crate) fn decode_chunk(
         &self,
         index: &[u64],
@@ -345,7 +346,7 @@ impl ZarrArray {
         let mut whole = vec![0; elements(&self.chunk) * size];
         for (number, place) in places.into_iter().enumerate() {
             let at = position(number as u64, &grid);
-            // Chunks of a shard beyond the end of the array are padding, which nobody stores.
+            // Chunks of a shard past the end of the array are padding, and writers do not store them.
             let starts = at.iter().zip(&shard.chunk).map(|(i, length)| i * length);
             let is_padding = starts
                 .zip(index.iter().zip(&self.chunk))
@@ -373,8 +374,8 @@ impl ZarrArray {
         Ok(whole)
     }
 
-    /// Copies the part of a decoded chunk that lies in the array into the row-major buffer of its row of chunks,
-    /// run by run. `copy` gets the bytes of a run and the place of its first element in the buffer.
+    /// Copies the part of a decoded chunk that is inside the array to the row-major buffer of its row of chunks,
+    /// run by run. `copy` receives the bytes of a run and the index of its first element in the buffer.
     pub(crate) fn scatter(
         &self,
         index: &[u64],
@@ -392,12 +393,12 @@ impl ZarrArray {
         scatter(&shape, &self.chunk, &at, decoded, element_size, copy)
     }
 
-    /// Reads runs of rows, which ascend and do not overlap, in C order; `convert` turns one element's bytes (machine order) into
-    /// a number.
+    /// Reads runs of rows, which must be ascending and not overlap, in C order. `convert` converts the bytes of one element
+    /// (native byte order) to a number.
     ///
     /// # Errors
-    /// Files that changed or cannot be read for the system's reasons, a `stop` that answered yes; what else is wrong with a chunk
-    /// is told in what is returned.
+    /// A file changed or cannot be read because of an operating system error, or `stop` returned true. Missing and broken chunks
+    /// are part of the result, not errors.
     fn read<T: Copy + Default + Send>(
         &self,
         element: Element,
@@ -425,6 +426,7 @@ impl ZarrArray {
                 let encoded = self.read_chunk(&index, stop)?;
                 let stored = encoded.is_some();
                 let decoded = self.decode_chunk(&index, encoded, absent, &absent_chunks)?;
+                // Evidence that the writer stores chunks that contain only the fill value, so that absent chunks are lost data.
                 if let Some(fill) = fill.as_deref().filter(|_| stored)
                     && decoded.chunks_exact(element.size()).all(|bytes| bytes == fill)
                 {
@@ -445,7 +447,7 @@ impl ZarrArray {
         let mut broken = Vec::new();
         let mut runs = runs.iter().filter(|run| !run.is_empty()).cloned().peekable();
         for batch in chunk_rows.chunks(BATCH) {
-            // In order, so that what is told does not depend on the number of threads.
+            // Collected in order, so that the reported faults do not depend on the number of threads.
             let decoded: Vec<Option<Result<Vec<T>, Fault>>> = batch
                 .par_iter()
                 .map(|&chunk_row| (!is_missing(chunk_row)).then(|| decode(chunk_row)))
@@ -476,6 +478,7 @@ impl ZarrArray {
             }
         }
         let mut lost: Vec<Lost> = missing.into_iter().collect();
+        // Chunks that were read as fill values are lost after all: the writer stores such chunks.
         if fills_are_stored.into_inner()
             && let Some(mut missing) = self.missing(whole_runs, Absent::IsLost)
         {
@@ -492,7 +495,7 @@ impl ZarrArray {
         })
     }
 
-    /// Runs of rows as f64, which holds every f32, f64 and integer below 2^53 exactly.
+    /// Reads runs of rows as f64, which represents every f32, f64 and integer below 2^53 exactly.
     pub(crate) fn read_floats(
         &self,
         element: Element,
@@ -503,7 +506,7 @@ impl ZarrArray {
         self.read(element, runs, absent, stop, |bytes| element.float(bytes))
     }
 
-    /// The whole array as integers; `None` stands for a number that is not whole.
+    /// Reads the whole array as integers; `None` stands for a number that is not an integer.
     pub(crate) fn read_integers(&self, element: Element, stop: Stop<'_>) -> Result<Rows<Option<i128>>, Fault> {
         let all = 0..self.len();
         let whole = |bytes: &[u8]| element.integer(bytes);
@@ -511,7 +514,7 @@ impl ZarrArray {
     }
 }
 
-/// Place of a cell of a grid in C order.
+/// Multi-index of the cell with this number of a grid in C order.
 fn position(number: u64, grid: &[u64]) -> Vec<u64> {
     let mut rest = number;
     let mut at: Vec<u64> = grid
@@ -527,8 +530,8 @@ fn position(number: u64, grid: &[u64]) -> Vec<u64> {
     at
 }
 
-/// Copies the part of a chunk that lies in an array of `shape`, run by run. `at` is the chunk's place in the grid of chunks; `copy`
-/// gets the bytes of a run and the place of its first element in the array.
+/// Copies the part of a chunk that is inside an array of `shape`, run by run. `at` is the chunk's index in the grid of chunks.
+/// `copy` receives the bytes of a run and the index of its first element in the array.
 fn scatter(
     shape: &[u64],
     chunk: &[u64],
@@ -545,7 +548,7 @@ fn scatter(
         .zip(shape.iter().zip(&chunk))
         .map(|(&start, (&length, &chunk))| chunk.min(length.saturating_sub(start)))
         .collect();
-    // Axes after `split` are whole in the chunk, so a run covers the extent along `split` and everything after it.
+    // The chunk spans all axes after `split` completely, so a run covers the extent along `split` and everything after it.
     let split = (0..shape.len())
         .rev()
         .find(|&axis| axis == 0 || chunk[axis] != shape[axis])

@@ -1,4 +1,4 @@
-//! Every accepted variety of store reads as the same numbers.
+//! All accepted kinds of stores are read to the same numbers.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -104,14 +104,14 @@ fn blocks_end_at_chunks_and_gaps_only() {
 }
 
 #[test]
-fn blocks_are_the_same_for_any_pool_and_inside_of_it() {
+fn blocks_do_not_depend_on_the_thread_pool() {
     let reader = PushtReader::open(&fixture("original")).unwrap();
     let reference = blocks(&reader, &Selection::All);
     for threads in 1..4 {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         assert_eq!(pool.install(|| blocks(&reader, &Selection::All)), reference);
     }
-    // Stopping early leaves nothing behind that could block.
+    // Stopping early leaves no task that could block.
     drop(reader.image_blocks(&Selection::All).unwrap().next());
 }
 
@@ -139,8 +139,8 @@ fn zip_files_read_as_their_folders() {
 }
 
 #[test]
-fn large_compressed_zip_entries_unpack_whole() {
-    // 3 MiB of images in one uncompressed chunk that DEFLATE makes much smaller: more than any buffer on the way.
+fn large_compressed_zip_entries_unpack_completely() {
+    // 3 MiB of images in one uncompressed chunk that DEFLATE shrinks to much less: larger than any intermediate buffer.
     let side = 187;
     let bytes: Vec<u8> = (0..FRAMES * side * side * 3).map(|i| (i / 40 % 256) as u8).collect();
     assert!(bytes.len() > 3 << 20);
@@ -160,7 +160,7 @@ fn large_compressed_zip_entries_unpack_whole() {
 }
 
 #[test]
-fn a_zip_is_unpacked_only_as_long_as_it_is_read() {
+fn an_unpacked_zip_is_kept_while_it_is_read() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("store.zip");
     zip_files(&path, &files_of(&fixture("original"), ""), false);
@@ -195,9 +195,9 @@ fn the_hash_covers_names_lengths_and_bytes() {
     assert_eq!(hashes.len(), changed.len() + 1);
 }
 
-/// The rule in words, by hand: names in the order of their bytes, `c/10` before `c/2`.
+/// An independent implementation of the documented hash, with names in byte order (`c/10` before `c/2`).
 #[test]
-fn the_hash_is_what_its_description_says() {
+fn the_hash_matches_its_documentation() {
     for name in ["original", "format3"] {
         let mut files = files_of(&fixture(name), "");
         files.sort();
@@ -213,9 +213,9 @@ fn the_hash_is_what_its_description_says() {
     }
 }
 
-/// Other arrays, a folder of checkpoints, files of editors and file managers, even those that nobody may read.
+/// Other arrays, a folder of checkpoints, and files of editors and file managers, including unreadable ones.
 #[test]
-fn what_is_not_read_does_not_count() {
+fn unrelated_files_do_not_affect_the_hash() {
     let copy = Copy::of("original");
     let hash = || PushtReader::open(&copy.path()).unwrap().source_hash(&|| false).unwrap();
     let reference = hash();
@@ -288,7 +288,7 @@ fn warnings_are_counted_and_placed() {
 
     let mut states: Vec<f64> = (0..FRAMES).flat_map(common::state).collect();
     states.copy_within(5 * 3..5 * 4, 5 * 4);
-    // Equal states on both sides of a boundary between episodes are no repetition.
+    // Equal states on both sides of an episode boundary are not a repetition.
     states.copy_within(5 * 11..5 * 12, 5 * 12);
     let mut actions: Vec<f64> = (0..FRAMES).flat_map(common::action).collect();
     actions[2 * 20] = -3.0;
@@ -315,7 +315,7 @@ fn warnings_are_counted_and_placed() {
 }
 
 #[test]
-fn planar_episodes_carry_the_columns() {
+fn planar_episodes_contain_the_columns() {
     let (episodes, _) = PushtReader::open(&fixture("original"))
         .unwrap()
         .read_episodes(&Selection::Last(2))

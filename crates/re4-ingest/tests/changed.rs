@@ -1,4 +1,4 @@
-//! What is read is what was hashed, or the dataset is refused: files that change, vanish or appear, and requests to stop.
+//! Only data with the bytes that were hashed is read: changes of files, removed and added files, and requests to stop.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -22,7 +22,7 @@ fn is_change(error: &IngestError) -> bool {
     matches!(*error.fault, Fault::Changed { .. })
 }
 
-/// Opens, hashes and reads all, with something happening after the given step; whether it would be published.
+/// Opens, hashes and reads everything, with an event after the given step. Returns whether the result would be published.
 fn run(dataset: &Path, step: usize, happens: &dyn Fn()) -> Result<(), IngestError> {
     let mut happened = false;
     let mut at = |number: usize| {
@@ -97,18 +97,18 @@ fn a_source_that_changes_at_any_time_is_refused() {
             let copy = Copy::of("original");
             let outcome = run(&copy.path(), step, &|| change(&copy.path()));
             let error = outcome.expect_err(&format!("{name} after step {step}"));
-            // Images are read ahead, and once all are read nothing but the end tells.
+            // Images are read ahead; after all have been read, only the final check detects a change.
             assert!(is_change(&error), "{name} after step {step}: {error}");
         }
     }
 }
 
 #[test]
-fn a_source_that_stays_is_read() {
+fn an_unchanged_source_is_read() {
     for name in ["original", "format3"] {
         let copy = Copy::of(name);
         run(&copy.path(), 0, &|| {
-            // Beside the dataset anything may happen.
+            // Changes outside the dataset's files have no effect.
             fs::write(copy.path().join("data/note.txt"), "x").unwrap();
             fs::create_dir(copy.path().join("checkpoints")).unwrap();
         })
@@ -116,7 +116,7 @@ fn a_source_that_stays_is_read() {
     }
 }
 
-/// The archive is read through one handle and its own copy is what is hashed: a change is found all the same.
+/// The archive is read through one handle and its unpacked copy is hashed; a change of the archive is detected nevertheless.
 #[test]
 fn a_zip_file_that_changes_is_refused() {
     let folder = TempDir::new().unwrap();
@@ -131,7 +131,7 @@ fn a_zip_file_that_changes_is_refused() {
             "{error}"
         );
     }
-    // While it is unpacked: it is cut off, so that the rest of it cannot be unpacked.
+    // Truncated while it is unpacked, so that the rest cannot be unpacked.
     write("original");
     let asked = AtomicU32::new(0);
     let stop = || {
@@ -147,7 +147,7 @@ fn a_zip_file_that_changes_is_refused() {
     };
     let error = PushtReader::open_for(&path, true, &stop).map(|_| ()).unwrap_err();
     assert!(is_change(&error), "{error}");
-    // And replaced by an equal one, which could have been another.
+    // Replaced by an equal file, which could have been different.
     write("original");
     let stop = || {
         if asked.fetch_add(1, Ordering::Relaxed) == 40 {
@@ -161,12 +161,12 @@ fn a_zip_file_that_changes_is_refused() {
 }
 
 #[test]
-fn a_request_to_stop_is_answered_wherever_it_comes() {
+fn a_request_to_stop_is_honored_at_any_point() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("store.zip");
     zip_files(&path, &files_of(&fixture("original"), ""), true);
     let is_stop = |error: &IngestError| matches!(*error.fault, Fault::Stopped);
-    // How often it is asked, all in all.
+    // Counts the calls of `stop`.
     let asked = AtomicU32::new(0);
     let attempt = |after: u32| {
         asked.store(0, Ordering::Relaxed);
@@ -186,7 +186,7 @@ fn a_request_to_stop_is_answered_wherever_it_comes() {
     for after in (0..all).step_by(7) {
         match attempt(after) {
             Err(error) => assert!(is_stop(&error), "{after} of {all}: {error}"),
-            // Files that were written a moment ago are listed twice, so that the others may ask less often.
+            // Recently written files are listed twice, so that the later attempts may call `stop` less often.
             Ok(()) => assert!(asked.load(Ordering::Relaxed) <= after, "{after} of {all}"),
         }
     }

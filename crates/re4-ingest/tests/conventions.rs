@@ -1,4 +1,4 @@
-//! Files of other hands, read by the setting that their refusal names, give the columns of the file that they were made from.
+//! Files in other conventions, read with the setting that their refusal suggests, give the columns of the original file.
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
 
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Layout, Reading, Ro
 use re4_ingest::{IngestError, LeftOut, SpatialColumns, refusal};
 use re4_robosuite::conventions::{ActionFrame, ActionScale, GripperRange, InitialGoal, RobosuiteTask, Settings};
 
-/// A file below the folder of the datasets, if it is at hand.
+/// A file in the folder of the datasets, if it is available.
 fn dataset(name: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let path = std::env::var_os("RE4_DATA")
@@ -41,7 +41,7 @@ fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
 
 type Columns = Vec<(String, Vec<SpatialColumns>)>;
 
-/// The interpreter's rows of conventions and the columns of all demonstrations, or the sentence of the refusal.
+/// The interpreter and the columns of all demonstrations, or the message of the refusal.
 fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), String> {
     let reader = open(path).map_err(|error| error.to_string())?;
     let (interpreter, left_out) = Interpreter::learn(&reader, reading).map_err(|error| error.to_string())?;
@@ -68,18 +68,18 @@ fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), Stri
 /// Maximum differences of deltas, goals and gripper commands.
 fn differences(a: &Columns, b: &Columns) -> [f64; 3] {
     assert_eq!(a.len(), b.len());
-    let mut most = [0.0_f64; 3];
+    let mut largest = [0.0_f64; 3];
     for ((_, a), (_, b)) in a.iter().zip(b) {
         assert!(!a.is_empty() && !b.is_empty());
         for (a, b) in a.iter().zip(b) {
             for axis in 0..6 {
-                most[0] = most[0].max((a.delta.0[axis] - b.delta.0[axis]).abs());
-                most[1] = most[1].max((a.goal.0[axis] - b.goal.0[axis]).abs());
+                largest[0] = largest[0].max((a.delta.0[axis] - b.delta.0[axis]).abs());
+                largest[1] = largest[1].max((a.goal.0[axis] - b.goal.0[axis]).abs());
             }
-            most[2] = most[2].max((a.gripper - b.gripper).abs());
+            largest[2] = largest[2].max((a.gripper - b.gripper).abs());
         }
     }
-    most
+    largest
 }
 
 fn basis(interpreter: &Interpreter, name: &str) -> (String, String) {
@@ -92,7 +92,7 @@ fn basis(interpreter: &Interpreter, name: &str) -> (String, String) {
 }
 
 #[test]
-fn deltas_in_metres_are_those_of_the_controller_by_the_setting() {
+fn deltas_in_metres_are_converted_by_the_setting() {
     let (Some(metres), Some(control)) = (foreign("h26_deltas_in_metres"), foreign("h00_control_can")) else {
         return;
     };
@@ -113,15 +113,15 @@ fn deltas_in_metres_are_those_of_the_controller_by_the_setting() {
         basis(&interpreter, "action_scale"),
         ("controller".to_owned(), "proven".to_owned())
     );
-    let most = differences(&columns, &expected);
-    assert!(most.iter().all(|most| *most < 1e-9), "{most:?}");
+    let largest = differences(&columns, &expected);
+    assert!(largest.iter().all(|difference| *difference < 1e-9), "{largest:?}");
     let refused = ingest(&control, &reading("can", settings)).err().unwrap();
     println!("{refused}");
     assert!(refused.contains("action_scale = \"controller\" fits"), "{refused}");
 }
 
 #[test]
-fn gripper_commands_from_0_to_1_are_those_of_robosuite_by_the_setting() {
+fn gripper_commands_from_0_to_1_are_converted_by_the_setting() {
     let (Some(zero_one), Some(control)) = (foreign("h28_gripper_zero_one"), foreign("h00_control_lift")) else {
         return;
     };
@@ -142,7 +142,7 @@ fn gripper_commands_from_0_to_1_are_those_of_robosuite_by_the_setting() {
 }
 
 #[test]
-fn goals_in_the_base_s_frame_are_the_controller_s_by_the_setting() {
+fn goals_in_the_base_frame_are_converted_by_the_setting() {
     let (Some(in_base), Some(control)) = (foreign("h24_absolute_in_base_frame"), foreign("h00_control_lift")) else {
         return;
     };
@@ -161,7 +161,7 @@ fn goals_in_the_base_s_frame_are_the_controller_s_by_the_setting() {
     assert!(goals < 1e-6 && gripper == 0.0, "{goals:.2e}");
 }
 
-/// Observations beside the states that they come from change nothing.
+/// Reading from observations gives the same goals as reading from the states they were computed from.
 #[test]
 fn the_raw_and_the_observed_layout_give_the_same_goals() {
     let (Some(live), Some(raw)) = (
@@ -182,9 +182,9 @@ fn the_raw_and_the_observed_layout_give_the_same_goals() {
             ("reset_pose".to_owned(), "proven".to_owned())
         );
     }
-    let most = differences(&observed, &states);
-    println!("{most:?}");
-    assert!(most.iter().all(|most| *most < 1e-6), "{most:?}");
+    let largest = differences(&observed, &states);
+    println!("{largest:?}");
+    assert!(largest.iter().all(|difference| *difference < 1e-6), "{largest:?}");
     let first = Settings {
         initial_goal: Some(InitialGoal::FirstPose),
         ..settings
@@ -197,7 +197,7 @@ fn the_raw_and_the_observed_layout_give_the_same_goals() {
 }
 
 #[test]
-fn what_was_never_recorded_is_named_or_left_out() {
+fn unrecorded_rows_are_reported_or_left_out() {
     let Some(cut_off) = foreign("h64_preallocated_rows_counted") else {
         return;
     };
@@ -213,7 +213,7 @@ fn what_was_never_recorded_is_named_or_left_out() {
 }
 
 #[test]
-fn names_of_environments_are_those_of_their_scene() {
+fn environment_names_are_matched_to_tasks() {
     let (Some(square), Some(isaac), Some(infinity)) = (
         foreign("h01_mimicgen_square_d0"),
         foreign("h20_isaaclab_layout"),
@@ -231,7 +231,7 @@ fn names_of_environments_are_those_of_their_scene() {
         let refused = ingest(&isaac, &reading(task, Settings::default())).err().unwrap();
         println!("{refused}");
         assert!(
-            refused.contains("it is not robosuite's") && refused.contains("Isaac Lab"),
+            refused.contains("it is not a robosuite dataset") && refused.contains("Isaac Lab"),
             "{refused}"
         );
     }

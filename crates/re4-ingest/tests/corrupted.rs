@@ -1,4 +1,4 @@
-//! Random damage to a store ends in a sentence or in data, never in a panic or a hang.
+//! Random damage to a store results in an error message or in data, never in a panic or a hang.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -78,7 +78,7 @@ fn apply(bytes: &mut Vec<u8>, damages: &[Damage]) {
     }
 }
 
-/// Damages one file of a store, reads everything, and puts the file back.
+/// Damages one file of a store, reads everything, and restores the file.
 fn read_damaged(store: &Copy, file: &str, damage: impl FnOnce(&mut Vec<u8>)) -> Result<(), TestCaseError> {
     let path = store.path().join(file);
     let whole = fs::read(&path).unwrap();
@@ -94,7 +94,7 @@ fn read_damaged(store: &Copy, file: &str, damage: impl FnOnce(&mut Vec<u8>)) -> 
 }
 
 thread_local! {
-    // Every test runs in a thread of its own, so each has copies of its own.
+    // Every test runs in its own thread, so each has its own copies.
     static STORE: Copy = Copy::of("original");
     static MIXED: Copy = Copy::of("mixed");
 }

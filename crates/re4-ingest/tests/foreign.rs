@@ -1,4 +1,4 @@
-//! Inputs after public bug reports, where they are at hand: each is read, or refused with a remedy that works.
+//! Inputs that reproduce public bug reports, if available: each is read, or refused with a remedy that works.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -28,7 +28,7 @@ fn refusal(case: &str) -> Option<String> {
     Some(sentence.split_once(".zarr: ").unwrap().1.to_owned())
 }
 
-/// Frames whose numbers differ by more than a tolerance.
+/// Frames with numbers that differ by more than a tolerance.
 fn different(one: &PushtEpisodes, other: &PushtEpisodes, tolerance: f64) -> Vec<usize> {
     assert_eq!(one.frames, other.frames);
     let far = |a: &[f64], b: &[f64]| a.iter().zip(b).any(|(a, b)| (a - b).abs() > tolerance);
@@ -38,7 +38,7 @@ fn different(one: &PushtEpisodes, other: &PushtEpisodes, tolerance: f64) -> Vec<
 }
 
 #[test]
-fn what_differs_in_storage_alone_reads_as_the_control() {
+fn different_storage_reads_as_the_control() {
     let Some(control) = read("z00_control", "{}") else {
         return;
     };
@@ -79,12 +79,12 @@ fn other_units_and_kinds_are_refused_and_read_with_the_setting() {
         return;
     }
     insta::assert_snapshot!(sentences.join("\n"));
-    // One of the relative actions is cut off at 99 px in the file itself.
-    for (case, settings, cut_off) in [
+    // One of the relative actions is clipped to 99 px in the file.
+    for (case, settings, clipped) in [
         ("z06_relative_actions", r#"{"action": "relative"}"#, vec![526]),
         ("z08_unit_coordinates", r#"{"window": [-1, 1]}"#, vec![]),
     ] {
         let read = read(case, settings).unwrap();
-        assert_eq!(different(&control.episodes, &read.episodes, 1e-3), cut_off, "{case}");
+        assert_eq!(different(&control.episodes, &read.episodes, 1e-3), clipped, "{case}");
     }
 }

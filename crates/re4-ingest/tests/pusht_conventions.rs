@@ -1,4 +1,4 @@
-//! Numbers of other units and actions of other kinds are refused by name, and read with the settings that say what they are.
+//! Other units and kinds of actions are refused by name, and read with the settings that declare them.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -29,7 +29,7 @@ fn refusal(made: &Made, settings: &str) -> String {
     read(&made.store(), settings).expect_err("it should be refused")
 }
 
-/// Reads a dataset with settings; the numbers have to be those of the one in pixels, radians and absolute targets.
+/// Reads a dataset with settings. The numbers must equal those of `original` in pixels, radians and absolute targets.
 fn check(made: &Made, settings: &str, original: &Made, tolerance: f64) -> PushtReading {
     let reading = read(&made.store(), settings).unwrap();
     let far = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -55,7 +55,7 @@ fn world() -> Made {
 }
 
 #[test]
-fn what_is_as_in_the_original_is_read_as_it_is() {
+fn data_in_the_original_conventions_is_unchanged() {
     let reading = check(&world(), "{}", &world(), 1e-4);
     assert!(reading.explained.unwrap() > 0.97, "{:?}", reading.explained);
     assert!(
@@ -64,7 +64,7 @@ fn what_is_as_in_the_original_is_read_as_it_is() {
             .iter()
             .all(|warning| warning.code != WarningCode::Convention)
     );
-    // Fewer episodes, too, down to one.
+    // Fewer episodes are accepted, too, down to one.
     for episodes in 1..4 {
         check(&made(episodes, 120), "{}", &made(episodes, 120), 1e-4);
     }
@@ -88,7 +88,7 @@ fn positions_in_other_units() {
         sentences.push(refusal(&other, "{}"));
         check(&other, &format!("{{\"window\": {window}}}"), &world(), 1e-2);
     }
-    // Settings that do not fit.
+    // Settings that contradict the data.
     for (low, high, settings) in [
         (0.0, 512.0, r#"{"window": [-1, 1]}"#),
         (0.0, 512.0, r#"{"window": [0, 96]}"#),
@@ -133,7 +133,7 @@ fn angles_in_other_units() {
     ];
     insta::assert_snapshot!(sentences.join("\n"));
     check(&degrees(), r#"{"angle": "degrees"}"#, &world(), 1e-3);
-    // Nothing but a whole number of turns: that is no question of units.
+    // Angles that differ by whole turns are wrapped; the unit is not in question.
     for (other, count) in [(signed(), 1..540), (turns(), 540..541)] {
         let reading = check(&other, "{}", &world(), 1e-3);
         let wrapped = reading
@@ -197,7 +197,7 @@ fn actions_of_other_kinds() {
         refusal(&shifted(1), "{}"),
         refusal(&shifted(-1), "{}"),
         refusal(&shuffled, "{}"),
-        // Settings that do not fit.
+        // Settings that contradict the data.
         refusal(&world(), r#"{"action": "relative"}"#),
         refusal(&world(), r#"{"action_window": [-1, 1]}"#),
         refusal(&relative(100.0), r#"{"action": "relative"}"#),
@@ -226,9 +226,9 @@ fn actions_of_other_kinds() {
     check(&other(-4.0, 3.0), r#"{"action_window": [-4, 3]}"#, &world(), 1e-3);
 }
 
-/// A relative action of zeros is an order to stay, so that a chunk of them may be left out; an absolute one is the corner.
+/// A relative action of zeros means to stay, so a chunk of them may be omitted. An absolute action of zeros is the corner.
 #[test]
-fn a_chunk_of_relative_actions_may_be_left_out() {
+fn a_chunk_of_relative_actions_may_be_omitted() {
     let mut relative = world().map_actions(|_, agent, action| action - agent);
     relative.action[200..210].fill([0.0; 2]);
     let frames = relative.state.len();
@@ -254,17 +254,20 @@ fn a_chunk_of_relative_actions_may_be_left_out() {
     assert_eq!(whole.episodes.frame_count(), frames);
     let copy = chunked().remove("data/action/20.0");
     assert_eq!(read(&copy, settings).unwrap().episodes, whole.episodes);
-    let say = read(&copy, "{}").unwrap_err();
+    let sentence = read(&copy, "{}").unwrap_err();
     assert!(
-        say.starts_with("2 things are wrong with it: (1) data/action explains"),
-        "{say}"
+        sentence.starts_with("2 problems were found: (1) data/action explains"),
+        "{sentence}"
     );
-    assert!(say.contains("(2) chunk 20.0 of array data/action is missing"), "{say}");
+    assert!(
+        sentence.contains("(2) chunk 20.0 of array data/action is missing"),
+        "{sentence}"
+    );
 }
 
-/// Recordings in which nothing can be told are taken as they are.
+/// Recordings with too little motion to judge are read unchanged.
 #[test]
-fn nothing_is_said_of_short_and_idle_recordings() {
+fn short_and_idle_recordings_are_not_judged() {
     for (episodes, frames) in [(1, 10), (1, 40), (3, 15)] {
         let relative = made(episodes, frames).map_actions(|_, agent, action| 0.2 * (action - agent));
         let reading = read(&relative.store(), "{}").unwrap();
@@ -277,7 +280,7 @@ fn nothing_is_said_of_short_and_idle_recordings() {
 }
 
 #[test]
-fn one_episode_unlike_the_others_is_named() {
+fn an_inconsistent_episode_is_reported() {
     let mut relative = world();
     for frame in relative.frames(2) {
         for axis in 0..2 {
@@ -294,7 +297,7 @@ fn one_episode_unlike_the_others_is_named() {
 }
 
 #[test]
-fn weak_controllers_are_told_of() {
+fn weakly_followed_targets_cause_a_warning() {
     let mut noisy = world();
     for (number, action) in noisy.action.iter_mut().enumerate() {
         action[number % 2] += 45.0 * ((number * 37 % 11) as f64 - 5.0) / 5.0;

@@ -1,4 +1,4 @@
-//! The real dataset, where it is at hand.
+//! Tests on the original dataset, if it is available.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -26,7 +26,7 @@ fn the_original_dataset_reads_as_documented() {
     assert_eq!(brief, [(WarningCode::AngleSeam, 91)]);
     let counts = [0.0, 1.0, 2.0].map(|n| episodes.contacts.as_ref().unwrap().iter().filter(|&&c| c == n).count());
     assert_eq!(counts, [13_755, 11_207, 688]);
-    // The scenes of the demonstrations are those of seeds 0, 1, ...: whole numbers drawn below 450.
+    // The scenes of the demonstrations are those of seeds 0, 1, ...: integers sampled below 450.
     assert!(episodes.frames.iter().all(|frames| {
         episodes.state[frames.start][..2]
             .iter()
@@ -35,7 +35,7 @@ fn the_original_dataset_reads_as_documented() {
 }
 
 #[test]
-fn images_hold_what_was_documented() {
+fn images_match_their_documentation() {
     let Some(dataset) = real_dataset() else { return };
     let reader = PushtReader::open(&dataset).unwrap();
     let (mut low, mut high, mut sum, mut next) = (255, 0, 0u64, 0);
@@ -74,7 +74,7 @@ fn the_columns_survive_a_round_trip() {
         (&copy.state, &copy.action, &copy.contacts),
         (&episodes.state, &episodes.action, &episodes.contacts)
     );
-    // Recorded keypoints follow from the recorded pose and the constants, closely in nearly all frames.
+    // Recorded keypoints agree closely in nearly all frames with those computed from the recorded pose and the constants.
     let pairs = copy.keypoint.iter().flatten().zip(episodes.keypoint.iter().flatten());
     let mut distances: Vec<f64> = pairs
         .map(|(a, b)| {

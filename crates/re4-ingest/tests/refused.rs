@@ -1,4 +1,4 @@
-//! Every fault of a dataset is refused by one sentence that names it.
+//! Every fault of a dataset is refused with one message that names it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -80,10 +80,10 @@ fn images_with(edit: impl FnOnce(&mut Vec<f64>)) -> String {
 }
 
 #[test]
-fn paths_that_are_no_store() {
+fn paths_that_are_not_stores() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let say = |name: &str| refusal(&at(name), folder.path());
+    let sentence = |name: &str| refusal(&at(name), folder.path());
     fs::create_dir(at("empty")).unwrap();
     fs::create_dir(at("other")).unwrap();
     fs::write(at("other/readme.txt"), "hello").unwrap();
@@ -125,13 +125,13 @@ fn paths_that_are_no_store() {
             "fifo",
             "piped"
         ]
-        .map(say)
+        .map(sentence)
         .join("\n")
     );
 }
 
 #[test]
-fn zip_files_that_hold_no_store() {
+fn zip_files_without_a_store() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
     let file = |name: &str, content: &str| (name.to_owned(), content.as_bytes().to_vec());
@@ -145,7 +145,7 @@ fn zip_files_that_hold_no_store() {
     zip_files(&at("whole.zip"), &files_of(&fixture("original"), ""), false);
     let whole = fs::read(at("whole.zip")).unwrap();
     fs::write(at("cut.zip"), &whole[..whole.len() / 2]).unwrap();
-    // One bit of the first entry's content, which the checksum of the entry tells.
+    // One flipped bit in the content of the first entry, which its checksum detects.
     let mut flipped = fs::read(at("other.zip")).unwrap();
     let place = flipped.windows(5).position(|window| window == b"hello").unwrap();
     flipped[place] ^= 1;
@@ -166,7 +166,7 @@ fn zip_files_that_hold_no_store() {
 }
 
 #[test]
-fn files_of_other_kinds() {
+fn files_of_other_formats() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("dataset");
     let mut tar = vec![b'x'; 600];
@@ -190,7 +190,7 @@ fn files_of_other_kinds() {
 }
 
 #[test]
-fn arrays_that_are_missing_or_of_another_kind() {
+fn missing_arrays_and_wrong_types() {
     let original = || Copy::of("original");
     let flat = |count: usize| vec![0.0; count];
     let sentences = [
@@ -251,7 +251,7 @@ fn arrays_that_are_missing_or_of_another_kind() {
 }
 
 #[test]
-fn episode_ends_that_do_not_fit() {
+fn invalid_episode_ends() {
     let ends = |ends: &[i64]| Copy::of("original").ends(ends).refusal();
     let sentences = [
         ends(&[]),
@@ -322,10 +322,10 @@ fn chunks_that_are_missing_or_broken() {
     insta::assert_snapshot!(sentences.join("\n"));
 }
 
-/// Each would be followed as often as the system allows, and two of them two to the power of that.
+/// Following either link would recurse up to the system's limit, and following both would double the entries at each level.
 #[cfg(unix)]
 #[test]
-fn links_that_lead_up() {
+fn circular_links() {
     let copy = Copy::of("minimal");
     for (name, target) in [("data/state/7", ".."), ("data/state/8", ".")] {
         std::os::unix::fs::symlink(target, copy.path().join(name)).unwrap();
@@ -339,15 +339,15 @@ fn links_that_lead_up() {
     };
     assert_eq!(
         refused(),
-        "data/state/7 is a link to a folder that it lies in; remove the link"
+        "data/state/7 is a symbolic link to one of its own parent folders; remove the link"
     );
     fs::remove_file(copy.path().join("data/state/7")).unwrap();
     assert_eq!(
         refused(),
-        "data/state/8 is a link to a folder that it lies in; remove the link"
+        "data/state/8 is a symbolic link to one of its own parent folders; remove the link"
     );
     fs::remove_file(copy.path().join("data/state/8")).unwrap();
-    // A link elsewhere is as good as what it leads to.
+    // A link to a folder elsewhere is equivalent to the folder.
     let hash = || PushtReader::open(&copy.path()).unwrap().source_hash(&|| false).unwrap();
     let whole = hash();
     fs::rename(copy.path().join("meta"), copy.path().with_extension("meta")).unwrap();
@@ -355,10 +355,10 @@ fn links_that_lead_up() {
     assert_eq!(hash(), whole);
 }
 
-/// A few bytes that ask for more memory than there is.
+/// Small files that declare huge sizes.
 #[test]
-fn claims_that_are_not_believed() {
-    // A zstd frame that says that it holds 2^62 bytes (RFC 8878, section 3.1.1.1).
+fn excessive_declared_sizes() {
+    // A zstd frame that declares 2^62 bytes of content (RFC 8878, section 3.1.1.1).
     let mut claim = vec![0x28, 0xB5, 0x2F, 0xFD, 0xE0];
     claim.extend((1_u64 << 62).to_le_bytes());
     claim.extend([1, 0, 0]);
@@ -421,7 +421,7 @@ fn metadata_that_cannot_be_used() {
 }
 
 #[test]
-fn values_that_no_recording_has() {
+fn values_out_of_range() {
     let sentences = [
         state_with(17, 3, f64::NAN),
         state_with(29, 0, f64::INFINITY),
@@ -443,7 +443,7 @@ fn values_that_no_recording_has() {
 
 #[test]
 fn values_at_the_edge_are_accepted() {
-    // The f32 nearest to 2π is above it.
+    // The f32 nearest to 2π exceeds it.
     for angle in [0.0, f64::from(std::f32::consts::TAU), std::f64::consts::TAU - 1e-6] {
         let values = changed(common::state, 5, 4, angle);
         let store = Copy::of("original").floats("data/state", &[FRAMES, 5], &values);
@@ -452,7 +452,7 @@ fn values_at_the_edge_are_accepted() {
 }
 
 #[test]
-fn images_that_are_no_bytes() {
+fn images_with_non_byte_values() {
     let at = 3 * (SIDE * SIDE * 3) + 2 * (SIDE * 3) + 5 * 3 + 1;
     let sentences = [
         images_with(|values| values[at] = 300.0),
@@ -465,7 +465,7 @@ fn images_that_are_no_bytes() {
 }
 
 #[test]
-fn a_fault_outside_of_the_selection_does_not_stop_it() {
+fn faults_outside_the_selection_are_ignored() {
     let store = Copy::of("original").floats("data/state", &[FRAMES, 5], &changed(common::state, 17, 3, f64::NAN));
     let reader = PushtReader::open(&store.path()).unwrap();
     assert!(reader.read_episodes(&Selection::First(2)).is_ok());
@@ -473,7 +473,7 @@ fn a_fault_outside_of_the_selection_does_not_stop_it() {
 }
 
 #[test]
-fn selections_and_images_that_are_not_there() {
+fn missing_selections_and_images() {
     let store = Copy::of("minimal");
     let reader = PushtReader::open(&store.path()).unwrap();
     let place = store.path().parent().unwrap().to_str().unwrap().to_owned();
@@ -499,7 +499,7 @@ fn an_iterator_of_images_ends_after_its_error() {
 
 #[cfg(unix)]
 #[test]
-fn files_that_may_not_be_read() {
+fn unreadable_files() {
     use std::os::unix::fs::PermissionsExt;
     let store = Copy::of("original");
     let file = store.path().join("data/action/1.0");
@@ -508,5 +508,5 @@ fn files_that_may_not_be_read() {
         println!("skipped: this user may read every file");
         return;
     }
-    insta::assert_snapshot!(store.refusal(), @"cannot ingest [folder]/store.zarr: cannot read [folder]/store.zarr/data/action/1.0: Permission denied (os error 13); change its permissions or run as a user who may");
+    insta::assert_snapshot!(store.refusal(), @"cannot ingest [folder]/store.zarr: cannot read [folder]/store.zarr/data/action/1.0: Permission denied (os error 13); change its permissions or run as a user with access");
 }

@@ -1,4 +1,4 @@
-//! All faults of a dataset in one error, and episodes that cannot be used left out where that is asked for.
+//! All faults of a dataset are reported in one error, and bad episodes are left out on request.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -30,7 +30,7 @@ fn numbers(left_out: &[LeftOut]) -> Vec<&str> {
     left_out.iter().map(|left| left.demo.as_str()).collect()
 }
 
-/// The original fixture with bad values in episodes 0 (a state), 1 (an action and a count) and, if asked for, 2 (a keypoint).
+/// The original fixture with invalid values in episodes 0 (a state), 1 (an action and a count) and optionally 2 (a keypoint).
 fn bad_values(third: bool) -> Copy {
     let mut state: Vec<f64> = (0..FRAMES).flat_map(common::state).collect();
     state[5 * 3 + 1] = f64::NAN;
@@ -54,7 +54,7 @@ fn bad_values(third: bool) -> Copy {
 fn all_bad_episodes_are_named_at_once() {
     let sentences = [
         read(&bad_values(false), OnBad::Refuse, true).unwrap_err(),
-        // Nothing would be left.
+        // No episode would remain.
         read(&bad_values(true), OnBad::Refuse, true).unwrap_err(),
         read(&bad_values(true), OnBad::LeaveOut, true).unwrap_err(),
     ];
@@ -62,7 +62,7 @@ fn all_bad_episodes_are_named_at_once() {
 }
 
 #[test]
-fn bad_episodes_are_left_out_where_that_is_asked_for() {
+fn bad_episodes_are_left_out_on_request() {
     let copy = bad_values(false);
     let reading = read(&copy, OnBad::LeaveOut, true).unwrap();
     assert_eq!(reading.episodes, expected(&[2], true));
@@ -75,7 +75,7 @@ fn bad_episodes_are_left_out_where_that_is_asked_for() {
             .collect::<Vec<_>>()
             .join("\n")
     );
-    // Their images are those of the rest.
+    // The images are those of the remaining episodes.
     let reader = PushtReader::open(&copy.path()).unwrap();
     let mut frame = 17;
     for block in reader.image_blocks_of(&reading.episodes).unwrap() {
@@ -85,12 +85,12 @@ fn bad_episodes_are_left_out_where_that_is_asked_for() {
         }
     }
     assert_eq!(frame, FRAMES);
-    // What is sound is read whole.
-    let sound = read(&Copy::of("original"), OnBad::LeaveOut, true).unwrap();
-    assert_eq!((sound.episodes, sound.left_out), (expected(&[0, 1, 2], true), vec![]));
+    // A valid dataset is read completely.
+    let valid = read(&Copy::of("original"), OnBad::LeaveOut, true).unwrap();
+    assert_eq!((valid.episodes, valid.left_out), (expected(&[0, 1, 2], true), vec![]));
 }
 
-/// Images of episodes 0 and 1 with values that are no bytes, and a chunk that cannot be decoded.
+/// Images of episodes 0 and 1 with invalid values, and a chunk that cannot be decoded.
 #[test]
 fn bad_images_count_as_bad_episodes() {
     let mut values: Vec<f64> = (0..FRAMES).flat_map(image).map(f64::from).collect();
@@ -103,7 +103,7 @@ fn bad_images_count_as_bad_episodes() {
         numbers(&read(&copy, OnBad::LeaveOut, true).unwrap().left_out),
         ["episode 0", "episode 1"]
     );
-    // Nobody asked for them.
+    // Images were not requested.
     assert!(read(&copy, OnBad::LeaveOut, false).unwrap().left_out.is_empty());
     let chunk = Copy::of("original").edit("data/img/2.0.0.0", |bytes| bytes.truncate(40));
     assert_eq!(
@@ -121,7 +121,7 @@ fn bad_images_count_as_bad_episodes() {
 }
 
 #[test]
-fn chunks_that_cannot_be_read_cost_the_episodes_that_need_them() {
+fn unreadable_chunks_affect_only_the_episodes_that_use_them() {
     let cut = |bytes: &mut Vec<u8>| bytes.truncate(bytes.len() / 2);
     // Rows 0 to 6 of the states, rows 7 to 13 of the actions.
     let copy = Copy::of("original")
@@ -131,7 +131,7 @@ fn chunks_that_cannot_be_read_cost_the_episodes_that_need_them() {
     assert_eq!(numbers(&reading.left_out), ["episode 0", "episode 1"]);
     assert_eq!(reading.episodes, expected(&[2], true));
     insta::assert_snapshot!(read(&copy, OnBad::Refuse, false).unwrap_err());
-    // Episodes that do not need them can be read alone.
+    // Episodes that do not use these chunks can be read on their own.
     let reader = PushtReader::open(&copy.path()).unwrap();
     assert_eq!(
         reader.read_episodes(&Selection::Last(1)).unwrap().0,
@@ -163,9 +163,9 @@ fn all_faults_of_the_arrays_are_named_at_once() {
     insta::assert_snapshot!(sentences.join("\n"));
 }
 
-/// Twenty are spelled out.
+/// At most 20 faults are listed.
 #[test]
-fn a_long_list_ends() {
+fn long_lists_are_truncated() {
     let mut many: Made = made(40, 12);
     for episode in 0..30 {
         let frame = many.frames(episode).start;
@@ -188,9 +188,9 @@ fn a_long_list_ends() {
     assert_eq!((reading.episodes.episode_count(), reading.left_out.len()), (10, 30));
 }
 
-/// Which chunks are not stored, the fill value, and what is made of it.
+/// A missing chunk is read as the fill value only if that is a valid count and the writer omits such chunks.
 #[test]
-fn chunks_of_contacts_that_hold_the_fill_value_may_be_left_out() {
+fn contact_chunks_with_only_the_fill_value_may_be_omitted() {
     let with = |contacts: &dyn Fn(usize) -> f64| {
         let values: Vec<f64> = (0..FRAMES).map(contacts).collect();
         let bytes = |chunk: usize| -> Vec<u8> {
@@ -220,9 +220,9 @@ fn chunks_of_contacts_that_hold_the_fill_value_may_be_left_out() {
         .find(|warning| warning.code == WarningCode::AbsentChunks)
         .unwrap();
     assert_eq!(warning.count, 1);
-    // Of a writer that stores chunks that hold nothing else, one is lost.
+    // The writer stores chunks that contain only the fill value, so a missing one is lost.
     let zeros = with(&|t| if t < 10 { 1.0 } else { 0.0 }).remove("data/n_contacts/1.0");
-    // And no fill value that a count can be.
+    // The fill value is not a valid count.
     let negative = with(&contacts)
         .metadata("data/n_contacts", &[("fill_value", json!(-1))])
         .remove("data/n_contacts/1.0");
@@ -230,9 +230,9 @@ fn chunks_of_contacts_that_hold_the_fill_value_may_be_left_out() {
     insta::assert_snapshot!(sentences.join("\n"));
 }
 
-/// Nothing but what is asked for has to be sound.
+/// Only requested arrays have to be valid.
 #[test]
-fn images_that_nobody_asks_for_may_be_anything() {
+fn images_that_are_not_requested_are_not_checked() {
     let copy = Copy::of("original").write("data/img/.zarray", "{ not json");
     assert!(PushtReader::open(&copy.path()).is_err());
     let reader = PushtReader::open_for(&copy.path(), false, &|| false).unwrap();

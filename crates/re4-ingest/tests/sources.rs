@@ -1,4 +1,4 @@
-//! Sources of both formats: what they say of a dataset, and what they hand on.
+//! Sources of both formats: their descriptions, demonstrations and images.
 #![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
 
 mod common;
@@ -45,7 +45,7 @@ fn can(select: Selection) -> RobomimicSource {
 }
 
 #[test]
-fn a_format_is_told_by_a_look() {
+fn formats_are_recognized() {
     let folder = tempfile::tempdir().unwrap();
     let unnamed = folder.path().join("dataset");
     std::fs::copy(sample(), &unnamed).unwrap();
@@ -61,7 +61,7 @@ fn a_format_is_told_by_a_look() {
 }
 
 #[test]
-fn push_t_is_handed_on_by_episode() {
+fn push_t_yields_episodes() {
     let reader = PushtReader::open(&fixture("original")).unwrap();
     let options = PushtOptions {
         images: true,
@@ -111,7 +111,7 @@ fn push_t_is_handed_on_by_episode() {
 }
 
 #[test]
-fn hdf5_is_handed_on_in_the_frame_of_the_grip_site() {
+fn hdf5_poses_are_of_the_grip_site() {
     let source = can(Selection::First(3));
     let info = source.info();
     assert_eq!(
@@ -127,7 +127,7 @@ fn hdf5_is_handed_on_in_the_frame_of_the_grip_site() {
             unreachable!()
         };
         for frame in frames {
-            // The file has the hand body's orientation, and robosuite's sign.
+            // The file has the orientation of the hand body, and robosuite's gripper sign.
             let recorded = frame.raw_eef.unwrap();
             assert_eq!(frame.eef.rotation, recorded * hand_to_site());
             assert_eq!(frame.raw_gripper, None);
@@ -137,7 +137,7 @@ fn hdf5_is_handed_on_in_the_frame_of_the_grip_site() {
 }
 
 #[test]
-fn the_way_out_of_a_closure_is_handed_back() {
+fn errors_of_the_closure_are_returned() {
     struct Enough;
     impl From<IngestError> for Enough {
         fn from(_: IngestError) -> Self {

@@ -1,4 +1,4 @@
-//! The tables of older artifacts are read by today's rows.
+//! Tables of older artifacts are read into the current row types.
 #![allow(clippy::unwrap_used, missing_docs, reason = "a test may stop where it fails")]
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
@@ -7,7 +7,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_ingest::{FrameRow, ImageRow, PlanarColumns, SpatialColumns};
 
 table! {
-    /// Frames in space as version 1 had them.
+    /// Spatial frames of version 1.
     #[table("spatial_frames", version = 1)]
     pub struct OldSpatial {
         /// Demonstration.
@@ -35,7 +35,7 @@ table! {
 }
 
 table! {
-    /// Frames in the plane as version 1 had them.
+    /// Planar frames of version 1.
     #[table("frames", version = 1)]
     pub struct OldPlanar {
         /// Demonstration.
@@ -57,7 +57,7 @@ table! {
 }
 
 table! {
-    /// Images of Push-T as version 1 had them.
+    /// Push-T images of version 1.
     #[table("images", version = 1)]
     pub struct OldImage {
         /// Demonstration.
@@ -70,7 +70,7 @@ table! {
 }
 
 table! {
-    /// Images of cameras as version 1 had them.
+    /// Camera images of version 1.
     #[table("camera_images", version = 1)]
     pub struct OldCameraImage {
         /// Camera.
@@ -84,8 +84,8 @@ table! {
     }
 }
 
-/// An artifact that holds this row alone.
-fn holding<R: Row>(row: R) -> (tempfile::TempDir, Artifact) {
+/// An artifact that contains only this row.
+fn artifact_with<R: Row>(row: R) -> (tempfile::TempDir, Artifact) {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(folder.path()).unwrap();
     let recipe = Recipe::new(Stage::Ingest, 1).config(&serde_json::json!({})).unwrap();
@@ -102,8 +102,8 @@ fn pose(x: f64) -> Isometry3<f64> {
 }
 
 #[test]
-fn frames_in_space_had_a_name_of_their_own_and_no_raw_columns() {
-    let (_folder, artifact) = holding(OldSpatial {
+fn version_1_spatial_frames_are_read() {
+    let (_folder, artifact) = artifact_with(OldSpatial {
         episode: 3,
         frame: 7,
         eef: pose(1.0),
@@ -130,7 +130,7 @@ fn frames_in_space_had_a_name_of_their_own_and_no_raw_columns() {
     assert_eq!((recorded.raw_eef, recorded.raw_gripper), (None, None));
     let frame = recorded.frame().unwrap();
     assert_eq!((frame.delta, frame.goal, frame.closes()), ([0.1; 6], [0.2; 6], false));
-    // A frame without the object is none that every stage can use.
+    // A frame without an object is not a complete frame.
     let without = SpatialColumns {
         object: None,
         ..recorded.clone()
@@ -139,7 +139,7 @@ fn frames_in_space_had_a_name_of_their_own_and_no_raw_columns() {
 }
 
 #[test]
-fn frames_in_the_plane_have_kept_their_name() {
+fn version_1_planar_frames_are_read() {
     let object = Pose2::new(250.0, 260.0, 1.5);
     let mut row = OldPlanar {
         episode: 0,
@@ -151,7 +151,7 @@ fn frames_in_the_plane_have_kept_their_name() {
         keypoints: [None; 9],
     };
     let read = |row: OldPlanar| {
-        let (_folder, artifact) = holding(row);
+        let (_folder, artifact) = artifact_with(row);
         let rows: Vec<FrameRow<PlanarColumns>> = artifact.read().unwrap();
         rows.into_iter().next().unwrap().recorded
     };
@@ -163,15 +163,15 @@ fn frames_in_the_plane_have_kept_their_name() {
 }
 
 #[test]
-fn images_of_both_old_tables_are_read() {
-    let (_folder, artifact) = holding(OldImage {
+fn version_1_images_are_read() {
+    let (_folder, artifact) = artifact_with(OldImage {
         episode: 1,
         frame: 2,
         image: vec![1, 2, 3],
     });
     let rows: Vec<ImageRow> = artifact.read().unwrap();
     assert_eq!((rows[0].episode, rows[0].frame, rows[0].camera.clone()), (1, 2, None));
-    let (_folder, artifact) = holding(OldCameraImage {
+    let (_folder, artifact) = artifact_with(OldCameraImage {
         camera: "agentview".into(),
         episode: 1,
         frame: 2,

@@ -1,4 +1,4 @@
-//! What the writer writes, the reader reads.
+//! Round trips from the writer to the reader.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -26,7 +26,7 @@ fn frame(x: f64, theta: f64) -> PlanarFrame {
     }
 }
 
-/// Two episodes over more than two chunks, with angles on several turns.
+/// Two episodes over more than two chunks, with angles beyond one turn.
 fn episodes() -> Vec<RecordedEpisode> {
     [200, 150]
         .map(|count| RecordedEpisode {
@@ -65,7 +65,7 @@ fn the_reader_reads_what_was_written() {
 }
 
 #[test]
-fn bytes_depend_on_the_episodes_alone() {
+fn bytes_depend_only_on_the_episodes() {
     let folder = TempDir::new().unwrap();
     let write = |name: &str, threads: usize| {
         let path = folder.path().join(name);
@@ -77,12 +77,12 @@ fn bytes_depend_on_the_episodes_alone() {
     assert_eq!(files, write("b.zarr", 3));
     let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
     insta::assert_snapshot!(names.join("\n"));
-    // Nothing else is left beside the datasets.
+    // No other files remain beside the datasets.
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
 }
 
 #[test]
-fn an_angle_just_below_a_turn_is_stored_as_zero() {
+fn an_angle_just_below_two_pi_is_stored_as_zero() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("x.zarr");
     let frames = vec![
@@ -102,7 +102,7 @@ fn an_angle_just_below_a_turn_is_stored_as_zero() {
 }
 
 #[test]
-fn unknown_contacts_are_left_out() {
+fn unknown_contacts_are_not_written() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("x.zarr");
     let mut episodes = episodes();
@@ -119,7 +119,7 @@ fn unknown_contacts_are_left_out() {
 }
 
 #[test]
-fn what_cannot_be_written_is_refused_and_leaves_nothing() {
+fn invalid_episodes_are_refused_without_leaving_files() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("x.zarr");
     let good = || RecordedEpisode {

@@ -1,4 +1,4 @@
-//! Units and the kind of actions: settings for datasets that differ from the original in them, and what the numbers say.
+//! Conventions of a dataset (units and the kind of actions): settings for differences from the original dataset, and checks.
 
 use re4_geometry::wrap_to_two_pi;
 use schemars::JsonSchema;
@@ -8,26 +8,27 @@ use super::episodes::PushtEpisodes;
 use super::validate::{ANGLE_TOLERANCE, POSITION_HIGH, POSITION_LOW, WINDOW};
 use crate::error::Fault;
 
-/// What the numbers of a dataset mean, where they do not mean what those of the original do: positions in pixels of a 512 x 512
-/// window, angles in radians, actions as absolute targets. The numbers are converted to that, and checked with the settings
-/// applied: one that does not fit is refused.
+/// Units and the kind of actions of a dataset that differ from those of the original dataset: positions in pixels of a 512 x 512
+/// window, angles in radians, and absolute targets as actions. The numbers are converted to the conventions of the original dataset
+/// and then checked; settings that contradict the numbers are refused.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PushtConventions {
-    /// Coordinates of the window's edges in the dataset, left and right, top and bottom alike: `[0, 1]` or `[-1, 1]` for unit
-    /// coordinates, `[0, 96]` for pixels of the images. `[0, 512]` by default.
+    /// Coordinates of the window's edges in the dataset, the same for both axes: `[0, 1]` or `[-1, 1]` for unit coordinates,
+    /// `[0, 96]` for pixels of the images. `[0, 512]` by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub window: Option<[f64; 2]>,
-    /// Unit of the block's angle, radians by default.
+    /// Unit of the block's angle; radians by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub angle: Option<AngleUnit>,
-    /// What an action says, an absolute target by default.
+    /// Kind of actions; absolute targets by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action: Option<ActionKind>,
-    /// Absolute actions in other units than the states: coordinates of the window's edges in them, as in `window`.
+    /// For absolute actions in other units than the states: coordinates of the window's edges in these units, as in `window`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action_window: Option<[f64; 2]>,
-    /// Relative actions in other units than the states: pixels of the 512 px window that one of theirs stands for, such as 100.
+    /// For relative actions in other units than the states: number of pixels of the 512 px window per unit of an action, such as
+    /// 100.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action_scale: Option<f64>,
 }
@@ -42,47 +43,49 @@ pub enum AngleUnit {
     Degrees,
 }
 
-/// What an action says.
+/// Kind of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionKind {
-    /// Where the agent is to go.
+    /// The target position of the agent.
     Absolute,
-    /// The same, seen from where the agent is in the same row.
+    /// The target position relative to the agent's position in the same row.
     Relative,
 }
 
 /// The window of the original dataset.
 const PIXELS: [f64; 2] = [0.0, WINDOW];
 
-/// Largest angle in radians that is taken for several turns: the scenes of Diffusion Policy start with up to about three.
+/// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with up to about three
+/// turns.
 const UNWRAPPED: f64 = 25.0;
 
-/// The block is 120 px wide and stays between the walls, so that one of its coordinates is always larger than this.
+/// The block is 120 px wide and stays between the walls, so its larger coordinate always exceeds this value, in pixels.
 const BLOCK_LOW: f64 = 40.0;
 
-/// Frames from which a range of values says something.
-const ENOUGH: usize = 100;
+/// Minimum number of frames for judging a range of values.
+const MIN_FRAMES: usize = 100;
 
-/// Episodes from which the same holds for where the block is pushed about.
-const SEVERAL: usize = 5;
+/// Minimum number of episodes for judging the region in which the block moves.
+const MIN_EPISODES: usize = 5;
 
-/// Half of the window, in pixels, with the middle, where the goal is, to either side of it.
-const HALF: [f64; 2] = [230.0, 282.0];
+/// Lower bound of the upper half and upper bound of the lower half of the window, in pixels. Both halves include the middle, where
+/// the goal is.
+const MIDDLE: [f64; 2] = [230.0, 282.0];
 
-/// Fraction of frames that may be odd before all of the dataset is.
-const ODD: f64 = 0.2;
+/// Fraction of unusual frames above which the whole dataset, not single frames, is at fault.
+const MAX_UNUSUAL: f64 = 0.2;
 
 impl PushtConventions {
-    /// Whether nothing differs from the original dataset.
+    /// Whether all conventions are those of the original dataset.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Refuses settings that mean nothing.
+    /// Checks the settings for contradictions.
     ///
     /// # Errors
-    /// The name of the first such setting, what is wrong with it, and what it can be.
+    /// Names the first invalid setting, what is wrong with it, and the accepted values.
     pub fn check(&self) -> Result<(), String> {
         for (name, window) in [("window", self.window), ("action_window", self.action_window)] {
             if let Some([low, high]) = window
@@ -96,12 +99,14 @@ impl PushtConventions {
         let relative = self.action == Some(ActionKind::Relative);
         if relative && self.action_window.is_some() {
             return Err(
-                "action_window is for absolute actions, and action is \"relative\"; give action_scale".to_owned(),
+                "action_window is for absolute actions, but action is \"relative\"; give action_scale instead"
+                    .to_owned(),
             );
         }
         match self.action_scale {
             Some(_) if !relative => Err(
-                "action_scale is for relative actions; set action to \"relative\", or give action_window".to_owned(),
+                "action_scale is for relative actions; set action to \"relative\", or give action_window instead"
+                    .to_owned(),
             ),
             Some(scale) if !(scale.is_finite() && scale > 0.0) => {
                 Err(format!("action_scale is {scale}; give a number of pixels above 0"))
@@ -110,8 +115,8 @@ impl PushtConventions {
         }
     }
 
-    /// The settings in the form of the pipeline file, for messages.
-    fn in_words(&self) -> String {
+    /// The settings as in the pipeline file, for messages.
+    fn settings(&self) -> String {
         let mut words = Vec::new();
         if let Some([low, high]) = self.window {
             words.push(format!("ingest.pusht.window = [{low}, {high}]"));
@@ -120,12 +125,12 @@ impl PushtConventions {
             Some(AngleUnit::Degrees) => words.push("ingest.pusht.angle = \"degrees\"".to_owned()),
             Some(AngleUnit::Radians) | None => {}
         }
-        words.extend(self.action_in_words());
+        words.extend(self.action_settings());
         words.join(", ")
     }
 
-    /// The settings of actions in the form of the pipeline file.
-    pub(super) fn action_in_words(&self) -> Option<String> {
+    /// The settings of actions as in the pipeline file, if any.
+    pub(super) fn action_settings(&self) -> Option<String> {
         match (self.action, self.action_window, self.action_scale) {
             (Some(ActionKind::Relative), _, None) => Some("ingest.pusht.action = \"relative\"".to_owned()),
             (Some(ActionKind::Relative), _, Some(scale)) => Some(format!(
@@ -136,34 +141,34 @@ impl PushtConventions {
         }
     }
 
-    /// Pixels of one unit of a coordinate.
-    pub(super) fn pixels_a_unit(&self) -> f64 {
+    /// Pixels per unit of a coordinate.
+    pub(super) fn pixels_per_unit(&self) -> f64 {
         let [low, high] = self.window.unwrap_or(PIXELS);
         WINDOW / (high - low)
     }
 
-    /// Pixels of one unit of a relative action.
-    pub(super) fn pixels_an_action(&self) -> f64 {
-        self.action_scale.unwrap_or_else(|| self.pixels_a_unit())
+    /// Pixels per unit of a relative action.
+    pub(super) fn pixels_per_action(&self) -> f64 {
+        self.action_scale.unwrap_or_else(|| self.pixels_per_unit())
     }
 
-    /// The target of an action, in pixels; the agent is in pixels, too.
+    /// The target of an action, in pixels; `agent` is in pixels, too.
     pub(super) fn target(&self, agent: [f64; 2], action: [f64; 2]) -> [f64; 2] {
         match self.action {
             Some(ActionKind::Relative) => {
-                let scale = self.pixels_an_action();
+                let scale = self.pixels_per_action();
                 [agent[0] + scale * action[0], agent[1] + scale * action[1]]
             }
             _ => action.map(|value| pixels(value, self.action_window.or(self.window))),
         }
     }
 
-    /// Whether an action of zeros can be meant: to stay.
+    /// Whether actions of zeros are plausible: relative actions of an agent that stays where it is.
     pub(super) fn zero_action_is_usual(&self) -> bool {
         self.action == Some(ActionKind::Relative)
     }
 
-    /// The numbers in pixels and radians. Angles go to 0 to 2π where they are some turns off; how many did.
+    /// Converts the numbers to pixels and radians, and wraps angles to 0 to 2π. Returns the number of wrapped angles.
     pub(super) fn convert(&self, episodes: &mut PushtEpisodes) -> usize {
         let mut wrapped = 0;
         for (state, action) in episodes.state.iter_mut().zip(&mut episodes.action) {
@@ -174,7 +179,7 @@ impl PushtConventions {
             if degrees {
                 state[4] = state[4].to_radians();
             }
-            // What is farther off is no angle, which is told of where values are checked.
+            // Larger values are not angles; the check of values reports them.
             if !in_one_turn(state[4]) && state[4].abs() <= UNWRAPPED {
                 state[4] = wrap_to_two_pi(state[4]);
                 wrapped += usize::from(!degrees);
@@ -187,7 +192,7 @@ impl PushtConventions {
         wrapped
     }
 
-    /// Holds coordinates and angles, as they are in the dataset, against the settings. `good` says which episodes have finite
+    /// Checks coordinates and angles, as they are in the dataset, against the settings. `good` marks the episodes with finite
     /// numbers.
     pub(super) fn judge(&self, episodes: &PushtEpisodes, good: &[bool]) -> Judgement {
         let frames: Vec<&[f64; 5]> = episodes
@@ -209,7 +214,7 @@ impl PushtConventions {
         judgement
     }
 
-    /// The window that the coordinates seem to have.
+    /// Checks the coordinates, and returns the window that they appear to have.
     fn judge_coordinates(
         &self,
         frames: &[&[f64; 5]],
@@ -233,14 +238,15 @@ impl PushtConventions {
         let small: Vec<usize> = (0..good.len())
             .filter(|&number| good[number] && is_small(&episodes.frames[number]))
             .collect();
-        let enough = frames.len() >= ENOUGH;
-        let far = outside as f64 > ODD * frames.len() as f64;
+        let enough = frames.len() >= MIN_FRAMES;
+        let far = outside as f64 > MAX_UNUSUAL * frames.len() as f64;
         let tiny = 2 * small.len() > good.iter().filter(|good| **good).count();
-        let of_images = self.window.is_none() && frames.len() >= ENOUGH / 2 && high <= 97.0 && high > 20.0;
-        // A window that is too large for the coordinates puts all of them into one half.
-        let several = frames.len() >= 3 * ENOUGH && good.iter().filter(|good| **good).count() >= SEVERAL;
-        let upper = (several || self.window.is_some() && enough) && pixels(high, self.window) <= HALF[1];
-        let half = upper || self.window.is_some() && enough && pixels(low, self.window) >= HALF[0];
+        // Coordinates up to 96 are probably pixels of the 96 px images.
+        let of_images = self.window.is_none() && frames.len() >= MIN_FRAMES / 2 && high <= 97.0 && high > 20.0;
+        // If the window is too large for the coordinates, all of them are in one half of it.
+        let several = frames.len() >= 3 * MIN_FRAMES && good.iter().filter(|good| **good).count() >= MIN_EPISODES;
+        let upper = (several || self.window.is_some() && enough) && pixels(high, self.window) <= MIDDLE[1];
+        let half = upper || self.window.is_some() && enough && pixels(low, self.window) >= MIDDLE[0];
         if !(far || tiny || of_images || half) {
             judgement.small = small;
             return self.window;
@@ -250,11 +256,11 @@ impl PushtConventions {
         let (what, fix) = match self.window {
             None => (
                 format!(
-                    "positions lie between {low_text} and {high_text}, and those of a 512 px window span much of it"
+                    "positions range from {low_text} to {high_text}, which does not match a 512 px window"
                 ),
                 match likely {
                     Some([low, high]) => format!(
-                        "if the window's edges are at {low} and {high}, set ingest.pusht.window = [{low}, {high}], else to what they are at"
+                        "set ingest.pusht.window = [{low}, {high}] if these are the window's edges, otherwise to the actual edges"
                     ),
                     None => "set ingest.pusht.window to the coordinates of the window's edges, such as [-1, 1], or convert the dataset to pixels"
                         .to_owned(),
@@ -262,12 +268,12 @@ impl PushtConventions {
             ),
             Some([left, right]) => (
                 format!(
-                    "with ingest.pusht.window = [{left}, {right}] positions, which lie between {low_text} and {high_text} in the dataset, would lie between {} and {} px of a 512 px window",
+                    "with ingest.pusht.window = [{left}, {right}], positions, which range from {low_text} to {high_text} in the dataset, would range from {} to {} px in a 512 px window",
                     rounded(pixels(low, self.window)),
                     rounded(pixels(high, self.window))
                 ),
                 match likely {
-                    Some(PIXELS) => "leave it out: they are pixels already".to_owned(),
+                    Some(PIXELS) => "remove that setting, because positions are in pixels already".to_owned(),
                     Some([low, high]) => format!("set it to [{low}, {high}]"),
                     None => "set it to the coordinates of the window's edges".to_owned(),
                 },
@@ -281,21 +287,22 @@ impl PushtConventions {
         let [low, high] = middle(frames.iter().map(|state| state[4]));
         let [low_text, high_text] = [low, high].map(|value| rounded(value).to_string());
         let largest = low.abs().max(high.abs());
-        let enough = frames.len() >= ENOUGH;
+        let enough = frames.len() >= MIN_FRAMES;
+        // In unit coordinates, angles of at most 1 were probably normalized, too.
         let normalised = window.is_some_and(|[left, right]| right - left <= 2.2);
         if self.angle == Some(AngleUnit::Degrees) {
             if enough && largest <= 6.3 {
                 faults.push(Fault::Convention {
-                    what: format!("with ingest.pusht.angle = \"degrees\" block_theta, which lies between {low_text} and {high_text}, would hardly turn"),
-                    fix: "leave it out: these are radians".to_owned(),
+                    what: format!("with ingest.pusht.angle = \"degrees\", block_theta, which ranges from {low_text} to {high_text}, would hardly rotate"),
+                    fix: "remove that setting, because the angles are in radians".to_owned(),
                 });
             }
             return;
         }
         let far = frames.iter().filter(|state| state[4].abs() > UNWRAPPED).count();
-        if far as f64 > ODD * frames.len() as f64 {
+        if far as f64 > MAX_UNUSUAL * frames.len() as f64 {
             faults.push(Fault::Convention {
-                what: format!("block_theta lies between {low_text} and {high_text}, which are no radians"),
+                what: format!("block_theta ranges from {low_text} to {high_text}, which are not radians"),
                 fix: if largest <= 720.0 {
                     "set ingest.pusht.angle = \"degrees\"".to_owned()
                 } else {
@@ -305,7 +312,7 @@ impl PushtConventions {
         } else if enough && normalised && largest <= 1.05 {
             faults.push(Fault::Convention {
                 what: format!(
-                    "block_theta lies between {low_text} and {high_text}, so that it is scaled as the positions are"
+                    "block_theta ranges from {low_text} to {high_text}, so it appears to be scaled like the positions"
                 ),
                 fix: "convert it to radians".to_owned(),
             });
@@ -315,24 +322,24 @@ impl PushtConventions {
 
 impl std::fmt::Display for PushtConventions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.in_words())
+        f.write_str(&self.settings())
     }
 }
 
-/// What coordinates and angles say.
+/// Result of checking coordinates and angles.
 #[derive(Default)]
 pub(super) struct Judgement {
-    /// What does not fit the dataset as a whole.
+    /// Contradictions of the dataset as a whole.
     pub(super) faults: Vec<Fault>,
-    /// The same settings with the window that the coordinates seem to have.
+    /// The same settings with the window that the coordinates appear to have.
     pub(super) likely: PushtConventions,
-    /// Positions of episodes whose block lies where it cannot, while it does not in most.
+    /// Indices of episodes in which the block is where it cannot be, if that is true of a minority only.
     pub(super) small: Vec<usize>,
 }
 
 fn pixels(value: f64, window: Option<[f64; 2]>) -> f64 {
     match window {
-        // Not even a rounding error where nothing is to be done.
+        // Returned unchanged, without a rounding error.
         None => value,
         Some([low, high]) => (value - low) * (WINDOW / (high - low)),
     }
@@ -342,7 +349,7 @@ fn in_one_turn(angle: f64) -> bool {
     (0.0..=std::f64::consts::TAU + ANGLE_TOLERANCE).contains(&angle)
 }
 
-/// The range of values without the outermost half of a percent at each end.
+/// The range of values without the lowest and the highest half percent.
 fn middle(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);
@@ -351,7 +358,7 @@ fn middle(values: impl Iterator<Item = f64>) -> [f64; 2] {
     [skip, last - skip.min(last)].map(|place| values.get(place).copied().unwrap_or_default())
 }
 
-/// Edges of a usual window whose coordinates these could be.
+/// The most likely of the usual windows for coordinates in this range.
 fn likely_window(low: f64, high: f64) -> Option<[f64; 2]> {
     let within = |left: f64, right: f64| low >= left && high <= right;
     Some(if within(-0.05, 1.05) && high > 0.6 {
@@ -375,7 +382,7 @@ fn likely_window(low: f64, high: f64) -> Option<[f64; 2]> {
     })
 }
 
-/// To four significant digits, for messages.
+/// Rounds to four significant digits, for messages.
 pub(super) fn rounded(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return value;
@@ -394,7 +401,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn settings_that_mean_nothing_are_refused() {
+    fn meaningless_settings_are_refused() {
         let sentences: Vec<String> = [
             r#"{"window": [1, -1]}"#,
             r#"{"action_window": [2, 2]}"#,
@@ -414,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_for_people_have_four_digits() {
+    fn numbers_in_messages_have_four_digits() {
         for (value, expected) in [
             (0.0, 0.0),
             (-0.83256, -0.8326),

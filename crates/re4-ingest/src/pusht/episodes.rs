@@ -7,12 +7,12 @@ use re4_geometry::{Point2, Pose2};
 
 use crate::tables::KEYPOINTS;
 
-/// The selected episodes, validated, as columns with one entry a frame. Episodes follow each other in dataset order.
+/// The selected episodes, validated, as columns with one entry per frame. Episodes are in the order of the dataset.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PushtEpisodes {
     /// Number of each episode in the source dataset.
     pub sources: Vec<u32>,
-    /// Rows of each episode in the dataset's arrays (and so in [`super::ImageBlock::frames`]).
+    /// Rows of each episode in the dataset's arrays, as in [`super::ImageBlock::frames`].
     pub rows: Vec<Range<usize>>,
     /// Frames of each episode in the columns below, end exclusive.
     pub frames: Vec<Range<usize>>,
@@ -22,7 +22,7 @@ pub struct PushtEpisodes {
     pub action: Vec<[f64; 2]>,
     /// Contact points counted by the simulator in the control step that led to the frame, if recorded.
     pub contacts: Option<Vec<f64>>,
-    /// Keypoints of the block in the world, `x, y` each (pixels), if recorded.
+    /// Keypoints of the block in window coordinates, `x, y` each (pixels), if recorded.
     pub keypoint: Option<Vec<[[f64; 2]; KEYPOINTS]>>,
 }
 
@@ -48,8 +48,7 @@ impl PushtEpisodes {
         Pose2::new(x, y, theta)
     }
 
-    /// The episodes in the vocabulary of the pipeline. Without recorded contacts `contacts` is NaN, which says
-    /// "unknown" where 0 would say "none".
+    /// The episodes in the types of the pipeline. `contacts` is NaN (unknown, as opposed to 0) if contacts are not recorded.
     pub fn planar_episodes(&self) -> Vec<PlanarEpisode> {
         let frame = |i: usize| PlanarFrame {
             eef: self.agent(i),

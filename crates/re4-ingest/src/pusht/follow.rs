@@ -1,9 +1,9 @@
-//! Whether the agent follows its targets.
+//! Checks that the agent follows its targets.
 //!
-//! The agent of Push-T is moved by a controller that pulls it towards the target of its action: a step of it is, exactly, a fraction
-//! of the way to the target and a fraction of the step before. In the original dataset a step is 0.314 of the way and 0.234 of the
-//! step before, and what the step before leaves open the way to the target explains to 99.6 %. Actions of another kind, in
-//! another unit or in another row explain next to nothing of it, so that their kind can be told.
+//! A controller pulls the agent of Push-T towards the target of its action: each step is exactly a weighted sum of the offset to
+//! the target and the previous step. In the original dataset the weights are 0.314 and 0.234. Of the variance of the steps that
+//! the previous step leaves unexplained, the offset to the target explains 99.6 %. Actions of another kind, in another unit or in
+//! another row explain almost nothing of it, so that the kind of actions can be recognized.
 
 use std::ops::Range;
 
@@ -12,66 +12,68 @@ use super::episodes::PushtEpisodes;
 use super::validate::WINDOW;
 use crate::error::Fault;
 
-/// Steps along either axis, of those that move, from which the dataset says something.
-const ENOUGH_STEPS: usize = 100;
+/// Minimum number of steps along either axis with motion for judging the dataset.
+const MIN_STEPS: usize = 100;
 
 /// The same for a single episode.
-const ENOUGH_IN_EPISODE: usize = 60;
+const MIN_STEPS_IN_EPISODE: usize = 60;
 
-/// A step along an axis that counts as a move, in pixels.
-const MOVE: f64 = 0.2;
+/// Minimum length of a step along an axis that counts as motion, in pixels.
+const MIN_STEP: f64 = 0.2;
 
-/// Typical change from one step to the next from which the controller shows, in pixels.
-const CHANGE: f64 = 0.5;
+/// Minimum RMS of the part of a step that the previous step does not explain, in pixels. Below it, the controller's effect is not
+/// measurable.
+const MIN_CHANGE: f64 = 0.5;
 
-/// Fraction of the changes that targets have to explain. Those of the original explain 0.996, those that are relative and taken for
-/// absolute 0.01, those of a row earlier or later 0.5 and 0.84.
-const LEAST: f64 = 0.5;
+/// Minimum fraction of the variance that the targets must explain. Targets of the original dataset explain 0.996; relative
+/// targets read as absolute ones explain 0.01; those of the previous or the next row explain 0.5 and 0.84.
+const MIN_EXPLAINED: f64 = 0.5;
 
-/// Share from which another reading of the actions is the right one.
-const SURE: f64 = 0.9;
+/// Minimum explained fraction to accept another interpretation of the actions.
+const MIN_ACCEPTED: f64 = 0.9;
 
-/// Share below which a warning says so.
+/// Explained fraction below which there is a warning.
 pub(super) const USUAL: f64 = 0.9;
 
-/// Fraction of the way to the target that the agent goes in a step of the original dataset, a tenth of a second.
+/// Fraction of the offset to the target that the agent covers in one step (0.1 s) of the original dataset.
 const REACH: f64 = 0.314;
 
-/// How far the targets may be off before their unit is another one, in pixels. Fits of single episodes are off by up to 7.
-const OFF: f64 = 10.0;
+/// Maximum error of the targets, in pixels, before another unit is assumed. Fits of single episodes deviate by up to 7.
+const MAX_ERROR: f64 = 10.0;
 
-/// What the steps of the agent say of the actions.
+/// Result of checking the actions against the agent's steps.
 pub(super) struct Following {
-    /// Fraction of the agent's changes of step that the targets explain; `None` where too little moves.
+    /// Fraction of the variance of the agent's steps that the targets explain; `None` if there is too little motion.
     pub(super) explained: Option<f64>,
-    /// What does not fit the dataset as a whole.
+    /// Contradiction of the dataset as a whole.
     pub(super) fault: Option<Fault>,
-    /// Positions of episodes whose agent does not follow, while it does in most, with the fraction.
-    pub(super) odd: Vec<(usize, f64)>,
+    /// Indices of episodes in which the agent does not follow its targets, unlike in the dataset as a whole, with the explained
+    /// fraction.
+    pub(super) outliers: Vec<(usize, f64)>,
 }
 
-/// A step of the agent along one axis, in pixels, but for the action, which is as in the dataset.
+/// A step of the agent along one axis. All values are in pixels except the action, which is as in the dataset.
 #[derive(Clone, Copy)]
 struct Step {
-    /// From this row to the next.
+    /// Displacement from this row to the next.
     onward: f64,
-    /// From the row before to this one.
+    /// Displacement from the previous row to this one.
     before: f64,
-    /// Where the agent is.
+    /// Position of the agent.
     agent: f64,
     /// The row's action.
     action: f64,
     /// The row's target.
     target: f64,
-    /// The target of the row before.
+    /// The target of the previous row.
     earlier: f64,
-    /// The target of the row after.
+    /// The target of the next row.
     later: f64,
-    /// Axis.
+    /// Axis, 0 or 1.
     axis: usize,
 }
 
-/// Holds the actions of the good episodes against the agent's steps. `episodes` is converted; `actions` are as in the dataset.
+/// Checks the actions of the good episodes against the agent's steps. `episodes` is converted; `actions` are as in the dataset.
 pub(super) fn judge(
     conventions: &PushtConventions,
     episodes: &PushtEpisodes,
@@ -89,22 +91,22 @@ pub(super) fn judge(
     let mut following = Following {
         explained: None,
         fault: None,
-        odd: Vec::new(),
+        outliers: Vec::new(),
     };
-    let Some(unexplained) = evidence(&all, ENOUGH_STEPS) else {
+    let Some(unexplained) = evidence(&all, MIN_STEPS) else {
         return following;
     };
-    let (explained, [reach, _]) = share(&all, unexplained, |step| [step.target - step.agent, step.before]);
+    let (explained, [reach, _]) = explain(&all, unexplained, |step| [step.target - step.agent, step.before]);
     following.explained = Some(explained);
     following.fault = fault(conventions, &all, unexplained, explained, reach);
     if following.fault.is_none() {
-        following.odd = each
+        following.outliers = each
             .iter()
             .enumerate()
             .filter_map(|(number, steps)| {
-                let unexplained = evidence(steps, ENOUGH_IN_EPISODE)?;
-                let (explained, _) = share(steps, unexplained, |step| [step.target - step.agent, step.before]);
-                (explained < LEAST).then_some((number, explained))
+                let unexplained = evidence(steps, MIN_STEPS_IN_EPISODE)?;
+                let (explained, _) = explain(steps, unexplained, |step| [step.target - step.agent, step.before]);
+                (explained < MIN_EXPLAINED).then_some((number, explained))
             })
             .collect();
     }
@@ -138,21 +140,21 @@ fn steps(
         .collect()
 }
 
-/// What the step before leaves open of the steps, as a sum of squares; `None` if too little moves.
+/// Sum of squares of the steps that the previous step does not explain; `None` if there is too little motion.
 fn evidence(steps: &[Step], enough: usize) -> Option<f64> {
-    let moves = |step: &&Step| step.onward.abs() > MOVE || step.before.abs() > MOVE;
+    let moves = |step: &&Step| step.onward.abs() > MIN_STEP || step.before.abs() > MIN_STEP;
     let moving = steps.iter().filter(moves).count();
     let (_, left) = fit(steps.iter().map(|step| ([step.before], step.onward)));
-    (moving >= enough && (left / moving as f64).sqrt() >= CHANGE).then_some(left)
+    (moving >= enough && (left / moving as f64).sqrt() >= MIN_CHANGE).then_some(left)
 }
 
-/// Fraction of what the step before leaves open that some quantities explain, and their weights.
-fn share<const N: usize>(steps: &[Step], unexplained: f64, of: impl Fn(&Step) -> [f64; N]) -> (f64, [f64; N]) {
+/// Fraction of that sum of squares that the quantities of `of` explain, and their weights.
+fn explain<const N: usize>(steps: &[Step], unexplained: f64, of: impl Fn(&Step) -> [f64; N]) -> (f64, [f64; N]) {
     let (weights, left) = fit(steps.iter().map(|step| (of(step), step.onward)));
     ((1.0 - left / unexplained).clamp(0.0, 1.0), weights)
 }
 
-/// Least squares: the weights, and the sum of squares that is left.
+/// Least-squares fit. Returns the weights and the residual sum of squares.
 fn fit<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64)> + Clone) -> ([f64; N], f64) {
     let mut squares = [[0.0; N]; N];
     let mut products = [0.0; N];
@@ -174,10 +176,9 @@ fn fit<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64)> + Clone) -> (
     (weights, left)
 }
 
-/// Solves equations whose matrix is one of squares, by elimination. A quantity that says nothing beside those before it has no
-/// weight.
+/// Solves the normal equations by elimination. A quantity that is linearly dependent on those before it gets the weight 0.
 fn solve<const N: usize>(mut squares: [[f64; N]; N], mut products: [f64; N]) -> [f64; N] {
-    // Quantities of the same size, so that a small rest can be told from rounding.
+    // Scale all quantities to unit size, so that a small pivot is distinguishable from rounding errors.
     let sizes: [f64; N] = std::array::from_fn(|i| squares[i][i].sqrt().max(f64::MIN_POSITIVE));
     for i in 0..N {
         products[i] /= sizes[i];
@@ -211,7 +212,7 @@ fn solve<const N: usize>(mut squares: [[f64; N]; N], mut products: [f64; N]) -> 
     })
 }
 
-/// Targets as a line through the actions of an axis, in pixels.
+/// Targets as a linear function of the actions of one axis, in pixels.
 #[derive(Clone, Copy)]
 struct Line {
     scale: f64,
@@ -229,7 +230,7 @@ impl Line {
     }
 }
 
-/// The lines of both axes that explain the steps best, and the fraction that they explain.
+/// Fits a line for each axis to the steps. Returns the fraction that they explain, and the lines.
 fn lines(steps: &[Step]) -> Option<(f64, [Line; 2])> {
     let mut lines = [Line {
         scale: 1.0,
@@ -242,6 +243,8 @@ fn lines(steps: &[Step]) -> Option<(f64, [Line; 2])> {
             .iter()
             .map(|step| ([step.action, step.agent, 1.0, step.before], step.onward));
         let ([action, agent, one, _], rest) = fit(rows);
+        // The weight of the agent's position is minus the fraction of the offset that a step covers. Without such a pull to a
+        // target, the line is undefined.
         if agent > -0.05 {
             return None;
         }
@@ -255,11 +258,11 @@ fn lines(steps: &[Step]) -> Option<(f64, [Line; 2])> {
     Some((1.0 - left / open, lines))
 }
 
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
+fn percent(fraction: f64) -> String {
+    format!("{:.0} %", 100.0 * fraction)
 }
 
-/// What is wrong with the actions, if something is.
+/// Returns what is wrong with the actions, if anything.
 fn fault(
     conventions: &PushtConventions,
     steps: &[Step],
@@ -267,137 +270,137 @@ fn fault(
     explained: f64,
     reach: f64,
 ) -> Option<Fault> {
-    let settings = conventions.action_in_words();
+    let settings = conventions.action_settings();
     let relative = conventions.action == Some(ActionKind::Relative);
-    let so_far = |then: &str| {
+    let describe = |then: &str| {
         let with = settings
             .as_ref()
-            .map_or_else(String::new, |settings| format!("with {settings} "));
+            .map_or_else(String::new, |settings| format!("with {settings}, "));
         let kind = if relative { "relative" } else { "absolute" };
         format!(
-            "{with}data/action explains {} of how the agent's step changes if it is taken for {kind} targets{then}",
+            "{with}data/action explains {} of the change in the agent's steps if read as {kind} targets{then}",
             percent(explained)
         )
     };
     let convention = |what: String, fix: String| Some(Fault::Convention { what, fix });
-    let (of_relative, [weight, carried]) = share(steps, unexplained, |step| [step.action, step.before]);
+    let (of_relative, [weight, carried]) = explain(steps, unexplained, |step| [step.action, step.before]);
     let fitted = lines(steps);
-    if relative && explained >= LEAST {
-        return wrong_reach(conventions, reach, carried, &so_far);
+    if relative && explained >= MIN_EXPLAINED {
+        return wrong_reach(conventions, reach, carried, &describe);
     }
-    // Another reading has to be right by itself, and better than that of the settings by far.
+    // Another interpretation must explain the motion well by itself, and much better than that of the settings.
     let better = |other: f64| {
-        if explained < LEAST {
-            other >= SURE
+        if explained < MIN_EXPLAINED {
+            other >= MIN_ACCEPTED
         } else {
             other >= 0.97 && other > explained + 0.05
         }
     };
     if !relative && better(of_relative) {
         if is_displacement(weight, carried, of_relative) {
-            return Some(displacement(&so_far(
+            return Some(displacement(&describe(
                 ", and all of it as the agent's own displacement to the next row",
             )));
         }
-        let what = so_far(&format!(
+        let what = describe(&format!(
             ", and {} as targets relative to the agent",
             percent(of_relative)
         ));
         let pixels = weight / REACH;
-        let scale = if (0.4..=3.0).contains(&(pixels / conventions.pixels_a_unit())) {
+        let scale = if (0.4..=3.0).contains(&(pixels / conventions.pixels_per_unit())) {
             String::new()
         } else {
             format!(
-                " and ingest.pusht.action_scale to the pixels of one unit of an action, about {}",
+                " and ingest.pusht.action_scale to the number of pixels per unit of an action, about {}",
                 usual_scale(pixels)
             )
         };
         return convention(what, format!("set ingest.pusht.action = \"relative\"{scale}"));
     }
-    if let Some((share, lines)) = fitted {
-        if relative && better(share) {
-            let what = so_far(&format!(", and {} as absolute ones", percent(share)));
-            return convention(what, "leave ingest.pusht.action out".to_owned());
+    if let Some((fraction, lines)) = fitted {
+        if relative && better(fraction) {
+            let what = describe(&format!(", and {} as absolute targets", percent(fraction)));
+            return convention(what, "remove ingest.pusht.action".to_owned());
         }
         let off = farthest(conventions, lines);
-        let is_off = share >= 0.95 && off > OFF && steps.len() >= 4 * ENOUGH_STEPS;
-        if !relative && (is_off || off > OFF && better(share)) {
-            let off = (explained >= LEAST).then_some(off);
-            return Some(other_window(conventions, &so_far, share, lines, off));
+        let is_off = fraction >= 0.95 && off > MAX_ERROR && steps.len() >= 4 * MIN_STEPS;
+        if !relative && (is_off || off > MAX_ERROR && better(fraction)) {
+            let off = (explained >= MIN_EXPLAINED).then_some(off);
+            return Some(other_window(conventions, &describe, fraction, lines, off));
         }
     }
-    if explained >= LEAST {
-        return other_row(steps, unexplained, explained, &so_far);
+    if explained >= MIN_EXPLAINED {
+        return other_row(steps, unexplained, explained, &describe);
     }
-    let row = other_row(steps, unexplained, explained, &so_far);
+    let row = other_row(steps, unexplained, explained, &describe);
     row.or_else(|| {
         convention(
-            so_far(&format!(
-                ", and {} as relative ones (in the original dataset it is 99.6 %)",
+            describe(&format!(
+                ", and {} as relative targets (absolute targets of the original dataset explain 99.6 %)",
                 percent(of_relative)
             )),
-            "write into each row the absolute target in force from its state on, in the unit of the states, or that target seen from the agent with ingest.pusht.action = \"relative\""
+            "write to each row the absolute target that applies from its state on, in the unit of the states, or write that target relative to the agent and set ingest.pusht.action = \"relative\""
                 .to_owned(),
         )
     })
 }
 
-/// Relative actions in another unit.
+/// Checks the unit of relative actions.
 fn wrong_reach(
     conventions: &PushtConventions,
     reach: f64,
     carried: f64,
-    so_far: &impl Fn(&str) -> String,
+    describe: &impl Fn(&str) -> String,
 ) -> Option<Fault> {
-    let scale = conventions.pixels_an_action();
+    let scale = conventions.pixels_per_action();
     if is_displacement(reach * scale, carried, 1.0) {
-        return Some(displacement(&so_far(
+        return Some(displacement(&describe(
             ", and all of it as the agent's own displacement to the next row",
         )));
     }
     let pixels = reach * scale / REACH;
     (!(0.4..=3.0).contains(&(pixels / scale))).then(|| Fault::Convention {
-        what: so_far(&format!(
-            ", but a step is {} of the way to such a target and about a third is usual",
+        what: describe(&format!(
+            ", but a step covers {} of the distance to such a target, and about a third is usual",
             rounded(reach)
         )),
         fix: format!(
-            "set ingest.pusht.action_scale to the pixels of one unit of an action, about {}",
+            "set ingest.pusht.action_scale to the number of pixels per unit of an action, about {}",
             usual_scale(pixels)
         ),
     })
 }
 
-/// Whether an action is the step itself, and no target.
-fn is_displacement(weight: f64, carried: f64, share: f64) -> bool {
-    (weight - 1.0).abs() < 0.02 && carried.abs() < 0.02 && share > 0.999
+/// Whether an action is the agent's step itself, not a target.
+fn is_displacement(weight: f64, carried: f64, fraction: f64) -> bool {
+    (weight - 1.0).abs() < 0.02 && carried.abs() < 0.02 && fraction > 0.999
 }
 
 fn displacement(what: &str) -> Fault {
     Fault::Convention {
         what: what.to_owned(),
-        fix: "write targets: the agent goes about a third of the way to a target in one step, so that a displacement is none".to_owned(),
+        fix: "write target positions instead: the agent moves about a third of the distance to its target in one step, so a displacement is not a target".to_owned(),
     }
 }
 
-/// Targets of the row before or after.
-fn other_row(steps: &[Step], unexplained: f64, explained: f64, so_far: &impl Fn(&str) -> String) -> Option<Fault> {
-    let (of_earlier, _) = share(steps, unexplained, |step| [step.earlier - step.agent, step.before]);
-    let (of_later, _) = share(steps, unexplained, |step| [step.later - step.agent, step.before]);
-    let (share, row, move_by) = if of_earlier > of_later {
-        (of_earlier, "before", "down")
+/// Checks whether the targets of the previous or the next row explain the motion better.
+fn other_row(steps: &[Step], unexplained: f64, explained: f64, describe: &impl Fn(&str) -> String) -> Option<Fault> {
+    let (of_earlier, _) = explain(steps, unexplained, |step| [step.earlier - step.agent, step.before]);
+    let (of_later, _) = explain(steps, unexplained, |step| [step.later - step.agent, step.before]);
+    let (fraction, row, move_by) = if of_earlier > of_later {
+        (of_earlier, "previous", "down")
     } else {
-        (of_later, "after", "up")
+        (of_later, "next", "up")
     };
-    (share >= 0.97 && share > explained + 0.05).then(|| Fault::Convention {
-        what: so_far(&format!(", and {} as the targets of the row {row}", percent(share))),
+    (fraction >= 0.97 && fraction > explained + 0.05).then(|| Fault::Convention {
+        what: describe(&format!(", and {} as the targets of the {row} row", percent(fraction))),
         fix: format!(
-            "move data/action {move_by} by one row within each episode, so that a row holds the target in force from its state on"
+            "move data/action {move_by} by one row within each episode, so that each row has the target that applies from its state on"
         ),
     })
 }
 
-/// How far the targets of the settings are from those that fit, at the edges of the window.
+/// Maximum distance at the edges of the window between the targets by the settings and the fitted targets, in pixels.
 fn farthest(conventions: &PushtConventions, lines: [Line; 2]) -> f64 {
     let window = conventions
         .action_window
@@ -410,19 +413,19 @@ fn farthest(conventions: &PushtConventions, lines: [Line; 2]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Absolute targets in another unit.
+/// The fault of absolute targets in another unit, with the window that fits.
 fn other_window(
     conventions: &PushtConventions,
-    so_far: &impl Fn(&str) -> String,
-    share: f64,
+    describe: &impl Fn(&str) -> String,
+    fraction: f64,
     lines: [Line; 2],
     off: Option<f64>,
 ) -> Fault {
     let windows = lines.map(Line::window);
     let width = (windows[0][1] - windows[0][0]).abs();
     let alike = |a: [f64; 2], b: [f64; 2], slack: f64| (a[0] - b[0]).abs() <= slack && (a[1] - b[1]).abs() <= slack;
-    // The distance that is told of above, in actions, so that what is named is not refused again.
-    let slack = OFF / WINDOW * width;
+    // The same tolerance as `MAX_ERROR`, in units of actions, so that the suggested window passes this check.
+    let slack = MAX_ERROR / WINDOW * width;
     let usual = [
         [0.0, WINDOW],
         [-1.0, 1.0],
@@ -444,20 +447,20 @@ fn other_window(
             .collect::<Vec<_>>()
             .join(" and ")
     };
-    let what = so_far(&format!(
-        "{off}, and {} if the window is {} in it",
-        percent(share),
+    let what = describe(&format!(
+        "{off}, and {} if its window is {}",
+        percent(fraction),
         of_axes([" along x", " along y"])
     ));
     let points_up = |[low, high]: [f64; 2]| high < low;
     let fix = if points_up(windows[1]) && !points_up(windows[0]) {
-        "y points up in data/action: turn it around, as y points down in the states".to_owned()
+        "flip y in data/action, because it points up there but down in the states".to_owned()
     } else {
         match usual {
             Some(window)
                 if Some(window) == conventions.window || window == [0.0, WINDOW] && conventions.window.is_none() =>
             {
-                "leave ingest.pusht.action_window out".to_owned()
+                "remove ingest.pusht.action_window".to_owned()
             }
             Some([low, high]) => format!("set ingest.pusht.action_window = [{low}, {high}]"),
             None if alike(windows[0], windows[1], slack) => format!(
@@ -479,7 +482,7 @@ fn formula(line: Line) -> String {
     format!("{} * action + {}", rounded(line.scale), rounded(line.offset))
 }
 
-/// The usual number near a fitted one.
+/// The usual scale near a fitted one, or the fitted one.
 fn usual_scale(pixels: f64) -> f64 {
     [1.0, WINDOW / 96.0, 10.0, 20.0, 50.0, 100.0, 256.0, WINDOW]
         .into_iter()

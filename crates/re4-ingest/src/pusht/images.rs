@@ -1,4 +1,4 @@
-//! Images, streamed: blocks of consecutive frames in order, decoded ahead in parallel within a fixed budget.
+//! Streaming of images: blocks of consecutive frames in order, decoded ahead in parallel within a fixed memory budget.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -16,8 +16,8 @@ use crate::error::{Fault, IngestError};
 use crate::source::Stop;
 use crate::zarr::{Absent, CHUNK_LIMIT, Element, Lost, ZarrArray};
 
-/// Bytes that blocks in the making may hold together, unless a single block needs more (a block needs at most three
-/// times 128 MiB: its chunk file, the decoded chunk, its images).
+/// Maximum number of bytes used by blocks that are being decoded, unless a single block needs more. A block needs at most
+/// three times 128 MiB: its chunk file, the decoded chunk, and its images.
 pub const IMAGE_BUDGET: u64 = 256 << 20;
 
 thread_local! {
@@ -27,9 +27,9 @@ thread_local! {
 /// Consecutive images.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImageBlock {
-    /// Frames of the block: rows of the dataset's arrays, whatever the selection.
+    /// Frames of the block, as rows of the dataset's arrays, independent of the selection.
     pub frames: Range<usize>,
-    /// `frames.len()` images of `height * width * 3` bytes, row by row from the top, red, green, blue.
+    /// `frames.len()` RGB images of `height * width * 3` bytes, row by row from the top.
     pub bytes: Vec<u8>,
 }
 
@@ -40,8 +40,8 @@ pub(crate) struct ImageSource {
     element: Element,
 }
 
-/// Called with the place of a value that is no byte in its row of chunks, the value, and whether all beside it are from 0 to 1;
-/// an error ends the decoding.
+/// Callback for a value that is not a byte. It receives the index of the value in its row of chunks, the value, and whether all
+/// values next to it are in 0 to 1. An error ends the decoding.
 type Bad<'a> = &'a mut dyn FnMut(usize, f64, bool) -> Result<(), Fault>;
 
 impl ImageSource {
@@ -52,10 +52,7 @@ impl ImageSource {
             [_, height, width, 3] if height > 0 && width > 0 => {}
             [_, 3, height, width] if height > 3 && width > 3 => {
                 return Err(Fault::Convention {
-                    what: format!(
-                        "array data/img has shape {:?}, which has the colours first",
-                        array.shape()
-                    ),
+                    what: format!("array data/img has shape {:?}, which is channels-first", array.shape()),
                     fix: "transpose it to (N, height, width, 3), or ingest without images".to_owned(),
                 });
             }
@@ -91,7 +88,7 @@ impl ImageSource {
         std::array::from_fn(|axis| self.array.shape()[axis + 1] as usize)
     }
 
-    /// The error for a fault, or that the dataset changed, where it did.
+    /// The error for a fault; reports a change of the dataset instead if there was one.
     fn explain(&self, fault: Fault) -> IngestError {
         self.array.store().explain(fault).of(&self.dataset)
     }
@@ -100,13 +97,13 @@ impl ImageSource {
         self.shape().iter().product()
     }
 
-    /// Bytes held while one row of chunks is being decoded.
+    /// Bytes used while one row of chunks is decoded.
     fn cost(&self) -> u64 {
         let images = self.array.chunk_length().min(self.array.len()) * self.frame_bytes() as u64;
         images + 2 * self.array.chunk_bytes().unwrap_or(CHUNK_LIMIT)
     }
 
-    /// All images of a row of chunks.
+    /// Decodes all images of a row of chunks.
     fn decode(&self, chunk_row: u64, stop: Stop<'_>) -> Result<Vec<u8>, Fault> {
         let first = self.array.rows_of(chunk_row).start;
         self.decode_with(chunk_row, stop, &mut |at, value, in_unit_range| {
@@ -131,6 +128,7 @@ impl ImageSource {
             {
                 continue;
             }
+            // The general path, which also finds the value that the fast path rejected.
             let decoded = self
                 .array
                 .decode_chunk(&index, encoded, Absent::IsLost, &AtomicU64::new(0))?;
@@ -163,7 +161,7 @@ impl ImageSource {
         Ok(bytes)
     }
 
-    /// Names the value that is no byte.
+    /// The fault of a value that is not a byte.
     fn not_a_byte(&self, first_frame: u64, at: usize, value: f64, in_unit_range: bool) -> Fault {
         let [_, width, channels] = self.shape();
         let (frame, pixel) = (first_frame + (at / self.frame_bytes()) as u64, at % self.frame_bytes());
@@ -179,11 +177,11 @@ impl ImageSource {
         }
     }
 
-    /// What cannot be used of the images of some runs of frames: the first value of every image that is no byte, and chunks that
-    /// cannot be decoded.
+    /// Checks the images of some runs of frames. Returns the first invalid value of every image, and chunks that cannot be
+    /// decoded.
     ///
     /// # Errors
-    /// What is wrong with all of them; files that changed; `stop` answered yes.
+    /// All images are invalid in the same way (scaled to 0..1), a file changed, or `stop` returned true.
     pub(crate) fn judge(&self, runs: &[Range<u64>], stop: Stop<'_>) -> Result<Vec<Lost>, Fault> {
         let mut lost: Vec<Lost> = self.array.missing(runs, Absent::IsLost).into_iter().collect();
         let is_missing = |row: u64| lost.iter().flat_map(|lost| &lost.rows).any(|rows| rows.contains(&row));
@@ -193,7 +191,7 @@ impl ImageSource {
             .into_iter()
             .filter(|chunk_row| !is_missing(self.array.rows_of(*chunk_row).start))
             .collect();
-        // As many at once as images that are read hold together.
+        // The same memory budget as for images that are read.
         let at_once = (IMAGE_BUDGET / self.cost().max(1)).clamp(1, rayon::current_num_threads() as u64) as usize;
         for batch in chunk_rows.chunks(at_once) {
             if stop() {
@@ -236,7 +234,7 @@ impl ImageSource {
     }
 }
 
-/// Converts floats in the machine's byte order; whether all were whole numbers from 0 to 255.
+/// Converts floats in native byte order. Returns whether all were integers from 0 to 255.
 fn floats_to_bytes(floats: &[[u8; 4]], target: &mut [u8]) -> bool {
     let mut exact = true;
     for (byte, float) in target.iter_mut().zip(floats) {
@@ -247,7 +245,7 @@ fn floats_to_bytes(floats: &[[u8; 4]], target: &mut [u8]) -> bool {
     exact
 }
 
-/// What one task delivers: the images of a row of chunks.
+/// Result of one task: the images of a row of chunks.
 type Decoded = Result<Vec<u8>, Fault>;
 
 /// A row of chunks and the runs of selected frames in it.
@@ -256,10 +254,10 @@ struct Job {
     runs: Vec<Range<usize>>,
 }
 
-/// Blocks of images in the order of frames; see [`super::PushtReader::image_blocks`].
+/// Iterator over blocks of images in the order of frames; see [`super::PushtReader::image_blocks`].
 pub struct ImageBlocks {
     source: Arc<ImageSource>,
-    /// Frames of the episodes, each on its own.
+    /// Frames of each episode.
     episodes: Vec<Range<u64>>,
     waiting: VecDeque<Job>,
     running: VecDeque<(Job, Receiver<Decoded>)>,
@@ -269,7 +267,7 @@ pub struct ImageBlocks {
 }
 
 impl ImageBlocks {
-    /// `runs` are ascending, disjoint runs of frames.
+    /// Prepares the decoding of `runs`, which are ascending, disjoint runs of frames.
     pub(crate) fn new(source: Arc<ImageSource>, runs: &[Range<usize>]) -> Result<Self, IngestError> {
         let mut waiting: VecDeque<Job> = VecDeque::new();
         for run in runs {
@@ -278,7 +276,7 @@ impl ImageBlocks {
                 let chunk_row = start as u64 / source.array.chunk_length();
                 let end = run.end.min(source.array.rows_of(chunk_row).end as usize);
                 match waiting.back_mut().filter(|job| job.chunk_row == chunk_row) {
-                    // A run that goes on where the last one stopped belongs to the same block.
+                    // A run that continues the previous one belongs to the same block.
                     Some(Job { runs, .. }) => match runs.last_mut().filter(|last| last.end == start) {
                         Some(last) => last.end = end,
                         None => runs.push(start..end),
@@ -291,7 +289,7 @@ impl ImageBlocks {
                 start = end;
             }
         }
-        // Everything is looked for first: a lost file is reported before minutes of work, not after.
+        // Missing files are searched for first, so that they are reported before, not after, minutes of work.
         let episodes: Vec<Range<u64>> = runs.iter().map(|run| run.start as u64..run.end as u64).collect();
         if let Some(lost) = source.array.missing(&episodes, Absent::IsLost) {
             return Err(source.explain(lost.fault));
@@ -309,7 +307,7 @@ impl ImageBlocks {
         })
     }
 
-    /// The first fault, or all of the images' faults where they are of single episodes: nobody wants to hear of them one by one.
+    /// Combines the faults of all images if the first one concerns a single episode, so that the user sees them at once.
     fn all_of(&self, first: Fault) -> Fault {
         if !matches!(first, Fault::NotAByte { .. } | Fault::UndecodableChunk { .. }) {
             return first;
@@ -319,7 +317,7 @@ impl ImageBlocks {
             Err(fault) => return fault,
         };
         let mut bad = 0;
-        let mut told = vec![false; lost.len()];
+        let mut reported = vec![false; lost.len()];
         for episode in &self.episodes {
             let overlaps = |lost: &Lost| {
                 lost.rows
@@ -328,13 +326,13 @@ impl ImageBlocks {
             };
             if let Some(number) = lost.iter().position(overlaps) {
                 bad += 1;
-                told[number] = true;
+                reported[number] = true;
             }
         }
         let mut faults: Vec<Fault> = lost
             .into_iter()
-            .zip(told)
-            .filter_map(|(lost, told)| told.then_some(lost.fault))
+            .zip(reported)
+            .filter_map(|(lost, reported)| reported.then_some(lost.fault))
             .collect();
         match faults.len() {
             0 => first,
@@ -349,7 +347,7 @@ impl ImageBlocks {
             let (sender, receiver) = sync_channel(1);
             let (source, chunk_row) = (Arc::clone(&self.source), job.chunk_row);
             rayon::spawn(move || {
-                // The receiver is gone if the caller stopped early; then nobody needs the block.
+                // The receiver is gone if the caller stopped early, and the block is then not needed.
                 let _ = sender.send(source.decode(chunk_row, &|| false));
             });
             self.running.push_back((job, receiver));
@@ -385,8 +383,8 @@ impl ImageBlocks {
     }
 }
 
-/// Waits for a task; a thread of the pool works on other tasks meanwhile, since it may be the only one. `None` if the
-/// task ended without an answer.
+/// Waits for a task. A thread of the pool works on other tasks meanwhile, since it may be the only one. Returns `None` if the
+/// task ended without a result.
 fn wait(receiver: &Receiver<Decoded>) -> Option<Decoded> {
     loop {
         match receiver.try_recv() {

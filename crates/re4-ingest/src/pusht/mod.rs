@@ -1,9 +1,9 @@
-//! The Push-T replay dataset: a Zarr store, of format 2 or 3, with `data/state`, `data/action`, `meta/episode_ends`, and where present
+//! The Push-T replay dataset: a Zarr store of format 2 or 3 with `data/state`, `data/action`, `meta/episode_ends`, and optionally
 //! `data/n_contacts`, `data/keypoint` and `data/img`.
 //!
 //! Layout, units and ranges follow `pusht_cchi_v7_replay.zarr` of Diffusion Policy (Chi et al., 2023): positions in
-//! pixels of a 512 x 512 window with y down, angles in radians from 0 to 2π, one row a frame at 10 Hz. Row `t` holds the
-//! state at `t` and the action taken there. `meta/episode_ends` holds exclusive, cumulative ends.
+//! pixels of a 512 x 512 window with y down, angles in radians from 0 to 2π, one row per frame at 10 Hz. Row `t` contains the
+//! state at `t` and the action taken there. `meta/episode_ends` contains exclusive, cumulative ends.
 
 mod conventions;
 mod episodes;

@@ -23,21 +23,21 @@ use crate::zarr::{Absent, Element, Lost, ZarrArray};
 
 const FLOATS: &str = "float32 or float64";
 
-/// Of actions and keypoints, which can be whole pixels.
+/// Types of actions and keypoints, which may be integer pixels.
 const NUMBERS: &str = "a float type or an integer type of 16 bits or more";
 
-/// Most frames of a dataset, more than eleven days of recording at 10 Hz. Its numbers are read into memory as a whole, and a few bytes of
-/// compressed zeros can claim any number of them.
+/// Maximum number of frames of a dataset: more than eleven days of recording at 10 Hz. All its numbers are read into memory, and
+/// a few bytes of compressed zeros could otherwise declare any number of frames.
 const FRAME_LIMIT: u64 = 10_000_000;
 
-/// Control steps a second of the original dataset, which its numbers are held against.
+/// Control rate of the original dataset in Hz, which the checks assume.
 const RATE: f64 = 10.0;
 
-/// Columns of a state, and of one with the agent's velocity behind it.
+/// Number of columns of a state, without and with the agent's velocity.
 const STATE: u64 = 5;
 const STATE_WITH_VELOCITY: u64 = 7;
 
-/// An opened Push-T dataset: every array's type and shape and the episode ends are checked, the data is not yet read.
+/// An opened Push-T dataset. Types and shapes of all arrays and the episode ends have been checked; the data has not been read.
 pub struct PushtReader {
     dataset: PathBuf,
     store: Arc<Store>,
@@ -50,17 +50,17 @@ pub struct PushtReader {
     has_images: bool,
 }
 
-/// How a dataset is read.
+/// Options for reading a dataset.
 #[derive(Clone, Copy)]
 pub struct PushtOptions<'a> {
-    /// What its numbers mean.
+    /// Units and the kind of actions.
     pub conventions: PushtConventions,
     /// What to do with episodes that cannot be used.
     pub on_bad: OnBad,
-    /// Whether images are going to be read, too. Then missing ones are told of with the rest, and with
-    /// [`OnBad::LeaveOut`] all are decoded once, so that episodes whose images cannot be used are left out.
+    /// Whether images will be read, too. Missing image chunks are then reported with the other faults, and [`OnBad::LeaveOut`]
+    /// decodes all images once, so that episodes with invalid images are left out.
     pub images: bool,
-    /// Asked while reading whether to stop.
+    /// Called while reading; returns true if reading should stop.
     pub stop: Stop<'a>,
 }
 
@@ -75,21 +75,21 @@ impl Default for PushtOptions<'_> {
     }
 }
 
-/// What was read of a dataset.
+/// The result of reading a dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PushtReading {
-    /// The selected episodes without those that were left out, in pixels and radians, actions as absolute targets.
+    /// The selected episodes without those left out, in pixels and radians, with absolute targets as actions.
     pub episodes: PushtEpisodes,
-    /// What is odd, in a fixed order.
+    /// Warnings, in a fixed order.
     pub warnings: Vec<Warning>,
-    /// Selected episodes that cannot be used, in the order of the dataset; none with [`OnBad::Refuse`].
+    /// Selected episodes that cannot be used, in the order of the dataset; empty with [`OnBad::Refuse`].
     pub left_out: Vec<LeftOut>,
-    /// Fraction of the changes of the agent's step that its targets explain, from 0 to 1, where enough of it moves; 0.996 in the
-    /// original dataset.
+    /// Fraction (0 to 1) of the change in the agent's steps that its targets explain; `None` if there is too little motion. The
+    /// original dataset has 0.996.
     pub explained: Option<f64>,
 }
 
-/// Faults of a dataset, collected until nothing more can be looked at.
+/// Collects faults, so that they are reported together.
 #[derive(Default)]
 struct Faults(Vec<Fault>);
 
@@ -104,19 +104,20 @@ impl Faults {
 }
 
 impl PushtReader {
-    /// Opens a folder store, or a zip file with a store at its root or up to two folders down. A zip file is unpacked
-    /// to a temporary folder that is removed when the reader and its iterators are dropped.
+    /// Opens a folder store, or a zip file with a store at its root or up to two folders deep. A zip file is unpacked to a
+    /// temporary folder that is removed when the reader and its iterators are dropped.
     ///
     /// # Errors
-    /// Anything that is not a complete Push-T dataset, by [`Fault`].
+    /// The dataset is not a complete Push-T dataset; see [`Fault`].
     pub fn open(path: &Path) -> Result<Self, IngestError> {
         Self::open_for(path, true, &|| false)
     }
 
-    /// The same; without `images`, `data/img` may be anything. `stop` is asked while a zip file is unpacked.
+    /// Like [`Self::open`], but without `images` the array `data/img` is not checked. `stop` is called while a zip file is
+    /// unpacked.
     ///
     /// # Errors
-    /// As [`Self::open`]; [`Fault::Stopped`] once `stop` answered yes.
+    /// Same as [`Self::open`], and [`Fault::Stopped`] once `stop` returned true.
     pub fn open_for(path: &Path, images: bool, stop: Stop<'_>) -> Result<Self, IngestError> {
         let store = Store::open(path, stop).map_err(|fault| fault.of(path))?;
         let store = Arc::new(store);
@@ -153,7 +154,7 @@ impl PushtReader {
             let others = [action.as_ref(), contacts.as_ref(), keypoint.as_ref(), images];
             let others: Vec<&ZarrArray> = others.into_iter().flatten().collect();
             faults.0.extend(lengths(state, &others));
-            // What else is lost is told of in one go with what is wrong already.
+            // Report missing chunks together with the faults found so far. Without faults, reading reports them.
             if !faults.0.is_empty() {
                 faults
                     .0
@@ -180,26 +181,26 @@ impl PushtReader {
                 keypoint,
                 images,
             }),
-            // Whatever is missing was told of above.
+            // Unreachable, since a missing array was reported above.
             _ => Err(missing_array(store, "data/state")),
         }
     }
 
-    /// BLAKE3 over the files of the dataset's arrays and their metadata in the byte order of their paths: for each, the length of
-    /// its path, the path (with `/`), the length of the file and the BLAKE3 of its bytes, lengths as little-endian u64. Files of
-    /// other arrays and whatever else lies there do not count. For a zip file it covers the unpacked store, so that a folder and a
-    /// zip of it agree.
+    /// BLAKE3 hash over the files of the dataset's arrays and their metadata in the byte order of their paths. For each file it
+    /// covers the length of its path, the path (with `/`), the length of the file and the BLAKE3 hash of its bytes, with lengths
+    /// as little-endian u64. Files of other arrays and unrelated files are excluded. For a zip file it covers the unpacked store,
+    /// so that a folder and a zip file of it have the same hash.
     ///
     /// # Errors
-    /// A file that cannot be read, or changed since the dataset was opened; `stop` answered yes.
+    /// A file cannot be read or changed since the dataset was opened, or `stop` returned true.
     pub fn source_hash(&self, stop: Stop<'_>) -> Result<[u8; 32], IngestError> {
         self.store.hash(stop).map_err(|fault| self.error(fault))
     }
 
-    /// Whether the files of the dataset are still those that were hashed and read: none changed, replaced, added or removed.
+    /// Checks that no file of the dataset was changed, replaced, added or removed since it was opened.
     ///
     /// # Errors
-    /// [`Fault::Changed`] where it does not hold.
+    /// [`Fault::Changed`] if one was.
     pub fn unchanged(&self) -> Result<(), IngestError> {
         self.store.unchanged().map_err(|fault| fault.of(&self.dataset))
     }
@@ -209,7 +210,7 @@ impl PushtReader {
         if self.store.is_format_3() { 3 } else { 2 }
     }
 
-    /// Frames of each episode of the dataset: rows of its arrays, end exclusive.
+    /// Frames of each episode of the dataset, as rows of its arrays, end exclusive.
     pub fn episode_ranges(&self) -> &[Range<usize>] {
         &self.ranges
     }
@@ -219,17 +220,17 @@ impl PushtReader {
         self.ranges.last().map_or(0, |range| range.end)
     }
 
-    /// Height, width and channels (always 3) of the images, if the dataset has any and was opened for them.
+    /// Height, width and channels (always 3) of the images; `None` if there are none or the dataset was opened without images.
     pub fn image_shape(&self) -> Option<[usize; 3]> {
         self.images.as_ref().map(|images| images.shape())
     }
 
-    /// Whether the dataset has images, whether or not it was opened for them.
+    /// Whether the dataset has images, even if it was opened without them.
     pub fn has_images(&self) -> bool {
         self.has_images
     }
 
-    /// What the dataset holds.
+    /// Describes the contents of the dataset.
     pub fn info(&self) -> Info {
         let recorded = [
             (true, "data/state"),
@@ -252,22 +253,22 @@ impl PushtReader {
         }
     }
 
-    /// Reads and validates the numeric arrays of the selected episodes, whose numbers mean what those of the original dataset do;
-    /// refuses the dataset for any that cannot be used. See [`Self::read`].
+    /// Reads and validates the numeric arrays of the selected episodes with the conventions of the original dataset, and refuses
+    /// the dataset if any of them cannot be used. See [`Self::read`].
     ///
     /// # Errors
-    /// As [`Self::read`].
+    /// Same as [`Self::read`].
     pub fn read_episodes(&self, selection: &Selection) -> Result<(PushtEpisodes, Vec<Warning>), IngestError> {
         let reading = self.read(selection, &PushtOptions::default())?;
         Ok((reading.episodes, reading.warnings))
     }
 
-    /// Reads and validates the numeric arrays of the selected episodes; what lies outside of them is not judged.
+    /// Reads and validates the numeric arrays of the selected episodes. Other episodes are not checked.
     ///
     /// # Errors
-    /// A selection that does not fit; numbers of another unit or actions of another kind than the conventions say; missing or
-    /// broken chunks and values that no Push-T recording can have, all of them in one error, unless the episodes that have them
-    /// are left out and others remain; files that changed since the dataset was opened; `stop` answered yes.
+    /// The selection does not match; units or kind of actions contradict the conventions; a file changed; `stop` returned true.
+    /// Missing or broken chunks and values that no Push-T recording has are reported in one error, unless the affected episodes
+    /// are left out and others remain.
     pub fn read(&self, selection: &Selection, options: &PushtOptions<'_>) -> Result<PushtReading, IngestError> {
         self.read_checked(selection, options).map_err(|fault| self.error(fault))
     }
@@ -288,7 +289,7 @@ impl PushtReader {
         let raw_actions = episodes.action.clone();
         let judgement = options.conventions.judge(&episodes, &is_good(&bad));
         let mut faults = judgement.faults;
-        // Actions are held against the positions as they probably are, so that all is told of at once.
+        // Actions are checked against the positions in their most likely unit, so that faults of both are reported at once.
         let conventions = if faults.is_empty() {
             options.conventions
         } else {
@@ -298,20 +299,20 @@ impl PushtReader {
         bad.extend(judgement.small.into_iter().map(|number| {
             (number, Fault::Contradicts {
                 episode: episodes.sources[number],
-                what: "positions of the block in array data/state are all within 40 px of the window's corner, where it cannot be".to_owned(),
+                what: "all positions of the block in array data/state are within 40 px of the window's corner, where the block cannot be".to_owned(),
             })
         }));
         let following = follow::judge(&conventions, &episodes, &raw_actions, &is_good(&bad));
         faults.extend(following.fault);
         notes.explained = following.explained;
-        bad.extend(following.odd.into_iter().map(|(number, share)| {
+        bad.extend(following.outliers.into_iter().map(|(number, fraction)| {
             (
                 number,
                 Fault::Contradicts {
                     episode: episodes.sources[number],
                     what: format!(
-                        "array data/action explains {:.0} % of how the agent's step changes",
-                        100.0 * share
+                        "array data/action explains {:.0} % of the change in the agent's steps",
+                        100.0 * fraction
                     ),
                 },
             )
@@ -328,7 +329,7 @@ impl PushtReader {
             .iter()
             .filter_map(|(number, fault)| matches!(fault, Fault::NotFinite { .. }).then_some(*number))
             .collect();
-        // Of an array of which an episode lacks a part, zeros were put in its place: what they look like says nothing.
+        // Rows that cannot be read are filled with zeros, so faults found in them would be meaningless.
         bad.extend(validate::faults(&episodes).into_iter().filter(|(number, fault)| {
             !(unread[*number] || no_numbers.contains(number) && matches!(fault, Fault::NotFinite { .. }))
         }));
@@ -337,7 +338,7 @@ impl PushtReader {
         settle(episodes, &notes, lost, bad, options)
     }
 
-    /// The columns of the selected episodes as they are in the dataset, and what of them cannot be read.
+    /// Reads the columns of the selected episodes as they are in the dataset, and the rows that cannot be read.
     fn columns(
         &self,
         sources: Vec<u32>,
@@ -355,7 +356,7 @@ impl PushtReader {
         } else {
             Absent::IsLost
         };
-        // Nothing is read where so much is missing that nothing will come of it.
+        // If every selected episode lacks data of some array, the read would be useless.
         let missing: Vec<Lost> = [
             self.state.missing(&runs, Absent::IsLost),
             self.action.missing(&runs, of_actions),
@@ -441,15 +442,16 @@ impl PushtReader {
     }
 
     /// The images of the selected episodes as blocks of consecutive frames, in order, decoded ahead on the current
-    /// rayon pool. Blocks end where a chunk of the dataset or a gap in the selection ends, never merely where an episode
-    /// does. Blocks in the making hold at most [`super::IMAGE_BUDGET`] together (three times 128 MiB if chunks are as
-    /// large as they may be); beyond that, memory is what the caller keeps.
+    /// rayon pool. Blocks end where a chunk of the dataset or a gap in the selection ends, and may span episodes.
+    /// Blocks that are being decoded use at most [`super::IMAGE_BUDGET`] in total, or three times 128 MiB if chunks have the
+    /// maximum size. Blocks that the caller keeps are not included.
     ///
-    /// The iterator ends after its first error. A chunk that is touched is validated as a whole.
+    /// The iterator ends after its first error. A chunk that is read is validated as a whole.
     ///
     /// # Errors
-    /// A dataset without images, a selection that does not fit, a missing chunk file; from the iterator, chunks that
-    /// cannot be decoded and values that are not whole numbers from 0 to 255, those of all selected episodes in one error.
+    /// The dataset has no images, the selection does not match the dataset, or a chunk file is missing. The iterator
+    /// reports chunks that cannot be decoded and values that are not integers from 0 to 255, for all selected episodes in one
+    /// error.
     pub fn image_blocks(&self, selection: &Selection) -> Result<ImageBlocks, IngestError> {
         let numbers = selection
             .resolve_episodes(self.ranges.len())
@@ -464,7 +466,7 @@ impl PushtReader {
     /// The images of episodes that were read; see [`Self::image_blocks`].
     ///
     /// # Errors
-    /// As [`Self::image_blocks`].
+    /// Same as [`Self::image_blocks`].
     pub fn image_blocks_of(&self, episodes: &PushtEpisodes) -> Result<ImageBlocks, IngestError> {
         self.blocks(&episodes.rows)
     }
@@ -503,9 +505,9 @@ fn check_state(array: &ZarrArray) -> Result<(), Fault> {
     check_shape(
         array,
         |shape| matches!(shape, [_, STATE | STATE_WITH_VELOCITY]),
-        "(N, 5), or (N, 7) with the agent's velocity behind,",
+        "(N, 5), or (N, 7) with the agent's velocity in the last two columns,",
     )?;
-    // Not whole numbers: one of the columns is an angle in radians.
+    // Integer types are not accepted, because one of the columns is an angle in radians.
     array.element(Element::is_float, FLOATS).map(drop)
 }
 
@@ -538,12 +540,12 @@ fn check_ends(array: &ZarrArray) -> Result<(), Fault> {
     array.element(|_| true, "a number type").map(drop)
 }
 
-/// Whether a type can hold every pixel of the window.
+/// Whether a type can represent every pixel coordinate of the window.
 fn holds_pixels(element: Element) -> bool {
     element.is_float() || element.size() > 1
 }
 
-/// What is wrong with the lengths of arrays.
+/// Checks that all arrays have the same, acceptable length.
 fn lengths(state: &ZarrArray, others: &[&ZarrArray]) -> Vec<Fault> {
     let mut faults: Vec<Fault> = others
         .iter()
@@ -563,7 +565,7 @@ fn lengths(state: &ZarrArray, others: &[&ZarrArray]) -> Vec<Fault> {
     faults
 }
 
-/// Chunks of an array that are missing, wherever they are.
+/// Missing chunks of an array, over the whole dataset.
 fn lost_chunks(array: &ZarrArray) -> Option<Fault> {
     let absent = if array.name() == "data/n_contacts" {
         Absent::IsFill
@@ -589,7 +591,7 @@ fn read_ranges(ends: &ZarrArray, frames: u64, stop: Stop<'_>) -> Result<Vec<Rang
     }
 }
 
-/// The rows of a flat array of `WIDTH` columns.
+/// Splits a flat array into rows of `WIDTH` columns.
 fn table<const WIDTH: usize>(values: &[f64]) -> Vec<[f64; WIDTH]> {
     values.as_chunks::<WIDTH>().0.to_vec()
 }

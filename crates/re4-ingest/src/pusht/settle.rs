@@ -1,4 +1,4 @@
-//! What cannot be used of the selected episodes, and the episodes without it.
+//! Decides about episodes that cannot be used: the dataset is refused, or they are left out.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::left_out::OnBad;
 use crate::tables::LeftOut;
 use crate::zarr::Lost;
 
-/// Refuses what cannot be used, or leaves it out.
+/// Refuses the dataset because of faults, or leaves out the affected episodes, depending on the options.
 pub(super) fn settle(
     episodes: PushtEpisodes,
     notes: &Notes,
@@ -63,7 +63,7 @@ pub(super) fn settle(
     Err(Fault::of_all(faults).unwrap_or(Fault::NoEpisodes))
 }
 
-/// What is wrong with single episodes, given by their positions in ascending order; `None` if nothing is.
+/// Combines faults of single episodes, given with their indices in ascending order; `None` if there are none.
 pub(super) fn of_episodes(mut bad: Vec<(usize, Fault)>, episodes: usize, all: bool) -> Option<Fault> {
     if bad.len() < 2 {
         return bad.pop().map(|(_, fault)| fault);
@@ -74,7 +74,7 @@ pub(super) fn of_episodes(mut bad: Vec<(usize, Fault)>, episodes: usize, all: bo
     Some(Fault::of_episodes(&faults, numbers.len(), episodes, all))
 }
 
-/// Whether no row of some runs can be read.
+/// Whether no row of the given runs can be read.
 pub(super) fn covers(lost: &Lost, runs: &[Range<u64>]) -> bool {
     runs.iter().all(|run| {
         let next = lost.rows.partition_point(|rows| rows.end <= run.start);
@@ -84,7 +84,7 @@ pub(super) fn covers(lost: &Lost, runs: &[Range<u64>]) -> bool {
     })
 }
 
-/// Which episodes have rows that cannot be read.
+/// Marks the episodes with rows that cannot be read.
 pub(super) fn lost_episodes(episodes: &PushtEpisodes, lost: &[Lost]) -> Vec<bool> {
     let rows: Vec<&Range<u64>> = lost.iter().flat_map(|lost| &lost.rows).collect();
     episodes
@@ -97,7 +97,7 @@ pub(super) fn lost_episodes(episodes: &PushtEpisodes, lost: &[Lost]) -> Vec<bool
         .collect()
 }
 
-/// The episodes without those for which there is a reason, and these.
+/// Separates the episodes into those without and those with a reason to leave them out.
 fn without(episodes: &PushtEpisodes, why: Vec<Option<String>>) -> (PushtEpisodes, Vec<LeftOut>) {
     let mut good = PushtEpisodes {
         contacts: episodes.contacts.as_ref().map(|_| Vec::new()),

@@ -13,11 +13,11 @@ use crate::selection::Selection;
 use crate::tables::{LeftOut, PlanarColumns};
 use crate::warning::Warning;
 
-/// What the camera of the one array of images is called.
+/// Name of the camera of `data/img`.
 const CAMERA: &str = "img";
 
-/// An opened dataset, its numbers read and judged. They are in memory as a whole, as what they mean is judged over all of them;
-/// images are not.
+/// An opened dataset with its numbers read and checked. All numbers are in memory, because the checks of conventions need the
+/// whole dataset; images are streamed.
 pub struct PushtSource {
     reader: PushtReader,
     reading: PushtReading,
@@ -29,7 +29,7 @@ impl PushtSource {
     /// Reads the numbers of the selected episodes.
     ///
     /// # Errors
-    /// As [`PushtReader::read`].
+    /// Same as [`PushtReader::read`].
     pub fn read(reader: PushtReader, select: &Selection, options: &PushtOptions<'_>) -> Result<Self, IngestError> {
         let reading = reader.read(select, options)?;
         let name = |name: SourceName| DemoName {
@@ -47,7 +47,7 @@ impl PushtSource {
         names.sort_unstable();
         let mut details = Map::new();
         if options.conventions != super::PushtConventions::default() {
-            let explained = reading.explained.map(|share| (1000.0 * share).round() / 1000.0);
+            let explained = reading.explained.map(|fraction| (1000.0 * fraction).round() / 1000.0);
             let settings = json!({ "settings": options.conventions, "motion_explained_by_targets": explained });
             details.insert("conventions".to_owned(), settings);
         }
@@ -91,7 +91,7 @@ impl PushtSource {
 }
 
 impl DemoSource for PushtSource {
-    /// A folder, or a zip file.
+    /// Accepts a folder or a zip file.
     fn probe(path: &Path) -> bool {
         let zip = || path.extension().is_some_and(|end| end.eq_ignore_ascii_case("zip"));
         path.is_dir() || zip()

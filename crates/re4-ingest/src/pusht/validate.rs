@@ -1,4 +1,4 @@
-//! What a Push-T recording can hold, and what is odd in one.
+//! Checks of values in Push-T recordings, and warnings about them.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -8,23 +8,23 @@ use crate::error::Fault;
 use crate::tables::KEYPOINTS;
 use crate::warning::{Warning, WarningCode};
 
-/// Smallest accepted coordinate in pixels. The window is 0 to 512; agent, block and target cannot leave it by more than
-/// the block's size, so what lies beyond is another unit or another dataset.
+/// Smallest accepted coordinate in pixels. The window is 0 to 512. Agent, block and target cannot leave it by more than
+/// the size of the block, so values outside this range are in another unit or from another dataset.
 pub const POSITION_LOW: f64 = -100.0;
 /// Largest accepted coordinate in pixels.
 pub const POSITION_HIGH: f64 = 700.0;
-/// How far an angle may lie outside of 0 to 2π: 2π rounded to f32 is already 1.7e-7 too large.
+/// Tolerance of the range 0 to 2π of angles: 2π rounded to f32 is already 1.7e-7 too large.
 pub const ANGLE_TOLERANCE: f64 = 1e-5;
 /// Side of the window in pixels.
 pub const WINDOW: f64 = 512.0;
-/// Episodes with fewer frames get a warning.
+/// Episodes with fewer frames cause a warning.
 pub const SHORT_EPISODE: usize = 10;
 
 const STATE_COLUMNS: [&str; 5] = ["agent_x", "agent_y", "block_x", "block_y", "block_theta"];
 const ACTION_COLUMNS: [&str; 2] = ["action_x", "action_y"];
 const THETA: usize = 4;
 
-/// Turns exclusive cumulative ends into frames of episodes. `None` stands for a number that is not whole.
+/// Converts exclusive cumulative ends to the frames of episodes. `None` stands for a number that is not an integer.
 pub(super) fn episode_ranges(ends: &[Option<i128>], frames: u64) -> Result<Vec<Range<usize>>, Fault> {
     let mut previous = 0;
     let mut ranges = Vec::with_capacity(ends.len());
@@ -50,7 +50,7 @@ pub(super) fn episode_ranges(ends: &[Option<i128>], frames: u64) -> Result<Vec<R
     }
 }
 
-/// Where a frame of the columns lies in the dataset.
+/// The place of a frame in the dataset.
 struct Place {
     frame: u64,
     episode: u32,
@@ -114,7 +114,7 @@ fn check_row(
     Ok(())
 }
 
-/// Refuses values no recording can have.
+/// Refuses values that no recording can have.
 pub(super) fn values(episodes: &PushtEpisodes) -> Result<(), Fault> {
     faults(episodes)
         .into_iter()
@@ -122,7 +122,7 @@ pub(super) fn values(episodes: &PushtEpisodes) -> Result<(), Fault> {
         .map_or(Ok(()), |(_, fault)| Err(fault))
 }
 
-/// Every episode's first value in each array that no recording can have, array by array, with the position of the episode.
+/// The first invalid value of every episode in each array, array by array, with the index of the episode.
 pub(super) fn faults(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
     let mut faults = states_and_actions(episodes, state_bounds, PIXELS);
     first_of_each(
@@ -158,7 +158,7 @@ pub(super) fn faults(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
     faults
 }
 
-/// Every episode's first state or action that is no number, with the position of the episode.
+/// The first state or action of every episode that is not finite, with the index of the episode.
 pub(super) fn not_finite(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
     let any = Bounds {
         low: f64::MIN,
@@ -168,7 +168,7 @@ pub(super) fn not_finite(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
     states_and_actions(episodes, |_| any, any)
 }
 
-/// The same of values that are beyond these bounds, of states column by column.
+/// The first state and action of every episode outside the given bounds; those of states depend on the column.
 fn states_and_actions(
     episodes: &PushtEpisodes,
     state: impl Fn(usize) -> Bounds,
@@ -190,7 +190,7 @@ fn state_bounds(column: usize) -> Bounds {
     if column == THETA { RADIANS } else { PIXELS }
 }
 
-/// The first fault of each episode in a column of rows, which is empty where there is no such array.
+/// Appends the first fault of each episode in a column of rows; the column is empty if the array does not exist.
 fn first_of_each<T>(
     faults: &mut Vec<(usize, Fault)>,
     episodes: &PushtEpisodes,
@@ -213,9 +213,9 @@ fn first_of_each<T>(
     }));
 }
 
-/// Collects what is odd, one warning a kind, in the order of [`WarningCode`].
+/// Collects warnings, one per kind, in the order of [`WarningCode`].
 pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> {
-    let steps = |odd: &dyn Fn(usize) -> bool| in_episodes(episodes, |start, frame| frame > start && odd(frame));
+    let steps = |unusual: &dyn Fn(usize) -> bool| in_episodes(episodes, |start, frame| frame > start && unusual(frame));
     let seam = steps(&|frame| (episodes.state[frame][THETA] - episodes.state[frame - 1][THETA]).abs() > PI);
     let outside = in_episodes(episodes, |_, frame| {
         episodes.action[frame]
@@ -247,7 +247,7 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
         seam.first(),
         count,
         format!(
-            "the block angle crosses the seam between 0 and 2π {count} times inside episodes; compare angles on the circle"
+            "the block angle wraps between 0 and 2π {count} times inside episodes; compute differences of angles modulo 2π"
         ),
     );
     let count = outside.len();
@@ -255,7 +255,7 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
         WarningCode::ActionOutsideWindow,
         outside.first(),
         count,
-        format!("{count} actions lie outside of the window (0 to {WINDOW} pixels)"),
+        format!("{count} actions are outside the window (0 to {WINDOW} pixels)"),
     );
     let count = short.len();
     found(
@@ -294,7 +294,7 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
     warnings
 }
 
-/// Warnings of what was noted while reading.
+/// Warnings from observations made while reading.
 fn noted(notes: &Notes) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut found = |code, count: usize, message: String| {
@@ -306,7 +306,7 @@ fn noted(notes: &Notes) -> Vec<Warning> {
         WarningCode::AngleWrapped,
         notes.wrapped,
         format!(
-            "{} block angles lie outside 0 to 2π and were put into it by whole turns",
+            "{} block angles were outside 0 to 2π and were wrapped to that range",
             notes.wrapped
         ),
     );
@@ -314,44 +314,44 @@ fn noted(notes: &Notes) -> Vec<Warning> {
         WarningCode::AbsentChunks,
         notes.absent_chunks as usize,
         format!(
-            "chunks that are not stored, {} in all, were read as the fill value, as zarr's rule has it: newer writers leave such chunks out, and so does a copy that lost files",
+            "{} chunks are not stored and were read as the fill value, as the zarr specification requires; newer writers omit such chunks, but an incomplete copy looks the same",
             notes.absent_chunks
         ),
     );
     found(
         WarningCode::SkippedColumns,
         2 * usize::from(notes.velocity),
-        "data/state has the agent's velocity in two more columns, which are left out".to_owned(),
+        "data/state has the agent's velocity in two additional columns, which are not ingested".to_owned(),
     );
     let weak = notes.explained.filter(|explained| *explained < super::follow::USUAL);
     found(
         WarningCode::Convention,
         usize::from(weak.is_some()),
         format!(
-            "the targets explain {:.0} % of how the agent's step changes, and 99.6 % in the original dataset: another controller, another rate or noise",
+            "the targets explain {:.0} % of the change in the agent's steps, but 99.6 % in the original dataset: the controller or the rate differs, or the data is noisy",
             100.0 * weak.unwrap_or_default()
         ),
     );
     warnings
 }
 
-/// What was noted while reading.
+/// Observations made while reading.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Notes {
-    /// Whether there is an array of images.
+    /// Whether the array of images exists.
     pub(super) has_images: bool,
-    /// Block angles that were some turns off.
+    /// Number of block angles that were wrapped to 0 to 2π.
     pub(super) wrapped: usize,
-    /// Chunks that are not stored and were read as fill values.
+    /// Number of chunks that are not stored and were read as fill values.
     pub(super) absent_chunks: u64,
-    /// Whether states have the agent's velocity behind them.
+    /// Whether states include the agent's velocity.
     pub(super) velocity: bool,
-    /// Fraction of the agent's changes of step that the targets explain, where enough moves.
+    /// Fraction of the change in the agent's steps that the targets explain; `None` if there is too little motion.
     pub(super) explained: Option<f64>,
 }
 
-/// Episode and frame within it of every frame for which `odd(first frame of its episode, frame)` holds.
-fn in_episodes(episodes: &PushtEpisodes, odd: impl Fn(usize, usize) -> bool) -> Vec<(u32, u64)> {
+/// Episode, and frame within it, of every frame for which `unusual(first frame of its episode, frame)` returns true.
+fn in_episodes(episodes: &PushtEpisodes, unusual: impl Fn(usize, usize) -> bool) -> Vec<(u32, u64)> {
     episodes
         .sources
         .iter()
@@ -360,25 +360,25 @@ fn in_episodes(episodes: &PushtEpisodes, odd: impl Fn(usize, usize) -> bool) -> 
             let start = frames.start;
             frames
                 .clone()
-                .filter(|&frame| odd(start, frame))
+                .filter(|&frame| unusual(start, frame))
                 .map(move |frame| (source, (frame - start) as u64))
                 .collect::<Vec<_>>()
         })
         .collect()
 }
 
-/// Steps that say whether two columns are a velocity.
-const ENOUGH_STEPS: usize = 20;
+/// Minimum number of steps with motion for deciding whether two columns are a velocity.
+const MIN_STEPS: usize = 20;
 
-/// Cosine between steps and velocities from which these are velocities; it is above 0.95 for those of the simulator and for
-/// differences of positions.
-const VELOCITY: f64 = 0.8;
+/// Minimum cosine similarity between steps and velocities. It exceeds 0.95 for the simulator's velocities and for differences of
+/// positions.
+const MIN_SIMILARITY: f64 = 0.8;
 
-/// Accepts the last two of seven columns if they are the agent's velocity, in whatever unit: they go along with its steps.
+/// Accepts the last two of seven columns if they are proportional to the agent's steps, as its velocity is in any unit.
 pub(super) fn velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(), Fault> {
     let columns = |why: String| Fault::StateColumns { why };
     let (mut steps, mut velocities, mut products, mut moving) = (0.0, 0.0, 0.0, 0);
-    // Not at the ends of episodes, where differences over the whole array are none of the agent's.
+    // The ends of episodes are excluded: velocities computed by differences over the whole array are wrong there.
     for frame in frames
         .iter()
         .flat_map(|frames| frames.start + 1..frames.end.saturating_sub(1))
@@ -394,17 +394,17 @@ pub(super) fn velocity(states: &[[f64; 7]], frames: &[Range<usize>]) -> Result<(
             }
         }
     }
-    if moving < ENOUGH_STEPS {
+    if moving < MIN_STEPS {
         return Err(columns(format!(
-            "the agent moves in {moving} steps only, too few to tell"
+            "the agent moves in only {moving} steps, too few to decide"
         )));
     }
-    let likeness = products / (steps * velocities).sqrt();
-    if likeness >= VELOCITY {
+    let similarity = products / (steps * velocities).sqrt();
+    if similarity >= MIN_SIMILARITY {
         return Ok(());
     }
-    let likeness = if likeness.is_finite() { likeness } else { 0.0 };
+    let similarity = if similarity.is_finite() { similarity } else { 0.0 };
     Err(columns(format!(
-        "their likeness with the agent's steps is {likeness:.2}, and that of a velocity is near 1"
+        "their cosine similarity to the agent's steps is {similarity:.2}, and that of a velocity is near 1"
     )))
 }

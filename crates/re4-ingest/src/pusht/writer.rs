@@ -1,4 +1,4 @@
-//! Writing episodes in the dataset's own format.
+//! Writes episodes in the format of the Push-T dataset.
 
 use std::f64::consts::TAU;
 use std::fs;
@@ -23,12 +23,12 @@ use crate::tables::KEYPOINTS;
 /// Rows of a chunk, as in the original dataset.
 const CHUNK: usize = 161;
 
-/// The nine keypoints of the block in the block's own frame (pixels): `world = position + R(theta) keypoint`.
+/// The nine keypoints of the block in the block frame (pixels): `world = position + R(theta) keypoint`.
 ///
 /// Derived from `pusht_cchi_v7_replay.zarr` by `tests/fixtures/derive_keypoints.py`: the median over its 25,650 frames of
-/// `R(theta)^T (keypoint - position)`. The recorded points are rigid (distances between them vary by less than 4.1e-5 px),
-/// and lie within 1.5e-5 px of these in half of the frames and 0.04 px in 99 %; while the block moves fast the recorded
-/// pose and the recorded keypoints are of slightly different moments, and differ by up to 2.2 px.
+/// `R(theta)^T (keypoint - position)`. The recorded points are rigid (distances between them vary by less than 4.1e-5 px).
+/// They are within 1.5e-5 px of these in half of the frames and within 0.04 px in 99 %. While the block moves fast, the recorded
+/// pose and the recorded keypoints are from slightly different times and differ by up to 2.2 px.
 pub const KEYPOINTS_IN_BLOCK: [[f64; 2]; KEYPOINTS] = [
     [9.269_787, 90.040_974],
     [-60.983_472, -1.186_730],
@@ -41,14 +41,14 @@ pub const KEYPOINTS_IN_BLOCK: [[f64; 2]; KEYPOINTS] = [
     [23.541_461, -1.700_288],
 ];
 
-/// Writes Push-T datasets: Zarr v2 folders with `data/{action,state,keypoint,n_contacts}` and `meta/episode_ends`, float32
-/// (int64 for the ends), Blosc zstd level 5 with bit shuffle, 161 rows a chunk, as in the original. No images.
+/// Writer of Push-T datasets: Zarr v2 folders with `data/{action,state,keypoint,n_contacts}` and `meta/episode_ends`, float32
+/// (int64 for the ends), Blosc zstd level 5 with bit shuffle, 161 rows per chunk, as in the original. No images are written.
 pub struct PushtWriter;
 
 /// An episode to write.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedEpisode {
-    /// Frames in the order of time. Block angles may be any finite number; they are stored in 0 to 2π.
+    /// Frames in order of time. Block angles may be any finite number; they are stored in 0 to 2π.
     pub frames: Vec<PlanarFrame>,
 }
 
@@ -60,22 +60,22 @@ impl From<&PlanarEpisode> for RecordedEpisode {
     }
 }
 
-/// Why episodes cannot be written.
+/// An error of writing episodes.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    /// Something is there already.
+    /// The path exists already.
     #[error("cannot record episodes to {}: it exists already; remove it or choose another path", path.display())]
     Exists {
         /// The path of the dataset.
         path: PathBuf,
     },
-    /// Nothing to write.
+    /// There are no episodes, or an episode has no frames.
     #[error("cannot record episodes to {}: {}; record at least one frame in every episode", path.display(),
         episode.map_or("there is no episode".to_owned(), |episode| format!("episode {episode} has no frames")))]
     Empty {
         /// The path of the dataset.
         path: PathBuf,
-        /// The episode without frames; none if there is no episode at all.
+        /// The episode without frames; `None` if there are no episodes.
         episode: Option<usize>,
     },
     /// A value that the reader of the dataset would refuse. Frames are counted over all episodes.
@@ -83,41 +83,41 @@ pub enum RecordError {
     Value {
         /// The path of the dataset.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault of the value.
         #[source]
         fault: Box<Fault>,
     },
     /// The encoder failed.
-    #[error("cannot record episodes to {}: array {array} cannot be encoded: {why}; this is a fault of this program, please report it", path.display())]
+    #[error("cannot record episodes to {}: array {array} cannot be encoded: {why}; this is a bug in re4-pipe, please report it", path.display())]
     Encode {
         /// The path of the dataset.
         path: PathBuf,
         /// Array within the store.
         array: &'static str,
-        /// The encoder's words.
+        /// Message of the encoder.
         why: String,
     },
-    /// The operating system refused something.
+    /// An operation of the operating system failed.
     #[error("cannot record episodes to {}: cannot {action} {}: {source}; {}", path.display(), file.display(), io_fix(source))]
     Io {
         /// The path of the dataset.
         path: PathBuf,
-        /// What was tried, such as "write".
+        /// The operation, such as "write".
         action: &'static str,
-        /// On which file or folder.
+        /// Path of the file or folder.
         file: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         source: io::Error,
     },
 }
 
 impl PushtWriter {
-    /// Writes the episodes to a new folder, whole or not at all: it is built in a temporary sibling and renamed. Equal
-    /// episodes give equal bytes. Contacts that are unknown (NaN) in every frame leave `n_contacts` out.
+    /// Writes the episodes to a new folder, completely or not at all: the dataset is built in a temporary sibling and renamed.
+    /// Equal episodes give equal bytes. If contacts are unknown (NaN) in every frame, `n_contacts` is not written.
     ///
     /// # Errors
-    /// A path that exists, no episodes or frames, values outside of what [`super::PushtReader`] accepts, and errors of the
-    /// disk.
+    /// The path exists, there are no episodes or an episode has no frames, a value is outside the range that
+    /// [`super::PushtReader`] accepts, or a file cannot be written.
     pub fn write(path: &Path, episodes: &[RecordedEpisode]) -> Result<(), RecordError> {
         let io_error = |action, file: &Path, source| RecordError::Io {
             path: path.to_owned(),
@@ -128,7 +128,7 @@ impl PushtWriter {
         match fs::symlink_metadata(path) {
             Ok(_) => return Err(RecordError::Exists { path: path.to_owned() }),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => return Err(io_error("look at", path, error)),
+            Err(error) => return Err(io_error("inspect", path, error)),
         }
         if episodes.is_empty() {
             return Err(RecordError::Empty {
@@ -160,9 +160,9 @@ impl PushtWriter {
         let temporary = tempfile::Builder::new()
             .prefix(".re4-record-")
             .tempdir_in(parent)
-            // The kind alone: tempfile's own words repeat the path and add a random name.
+            // Only the kind of the error: tempfile's own message repeats the path and adds a random name.
             .map_err(|error| io_error("create a folder in", parent, error.kind().into()))?;
-        // The temporary folder is private to its owner, so the store is built one folder down, with usual permissions.
+        // The temporary folder is private to its owner, so the store is built in a subfolder with the usual permissions.
         let building = temporary.path().join("store");
         for (name, bytes) in files {
             let file = building.join(name);
@@ -174,7 +174,7 @@ impl PushtWriter {
     }
 }
 
-/// The columns as they will be stored: every number rounded to f32.
+/// The columns as they will be stored, with every number rounded to f32.
 fn columns(episodes: &[RecordedEpisode]) -> PushtEpisodes {
     let round = |value: f64| f64::from(value as f32);
     let pair = |point: Point2| [round(point.x), round(point.y)];
@@ -204,14 +204,14 @@ fn columns(episodes: &[RecordedEpisode]) -> PushtEpisodes {
 /// The angle in `[0, 2π)` after rounding to f32.
 fn stored_angle(theta: f64) -> f64 {
     let rounded = f64::from(wrap_to_two_pi(theta) as f32);
-    // Just below 2π, the nearest f32 is above it; the angle is 0 to within the same rounding.
+    // For angles just below 2π the nearest f32 exceeds 2π; 0 is the same angle within the rounding error.
     if rounded >= TAU { 0.0 } else { rounded }
 }
 
-/// Files of a store: path within it and content.
+/// Files of a store: path within the store, and content.
 type Files = Vec<(String, Vec<u8>)>;
 
-/// The store's files and their content, or the array that could not be encoded and why.
+/// The store's files and their content. The error has the array that could not be encoded, and why.
 fn files(columns: &PushtEpisodes) -> Result<Files, (&'static str, String)> {
     let group = || text(&json!({ "zarr_format": 2 }));
     let attributes = || text(&json!({}));
@@ -260,7 +260,7 @@ fn files(columns: &PushtEpisodes) -> Result<Files, (&'static str, String)> {
     Ok(files)
 }
 
-/// `.zarray` and the chunks of an array whose chunks hold `chunk` whole rows. `bytes` are in the machine's byte order.
+/// `.zarray` and the chunks of an array with `chunk` whole rows per chunk. `bytes` are in native byte order.
 fn array_files(name: &'static str, dtype: &str, shape: &[usize], chunk: usize, bytes: &[u8]) -> Result<Files, String> {
     let (rows, inner) = shape.split_first().ok_or("no dimensions")?;
     let chunks = [&[chunk], inner].concat();
@@ -280,7 +280,7 @@ fn array_files(name: &'static str, dtype: &str, shape: &[usize], chunk: usize, b
         .map_err(|error| error.to_string())?;
     let chunk_bytes = bytes.len() / rows * chunk;
     for (number, part) in bytes.chunks(chunk_bytes).enumerate() {
-        // Chunks at the edge are stored whole, padded with the fill value, which is zero.
+        // Chunks at the edge are stored at full size, padded with the fill value, which is zero.
         let mut padded = part.to_vec();
         padded.resize(chunk_bytes, 0);
         let index: Vec<u64> = std::iter::once(number as u64).chain(inner.iter().map(|_| 0)).collect();
@@ -302,11 +302,11 @@ fn array_files(name: &'static str, dtype: &str, shape: &[usize], chunk: usize, b
     Ok(files)
 }
 
-/// JSON laid out as zarr-python does.
+/// JSON in the layout of zarr-python.
 fn text(value: &serde_json::Value) -> Vec<u8> {
     let mut text = Vec::new();
     let formatter = serde_json::ser::PrettyFormatter::with_indent(b"    ");
-    // Writing a JSON value to memory cannot fail; an empty file would be refused by every reader.
+    // Writing a JSON value to memory cannot fail; if it did, every reader would refuse the empty file.
     let _ = value.serialize(&mut serde_json::Serializer::with_formatter(&mut text, formatter));
     text
 }

@@ -1,4 +1,4 @@
-//! One demonstration: its arrays as they are in the file, checked.
+//! Reads one demonstration: its arrays as they are in the file, checked.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -7,11 +7,11 @@ use super::fault::Hdf5Fault;
 use super::file::{Element, File, Located};
 use crate::demos::Matrix;
 
-/// What a file holds of one demonstration, bit for bit (single precision widened), every dataset with one row a frame and
-/// without NaN or infinity. Rows of `obs` are the observations before the action of the same row.
+/// The data of one demonstration, bit for bit (single precision is widened). Every dataset has one row per frame and
+/// no NaN or infinity. Rows of `obs` are the observations before the action of the same row.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Demo {
-    /// Its group below `/data`, such as `demo_12`.
+    /// Name of its group in `/data`, such as `demo_12`.
     pub name: String,
     /// Number of frames.
     pub frames: usize,
@@ -23,27 +23,27 @@ pub struct Demo {
     pub eef_quaternion: Vec<[f64; 4]>,
     /// `obs/robot0_gripper_qpos`; empty in the raw layout.
     pub fingers: Vec<[f64; 2]>,
-    /// `obs/object`, where there is one.
+    /// `obs/object`, if it exists.
     pub object: Option<Matrix>,
-    /// `obs/robot0_eef_vel_ang`, where there is one and it was asked for.
+    /// `obs/robot0_eef_vel_ang`, if it exists and was requested.
     pub angular_velocity: Option<Vec<[f64; 3]>>,
-    /// `states`, where there are any.
+    /// `states`, if it exists.
     pub states: Option<Matrix>,
-    /// `rewards`, where there are any.
+    /// `rewards`, if it exists.
     pub rewards: Option<Vec<f64>>,
-    /// `dones`, where there are any.
+    /// `dones`, if it exists.
     pub dones: Option<Vec<bool>>,
-    /// Absolute actions beside `actions`: `actions_abs`, or `action_dict/abs_pos` and `abs_rot_axis_angle`.
+    /// Absolute actions in addition to `actions`: `actions_abs`, or `action_dict/abs_pos` and `abs_rot_axis_angle`.
     pub other_goals: Option<Vec<[f64; 6]>>,
-    /// The MJCF text of attribute `model_file`; none where there is none.
+    /// The MJCF text of attribute `model_file`, if it exists.
     pub model: Option<Arc<str>>,
-    /// Datasets that hold single precision.
+    /// Names of its datasets in single precision.
     pub single_precision: Vec<&'static str>,
-    /// What nothing needs and was left out for the values in it, in words.
+    /// Descriptions of optional data that was skipped because of invalid values.
     pub skipped: Vec<String>,
 }
 
-/// The datasets of one demonstration, found and not yet read.
+/// The datasets of one demonstration, located but not read.
 pub(crate) struct FoundDemo {
     pub(crate) name: String,
     pub(crate) frames: usize,
@@ -52,13 +52,13 @@ pub(crate) struct FoundDemo {
     skipped: Vec<String>,
 }
 
-/// A dataset of a demonstration, and how many numbers its rows have (0 for a single one, `None` for any).
+/// Name of a dataset, and the number of columns (0 for a vector, `None` for any number).
 pub(super) type Name = (&'static str, Option<usize>);
 
 const ACTIONS: Name = ("actions", Some(7));
 const STATES: Name = ("states", None);
 const OTHERS: [Name; 3] = [STATES, ("rewards", Some(0)), ("dones", Some(0))];
-/// Datasets that nothing needs.
+/// Optional datasets; invalid values in them do not make a demonstration unusable.
 const OPTIONAL: [&str; 2] = ["rewards", "dones"];
 pub(super) const OBSERVATIONS: [Name; 3] = [
     ("obs/robot0_eef_pos", Some(3)),
@@ -71,22 +71,22 @@ const ACTIONS_ABS: Name = ("actions_abs", Some(7));
 const ABS_POSITION: Name = ("action_dict/abs_pos", Some(3));
 const ABS_ROTATION: Name = ("action_dict/abs_rot_axis_angle", Some(3));
 
-/// What is wanted of a demonstration.
+/// Which data of a demonstration to read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Wanted {
-    /// All but observations; states have to be there.
+    /// Everything except observations; states are required.
     Raw,
-    /// All, observations have to be there.
+    /// Everything; observations are required.
     Observed,
-    /// The same, with the hand's angular velocities.
+    /// The same, with the angular velocities of the end effector.
     ObservedWithVelocities,
-    /// Actions alone.
+    /// Only actions.
     Actions,
 }
 
 impl FoundDemo {
-    /// Finds the datasets and checks their shapes against each other and against the attribute `num_samples`. All that is
-    /// wrong is told at once.
+    /// Locates the datasets, and checks their shapes against each other and against the attribute `num_samples`. All faults are
+    /// reported at once.
     pub(crate) fn find(file: &File, name: &str, wanted: Wanted) -> Result<Self, Hdf5Fault> {
         let group = format!("data/{name}");
         let members = file.members(&group)?;
@@ -103,8 +103,8 @@ impl FoundDemo {
             });
             match found {
                 Ok(located) => datasets.push((name, located)),
-                Err(fault) if file.ends_with(&fault) => return Err(fault),
-                // Nothing is made of them but a column, which stays empty.
+                Err(fault) if file.is_fatal(&fault) => return Err(fault),
+                // Each of these datasets is copied to one column, which stays null.
                 Err(fault @ (Hdf5Fault::Dtype { .. } | Hdf5Fault::Shape { .. })) if OPTIONAL.contains(&name.0) => {
                     skipped.push(fault.what());
                 }
@@ -112,9 +112,9 @@ impl FoundDemo {
             }
         }
         let frames = rows_of(&datasets, &mut faults);
-        let sound = faults.is_empty();
+        let valid = faults.is_empty();
         match file.count(&group, "num_samples") {
-            Ok(Some(samples)) if sound && usize::try_from(samples) != Ok(frames) => {
+            Ok(Some(samples)) if valid && usize::try_from(samples) != Ok(frames) => {
                 let fault = Hdf5Fault::Count {
                     object: format!("/{group}"),
                     attribute: "num_samples",
@@ -146,7 +146,7 @@ impl FoundDemo {
         }
     }
 
-    /// Reads the datasets and checks their values. All that is wrong is told at once.
+    /// Reads the datasets and checks their values. All faults are reported at once.
     pub(crate) fn read(self, file: &File) -> Result<Demo, Hdf5Fault> {
         let mut demo = Demo {
             name: self.name,
@@ -212,7 +212,7 @@ impl FoundDemo {
     }
 }
 
-/// The datasets of a demonstration that are wanted and there; those that have to be and are not are faults.
+/// The requested datasets that exist; required ones that are missing are added to the faults.
 fn names_of(
     file: &File,
     group: &str,
@@ -258,7 +258,7 @@ fn names_of(
     if !lacks.is_empty() {
         faults.push(Hdf5Fault::Missing {
             objects: lacks,
-            fix: "restore what is missing, or leave the demonstration out by a filter key or ingest.select",
+            fix: "restore what is missing, or leave the demonstration out with a filter key or ingest.select",
         });
     }
     if wanted == Wanted::Actions {
@@ -275,10 +275,10 @@ fn names_of(
     Ok(names)
 }
 
-/// Rows that the datasets have; every one of another length is a fault.
+/// The common number of rows of the datasets; a different length is a fault.
 fn rows_of(datasets: &[(Name, Located)], faults: &mut Vec<Hdf5Fault>) -> usize {
     let length = |located: &Located| located.shape.first().copied().unwrap_or(0);
-    // What most of them have is what the others are measured by.
+    // The most common length is taken as correct, so that the fault names the dataset that differs.
     let common = datasets
         .iter()
         .map(|(_, located)| length(located))
@@ -322,9 +322,9 @@ fn check_shape((_, columns): Name, located: &Located) -> Result<(), Hdf5Fault> {
             None => "(N, numbers of a row)".to_owned(),
         },
         fix: if columns == ACTIONS.1 {
-            "one arm with a two-finger gripper is read, whose actions are three numbers of position, three of rotation and the gripper's, so give such a file"
+            "only one arm with a two-finger gripper is supported (three numbers of position, three of rotation and one of the gripper), so give such a file"
         } else {
-            "restore it, or leave the demonstration out by a filter key or ingest.select"
+            "restore it, or leave the demonstration out with a filter key or ingest.select"
         },
     })
 }
@@ -345,13 +345,13 @@ fn finite(located: &Located, values: &[f64], columns: usize) -> Result<(), Hdf5F
     })
 }
 
-/// Truth values; in words, what is none.
+/// Converts numbers to booleans. The error describes a value that is neither 0 nor 1.
 fn flags(located: &Located, values: &[f64]) -> Result<Vec<bool>, String> {
     let flag = |(row, &value): (usize, &f64)| match value {
         0.0 => Ok(false),
         1.0 => Ok(true),
         _ => Err(format!(
-            "dataset {} has {value} in row {row}, which is no flag",
+            "dataset {} has {value} in row {row}, which is neither 0 nor 1",
             located.name
         )),
     };

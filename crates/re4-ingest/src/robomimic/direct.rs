@@ -1,33 +1,33 @@
-//! Finding contiguous datasets without the HDF5 library, for files in the format that h5py writes by default.
+//! Locates contiguous datasets without the HDF5 library, for files in the format that h5py writes by default.
 //!
-//! The library needs some 40 us to open a dataset, one after the other; a file of 200 demonstrations has 1,600 of them. What is
-//! read here is the oldest and simplest part of the format: superblock 0, groups as symbol tables, object headers of version
-//! 1, contiguous layout, attributes in the header. Everything else, and whatever looks odd, is `None`: then the library is
-//! asked, which also says what is wrong. Source: "HDF5 File Format Specification Version 3.0", sections II.A, III.A.1 to
-//! III.E, IV.A; all numbers are little-endian.
+//! The library takes about 40 us to open a dataset, and only one at a time; a file of 200 demonstrations has 1,600 of them. This
+//! module reads only the oldest and simplest part of the format: superblock 0, groups as symbol tables, object headers of version
+//! 1, contiguous layout, attributes in the header. For everything else, and for anything unusual, functions return `None`, and
+//! the caller uses the library, which also reports what is wrong. Source: "HDF5 File Format Specification Version 3.0", sections
+//! II.A, III.A.1 to III.E, IV.A. All numbers are little-endian.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::os::unix::fs::FileExt as _;
 use std::sync::{Mutex, PoisonError};
 
-/// Addresses and lengths of 8 bytes, as the superblock has to say.
+/// Size of addresses and lengths in bytes, which the superblock must confirm.
 const WORD: usize = 8;
 
-/// Most bytes of one structure: an object header, a group's names, a heap of texts.
-const LARGEST: u64 = 64 << 20;
+/// Maximum size in bytes of one structure: an object header, the names of a group, a heap of strings.
+const MAX_STRUCTURE: u64 = 64 << 20;
 
-/// Most nodes of a group's tree, most blocks of an object header.
-const MOST: usize = 65_536;
+/// Maximum number of nodes in a group's tree, and of blocks and messages of an object header. It bounds the work on damaged files.
+const MAX_NODES: usize = 65_536;
 
-/// Bytes that are read at once where a small structure is asked for: what belongs together mostly lies together.
+/// Bytes read at once for a small structure, because related structures are usually close together in the file.
 const WINDOW: u64 = 8 << 10;
 
-/// The root group of a file.
+/// Access to a file without the library.
 pub(super) struct Direct {
     length: u64,
     root: u64,
-    /// Where the window that was read last begins, and its bytes.
+    /// Offset and bytes of the last window read.
     window: Mutex<(u64, Vec<u8>)>,
 }
 
@@ -38,11 +38,11 @@ pub(super) struct Contiguous {
     pub(super) shape: Vec<usize>,
     /// Type of its elements.
     pub(super) element: Number,
-    /// Where it begins in the file.
+    /// Offset of its data in the file.
     pub(super) offset: u64,
 }
 
-/// Element types that are told apart; all others are left to the library.
+/// Supported element types; all others are read with the library.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Number {
     /// Little-endian double precision.
@@ -56,7 +56,7 @@ pub(super) enum Number {
 }
 
 impl Number {
-    /// Bytes of an element in the file.
+    /// Size of an element in the file, in bytes.
     pub(super) fn size(self) -> u64 {
         match self {
             Self::F64 | Self::I64 => 8,
@@ -66,10 +66,10 @@ impl Number {
     }
 }
 
-/// A group: addresses of its members' headers by name.
+/// Members of a group: addresses of their headers by name.
 pub(super) type Members = BTreeMap<String, u64>;
 
-/// Messages of an object header that are looked at.
+/// The relevant messages of an object header.
 #[derive(Default)]
 pub(super) struct Header {
     messages: Vec<(u16, Vec<u8>)>,
@@ -85,7 +85,7 @@ const CONTINUATION: u16 = 0x10;
 const ATTRIBUTE_INFO: u16 = 0x15;
 const SYMBOL_TABLE: u16 = 0x11;
 
-/// Datatype messages, bit for bit.
+/// Complete datatype messages of the supported types.
 const F64: [u8; 20] = [
     0x11, 0x20, 0x3f, 0, 8, 0, 0, 0, 0, 0, 64, 0, 52, 11, 0, 52, 0xff, 0x03, 0, 0,
 ];
@@ -95,14 +95,14 @@ const F32: [u8; 20] = [
 const I64: [u8; 12] = [0x10, 0x08, 0, 0, 8, 0, 0, 0, 0, 0, 64, 0];
 const U8: [u8; 12] = [0x10, 0, 0, 0, 1, 0, 0, 0, 0, 0, 8, 0];
 
-/// Class of strings of a fixed length, in version 1 of the datatype message.
+/// Class of fixed-length strings, in version 1 of the datatype message.
 const FIXED_STRING: u8 = 0x13;
 
 impl Direct {
-    /// Looks at the superblock.
+    /// Checks the superblock.
     pub(super) fn open(file: &File, length: u64) -> Option<Self> {
         let block = bytes(file, length, 0, 96)?;
-        // Version 0 of everything, addresses and lengths of 8 bytes, no user block.
+        // All versions are 0, addresses and lengths have 8 bytes, and there is no user block.
         let plain = block.starts_with(b"\x89HDF\r\n\x1a\n")
             && block[8..12] == [0; 4]
             && block[12] == 0
@@ -118,7 +118,7 @@ impl Direct {
         })
     }
 
-    /// Bytes of the file, all of them or none.
+    /// Bytes of the file; `None` if the range is not completely inside the file.
     fn bytes(&self, file: &File, at: u64, size: u64) -> Option<Vec<u8>> {
         if size > WINDOW / 2 {
             return bytes(file, self.length, at, size);
@@ -139,7 +139,7 @@ impl Direct {
         self.members(file, &self.header(file, self.root)?)
     }
 
-    /// Messages of the header at an address.
+    /// Reads the header at an address.
     pub(super) fn header(&self, file: &File, address: u64) -> Option<Header> {
         let prefix = self.bytes(file, address, 16)?;
         (prefix[0] == 1).then_some(())?;
@@ -174,12 +174,12 @@ impl Direct {
                 at += 8 + size;
                 left -= 1;
             }
-            (blocks.len() + header.messages.len() < MOST).then_some(())?;
+            (blocks.len() + header.messages.len() < MAX_NODES).then_some(())?;
         }
         Some(header)
     }
 
-    /// Members of a group, from its header.
+    /// Reads the members of a group from its header.
     pub(super) fn members(&self, file: &File, header: &Header) -> Option<Members> {
         let table = header.only(SYMBOL_TABLE)?;
         let heap = self.bytes(file, word(table, WORD)?, 32)?;
@@ -190,7 +190,7 @@ impl Direct {
         let mut seen = 0;
         while let Some(address) = nodes.pop() {
             seen += 1;
-            (seen < MOST).then_some(())?;
+            (seen < MAX_NODES).then_some(())?;
             let head = self.bytes(file, address, 24)?;
             if head.starts_with(b"TREE\0") {
                 let entries = u64::from(u16::from_le_bytes([head[6], head[7]]));
@@ -201,7 +201,7 @@ impl Direct {
                 let entries = u64::from(u16::from_le_bytes([head[6], head[7]]));
                 let body = self.bytes(file, address + 8, entries * 40)?;
                 for entry in body.chunks_exact(40) {
-                    // Soft links lead elsewhere by name.
+                    // Soft links refer to another object by name, which only the library resolves.
                     (entry[16..20] != [2, 0, 0, 0]).then_some(())?;
                     let name = names.get(usize::try_from(word(entry, 0)?).ok()?..)?;
                     let name = name.split(|byte| *byte == 0).next()?;
@@ -214,10 +214,10 @@ impl Direct {
         Some(members)
     }
 
-    /// A text in an attribute of variable length.
+    /// Reads a string attribute of variable length.
     pub(super) fn text(&self, file: &File, header: &Header, name: &str) -> Option<String> {
         let (datatype, data) = header.attribute(name)?;
-        // Class 9, a string.
+        // Class 9 (variable length), type 1 (string).
         (datatype.first()? & 0x0f == 9 && datatype.get(1)? & 0x0f == 1).then_some(())?;
         let length = usize::try_from(u32::from_le_bytes(data.get(..4)?.try_into().ok()?)).ok()?;
         let index = u32::from_le_bytes(data.get(12..16)?.try_into().ok()?);
@@ -243,7 +243,7 @@ impl Direct {
 }
 
 impl Header {
-    /// The only message of a kind.
+    /// The message of a kind; `None` unless there is exactly one.
     fn only(&self, kind: u16) -> Option<&[u8]> {
         let mut found = self.messages.iter().filter(|message| message.0 == kind);
         let first = found.next()?;
@@ -254,17 +254,17 @@ impl Header {
         self.messages.iter().any(|message| message.0 == kind)
     }
 
-    /// The header as that of a contiguous dataset of numbers.
+    /// Shape, type and offset of a contiguous dataset of numbers.
     pub(super) fn contiguous(&self) -> Option<Contiguous> {
         let element = number(self.only(DATATYPE)?)?;
         let (shape, offset) = self.place(element.size())?;
         Some(Contiguous { shape, element, offset })
     }
 
-    /// The texts of a contiguous dataset of strings of one fixed length, which h5py pads with zeros.
+    /// The strings of a contiguous dataset of fixed-length strings, which h5py pads with zeros.
     pub(super) fn texts(&self, file: &File, file_length: u64) -> Option<Vec<String>> {
         let datatype = self.only(DATATYPE)?;
-        // Padded or ended by zeros, not by spaces.
+        // Terminated by or padded with zeros, not padded with spaces.
         let plain = *datatype.first()? == FIXED_STRING && datatype.get(1)? & 0x0f < 2;
         plain.then_some(())?;
         let length = u32::from_le_bytes(datatype.get(4..8)?.try_into().ok()?);
@@ -278,12 +278,12 @@ impl Header {
         all.chunks_exact(length as usize).map(text).collect()
     }
 
-    /// The header as that of a group.
+    /// Whether the header belongs to a group.
     pub(super) fn is_group(&self) -> bool {
         self.has(SYMBOL_TABLE)
     }
 
-    /// Shape and offset of a contiguous dataset with elements of so many bytes.
+    /// Shape and offset of a contiguous dataset with elements of `element` bytes.
     fn place(&self, element: u64) -> Option<(Vec<usize>, u64)> {
         (!self.has(FILTERS) && !self.has(EXTERNAL)).then_some(())?;
         let shape = shape(self.only(DATASPACE)?)?;
@@ -296,9 +296,9 @@ impl Header {
         (bytes == size && bytes > 0).then_some((shape, offset))
     }
 
-    /// Whether the header has an attribute of this name; none where that cannot be told from it alone.
+    /// Whether the header has an attribute with this name; `None` if the header alone does not determine it.
     pub(super) fn has_attribute(&self, name: &str) -> Option<bool> {
-        // Many attributes are kept elsewhere, which this message says.
+        // If there are many attributes, they are stored elsewhere, and this message is present.
         (!self.has(ATTRIBUTE_INFO)).then_some(())?;
         for (_, body) in self.messages.iter().filter(|message| message.0 == ATTRIBUTE) {
             let start = match body.first()? {
@@ -315,19 +315,19 @@ impl Header {
         Some(false)
     }
 
-    /// A whole number in an attribute that holds a single one.
+    /// An integer attribute with a single value.
     pub(super) fn count(&self, name: &str) -> Option<i64> {
         let (datatype, data) = self.attribute(name)?;
         (number(&datatype)? == Number::I64).then_some(())?;
         Some(i64::from_le_bytes(data.get(..8)?.try_into().ok()?))
     }
 
-    /// Datatype and data of an attribute of a single value.
+    /// Datatype and data of an attribute with a single value.
     fn attribute(&self, name: &str) -> Option<(Vec<u8>, Vec<u8>)> {
         for (_, body) in self.messages.iter().filter(|message| message.0 == ATTRIBUTE) {
             let size = |at: usize| Some(usize::from(u16::from_le_bytes([*body.get(at)?, *body.get(at + 1)?])));
             let sizes = [size(2)?, size(4)?, size(6)?];
-            // Version 1 pads its parts to whole words; version 3 says the character set; flags mean shared parts.
+            // Version 1 pads its parts to multiples of 8 bytes; version 3 adds the character set; flags indicate shared parts.
             let (start, padded) = match body.get(..2)? {
                 [1, _] => (8, true),
                 [2, 0] => (8, false),
@@ -343,7 +343,7 @@ impl Header {
             let own = part(sizes[0])?;
             let (datatype, space) = (part(sizes[1])?, part(sizes[2])?);
             if own.split(|byte| *byte == 0).next()? == name.as_bytes() {
-                // Some writers store a single value as an array of one.
+                // Some writers store a single value as an array of one element.
                 shape(space)?.iter().all(|&side| side == 1).then_some(())?;
                 return Some((datatype.to_vec(), body.get(at..)?.to_vec()));
             }
@@ -352,7 +352,7 @@ impl Header {
     }
 }
 
-/// The sides of a dataspace; none for a single value.
+/// Dimensions of a dataspace; empty for a single value.
 fn shape(message: &[u8]) -> Option<Vec<usize>> {
     let start = match message.first()? {
         1 => 8,
@@ -383,9 +383,9 @@ fn word(bytes: &[u8], at: usize) -> Option<u64> {
     ))
 }
 
-/// Bytes of the file, all of them or none.
+/// Bytes of the file; `None` if the range is too large or not completely inside the file.
 fn bytes(file: &File, length: u64, at: u64, size: u64) -> Option<Vec<u8>> {
-    (size <= LARGEST && at.checked_add(size)? <= length).then_some(())?;
+    (size <= MAX_STRUCTURE && at.checked_add(size)? <= length).then_some(())?;
     let mut bytes = vec![0; usize::try_from(size).ok()?];
     file.read_exact_at(&mut bytes, at).ok()?;
     Some(bytes)

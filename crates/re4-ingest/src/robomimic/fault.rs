@@ -1,30 +1,30 @@
-//! What is wrong with an HDF5 file of demonstrations. Objects are named by their full path in the file.
+//! Faults of an HDF5 file with demonstrations. Messages name objects by their full path in the file.
 
 use thiserror::Error;
 
 use crate::left_out::parts;
 
-/// What is wrong with an HDF5 file, the object that it is about, and the fix.
+/// A fault of an HDF5 file. Its message names the object, and after the first `"; "` the remedy.
 #[derive(Debug, Error)]
 pub enum Hdf5Fault {
-    /// The library cannot open the file.
-    #[error("it is no readable HDF5 file ({why}); it may be cut off or damaged, so copy or download it again")]
+    /// The HDF5 library cannot open the file.
+    #[error("it is not a readable HDF5 file ({why}); it may be truncated or damaged, so copy or download it again")]
     Unreadable {
-        /// The library's words.
+        /// Message of the HDF5 library.
         why: String,
     },
-    /// A program writes to the file, or left it marked so.
+    /// A program is writing to the file, or was killed while it did.
     #[error(
-        "a program has it open for writing, or was killed while it had; close that program, or if there is none, run h5clear -s FILE on a copy of it"
+        "a program has the file open for writing, or was killed while writing; close that program, or, if there is none, run h5clear -s FILE on a copy of the file"
     )]
     InUse,
-    /// Only the HDF5 library can read it, and the file was opened without it.
+    /// The file needs the HDF5 library, but was opened without it.
     #[error("the HDF5 library is needed to read it; open it with the library")]
     NeedsLibrary,
     /// Several faults of one demonstration.
     #[error("{}", several(faults))]
     Several {
-        /// Two or more.
+        /// Two or more faults.
         faults: Vec<Hdf5Fault>,
     },
     /// An object of the file cannot be read.
@@ -32,69 +32,69 @@ pub enum Hdf5Fault {
     Damaged {
         /// Object within the file.
         object: String,
-        /// The library's or the system's words.
+        /// Message of the HDF5 library or the operating system.
         why: String,
-        /// How many objects more of the same demonstration cannot be read for the same reason.
+        /// Number of other objects of the demonstration with the same fault.
         others: usize,
     },
-    /// An object that lies in another file.
+    /// An object is stored in another file.
     #[error(
-        "{object} lies in {place}, not in this file; copy it into this file, so that one file holds all there is to ingest"
+        "{object} is stored in {place}, not in this file; copy it into this file, because all data must be in one file"
     )]
     Elsewhere {
         /// Object within the file.
         object: String,
-        /// Where it lies.
+        /// Where it is stored.
         place: String,
     },
-    /// No demonstrations.
+    /// There are no demonstrations.
     #[error("it has no group /data with demonstrations; give an HDF5 file in robomimic's or robosuite's layout")]
     NoData,
-    /// A group of a demonstration that holds nothing.
-    #[error("group /data/{demo} is empty; remove that group, or leave the demonstration out by a filter key")]
+    /// The group of a demonstration is empty.
+    #[error("group /data/{demo} is empty; remove that group, or leave the demonstration out with a filter key")]
     EmptyDemo {
         /// The demonstration.
         demo: String,
     },
-    /// A demonstration without frames.
-    #[error("dataset {object} has no rows; remove that demonstration, or leave it out by a filter key")]
+    /// A demonstration has no frames.
+    #[error("dataset {object} has no rows; remove that demonstration, or leave it out with a filter key")]
     NoFrames {
         /// Dataset within the file.
         object: String,
     },
-    /// A dataset that is needed is not there.
+    /// A required dataset is missing.
     #[error("{} missing; {fix}", datasets(objects, "is", "are"))]
     Missing {
         /// Datasets within the file.
         objects: Vec<String>,
-        /// What to do.
+        /// The remedy.
         fix: &'static str,
     },
-    /// A dataset of a type that is not read.
-    #[error("dataset {object} holds {found}, but {expected} is expected; convert it")]
+    /// A dataset has an unsupported element type.
+    #[error("dataset {object} contains {found}, but {expected} is expected; convert it")]
     Dtype {
         /// Dataset within the file.
         object: String,
-        /// Type in words.
+        /// The type in words.
         found: String,
-        /// Types that are read.
+        /// Supported types.
         expected: &'static str,
     },
-    /// A dataset of another shape.
+    /// A dataset has a wrong shape.
     #[error("dataset {object} has shape {found:?}, but {expected} is expected; {fix}")]
     Shape {
         /// Dataset within the file.
         object: String,
         /// Its shape.
         found: Vec<usize>,
-        /// Shape in words.
+        /// Accepted shape in words.
         expected: String,
-        /// What to do.
+        /// The remedy.
         fix: &'static str,
     },
-    /// Datasets of different lengths.
+    /// Datasets have different lengths.
     #[error(
-        "{} {found} rows and {other} has {expected}; every dataset of a demonstration has one row a frame, so restore or cut the odd one, or leave the demonstration out",
+        "{} {found} rows, but {other} has {expected}; every dataset of a demonstration must have one row per frame, so restore or truncate the one that differs, or leave the demonstration out",
         datasets(objects, "has", "have")
     )]
     Length {
@@ -102,14 +102,14 @@ pub enum Hdf5Fault {
         objects: Vec<String>,
         /// Their rows.
         found: usize,
-        /// Dataset that it is compared with.
+        /// Dataset with which they are compared.
         other: String,
-        /// Rows of that.
+        /// Number of rows of that dataset.
         expected: usize,
     },
-    /// An attribute that counts wrongly.
+    /// An attribute contains a wrong count.
     #[error(
-        "attribute {attribute} of {object} is {found}, but there are {expected} {what}; correct the attribute, or restore the missing ones"
+        "attribute {attribute} of {object} is {found}, but there are {expected} {what}; correct the attribute, or restore the missing data"
     )]
     Count {
         /// Group within the file.
@@ -118,14 +118,14 @@ pub enum Hdf5Fault {
         attribute: &'static str,
         /// Its value.
         found: i64,
-        /// What was counted.
+        /// The actual count.
         expected: usize,
-        /// Rows of what.
+        /// What was counted.
         what: String,
     },
-    /// A NaN or an infinity.
+    /// A value is NaN or infinite.
     #[error(
-        "dataset {object} has {value} in row {row}, column {column}; repair that row, or leave the demonstration out by a filter key or ingest.select"
+        "dataset {object} has {value} in row {row}, column {column}; repair that row, or leave the demonstration out with a filter key or ingest.select"
     )]
     NotFinite {
         /// Dataset within the file.
@@ -137,7 +137,7 @@ pub enum Hdf5Fault {
         /// The value.
         value: f64,
     },
-    /// An attribute that is needed is not there, or is no text.
+    /// A required attribute is missing or unusable.
     #[error("attribute {attribute} of {object} {why}; {fix}")]
     Attribute {
         /// Group within the file.
@@ -146,20 +146,20 @@ pub enum Hdf5Fault {
         attribute: &'static str,
         /// What is wrong with it.
         why: String,
-        /// What to do.
+        /// The remedy.
         fix: String,
     },
-    /// A filter key that is not there.
-    #[error("there is no filter key {filter:?} below /mask; {}", known_filters(known))]
+    /// The requested filter key does not exist.
+    #[error("there is no filter key {filter:?} in /mask; {}", known_filters(known))]
     UnknownFilter {
-        /// The filter key asked for.
+        /// The requested filter key.
         filter: String,
-        /// Those there are.
+        /// The existing filter keys.
         known: Vec<String>,
     },
-    /// A filter key that names demonstrations which are not there.
+    /// A filter key names a demonstration that does not exist.
     #[error(
-        "filter key /mask/{filter} names {demo:?}, and there is no group /data/{demo}; correct the filter key, or use another one"
+        "filter key /mask/{filter} names {demo:?}, but there is no group /data/{demo}; correct the filter key, or use another one"
     )]
     FilterNames {
         /// The filter key.
@@ -167,34 +167,34 @@ pub enum Hdf5Fault {
         /// The name.
         demo: String,
     },
-    /// A filter key without names.
-    #[error("filter key /mask/{filter} names no demonstration; use another one")]
+    /// A filter key lists no demonstrations.
+    #[error("filter key /mask/{filter} lists no demonstrations; use another filter key")]
     EmptyFilter {
         /// The filter key.
         filter: String,
     },
-    /// A folder.
-    #[error("it is a folder, and robosuite's tasks are read from one HDF5 file; give the path of that file")]
+    /// The path is a folder.
+    #[error("it is a folder, but robosuite's tasks are read from a single HDF5 file; give the path of that file")]
     Folder,
-    /// Something that is refused in words of its own.
+    /// Any other fault; the text is the complete message.
     #[error("{0}")]
     Other(String),
 }
 
 impl Hdf5Fault {
-    /// What is wrong, without what to do about it.
+    /// The fault without the remedy.
     pub(crate) fn what(&self) -> String {
         parts(&self.to_string()).0.to_owned()
     }
 
-    /// All faults as one; none of none.
+    /// Combines all faults into one; `None` if there are none.
     pub(crate) fn all(mut faults: Vec<Self>) -> Option<Self> {
         if let Some(at) = faults.iter().position(|fault| matches!(fault, Self::NeedsLibrary)) {
             return Some(faults.swap_remove(at));
         }
         let mut merged: Vec<Self> = Vec::new();
         for fault in faults {
-            // What is wrong with many objects for one reason is told once.
+            // Objects that are damaged for the same reason share one message.
             let same = merged.iter_mut().find_map(|known| match (known, &fault) {
                 (Self::Damaged { why, others, .. }, Self::Damaged { why: reason, .. }) if why == reason => Some(others),
                 _ => None,
@@ -219,7 +219,7 @@ fn and_others(others: usize) -> String {
     }
 }
 
-/// One dataset or several, with the verb.
+/// Names one or several datasets, with the verb in singular or plural.
 fn datasets(names: &[String], one: &str, several: &str) -> String {
     match names {
         [only] => format!("dataset {only} {one}"),
@@ -227,7 +227,7 @@ fn datasets(names: &[String], one: &str, several: &str) -> String {
     }
 }
 
-/// What is wrong, one after the other, and then what to do about each.
+/// Joins the faults, then their distinct remedies.
 fn several(faults: &[Hdf5Fault]) -> String {
     let sentences: Vec<String> = faults.iter().map(ToString::to_string).collect();
     let (mut whats, mut remedies) = (Vec::new(), Vec::new());
@@ -246,27 +246,27 @@ fn several(faults: &[Hdf5Fault]) -> String {
     text
 }
 
-/// What helps, by the library's words.
+/// The remedy for an error of the HDF5 library, chosen by words of its message.
 fn fix(why: &str) -> &'static str {
-    let says = |words: &[&str]| words.iter().any(|word| why.contains(word));
-    if says(&["external file"]) {
-        "it lies in another file, so copy it into this one: one file has to hold all there is to ingest"
-    } else if says(&["doesn't exist", "not found", "too many links"]) {
+    let mentions = |words: &[&str]| words.iter().any(|word| why.contains(word));
+    if mentions(&["external file"]) {
+        "it is stored in another file, so copy it into this one, because all data must be in one file"
+    } else if mentions(&["doesn't exist", "not found", "too many links"]) {
         "restore it, or leave that demonstration or camera out"
-    } else if says(&["not a dataset", "not a group"]) {
-        "something of another kind stands in its place, so correct the file's layout"
-    } else if says(&["size of float datatype"]) {
+    } else if mentions(&["not a dataset", "not a group"]) {
+        "it is an object of another type, so correct the file's layout"
+    } else if mentions(&["size of float datatype"]) {
         "convert it to float64 or float32"
-    } else if says(&["plugin", "filter"]) {
-        "it is compressed by a filter that the HDF5 library lacks, so rewrite it with gzip or without compression"
+    } else if mentions(&["plugin", "filter"]) {
+        "it is compressed with a filter that the HDF5 library lacks, so rewrite it with gzip or without compression"
     } else {
-        "the file is damaged or cut off, so copy or download it again"
+        "the file is damaged or truncated, so copy or download it again"
     }
 }
 
 fn known_filters(known: &[String]) -> String {
     if known.is_empty() {
-        "the file has none, so leave ingest.filter out".to_owned()
+        "the file has no filter keys, so remove ingest.filter".to_owned()
     } else {
         format!("use one of {}", known.join(", "))
     }

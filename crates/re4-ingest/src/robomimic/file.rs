@@ -1,10 +1,9 @@
-//! The HDF5 file: groups, attributes and datasets, through the HDF5 library, and numbers of contiguous datasets read beside
-//! it.
+//! Access to an HDF5 file: groups, attributes and datasets.
 //!
-//! The library takes one lock for everything, and its time to open a dataset. So where a contiguous dataset lies is looked up
-//! beside it in files of the usual format (`direct.rs`), by the library in all others; its bytes are read from the file
-//! itself, in any thread. Chunked and compressed datasets are decoded by the library. A file can be opened without the
-//! library; whatever would need it is then [`Hdf5Fault::NeedsLibrary`].
+//! The HDF5 library serializes all calls with one global lock, and opening a dataset is slow. Contiguous datasets are therefore
+//! located without the library in files of the most common format (`direct.rs`), and by the library in all others. Their bytes
+//! are read directly from the file, on any thread. Chunked and compressed datasets are decoded by the library. A file can be
+//! opened without the library; anything that needs it is then [`Hdf5Fault::NeedsLibrary`].
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -18,70 +17,70 @@ use hdf5::{Dataset, Hyperslab, SliceOrIndex};
 
 use super::direct::{Direct, Header, Members, Number};
 use super::fault::Hdf5Fault;
-use super::library::{damaged, element, internal, texts, words};
-use super::look::{look, unreadable};
+use super::library::{damaged, element, internal, message, texts};
+use super::look::{inspect, unreadable};
 use crate::error::Fault;
 use crate::source::SourceFile;
 
-/// Most bytes that one dataset of numbers may have: a day of control steps of a wide state.
-const MOST_BYTES: u64 = 1 << 30;
+/// Maximum size in memory of a dataset of numbers. It suffices for a day of control steps of a large state.
+const MAX_BYTES: u64 = 1 << 30;
 
 /// How a file may be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// Without the HDF5 library, which can fall over on a damaged file. Only the plainest files can be read so.
+    /// Without the HDF5 library, which can crash on a damaged file. Only files of the simplest format can be read.
     Direct,
-    /// With it, where it is needed.
+    /// With the HDF5 library where it is needed.
     Library,
 }
 
-/// What an object of a file is.
+/// Type of an object in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
     Group,
     Dataset,
-    /// Something else, or a link that leads nowhere.
+    /// Another type, or a dangling link.
     Other,
 }
 
 /// An opened file.
 pub(crate) struct File {
     source: Arc<SourceFile>,
-    /// None in [`Access::Direct`].
+    /// `None` for [`Access::Direct`].
     library: Option<hdf5::File>,
     direct: Option<Direct>,
-    /// Whether reading goes on behind a fault, to find all there are.
-    goes_on: bool,
-    /// Groups that were looked up, by path.
+    /// Whether reading continues after a fault, to find all faults.
+    continues: bool,
+    /// Cache of group members by path.
     groups: Mutex<BTreeMap<String, Arc<Members>>>,
 }
 
-/// Most groups that are remembered: those of some thousand demonstrations, a few kilobytes each.
-const GROUPS: usize = 8192;
+/// Maximum number of cached groups, a few kilobytes each: those of several thousand demonstrations.
+const MAX_GROUPS: usize = 8192;
 
 /// Type of the elements of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Element {
-    /// Little-endian double precision: the only one that is read without conversion.
+    /// Little-endian double precision, which is read without conversion.
     F64,
     /// Single precision.
     F32,
     /// Little-endian signed 64-bit integers.
     I64,
-    /// Bytes, as images have.
+    /// Bytes, as for images.
     U8,
-    /// Another type that the library converts to double precision: other integers, truth values, the other byte order.
+    /// Another type that the library converts to double precision: other integers, booleans, or big-endian floats.
     Whole,
 }
 
 impl Element {
-    /// Bytes in memory once read: images stay bytes, all other numbers become double precision.
+    /// Size in memory in bytes: images remain bytes, all other numbers are converted to double precision.
     fn size(self) -> u64 {
         if self == Self::U8 { 1 } else { 8 }
     }
 }
 
-/// A dataset of numbers that was found and not yet read.
+/// A dataset of numbers that has been located but not read.
 pub(crate) struct Located {
     /// Path within the file.
     pub(crate) name: String,
@@ -93,16 +92,16 @@ pub(crate) struct Located {
 }
 
 enum Place {
-    /// At this offset of the file, contiguous, little-endian.
+    /// Contiguous and little-endian at this offset of the file.
     Offset(u64),
-    /// Wherever the library finds it.
+    /// Read by the library.
     Library(Dataset),
 }
 
 impl File {
     /// Opens a file for reading.
-    pub(crate) fn open(source: Arc<SourceFile>, access: Access, goes_on: bool) -> Result<Self, Fault> {
-        if let Some(fault) = look(&source)? {
+    pub(crate) fn open(source: Arc<SourceFile>, access: Access, continues: bool) -> Result<Self, Fault> {
+        if let Some(fault) = inspect(&source)? {
             return Err(fault.into());
         }
         let direct = Direct::open(source.file(), source.length());
@@ -110,39 +109,39 @@ impl File {
         let library = match access {
             Access::Direct if root.is_none() => return Err(Hdf5Fault::NeedsLibrary.into()),
             Access::Direct => None,
-            // Through the open handle, so that it is the file whose hash was taken, whatever stands at its path.
+            // Opened through the existing handle, so that it is the hashed file even if the file at the path was replaced.
             Access::Library => {
                 let handle = format!("/proc/self/fd/{}", source.file().as_raw_fd());
                 let opened = hdf5::File::open(handle);
-                Some(opened.map_err(|error| unreadable(&words(&error)))?)
+                Some(opened.map_err(|error| unreadable(&message(&error)))?)
             }
         };
         Ok(Self {
             source,
             library,
             direct: direct.filter(|_| root.is_some()),
-            goes_on,
+            continues,
             groups: Mutex::new(root.into_iter().map(|root| (String::new(), Arc::new(root))).collect()),
         })
     }
 
-    /// Adds a fault to those of a demonstration, or ends with it where nothing is to be read behind one.
+    /// Adds a fault to those of a demonstration, or returns it as an error if reading ends at the first fault.
     pub(crate) fn note(&self, faults: &mut Vec<Hdf5Fault>, fault: Hdf5Fault) -> Result<(), Hdf5Fault> {
-        if self.goes_on {
+        if self.continues {
             faults.push(fault);
             return Ok(());
         }
         Err(fault)
     }
 
-    /// Whether reading ends at the first fault.
+    /// Whether reading ends at the first fault, because the HDF5 library might crash after one.
     pub(crate) fn is_cautious(&self) -> bool {
-        !self.goes_on
+        !self.continues
     }
 
-    /// Whether nothing is read behind this fault.
-    pub(crate) fn ends_with(&self, fault: &Hdf5Fault) -> bool {
-        !self.goes_on || matches!(fault, Hdf5Fault::NeedsLibrary)
+    /// Whether reading ends at this fault.
+    pub(crate) fn is_fatal(&self, fault: &Hdf5Fault) -> bool {
+        !self.continues || matches!(fault, Hdf5Fault::NeedsLibrary)
     }
 
     fn library(&self) -> Result<&hdf5::File, Hdf5Fault> {
@@ -157,14 +156,14 @@ impl File {
         self.source.length()
     }
 
-    /// The header of an object, found beside the library.
+    /// The header of an object, found without the library.
     fn header(&self, path: &str) -> Option<Header> {
         let (parent, name) = path.rsplit_once('/').unwrap_or(("", path));
         let address = *self.group(parent)?.get(name)?;
         self.direct.as_ref()?.header(self.bytes(), address)
     }
 
-    /// The members of a group, found beside the library.
+    /// The members of a group, found without the library.
     fn group(&self, path: &str) -> Option<Arc<Members>> {
         let groups = || self.groups.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(members) = groups().get(path) {
@@ -176,28 +175,29 @@ impl File {
         let header = self.header(path)?;
         let members = Arc::new(self.direct.as_ref()?.members(self.bytes(), &header)?);
         let mut groups = groups();
-        if groups.len() >= GROUPS {
-            // Demonstrations are read one after the other, so that the last ones are met again; the root and /data always are.
+        if groups.len() >= MAX_GROUPS {
+            // Demonstrations are read in order, so their groups are needed only for a short time; the root and /data are always
+            // needed.
             groups.retain(|path, _| !path.contains('/'));
         }
         groups.insert(path.to_owned(), Arc::clone(&members));
         Some(members)
     }
 
-    /// Names of the members of a group that is there, in their byte order.
+    /// Names of the members of an existing group, in byte order.
     pub(crate) fn members(&self, group: &str) -> Result<Vec<String>, Hdf5Fault> {
         if let Some(members) = self.group(group) {
             return Ok(members.keys().cloned().collect());
         }
         let object = format!("group /{group}");
         let found = self.library()?.group(group).map_err(damaged(&object))?;
-        self.own(&found, &object)?;
+        self.check_same_file(&found, &object)?;
         let mut names = found.member_names().map_err(damaged(&object))?;
         names.sort_unstable();
         Ok(names)
     }
 
-    /// Names of the members of a group, none where there is no such group.
+    /// Names of the members of a group; empty if the group does not exist.
     pub(crate) fn members_or_none(&self, group: &str) -> Result<Vec<String>, Hdf5Fault> {
         if self.exists(group)? {
             self.members(group)
@@ -206,7 +206,7 @@ impl File {
         }
     }
 
-    /// Whether there is an object at this path, link by link.
+    /// Whether an object exists at this path. Every link of the path is checked.
     pub(crate) fn exists(&self, path: &str) -> Result<bool, Hdf5Fault> {
         let path = path.trim_start_matches('/');
         let ends = || path.match_indices('/').map(|(end, _)| end).chain([path.len()]);
@@ -223,7 +223,7 @@ impl File {
         Ok(true)
     }
 
-    /// What stands at a path that is there.
+    /// Type of the existing object at a path.
     pub(crate) fn kind(&self, path: &str) -> Result<Kind, Hdf5Fault> {
         if let Some(header) = self.header(path) {
             return Ok(if header.is_group() { Kind::Group } else { Kind::Dataset });
@@ -246,7 +246,7 @@ impl File {
         Ok(self.attribute(group, name)?.is_some())
     }
 
-    /// A whole number in an attribute of a group that is there; `None` where it has none of this name.
+    /// An integer attribute of an existing group; `None` if the attribute does not exist.
     pub(crate) fn count(&self, group: &str, name: &str) -> Result<Option<i64>, Hdf5Fault> {
         let header = self.header(group);
         if let Some(count) = header.as_ref().and_then(|header| header.count(name)) {
@@ -260,9 +260,12 @@ impl File {
         };
         let refuse = |why: String| damaged(&object)(internal(why));
         if attribute.size() != 1 {
-            return Err(refuse(format!("it holds {} numbers", attribute.size())));
+            return Err(refuse(format!(
+                "it contains {} numbers instead of one",
+                attribute.size()
+            )));
         }
-        // As an array, which a single value is, too: some writers store an array of one, others a float or a text.
+        // Read as an array, which includes single values: some writers store an array of one element, a float or a string.
         let descriptor = attribute
             .dtype()
             .and_then(|dtype| dtype.to_descriptor())
@@ -282,10 +285,10 @@ impl File {
                 texts.first().and_then(|text| text.trim().parse().ok())
             }
         };
-        count.map(Some).ok_or_else(|| refuse("it is no count".to_owned()))
+        count.map(Some).ok_or_else(|| refuse("it is not an integer".to_owned()))
     }
 
-    /// The text of an attribute of a group that is there; `None` where it has none of this name.
+    /// A string attribute of an existing group; `None` if the attribute does not exist.
     pub(crate) fn text(&self, group: &str, name: &str) -> Result<Option<String>, Hdf5Fault> {
         let direct = self.direct.as_ref();
         if let Some(text) = direct.and_then(|direct| direct.text(self.bytes(), &self.header(group)?, name)) {
@@ -299,15 +302,15 @@ impl File {
         };
         if attribute.size() != 1 {
             return Err(damaged(&object)(internal(format!(
-                "it holds {} texts",
+                "it contains {} strings instead of one",
                 attribute.size()
             ))));
         }
         Ok(texts(&attribute, &object)?.pop())
     }
 
-    /// Refuses an object that a link leads to in another file: the hash of the source would not hold it.
-    fn own(&self, location: &hdf5::Location, object: &str) -> Result<(), Hdf5Fault> {
+    /// Refuses an object that a link resolves to in another file, because the hash of the source would not include that file.
+    fn check_same_file(&self, location: &hdf5::Location, object: &str) -> Result<(), Hdf5Fault> {
         let library = self.library()?;
         if location.filename() == library.filename() {
             return Ok(());
@@ -318,13 +321,13 @@ impl File {
         })
     }
 
-    /// The same of a dataset, whose numbers may lie in other files, too.
-    fn own_numbers(&self, dataset: &Dataset, object: &str) -> Result<(), Hdf5Fault> {
-        self.own(dataset, object)?;
+    /// Like [`Self::check_same_file`], for a dataset; its data may also be in other files (external or virtual storage).
+    fn check_same_storage(&self, dataset: &Dataset, object: &str) -> Result<(), Hdf5Fault> {
+        self.check_same_file(dataset, object)?;
         let list = dataset.create_plist().map_err(damaged(object))?;
         let external = list.external().into_iter().next().map(|file| file.name);
         let place = match dataset.layout() {
-            Layout::Virtual => Some("other datasets (it is a virtual one)".to_owned()),
+            Layout::Virtual => Some("other datasets (it is a virtual dataset)".to_owned()),
             _ => external,
         };
         place.map_or(Ok(()), |place| {
@@ -335,11 +338,11 @@ impl File {
         })
     }
 
-    /// An attribute of a group, by the library.
+    /// An attribute of a group, read with the library.
     fn attribute(&self, group: &str, name: &str) -> Result<Option<(hdf5::Attribute, String)>, Hdf5Fault> {
         let object = format!("group /{group}");
         let location = self.library()?.group(group).map_err(damaged(&object))?;
-        self.own(&location, &object)?;
+        self.check_same_file(&location, &object)?;
         let names = location.attr_names().map_err(damaged(&object))?;
         if names.iter().all(|there| there != name) {
             return Ok(None);
@@ -349,7 +352,7 @@ impl File {
         Ok(Some((attribute, object)))
     }
 
-    /// Names in a dataset of texts.
+    /// Reads a dataset of strings.
     pub(crate) fn names(&self, path: &str) -> Result<Vec<String>, Hdf5Fault> {
         let direct = self
             .header(path)
@@ -358,17 +361,17 @@ impl File {
             return Ok(names);
         }
         let dataset = self.library()?.dataset(path).map_err(damaged(path))?;
-        self.own_numbers(&dataset, &format!("dataset {path}"))?;
+        self.check_same_storage(&dataset, &format!("dataset {path}"))?;
         let size = dataset.size() as u64;
         if size.saturating_mul(4) > self.length() {
             return Err(damaged(path)(hdf5::Error::Internal(format!(
-                "it claims to hold {size} names"
+                "it declares {size} names, more than fit in the file"
             ))));
         }
         texts(&dataset, path)
     }
 
-    /// Finds a dataset of numbers that is there.
+    /// Locates an existing dataset of numbers.
     pub(crate) fn locate(&self, path: &str) -> Result<Located, Hdf5Fault> {
         if let Some(found) = self.header(path).and_then(|header| header.contiguous()) {
             let element = match found.element {
@@ -379,7 +382,7 @@ impl File {
             };
             let values = found.shape.iter().map(|&side| side as u64).product::<u64>();
             let bytes = values * found.element.size();
-            let fits = element == Element::U8 || values * 8 <= MOST_BYTES;
+            let fits = element == Element::U8 || values * 8 <= MAX_BYTES;
             if fits && found.offset.checked_add(bytes).is_some_and(|end| end <= self.length()) {
                 return Ok(Located {
                     name: path.to_owned(),
@@ -392,7 +395,7 @@ impl File {
         let object = format!("dataset {path}");
         let damaged = || damaged(&object);
         let dataset = self.library()?.dataset(path).map_err(damaged())?;
-        self.own_numbers(&dataset, &object)?;
+        self.check_same_storage(&dataset, &object)?;
         let shape = dataset.get_shape().map_err(damaged())?;
         let dtype = dataset.dtype().map_err(damaged())?;
         let element = element(&dtype, path)?;
@@ -400,8 +403,10 @@ impl File {
             .iter()
             .try_fold(1_u64, |size, &side| size.checked_mul(side as u64));
         let bytes = values.and_then(|values| values.checked_mul(element.size()));
-        let Some(bytes) = bytes.filter(|bytes| *bytes <= MOST_BYTES || element == Element::U8) else {
-            return Err(damaged()(internal(format!("it claims the shape {shape:?}"))));
+        let Some(bytes) = bytes.filter(|bytes| *bytes <= MAX_BYTES || element == Element::U8) else {
+            return Err(damaged()(internal(format!(
+                "it declares the shape {shape:?}, which is too large"
+            ))));
         };
         let direct = matches!(element, Element::F64 | Element::U8);
         let offset = direct.then(|| dataset.offset()).flatten();
@@ -409,7 +414,7 @@ impl File {
             Some(offset) if offset.checked_add(bytes).is_none_or(|end| end > self.length()) => {
                 return Err(Hdf5Fault::Damaged {
                     object: format!("dataset {path}"),
-                    why: "it leads beyond the end of the file".to_owned(),
+                    why: "it extends past the end of the file".to_owned(),
                     others: 0,
                 });
             }
@@ -424,7 +429,7 @@ impl File {
         })
     }
 
-    /// Whole images of a dataset of bytes with these rows, one after the other.
+    /// Reads whole images, those with these row numbers, of a dataset of bytes.
     pub(crate) fn read_bytes(&self, located: &Located, rows: Range<usize>) -> Result<Vec<u8>, Hdf5Fault> {
         let damaged = damaged(&format!("dataset {}", located.name));
         let row: usize = located.shape.iter().skip(1).product();
@@ -445,7 +450,7 @@ impl File {
         }
     }
 
-    /// Rows that have to be decoded together: those of a chunk.
+    /// Number of rows that must be decoded together: those of a chunk.
     pub(crate) fn chunk_rows(located: &Located) -> usize {
         let rows = located.shape.first().copied().unwrap_or(0);
         match &located.place {
@@ -454,12 +459,15 @@ impl File {
         }
     }
 
-    /// The numbers of a dataset, row by row.
+    /// Reads the numbers of a dataset, row by row.
     pub(crate) fn read(&self, located: &Located) -> Result<Vec<f64>, Hdf5Fault> {
         let damaged = damaged(&format!("dataset {}", located.name));
         let values = located.shape.iter().map(|&side| side as u64).product::<u64>();
-        if values > MOST_BYTES / 8 {
-            return Err(damaged(internal(format!("it claims the shape {:?}", located.shape))));
+        if values > MAX_BYTES / 8 {
+            return Err(damaged(internal(format!(
+                "it declares the shape {:?}, which is too large",
+                located.shape
+            ))));
         }
         match &located.place {
             Place::Library(dataset) => dataset.read_raw::<f64>().map_err(damaged),
@@ -495,9 +503,9 @@ impl File {
 mod tests {
     use super::*;
 
-    /// What is found beside the library is what the library finds.
+    /// Access without the library gives the same results as the library.
     #[test]
-    fn both_ways_to_look_up_agree() {
+    fn direct_access_agrees_with_the_library() {
         let sample = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/can-sample.hdf5");
         let source = Arc::new(SourceFile::open(&sample).unwrap());
         let direct = File::open(Arc::clone(&source), Access::Direct, true).unwrap();

@@ -1,4 +1,4 @@
-//! What is computed from states and model by forward kinematics, instead of read.
+//! Computes poses from states and model by forward kinematics, for files without the corresponding observations.
 
 use re4_robosuite::conventions::{Contradiction, zero_rows};
 use re4_robosuite::env_args::EnvArgs;
@@ -9,7 +9,7 @@ use super::fault::Hdf5Fault;
 use super::interpret::{LEAVE_OUT, Reading};
 use super::reader::{Layout, RobomimicReader};
 
-/// Poses and fingers of a demonstration, in the conventions of its file.
+/// Poses and finger positions of a demonstration, in the conventions of its file.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Poses {
     /// Position of the grip site.
@@ -18,22 +18,22 @@ pub(super) struct Poses {
     pub(super) eef_quaternion: Vec<[f64; 4]>,
     /// Joint positions of the fingers.
     pub(super) fingers: Vec<[f64; 2]>,
-    /// Position of the object, then its quaternion x, y, z, w; none where it is to be read.
+    /// Position of the object, then its quaternion x, y, z, w; `None` if it is read from observations.
     pub(super) object: Option<Vec<[f64; 7]>>,
 }
 
-/// What is computed instead of read.
+/// What is computed from the states.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum FromStates {
     Nothing,
     /// The pose of this object.
     Object(String),
-    /// Everything that observations would hold, with the pose of this object.
+    /// All required observations, and the pose of this object.
     All(String),
 }
 
 impl FromStates {
-    /// What has to come from states, and which body the object is.
+    /// Determines what must be computed from states, and which body is the object.
     pub(super) fn of(
         reader: &RobomimicReader,
         reading: &Reading,
@@ -47,7 +47,7 @@ impl FromStates {
         let environment = &env.env_name;
         let Some(model) = model else {
             return Err(Hdf5Fault::Other(format!(
-                "poses of environment {environment} have to come from the states, and the demonstrations have no attribute model_file; give a file with models"
+                "poses of environment {environment} must be computed from the states, but the demonstrations have no attribute model_file; give a file with models"
             )));
         };
         let robot = model
@@ -55,7 +55,7 @@ impl FromStates {
             .map_err(|error| Hdf5Fault::Other(format!("{error}; give a file of one arm with a two-finger gripper")))?;
         if robot.fingers.is_none() {
             return Err(Hdf5Fault::Other(format!(
-                "the robot of environment {environment} has no gripper of two sliding fingers, and this version reads no other; give such a file"
+                "the gripper of the robot in environment {environment} does not have two sliding fingers, and no other gripper is supported; give a file with such a gripper"
             )));
         }
         let named = reading
@@ -68,14 +68,14 @@ impl FromStates {
             format!("the model of environment {environment} has no free body that could be the manipulated object; give a file of a task that has one")
         } else {
             format!(
-                "nothing says which body of environment {environment} is the manipulated object; set ingest.object to one of {}",
+                "the manipulated object of environment {environment} is unknown; set ingest.object to one of {}",
                 candidates.join(", ")
             )
         })
     })?;
         model.object(&object).map_err(|error| {
         Hdf5Fault::Other(if candidates.is_empty() {
-            format!("the model of environment {environment} has no free body, so none is the object {object:?}; give a file of a task that has one")
+            format!("the model of environment {environment} has no free body, so {object:?} cannot be the manipulated object; give a file of a task that has one")
         } else {
             format!("{error}; correct ingest.object")
         })
@@ -86,7 +86,7 @@ impl FromStates {
         })
     }
 
-    /// The observations of a demonstration, taken out of it, with the poses of its object where they come from the states.
+    /// Moves the observations out of a demonstration, and adds what is computed from its states.
     pub(super) fn complete(&self, demo: &mut Demo, model: Option<&Model>) -> Result<Poses, Hdf5Fault> {
         let mut poses = Poses {
             eef_position: std::mem::take(&mut demo.eef_position),
@@ -98,14 +98,19 @@ impl FromStates {
             Self::Nothing => return Ok(poses),
             Self::Object(name) | Self::All(name) => name,
         };
-        let refuse =
-            |why: String| Hdf5Fault::Other(format!("{}: no poses from states and model_file: {why}", demo.name));
+        let refuse = |why: String| {
+            Hdf5Fault::Other(format!(
+                "{}: poses cannot be computed from states and model_file: {why}",
+                demo.name
+            ))
+        };
         let (Some(model), Some(states)) = (model, &demo.states) else {
             return Err(refuse(
                 "one of the two is missing; restore it, or leave the demonstration out".to_owned(),
             ));
         };
         let rows = || states.values.chunks_exact(states.columns);
+        // Rows of zeros were allocated but never recorded.
         if let Some(zeros) = zero_rows(&demo.actions, &rows().collect::<Vec<_>>()) {
             let why = Contradiction::zeros(&demo.name, &zeros);
             return Err(Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}")));
@@ -125,7 +130,8 @@ impl FromStates {
                 .iter()
                 .map(|seen| seen.gripper_qpos)
                 .collect::<Option<Vec<_>>>();
-            poses.fingers = fingers.ok_or_else(|| refuse("the gripper has not two sliding fingers".to_owned()))?;
+            poses.fingers =
+                fingers.ok_or_else(|| refuse("the gripper does not have two sliding fingers".to_owned()))?;
         }
         let pose = |seen: &Observed| {
             let pose = seen.object?;

@@ -1,4 +1,4 @@
-//! Images of cameras, streamed: a few rows of chunks at a time, each decoded once.
+//! Streaming of camera images: a few rows of chunks at a time, each decoded once.
 
 use std::collections::BTreeSet;
 use std::sync::mpsc::sync_channel;
@@ -11,20 +11,20 @@ use crate::demos::{DemoName, ImageBlock};
 use crate::error::{Fault, IngestError};
 use crate::tables::LeftOut;
 
-/// Bytes of images in a block, unless one row of chunks has more.
+/// Size of a block of images in bytes, unless a single row of chunks is larger.
 const BLOCK: usize = 8 << 20;
 
-/// Most bytes of images that one row of chunks may hold.
+/// Maximum size of the images in one row of chunks, in bytes.
 const BLOCK_LIMIT: usize = 128 << 20;
 
-/// Ending of the datasets that hold images.
+/// Suffix of the datasets that contain images.
 const ENDING: &str = "_image";
 
 impl RobomimicReader {
-    /// Cameras of the demonstrations, in alphabetical order; those that are `asked` for, where any are.
+    /// Cameras of the demonstrations, in alphabetical order; only those in `asked`, if given.
     ///
     /// # Errors
-    /// A camera that is not there.
+    /// A requested camera does not exist.
     pub fn cameras(&self, asked: Option<&[String]>) -> Result<Vec<String>, IngestError> {
         let there = self
             .cameras_of_all()
@@ -32,9 +32,9 @@ impl RobomimicReader {
         let Some(asked) = asked else { return Ok(there) };
         if let Some(camera) = asked.iter().find(|camera| !there.contains(camera)) {
             let has = if there.is_empty() {
-                "it has none".to_owned()
+                "the file has no cameras".to_owned()
             } else {
-                format!("it has {}", there.join(", "))
+                format!("the file has {}", there.join(", "))
             };
             let fault = Hdf5Fault::Other(format!(
                 "there is no camera {camera:?} (no dataset obs/{camera}{ENDING}); {has}, so correct ingest.cameras"
@@ -49,7 +49,7 @@ impl RobomimicReader {
         for demo in self.demos() {
             let observations = match self.file.members_or_none(&format!("data/{}/obs", demo.name)) {
                 Err(fault @ Hdf5Fault::NeedsLibrary) => return Err(fault),
-                // It is told when the demonstration is read.
+                // The fault is reported when the demonstration is read.
                 Err(_) => continue,
                 Ok(observations) => observations,
             };
@@ -59,10 +59,10 @@ impl RobomimicReader {
         Ok(cameras.into_iter().collect())
     }
 
-    /// Whether a demonstration of so many frames has images of these cameras. They are not read.
+    /// Checks, without reading them, that a demonstration has valid images of these cameras for all its frames.
     ///
     /// # Errors
-    /// What is wrong with them, as of a demonstration that cannot be used; a file that cannot be read without the library.
+    /// The file needs the HDF5 library but was opened without it. Faults of the images are returned as a [`LeftOut`].
     pub(super) fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
         let mut faults = Vec::new();
         for camera in cameras {
@@ -71,7 +71,7 @@ impl RobomimicReader {
                 if !there {
                     return Err(Hdf5Fault::Missing {
                         objects: vec![path.clone()],
-                        fix: "restore it, leave that camera out with ingest.cameras, or leave the demonstration out by a filter key or ingest.select",
+                        fix: "restore it, leave that camera out with ingest.cameras, or leave the demonstration out with a filter key or ingest.select",
                     });
                 }
                 let located = self.file.locate(&path)?;
@@ -83,11 +83,12 @@ impl RobomimicReader {
         self.left_out(&demo.name, Hdf5Fault::all(faults).map_or(Ok(()), Err))
     }
 
-    /// Hands on all images of a camera, in the order of demonstrations and frames; `demos` are demonstrations with their lengths.
-    /// One whose images cannot be decoded is handed on as left out, and the next one follows.
+    /// Passes all images of a camera to `take`, in the order of demonstrations and frames. `demos` lists the demonstrations with
+    /// their numbers of frames. A demonstration with images that cannot be decoded is passed on as left out, and reading
+    /// continues.
     ///
     /// # Errors
-    /// A file that cannot be read without the HDF5 library, or whatever `take` refuses.
+    /// The file needs the HDF5 library but was opened without it, or `take` returns an error.
     pub(super) fn for_each_block<E: From<IngestError>>(
         &self,
         camera: &str,
@@ -95,17 +96,17 @@ impl RobomimicReader {
         mut take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         std::thread::scope(|scope| {
-            // One block ahead: one is decoded while another one is encoded.
+            // One block is decoded ahead while the caller encodes another one.
             let (sender, receiver) = sync_channel(1);
             scope.spawn(move || {
                 for (episode, (demo, frames)) in (0..).zip(demos) {
-                    let mut heard = true;
+                    let mut received = true;
                     let sent = self.send_blocks(camera, episode, (&demo.name, *frames), |block| {
-                        heard = sender.send(Ok(Ok(block))).is_ok();
-                        heard
+                        received = sender.send(Ok(Ok(block))).is_ok();
+                        received
                     });
                     let last = match sent {
-                        Ok(()) => !heard,
+                        Ok(()) => !received,
                         Err(fault) => {
                             let left = self.left_out(&demo.name, Err(fault));
                             let ends = left.is_err();
@@ -150,11 +151,11 @@ impl RobomimicReader {
     }
 }
 
-/// Height and width of the images.
+/// Height and width of the images. Checks type and shape.
 fn image_shape(located: &Located, frames: usize) -> Result<[usize; 2], Hdf5Fault> {
-    let most = 1 << 14;
+    let max_side = 1 << 14;
     match (located.element, &located.shape[..]) {
-        (Element::U8, &[rows, height, width, 3]) if height.min(width) > 0 && height.max(width) <= most => {
+        (Element::U8, &[rows, height, width, 3]) if height.min(width) > 0 && height.max(width) <= max_side => {
             if rows == frames {
                 return Ok([height, width]);
             }
@@ -173,13 +174,13 @@ fn image_shape(located: &Located, frames: usize) -> Result<[usize; 2], Hdf5Fault
         }),
         _ => Err(Hdf5Fault::Dtype {
             object: located.name.clone(),
-            found: "other numbers than bytes".to_owned(),
+            found: "numbers other than bytes".to_owned(),
             expected: "uint8 from 0 to 255",
         }),
     }
 }
 
-/// As many whole rows of chunks as fit into a block, at least one.
+/// Number of rows of a block: as many whole chunks as fit, at least one.
 fn rows_at_once(located: &Located, image: usize) -> Result<usize, Hdf5Fault> {
     let chunk = File::chunk_rows(located).max(1);
     let rows = located.shape.first().copied().unwrap_or(chunk).min(chunk);

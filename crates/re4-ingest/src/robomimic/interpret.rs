@@ -1,5 +1,5 @@
-//! What the rows of a file mean: conventions proven on its first demonstrations, held against every one, and the columns that
-//! follow from them.
+//! Interprets the rows of a file: proves conventions on its first demonstrations, checks every demonstration against them, and
+//! computes the columns of the tables.
 
 use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -24,33 +24,33 @@ use crate::error::{Fault, IngestError};
 use crate::left_out::refusal;
 use crate::tables::{Convention, LeftOut, SpatialColumns};
 
-/// Demonstrations that conventions are proven on.
+/// Number of demonstrations on which conventions are proven.
 const PROVEN_ON: usize = 10;
 
-/// What the user says of a file.
+/// Settings about how to read a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// The task; none for any environment of one arm.
+    /// The task; `None` for any environment with one arm.
     pub task: Option<RobosuiteTask>,
-    /// The manipulated object's body, where the task does not say it.
+    /// Body of the manipulated object, if the task does not define it.
     pub object: Option<String>,
-    /// Text that stands for the attribute `env_args`.
+    /// JSON text that replaces the attribute `env_args`.
     pub env_args: Option<String>,
-    /// Conventions that are stated.
+    /// Conventions that are set explicitly.
     pub conventions: Settings,
 }
 
-/// A demonstration as the conventions read it.
+/// A demonstration interpreted by the conventions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Interpreted {
     /// Its frames.
     pub frames: Vec<SpatialColumns>,
-    /// Distances (metres, radians) of recorded absolute actions from those that follow from recorded delta actions, beyond
-    /// the first step; none where only one kind is recorded.
+    /// Differences (metres, radians) between the recorded absolute actions and those computed from the recorded delta actions,
+    /// from the second step on; `None` if only one kind is recorded.
     pub goal_errors: Option<Vec<(f64, f64)>>,
 }
 
-/// The meaning of a file's rows.
+/// Conventions of a file, and what is needed to apply them.
 pub struct Interpreter {
     env: EnvArgs,
     conventions: Conventions,
@@ -59,17 +59,17 @@ pub struct Interpreter {
     osc: Osc,
     initial: Option<Isometry3<f64>>,
     from_states: FromStates,
-    /// The last model that was parsed: demonstrations of one scene share it.
+    /// The last model that was parsed, since consecutive demonstrations of one scene have the same model.
     model: Mutex<Option<(Arc<str>, Arc<Model>)>>,
 }
 
 impl Interpreter {
-    /// Proves the conventions of a file on the first demonstrations that can be used, and names those that were met and cannot:
-    /// those that cannot be read, and those that contradict what most of the others prove.
+    /// Proves the conventions of a file on the first usable demonstrations. Also returns the demonstrations found unusable
+    /// meanwhile: those that cannot be read, and those that contradict what most of the others prove.
     ///
     /// # Errors
-    /// A file of another task, of two arms, without what is needed; a convention that is not proven and not set; no
-    /// demonstration that can be used.
+    /// The file is of another task or has two arms, or required data is missing; a convention is neither proven nor set; no
+    /// demonstration can be used.
     pub fn learn(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), IngestError> {
         Self::learn_checked(reader, reading).map_err(|fault| Fault::from(fault).of(&reader.path))
     }
@@ -103,6 +103,7 @@ impl Interpreter {
                 "{error}; restore what attribute env_args lacks, or give it as ingest.env_args"
             ))
         })?;
+        // If the controller's first goal is the pose after a reset, it is computed from the model.
         let models = first.iter().filter_map(|first| first.model.as_deref());
         let initial = match conventions.initial_goal {
             InitialGoal::ResetPose => models.into_iter().find_map(|model| model.site_at(&PANDA_RESET).ok()),
@@ -131,7 +132,7 @@ impl Interpreter {
         Ok((interpreter, left_out))
     }
 
-    /// What the file says of how it was recorded.
+    /// Metadata on how the file was recorded.
     pub fn env(&self) -> &EnvArgs {
         &self.env
     }
@@ -146,16 +147,16 @@ impl Interpreter {
         &self.rows
     }
 
-    /// What should be known of them.
+    /// Remarks on the conventions that the user should know.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// The frames of a demonstration, whose arrays are taken out of it. `other` are actions of the other kind, recorded in another
-    /// file.
+    /// Computes the frames of a demonstration, whose arrays are moved out of it. `other` are actions of the other kind (absolute
+    /// or delta), recorded in another file.
     ///
     /// # Errors
-    /// A demonstration that does not follow the conventions.
+    /// The demonstration contradicts the conventions.
     pub fn interpret(
         &self,
         reader: &RobomimicReader,
@@ -188,12 +189,12 @@ impl Interpreter {
             .zip(&poses.eef_quaternion)
             .map(|(position, quaternion)| self.conventions.site_pose(*position, *quaternion))
             .collect::<Option<Vec<_>>>()
-            .ok_or_else(|| unknown("obs/robot0_eef_quat holds a quaternion without direction; repair that row"))?;
+            .ok_or_else(|| unknown("obs/robot0_eef_quat contains a quaternion of zero norm; repair that row"))?;
         let object = match poses.object {
             Some(object) => object,
             None => self.objects(demo).ok_or_else(|| no_object(demo))?,
         };
-        // Commands of the controller, or goals in the world.
+        // Controller commands, or goals in the world frame.
         let actions: Cow<'_, [Action]> = if self.conventions.actions.is_plain() {
             Cow::Borrowed(&demo.actions)
         } else {
@@ -215,7 +216,7 @@ impl Interpreter {
                 fingers: poses.fingers[t],
                 delta: arm(&delta[t]),
                 goal: arm(&goal[t]),
-                // Not negated: what is zero stays a positive zero.
+                // Subtracted rather than negated, so that a zero remains a positive zero.
                 gripper: if opens { 0.0 - command } else { command },
                 reward: demo.rewards.as_ref().map(|rewards| rewards[t]),
                 done: demo.dones.as_ref().map(|dones| dones[t]),
@@ -227,7 +228,7 @@ impl Interpreter {
         Ok(Interpreted { frames, goal_errors })
     }
 
-    /// A recorded quaternion, whose norm was checked to be near 1, as it is.
+    /// A recorded quaternion without normalization; its norm has been checked to be near 1.
     fn recorded_rotation(&self, mut quaternion: [f64; 4]) -> UnitQuaternion<f64> {
         if self.conventions.eef_quaternion == QuaternionOrder::Wxyz {
             quaternion.rotate_left(1);
@@ -235,7 +236,7 @@ impl Interpreter {
         unchecked(quaternion)
     }
 
-    /// Delta actions, absolute ones, and the distances between those of both kinds that are known.
+    /// Delta actions, absolute actions, and the differences between recorded and computed goals if both kinds are recorded.
     fn both_kinds(
         &self,
         demo: &Demo,
@@ -303,23 +304,23 @@ impl Interpreter {
     }
 }
 
-/// Delta actions, absolute ones, and distances between the two.
+/// Delta actions, absolute actions, and differences between recorded and computed goals.
 type BothKinds = (Vec<Action>, Vec<Action>, Option<Vec<(f64, f64)>>);
 
-/// An action without the gripper's command.
+/// An action without the gripper command.
 fn arm(&[a, b, c, d, e, f, _]: &Action) -> SixAxis {
     SixAxis([a, b, c, d, e, f])
 }
 
-/// Parts in the order x, y, z, w, taken as they are.
+/// A quaternion in the order x, y, z, w, without normalization.
 fn unchecked(parts: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::new_unchecked(Quaternion::from(parts))
 }
 
-/// What helps against a demonstration that cannot be used.
-pub(super) const LEAVE_OUT: &str = "repair that demonstration, or leave it out by a filter key or ingest.select";
+/// The remedy for a demonstration that cannot be used.
+pub(super) const LEAVE_OUT: &str = "repair that demonstration, or leave it out with a filter key or ingest.select";
 
-/// A demonstration that conventions are proven on.
+/// A demonstration on which conventions are proven.
 struct Prepared {
     demo: Demo,
     model: Option<Arc<Model>>,
@@ -327,7 +328,7 @@ struct Prepared {
 }
 
 impl Prepared {
-    /// The first demonstrations that can be used, what is computed from their states, and those that cannot be used.
+    /// Collects the first usable demonstrations, what is computed from states, and the demonstrations that cannot be used.
     fn gather(
         reader: &RobomimicReader,
         reading: &Reading,
@@ -345,7 +346,7 @@ impl Prepared {
             for name in &batch {
                 read.push(reader.read(name));
                 if let Some(Err(fault)) =
-                    read.pop_if(|read| read.as_ref().is_err_and(|fault| reader.file.ends_with(fault)))
+                    read.pop_if(|read| read.as_ref().is_err_and(|fault| reader.file.is_fatal(fault)))
                 {
                     return Err(fault);
                 }
@@ -354,7 +355,7 @@ impl Prepared {
             let some = models.iter().find_map(|model| model.as_ref().ok()?.as_deref());
             let from_states = match from {
                 Some(known) => known,
-                // A file of which nothing could be read says why below.
+                // If nothing could be read, the faults are reported below.
                 None if read.iter().all(Result::is_err) => FromStates::Nothing,
                 None => FromStates::of(reader, reading, env, some)?,
             };
@@ -371,7 +372,7 @@ impl Prepared {
                 });
                 match ready {
                     Ok(ready) => prepared.push(ready),
-                    Err(fault) if reader.file.ends_with(&fault) => return Err(fault),
+                    Err(fault) if reader.file.is_fatal(&fault) => return Err(fault),
                     Err(fault) => left_out.push(LeftOut {
                         demo: name.name.clone(),
                         why: fault.to_string(),
@@ -387,7 +388,7 @@ impl Prepared {
     }
 }
 
-/// The models of some demonstrations, each distinct one parsed once. One of a demonstration that could not be read is none.
+/// Parses the models of some demonstrations, each distinct text once; `None` for a demonstration that could not be read.
 fn parse_models(demos: &[Result<Demo, Hdf5Fault>]) -> Vec<Result<Option<Arc<Model>>, Hdf5Fault>> {
     let text = |place: usize| demos[place].as_ref().ok().and_then(|demo| demo.model.clone());
     let first = |place: usize| (0..=place).find(|other| text(*other) == text(place)).unwrap_or(place);
@@ -402,7 +403,7 @@ fn parse_models(demos: &[Result<Demo, Hdf5Fault>]) -> Vec<Result<Option<Arc<Mode
     (0..demos.len())
         .map(|place| match (&parsed[first(place)], &demos[place]) {
             (Ok(model), _) => Ok(model.clone()),
-            // The fault names the demonstration.
+            // Parsed again, because the fault contains the name of the demonstration.
             (Err(_), Ok(demo)) => parse_model(demo),
             (Err(_), Err(_)) => Ok(None),
         })
@@ -414,30 +415,30 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
         Model::parse(text).map(Arc::new).map_err(|error| Hdf5Fault::Attribute {
             object: format!("/data/{}", demo.name),
             attribute: "model_file",
-            why: format!("gives no poses: {error}"),
-            fix: "restore it, or leave the demonstration out by a filter key or ingest.select".to_owned(),
+            why: format!("cannot be used to compute poses: {error}"),
+            fix: "restore it, or leave the demonstration out with a filter key or ingest.select".to_owned(),
         })
     };
     demo.model.as_ref().map(parse).transpose()
 }
 
-/// The file has to be of the task that the pipeline names.
+/// Checks that the file matches the task of the pipeline.
 fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Fault> {
     if env.is_foreign() {
         let by = if env.env_name.starts_with("Isaac") {
-            "Isaac Lab's"
+            "Isaac Lab"
         } else {
-            "gym's or another library's"
+            "gym or another library"
         };
         return Err(Hdf5Fault::Other(format!(
-            "it is not robosuite's: env_args names environment {} of type {}, {by} by robomimic's numbers, and only robosuite's (type 1) are read; give an HDF5 file of robosuite's demonstrations",
+            "it is not a robosuite dataset: env_args names environment {} of type {}, which is {by} in robomimic, but only type 1 (robosuite) is supported; give an HDF5 file of robosuite demonstrations",
             env.env_name,
             env.kind.unwrap_or_default()
         )));
     }
     if env.robots.len() > 1 {
         return Err(Hdf5Fault::Other(format!(
-            "it is of environment {} with {} robots, and this version reads tasks of one arm with a two-finger gripper; give such a file",
+            "its environment {} has {} robots, but only tasks with one arm and a two-finger gripper are supported; give a file of such a task",
             env.env_name,
             env.robots.len()
         )));
@@ -445,7 +446,7 @@ fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Faul
     if let Some(task) = task.filter(|task| RobosuiteTask::of_environment(&env.env_name) != Some(*task)) {
         let wanted = task.environment;
         return Err(Hdf5Fault::Other(format!(
-            "it is of environment {}, and the pipeline's task needs {wanted}; give the task of the file, or task = \"robosuite\" and ingest.object",
+            "its environment is {}, but the pipeline's task needs {wanted}; set task to the task of the file, or set task = \"robosuite\" and ingest.object",
             env.env_name
         )));
     }
@@ -486,7 +487,7 @@ fn arrays<'a>(demo: &'a Demo, poses: &'a Poses, model: Option<&'a Model>) -> Dem
     }
 }
 
-/// A proof as a row.
+/// Converts a proof to a table row.
 fn convention(proof: &Proof) -> Convention {
     let candidates = &proof.evidence.candidates;
     let own = candidates.iter().find(|candidate| candidate.value == proof.value);
@@ -511,7 +512,7 @@ fn convention(proof: &Proof) -> Convention {
     }
 }
 
-/// Conventions that rest on words: settings, and what the file says of itself.
+/// Conventions that are not proven from the numbers: settings, and declarations in the file.
 fn stated(layout: Layout, reading: &Reading, env: &EnvArgs, from_states: &FromStates) -> Vec<Convention> {
     let row = |name: &'static str, value: String, basis: &'static str, evidence: &str| Convention {
         convention: name.into(),
@@ -573,11 +574,11 @@ fn stated(layout: Layout, reading: &Reading, env: &EnvArgs, from_states: &FromSt
             "env_args",
             "given".to_owned(),
             "setting",
-            "ingest.env_args stands for the file's own",
+            "ingest.env_args replaces the attribute of the file",
         ));
     }
     if reading.conventions.allow_actions_beyond_range {
-        let evidence = "ingest.conventions.allow_actions_beyond_range; the controller cuts them at its limits";
+        let evidence = "ingest.conventions.allow_actions_beyond_range; the controller clips them to its limits";
         rows.push(row("actions_beyond_range", "accepted".to_owned(), "setting", evidence));
     }
     rows

@@ -1,4 +1,4 @@
-//! What the HDF5 library gives: texts of whatever kind, types of elements, and its words.
+//! Conversions from the HDF5 library: strings of any kind, element types, and error messages.
 
 use hdf5::datatype::ByteOrder;
 use hdf5::types::{FixedAscii, FixedUnicode, FloatSize, IntSize, TypeDescriptor, VarLenAscii, VarLenUnicode};
@@ -7,30 +7,30 @@ use hdf5::{Container, Datatype, H5Type};
 use super::fault::Hdf5Fault;
 use super::file::Element;
 
-/// Names in `/mask` and the attributes' fixed-length texts are at most this long.
-const LONGEST_NAME: usize = 256;
+/// Buffer size for fixed-length strings: names in `/mask` and short attributes. Longer strings use a buffer of 1 MiB.
+const MAX_NAME: usize = 256;
 
-/// All texts of an attribute or dataset, of whatever kind.
+/// Reads all strings of an attribute or dataset, of any string type.
 pub(super) fn texts(container: &Container, object: &str) -> Result<Vec<String>, Hdf5Fault> {
     let damaged = damaged(object);
     let read = || -> hdf5::Result<Option<Vec<String>>> {
-        // The library trusts the file that texts are UTF-8.
+        // The library does not check that strings are valid UTF-8.
         fn all<T: H5Type>(container: &Container, bytes: fn(&T) -> &[u8]) -> hdf5::Result<Option<Vec<String>>> {
             let texts = container.read_raw::<T>()?;
             let texts = texts.iter().map(|text| String::from_utf8(bytes(text).to_vec()));
             texts
                 .collect::<Result<_, _>>()
                 .map(Some)
-                .map_err(|error| hdf5::Error::Internal(format!("it is no text: {error}")))
+                .map_err(|error| hdf5::Error::Internal(format!("it is not valid UTF-8: {error}")))
         }
         match container.dtype()?.to_descriptor()? {
             TypeDescriptor::VarLenUnicode => all(container, |text: &VarLenUnicode| text.as_bytes()),
             TypeDescriptor::VarLenAscii => all(container, |text: &VarLenAscii| text.as_bytes()),
-            TypeDescriptor::FixedAscii(length) if length <= LONGEST_NAME => {
-                all(container, |text: &FixedAscii<LONGEST_NAME>| text.as_bytes())
+            TypeDescriptor::FixedAscii(length) if length <= MAX_NAME => {
+                all(container, |text: &FixedAscii<MAX_NAME>| text.as_bytes())
             }
-            TypeDescriptor::FixedUnicode(length) if length <= LONGEST_NAME => {
-                all(container, |text: &FixedUnicode<LONGEST_NAME>| text.as_bytes())
+            TypeDescriptor::FixedUnicode(length) if length <= MAX_NAME => {
+                all(container, |text: &FixedUnicode<MAX_NAME>| text.as_bytes())
             }
             TypeDescriptor::FixedAscii(_) => all(container, |text: &FixedAscii<{ 1 << 20 }>| text.as_bytes()),
             TypeDescriptor::FixedUnicode(_) => all(container, |text: &FixedUnicode<{ 1 << 20 }>| text.as_bytes()),
@@ -41,7 +41,7 @@ pub(super) fn texts(container: &Container, object: &str) -> Result<Vec<String>, 
         Ok(Some(texts)) => Ok(texts),
         Ok(None) => Err(Hdf5Fault::Dtype {
             object: object.to_owned(),
-            found: "no text".to_owned(),
+            found: "data other than text".to_owned(),
             expected: "text",
         }),
         Err(error) => Err(damaged(error)),
@@ -80,18 +80,18 @@ pub(super) fn damaged(object: &str) -> impl Fn(hdf5::Error) -> Hdf5Fault + use<>
     let object = object.to_owned();
     move |error| Hdf5Fault::Damaged {
         object: object.clone(),
-        why: words(&error),
+        why: message(&error),
         others: 0,
     }
 }
 
-/// The library's words: those of the innermost call, which says what it met.
-pub(super) fn words(error: &hdf5::Error) -> String {
+/// The library's message: that of the innermost call, which is the most specific.
+pub(super) fn message(error: &hdf5::Error) -> String {
     match error {
         hdf5::Error::Internal(text) => text.clone(),
         hdf5::Error::HDF5(_) => error
             .stack()
             .and_then(|stack| stack.iter().last().map(|frame| frame.desc().to_owned()))
-            .unwrap_or_else(|| "the HDF5 library gives no reason".to_owned()),
+            .unwrap_or_else(|| "the HDF5 library reports no reason".to_owned()),
     }
 }

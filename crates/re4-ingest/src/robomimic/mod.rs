@@ -1,7 +1,7 @@
-//! Demonstrations of robosuite's tasks in HDF5: robomimic's layout, with observations, and robosuite's own raw one.
+//! Demonstrations of robosuite's tasks in HDF5 files: robomimic's layout, with observations, and robosuite's raw layout.
 //!
-//! A file has a group `/data` with one group a demonstration (`demo_0`, `demo_1`, ...), and perhaps `/mask` with lists of
-//! their names. Values are handed on bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
+//! A file has a group `/data` with one group per demonstration (`demo_0`, `demo_1`, ...), and optionally a group `/mask` with
+//! lists of their names. Values are returned bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
 
 mod demo;
 mod direct;

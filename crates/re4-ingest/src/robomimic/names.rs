@@ -1,4 +1,4 @@
-//! Which demonstrations a file holds, in which order, and which of them are asked for.
+//! Finds and orders the demonstrations of a file, and resolves which of them are requested.
 
 use std::collections::BTreeSet;
 
@@ -10,19 +10,19 @@ use crate::name::SourceName;
 use crate::selection::SelectionError;
 use crate::warning::{Warning, WarningCode};
 
-/// Names go into tables, pages and sentences.
-const LONGEST_NAME: usize = 200;
+/// Maximum length of a demonstration's name in bytes; names are part of tables, pages and messages.
+const MAX_NAME: usize = 200;
 
-/// Names of the groups below `/data` that are demonstrations, and a warning of what stands beside them.
+/// Names of the groups in `/data` that are demonstrations, and a warning about other members.
 pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>), Hdf5Fault> {
     let names = file.members_or_none("data")?;
     if let Some(name) = names
         .iter()
-        .find(|name| name.len() > LONGEST_NAME || name.chars().any(char::is_control))
+        .find(|name| name.len() > MAX_NAME || name.chars().any(char::is_control))
     {
         let start: String = name.chars().take(40).collect();
         return Err(Hdf5Fault::Other(format!(
-            "a group below /data has the name {start:?}, {} bytes long; rename it to one of at most {LONGEST_NAME} bytes without control characters, such as demo_0",
+            "a group in /data has the name {start:?} of {} bytes; rename it to a name of at most {MAX_NAME} bytes without control characters, such as demo_0",
             name.len()
         )));
     }
@@ -30,7 +30,7 @@ pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>),
     let mut others = Vec::new();
     for name in names {
         let path = format!("data/{name}");
-        // What the others look like is not asked before the first one is read.
+        // In cautious mode, the types of objects are not checked before the first demonstration is read.
         if file.is_cautious() && is_numbered(&name) {
             demos.push(name);
             continue;
@@ -38,10 +38,10 @@ pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>),
         let is_group = match file.kind(&path)? {
             Kind::Group => true,
             Kind::Dataset => false,
-            // A link that leads nowhere is a demonstration that is lost, where it has the name of one.
+            // A dangling link with the name of a demonstration is a lost demonstration.
             Kind::Other => is_numbered(&name),
         };
-        // A group that holds nothing of a demonstration is one all the same where it has the name of one: its data is lost.
+        // A group with the name of a demonstration but without actions is a demonstration, too: its data is lost.
         let has_actions = || Ok::<_, Hdf5Fault>(is_numbered(&name) || file.exists(&format!("{path}/actions"))?);
         if is_group && has_actions()? {
             demos.push(name);
@@ -55,7 +55,7 @@ pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>),
     let mut warnings = Vec::new();
     if !others.is_empty() {
         let message = format!(
-            "not read, since they are no demonstrations: {}",
+            "not ingested because they are not demonstrations: {}",
             listed(&others, "/data/")
         );
         warnings.push(Warning::new(WarningCode::SkippedMembers, message, others.len()));
@@ -63,12 +63,12 @@ pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>),
     Ok((demos, warnings))
 }
 
-/// Whether a name ends in a number, as those of demonstrations do.
+/// Whether a name ends in a digit, as those of demonstrations do.
 fn is_numbered(name: &str) -> bool {
     name.ends_with(|last: char| last.is_ascii_digit())
 }
 
-/// Some of many names.
+/// Lists names for a message; of many, only the first ones.
 pub(super) fn listed(names: &[String], prefix: &str) -> String {
     const SHOWN: usize = 8;
     let shown: Vec<String> = names.iter().take(SHOWN).map(|name| format!("{prefix}{name}")).collect();
@@ -78,7 +78,7 @@ pub(super) fn listed(names: &[String], prefix: &str) -> String {
     }
 }
 
-/// Notes with each demonstration which filter keys list it. What is wrong with a filter key that is not asked for is a warning.
+/// Records for each demonstration which filter keys list it. Faults of filter keys that are not requested are warnings.
 pub(super) fn mark_filter_keys(
     file: &File,
     choice: &DemoChoice,
@@ -87,8 +87,8 @@ pub(super) fn mark_filter_keys(
 ) -> Result<(), Hdf5Fault> {
     let keys = match (file.members_or_none("mask"), &choice.filter) {
         (Ok(keys), _) => keys,
-        (Err(fault), None) if !file.ends_with(&fault) => {
-            let message = format!("{fault}; no filter key is read");
+        (Err(fault), None) if !file.is_fatal(&fault) => {
+            let message = format!("{fault}; no filter keys are available");
             warnings.push(Warning::new(WarningCode::SkippedFilterKeys, message, 1));
             return Ok(());
         }
@@ -99,7 +99,7 @@ pub(super) fn mark_filter_keys(
         let asked_for = choice.filter.as_ref() == Some(key);
         let listed = match file.names(&format!("mask/{key}")) {
             Ok(listed) => listed,
-            Err(fault) if asked_for || file.ends_with(&fault) => return Err(fault),
+            Err(fault) if asked_for || file.is_fatal(&fault) => return Err(fault),
             Err(_) => {
                 unread.push(key.clone());
                 continue;
@@ -121,7 +121,7 @@ pub(super) fn mark_filter_keys(
     }
     if !unread.is_empty() {
         let message = format!(
-            "not read, since they hold no list of demonstrations: {}; correct them before you use one as ingest.filter",
+            "ignored because they are not lists of demonstrations: {}; correct them before using one as ingest.filter",
             listed(&unread, "/mask/")
         );
         warnings.push(Warning::new(WarningCode::SkippedFilterKeys, message, unread.len()));
@@ -135,7 +135,7 @@ pub(super) fn mark_filter_keys(
     }
 }
 
-/// The demonstrations that a choice takes.
+/// The demonstrations that a choice selects.
 pub(super) fn chosen(demos: &[DemoName], choice: &DemoChoice) -> Result<Vec<DemoName>, SelectionError> {
     let names: Vec<SourceName> = demos.iter().map(|demo| SourceName::new(&demo.name)).collect();
     let listed = |place: usize| match &choice.filter {
@@ -146,12 +146,12 @@ pub(super) fn chosen(demos: &[DemoName], choice: &DemoChoice) -> Result<Vec<Demo
     Ok(places.into_iter().map(|place| demos[place].clone()).collect())
 }
 
-/// Demonstrations in the order of [`SourceName`].
+/// Orders demonstrations by [`SourceName`], and assigns their numbers.
 pub(super) fn numbered(names: Vec<String>) -> Vec<DemoName> {
     let mut names: Vec<SourceName> = names.into_iter().map(SourceName::new).collect();
     names.sort_unstable();
     let own = |place: usize| Some(names.get(place)?.number()).flatten();
-    // In this order, those of the same number are neighbours.
+    // In this order, demonstrations with the same number are adjacent.
     let shared = |place: usize, number: u64| {
         let before = place.checked_sub(1).and_then(own);
         before == Some(number) || own(place + 1) == Some(number)
@@ -179,7 +179,7 @@ mod tests {
     use crate::selection::Selection;
 
     #[test]
-    fn demonstrations_come_in_the_order_of_their_own_numbers() {
+    fn demonstrations_are_ordered_by_their_numbers() {
         let names = [
             "demo_0",
             "demo_1",
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_selection_is_by_own_numbers_among_what_the_filter_lists() {
+    fn a_selection_refers_to_numbers_of_demonstrations_in_the_filter() {
         let mut demos = numbered([0, 1, 3, 4, 6].map(|number| format!("demo_{number}")).to_vec());
         for demo in demos.iter_mut().filter(|demo| demo.number != Some(4)) {
             demo.filter_keys.push("train".to_owned());

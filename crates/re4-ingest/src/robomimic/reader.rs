@@ -1,4 +1,4 @@
-//! Opening a file: which demonstrations it holds, in which order, and which of them are asked for.
+//! Opens a file: finds its demonstrations, orders them, and resolves which of them are requested.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -20,59 +20,59 @@ use crate::selection::Selection;
 use crate::tables::LeftOut;
 use crate::warning::{Warning, WarningCode};
 
-/// Demonstrations that are found ahead of reading.
+/// Number of demonstrations that are located ahead of reading.
 const AHEAD: usize = 16;
 
 /// Which demonstrations to read.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct DemoChoice {
-    /// Name of a filter key below `/mask`; only demonstrations that it lists are read.
+    /// Name of a filter key in `/mask`; only demonstrations that it lists are read.
     pub filter: Option<String>,
-    /// Which of those, by their own numbers or names.
+    /// Which of those, by number or name.
     pub select: Selection,
-    /// Whether reading ends at the first fault, instead of going on to find all: behind one, the HDF5 library may fall over.
+    /// Whether reading ends at the first fault instead of collecting all faults. The HDF5 library may crash after a fault.
     pub cautious: bool,
 }
 
-/// What the demonstrations of a file consist of.
+/// Layout of the demonstrations of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// robomimic's: with observations.
+    /// robomimic's layout, with observations.
     Observed,
-    /// Raw: states and actions.
+    /// Raw layout, with states and actions only.
     Raw,
 }
 
-/// An opened file. The demonstrations are known by name, and not yet read.
+/// An opened file. The demonstrations are known by name, but have not been read.
 pub struct RobomimicReader {
     pub(super) path: PathBuf,
     pub(super) file: File,
     sources: Sources,
     layout: Layout,
-    /// Whether the pose of the object has to come from the states.
+    /// Whether the pose of the object must be computed from the states.
     pub(super) object_from_states: bool,
     demos: Vec<DemoName>,
-    /// Demonstrations of the whole file.
+    /// Number of demonstrations in the whole file.
     found: usize,
-    /// Names below `/mask` that list any of them.
+    /// Filter keys in `/mask` that list at least one demonstration.
     filter_keys: BTreeSet<String>,
     warnings: Vec<Warning>,
     sidecars: Mutex<BTreeMap<String, Arc<str>>>,
 }
 
 impl RobomimicReader {
-    /// Opens a file and finds its demonstrations, in the order of the numbers that their names end in (`demo_2` before
-    /// `demo_10`), and the models beside it that they name.
+    /// Opens a file and finds its demonstrations, in the order of the numbers at the end of their names (`demo_2` before
+    /// `demo_10`), and the model files beside it that they refer to.
     ///
     /// # Errors
-    /// What is no HDF5 file of demonstrations, a filter key that is not there or names what is not there, a selection that
-    /// does not fit; with [`Access::Direct`], [`Hdf5Fault::NeedsLibrary`].
+    /// The file is not an HDF5 file of demonstrations, the filter key does not exist or names a missing demonstration, or the
+    /// selection does not match. With [`Access::Direct`] also [`Hdf5Fault::NeedsLibrary`].
     pub fn open(sources: &Sources, choice: &DemoChoice, access: Access) -> Result<Self, IngestError> {
         let opened = Self::open_checked(sources.clone(), choice, access);
         opened.map_err(|fault| {
             let error = fault.of(sources.path());
             match sources.unchanged() {
-                // Whatever is wrong with a file that changed is not what has to be fixed.
+                // A change of the file can cause any other fault, so only the change is reported.
                 Err(changed) if !error.needs_library() => changed,
                 _ => error,
             }
@@ -113,27 +113,27 @@ impl RobomimicReader {
         })
     }
 
-    /// The files that are read.
+    /// The source files.
     pub fn sources(&self) -> &Sources {
         &self.sources
     }
 
-    /// What was found odd when the file was opened.
+    /// Warnings from opening the file.
     pub fn warnings(&self) -> &[Warning] {
         &self.warnings
     }
 
-    /// The demonstrations asked for, in order.
+    /// The requested demonstrations, in order.
     pub fn demos(&self) -> &[DemoName] {
         &self.demos
     }
 
-    /// What the demonstrations consist of.
+    /// Layout of the demonstrations.
     pub fn layout(&self) -> Layout {
         self.layout
     }
 
-    /// What the file says of how it was recorded; `setting` stands for its attribute `env_args`.
+    /// Metadata on how the file was recorded; `setting` replaces its attribute `env_args`.
     pub(super) fn environment(&self, setting: Option<&str>) -> Result<EnvArgs, Hdf5Fault> {
         let fix = |what: &str| {
             format!("{what}, or give the JSON text of a file that was recorded in the same way as ingest.env_args")
@@ -163,7 +163,7 @@ impl RobomimicReader {
             .map_err(|error| refuse("env_info", error))
     }
 
-    /// Finds a demonstration's datasets.
+    /// Locates a demonstration's datasets.
     fn find(&self, name: &str, wanted: Wanted) -> Result<FoundDemo, Hdf5Fault> {
         let mut found = FoundDemo::find(&self.file, name, wanted)?;
         if let Some(text) = &found.model
@@ -174,17 +174,19 @@ impl RobomimicReader {
         Ok(found)
     }
 
-    /// A model that lies beside the file.
+    /// Reads a model file beside the HDF5 file.
     fn sidecar(&self, demo: &str, name: &str) -> Result<Arc<str>, Hdf5Fault> {
         let refuse = |why: String| Hdf5Fault::Attribute {
             object: format!("/data/{demo}"),
             attribute: "model_file",
             why,
-            fix: "put the file there, as it came with the dataset".to_owned(),
+            fix: "restore that file from the dataset".to_owned(),
         };
         if !is_model_name(name) {
             let shown: String = name.chars().take(60).collect();
-            return Err(refuse(format!("is neither a model nor the name of one: {shown:?}")));
+            return Err(refuse(format!(
+                "is neither a model nor the name of a model file: {shown:?}"
+            )));
         }
         let mut sidecars = self.sidecars.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(text) = sidecars.get(name) {
@@ -192,7 +194,7 @@ impl RobomimicReader {
         }
         let text = self.sources.model(name).map_err(|fault| match fault {
             Fault::Changed { .. } | Fault::MissingPath => refuse(format!(
-                "names {MODELS_FOLDER}/{name} beside the file, which is not there"
+                "names {MODELS_FOLDER}/{name} beside the file, which does not exist"
             )),
             fault => refuse(format!("names {MODELS_FOLDER}/{name} beside the file ({fault})")),
         })?;
@@ -208,7 +210,7 @@ impl RobomimicReader {
         }
     }
 
-    /// Reads one demonstration, the hand's angular velocities with it.
+    /// Reads one demonstration, including the angular velocities of the end effector.
     pub(super) fn read(&self, demo: &DemoName) -> Result<Demo, Hdf5Fault> {
         let wanted = match self.layout {
             Layout::Observed => Wanted::ObservedWithVelocities,
@@ -217,7 +219,7 @@ impl RobomimicReader {
         self.find(&demo.name, wanted)?.read(&self.file)
     }
 
-    /// The actions of the demonstration of this name; none where there is no such demonstration.
+    /// The actions of the demonstration with this name; `None` if it does not exist.
     pub(super) fn actions(&self, name: &str) -> Result<Option<Vec<[f64; 7]>>, Hdf5Fault> {
         if self.demos.iter().all(|demo| demo.name != name) {
             return Ok(None);
@@ -225,11 +227,12 @@ impl RobomimicReader {
         Ok(Some(self.find(name, Wanted::Actions)?.read(&self.file)?.actions))
     }
 
-    /// Reads all demonstrations: they are found one after the other, worked on in parallel as they come, and handed on in
-    /// order. `work` gets the place of a demonstration among those asked for, and the demonstration, or why it cannot be read.
+    /// Reads all demonstrations. They are located one by one, read and processed in parallel, and passed to `take` in order.
+    /// `work` receives the index of a demonstration among those requested, and the demonstration or the reason why it cannot be
+    /// read.
     ///
     /// # Errors
-    /// A file that cannot be read without the HDF5 library, or whatever the two closures refuse.
+    /// The file needs the HDF5 library but was opened without it, or one of the two closures returns an error.
     pub fn for_each<T: Send, E: From<IngestError> + Send>(
         &self,
         work: impl Fn(usize, Result<Demo, LeftOut>) -> Result<T, E> + Sync,
@@ -240,7 +243,7 @@ impl RobomimicReader {
             scope.spawn(move || {
                 for (episode, demo) in self.demos.iter().enumerate() {
                     let found = self.find(&demo.name, self.wanted());
-                    let last = found.as_ref().is_err_and(|fault| self.file.ends_with(fault));
+                    let last = found.as_ref().is_err_and(|fault| self.file.is_fatal(fault));
                     if sender.send((episode, demo, found)).is_err() || last {
                         break;
                     }
@@ -264,7 +267,7 @@ impl RobomimicReader {
         })
     }
 
-    /// A demonstration that cannot be read as one that is left out. What the library is needed for is no fault of it.
+    /// Converts the fault of a demonstration that cannot be read to a [`LeftOut`], except for fatal faults of the file.
     pub(super) fn left_out<T>(
         &self,
         demo: &str,
@@ -272,7 +275,7 @@ impl RobomimicReader {
     ) -> Result<Result<T, LeftOut>, IngestError> {
         match read {
             Ok(read) => Ok(Ok(read)),
-            Err(fault) if self.file.ends_with(&fault) => Err(Fault::from(fault).of(&self.path)),
+            Err(fault) if self.file.is_fatal(&fault) => Err(Fault::from(fault).of(&self.path)),
             Err(fault) => Ok(Err(LeftOut {
                 demo: demo.to_owned(),
                 why: fault.to_string(),
@@ -280,14 +283,14 @@ impl RobomimicReader {
         }
     }
 
-    /// Adds what there is to say of the file to what is known of it.
+    /// Adds the properties of the file to `info`.
     ///
     /// # Errors
-    /// A file that cannot be read without the HDF5 library.
+    /// The file needs the HDF5 library but was opened without it.
     pub(super) fn describe(&self, info: Info) -> Result<Info, IngestError> {
         let features = match self.skipped(|_| false) {
             Err(fault @ Hdf5Fault::NeedsLibrary) => return Err(Fault::from(fault).of(&self.path)),
-            // What is wrong with a demonstration is told when it is read.
+            // Faults of a demonstration are reported when it is read.
             features => features.unwrap_or_default(),
         };
         Ok(Info {
@@ -303,11 +306,11 @@ impl RobomimicReader {
         })
     }
 
-    /// A warning where the attribute `total` of `/data` is not the number of frames of all demonstrations. Nothing reads it,
-    /// and programs that remove demonstrations leave it as it was.
+    /// A warning if the attribute `total` of `/data` is not the number of frames of all demonstrations. The attribute is not
+    /// used, and programs that remove demonstrations often do not update it.
     ///
     /// # Errors
-    /// A file that cannot be read without the HDF5 library.
+    /// The file needs the HDF5 library but was opened without it.
     pub(super) fn total_warning(&self, frames: u64) -> Result<Option<Warning>, IngestError> {
         if self.demos.len() < self.found {
             return Ok(None);
@@ -320,16 +323,16 @@ impl RobomimicReader {
         let message = match total {
             Ok(Some(total)) if u64::try_from(total) != Ok(frames) => {
                 format!(
-                    "attribute total of /data is {total}, but all demonstrations have {frames} frames; it is not used"
+                    "attribute total of /data is {total}, but the demonstrations have {frames} frames in total; the attribute is not used"
                 )
             }
             Ok(_) => return Ok(None),
-            Err(why) => format!("{why}; it is not used"),
+            Err(why) => format!("{why}; the attribute is not used"),
         };
         Ok(Some(Warning::new(WarningCode::StaleTotal, message, 1)))
     }
 
-    /// Datasets of the first demonstration that are not ingested, groups with the number of their members.
+    /// Datasets of the first demonstration that are not ingested, and groups with their number of members.
     pub(super) fn skipped(&self, taken: impl Fn(&str) -> bool) -> Result<Vec<String>, Hdf5Fault> {
         let Some(demo) = self.demos.first() else {
             return Ok(Vec::new());
@@ -359,7 +362,7 @@ impl RobomimicReader {
     }
 }
 
-/// Whether the text of `model_file` is a model; a byte order mark may stand before it.
+/// Whether the text of `model_file` is a model; it may begin with a byte order mark.
 fn is_model(text: &str) -> bool {
     text.trim_start_matches('\u{feff}').trim_start().starts_with('<')
 }
@@ -369,7 +372,7 @@ fn is_model_name(text: &str) -> bool {
     !text.contains(['/', '\\']) && !text.starts_with('.') && !is_model(text) && (1..=255).contains(&text.len())
 }
 
-/// The names of models that demonstrations give in place of a model.
+/// Names of model files that demonstrations refer to instead of containing a model.
 fn models_of(file: &File, demos: &[DemoName]) -> Result<BTreeSet<String>, Hdf5Fault> {
     let mut names = BTreeSet::new();
     for demo in demos {
@@ -378,7 +381,7 @@ fn models_of(file: &File, demos: &[DemoName]) -> Result<BTreeSet<String>, Hdf5Fa
                 names.insert(text);
             }
             Err(Hdf5Fault::NeedsLibrary) => return Err(Hdf5Fault::NeedsLibrary),
-            // What is wrong is told when the demonstration is read.
+            // Faults are reported when the demonstration is read.
             _ => {}
         }
     }

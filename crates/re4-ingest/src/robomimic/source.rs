@@ -1,4 +1,4 @@
-//! An HDF5 file of robosuite's demonstrations as a source.
+//! An HDF5 file of robosuite demonstrations as a [`DemoSource`].
 
 use std::fs::File;
 use std::os::unix::fs::FileExt as _;
@@ -18,21 +18,21 @@ use crate::error::IngestError;
 use crate::tables::{Convention, LeftOut};
 use crate::warning::{Warning, WarningCode};
 
-/// An opened file whose conventions are known.
+/// An opened file with known conventions.
 pub struct RobomimicSource {
     reader: RobomimicReader,
     interpreter: Interpreter,
     comparison: Option<Comparison>,
     info: Info,
-    /// Demonstrations that are known to be of no use.
+    /// Demonstrations that were found unusable when the conventions were proven.
     excluded: Vec<LeftOut>,
 }
 
 impl RobomimicSource {
-    /// Of a reader and what was learned from it; `cameras` are those whose images are asked for.
+    /// Creates a source from a reader and the result of [`Interpreter::learn`]; `cameras` are those with requested images.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// The file cannot be read.
     pub fn new(
         reader: RobomimicReader,
         (interpreter, excluded): (Interpreter, Vec<LeftOut>),
@@ -73,17 +73,17 @@ impl RobomimicSource {
         self.interpreter.conventions()
     }
 
-    /// What the file says of how it was recorded.
+    /// Metadata on how the file was recorded.
     pub fn env(&self) -> &EnvArgs {
         self.interpreter.env()
     }
 
-    /// The file.
+    /// The reader of the file.
     pub fn reader(&self) -> &RobomimicReader {
         &self.reader
     }
 
-    /// A demonstration, or why it cannot be used.
+    /// Interprets a demonstration, or returns why it cannot be used.
     fn episode(&self, name: &DemoName, demo: Result<Demo, LeftOut>) -> Result<Result<Episode, LeftOut>, IngestError> {
         if let Some(known) = self.excluded.iter().find(|left| left.demo == name.name) {
             return Ok(Err(known.clone()));
@@ -119,7 +119,7 @@ impl RobomimicSource {
 }
 
 impl DemoSource for RobomimicSource {
-    /// A file with HDF5's signature, or whose name ends as such files' names do.
+    /// Accepts a file with HDF5's signature, or with the extension `hdf5` or `h5`.
     fn probe(path: &Path) -> bool {
         let named = path.extension().is_some_and(|end| end == "hdf5" || end == "h5");
         let signed = || {
@@ -166,7 +166,7 @@ impl DemoSource for RobomimicSource {
         let conventions = self.interpreter.warnings().iter();
         warnings.extend(conventions.map(|text| Warning::new(WarningCode::Convention, text.clone(), 1)));
         if let (Some(_), Some(first)) = (&self.comparison, tally.not_compared.first()) {
-            let message = format!("not in the file to compare with: {first}");
+            let message = format!("missing from the file used for comparison: {first}");
             warnings.push(Warning::new(
                 WarningCode::NotCompared,
                 message,

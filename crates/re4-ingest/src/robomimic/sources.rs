@@ -1,4 +1,4 @@
-//! The files that demonstrations are read from: the HDF5 file, and the models beside it that its demonstrations name.
+//! The source files of demonstrations: the HDF5 file, and the model files beside it that its demonstrations refer to.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -10,21 +10,22 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Fault, IngestError};
 use crate::source::{Identity, SourceFile, Stop, check_unchanged};
 
-/// Folder beside a raw file that holds its models, where `model_file` is a name.
+/// Folder beside a raw file with its models, used if `model_file` is a file name.
 pub(super) const MODELS_FOLDER: &str = "models";
 
-/// Longest model that is read, in bytes.
-const LONGEST_MODEL: u64 = 64 << 20;
+/// Maximum size of a model in bytes.
+const MAX_MODEL: u64 = 64 << 20;
 
-/// Opened files.
+/// The opened source files.
 #[derive(Debug, Clone)]
 pub struct Sources {
     file: Arc<SourceFile>,
-    /// Models by name. They are opened when they are read, since there can be more than a process may have open.
+    /// Models by name. They are opened only while they are read, since there can be more of them than a process may have open
+    /// files.
     models: BTreeMap<String, Identity>,
 }
 
-/// What tells these files from any later version of them.
+/// Identities of the files, for detecting changes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SourcesIdentity {
     file: Identity,
@@ -35,7 +36,7 @@ impl Sources {
     /// Opens an HDF5 file. Models are added by [`Sources::with_models`].
     ///
     /// # Errors
-    /// As [`SourceFile::open`].
+    /// Same as [`SourceFile::open`].
     pub fn open(path: &Path) -> Result<Self, IngestError> {
         Ok(Self {
             file: Arc::new(SourceFile::open(path)?),
@@ -43,10 +44,10 @@ impl Sources {
         })
     }
 
-    /// Opens the files that another process opened, and sees that they are the same.
+    /// Opens files that another process has opened, and checks that they are the same.
     ///
     /// # Errors
-    /// As [`SourceFile::open`]; a file that changed since.
+    /// Same as [`SourceFile::open`]; also if a file changed since.
     pub fn open_again(path: &Path, identity: &SourcesIdentity) -> Result<Self, IngestError> {
         let sources = Self {
             models: identity.models.clone(),
@@ -60,11 +61,11 @@ impl Sources {
         }
     }
 
-    /// The same with the models of these names, as far as they are there.
+    /// Adds the models with these names, if they exist.
     #[must_use]
     pub fn with_models(mut self, names: impl IntoIterator<Item = String>) -> Self {
         for name in names {
-            // What is missing is told of each demonstration that names it.
+            // A missing model is reported for each demonstration that refers to it.
             if let Ok(model) = SourceFile::open_checked(&self.model_path(&name)) {
                 self.models.insert(name, model.identity());
             }
@@ -72,18 +73,18 @@ impl Sources {
         self
     }
 
-    /// Names of the models, in their byte order.
+    /// Names of the models, in byte order.
     pub fn model_names(&self) -> impl Iterator<Item = &str> {
         self.models.keys().map(String::as_str)
     }
 
-    /// The error that says that they changed.
+    /// The error that reports a change of the files.
     pub fn changed(&self) -> IngestError {
         let path = self.path().to_owned();
         Fault::Changed { path }.of(self.path())
     }
 
-    /// Whether there may be models beside the file.
+    /// Whether there is a folder for models beside the file.
     pub fn has_models_folder(&self) -> bool {
         self.folder().join(MODELS_FOLDER).is_dir()
     }
@@ -98,7 +99,7 @@ impl Sources {
         self.file.path()
     }
 
-    /// What tells these files from any later version of them.
+    /// Identities of the files, for detecting changes.
     pub fn identity(&self) -> SourcesIdentity {
         SourcesIdentity {
             file: self.file.identity(),
@@ -106,11 +107,11 @@ impl Sources {
         }
     }
 
-    /// BLAKE3 of the HDF5 file. Where demonstrations name models, BLAKE3 over that hash and, for each of them in the byte order
-    /// of the names, the length of its name as little-endian u64, its name and the BLAKE3 of its bytes.
+    /// BLAKE3 hash of the HDF5 file. If demonstrations refer to models, it is the BLAKE3 hash over that hash and, for each model
+    /// in the byte order of the names, the length of its name as little-endian u64, its name and the BLAKE3 hash of its bytes.
     ///
     /// # Errors
-    /// A file that cannot be read, or changed; `stop` answered yes.
+    /// A file cannot be read or changed, or `stop` returned true.
     pub fn hash(&self, stop: Stop<'_>) -> Result<[u8; 32], IngestError> {
         let own = self.file.hash(stop)?;
         if self.models.is_empty() {
@@ -129,10 +130,10 @@ impl Sources {
         Ok(*hasher.finalize().as_bytes())
     }
 
-    /// Whether all files are still what they were.
+    /// Checks that no file has changed since it was opened.
     ///
     /// # Errors
-    /// The first that is not.
+    /// Names the first file that changed.
     pub fn unchanged(&self) -> Result<(), IngestError> {
         self.file.unchanged()?;
         for (name, identity) in &self.models {
@@ -145,7 +146,7 @@ impl Sources {
     pub(super) fn model(&self, name: &str) -> Result<String, Fault> {
         let model = self.open_model(name)?;
         let mut text = String::new();
-        let read = model.file().take(LONGEST_MODEL).read_to_string(&mut text);
+        let read = model.file().take(MAX_MODEL).read_to_string(&mut text);
         read.map_err(|error| Fault::io("read", model.path(), error))?;
         Ok(text)
     }
@@ -155,7 +156,7 @@ impl Sources {
         let model = SourceFile::open_checked(&path)?;
         match self.models.get(name) {
             Some(identity) if *identity == model.identity() => Ok(model),
-            // One that was not there before is a change, too.
+            // A model that did not exist before is a change, too.
             _ => Err(Fault::Changed { path }),
         }
     }
@@ -176,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_models_that_are_named_count() {
+    fn only_referenced_models_are_hashed() {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("demo.hdf5");
         fs::write(&path, "file").unwrap();
@@ -202,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_changes_is_found() {
+    fn a_changed_model_is_detected() {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("demo.hdf5");
         fs::write(&path, "file").unwrap();

@@ -1,4 +1,4 @@
-//! What is said of a file as a whole: warnings, errors of converted actions.
+//! Information about a file as a whole: warnings, and errors of converted actions.
 
 use re4_stats::{nearest_rank, sorted};
 use serde::Serialize;
@@ -10,7 +10,7 @@ use super::sources::Sources;
 use crate::error::{Fault, IngestError};
 use crate::warning::{Warning, WarningCode};
 
-/// Datasets that are ingested, beside the images of cameras.
+/// Datasets that are ingested, in addition to the images of cameras.
 const TAKEN: [&str; 10] = [
     "actions",
     "action_dict",
@@ -24,7 +24,7 @@ const TAKEN: [&str; 10] = [
     "states",
 ];
 
-/// Another file of the same demonstrations, whose actions are of the other kind.
+/// Another file of the same demonstrations, with actions of the other kind (absolute or delta).
 pub struct Comparison {
     reader: RobomimicReader,
 }
@@ -33,23 +33,23 @@ impl Comparison {
     /// Opens the file.
     ///
     /// # Errors
-    /// As [`RobomimicReader::open`].
+    /// Same as [`RobomimicReader::open`].
     pub fn open(sources: &Sources, access: Access) -> Result<Self, IngestError> {
         RobomimicReader::open(sources, &DemoChoice::default(), access).map(|reader| Self { reader })
     }
 
-    /// Whether its files are still what they were when they were opened.
+    /// Checks that its files have not changed since they were opened.
     ///
     /// # Errors
-    /// The first that is not.
+    /// Names the first file that changed.
     pub(super) fn unchanged(&self) -> Result<(), IngestError> {
         self.reader.sources().unchanged()
     }
 
-    /// Actions of the demonstration of this name and length; none where there is no such demonstration.
+    /// Actions of the demonstration with this name and length; `None` if it does not exist.
     ///
     /// # Errors
-    /// Actions that cannot be read, or are of another length.
+    /// The actions cannot be read, or their length differs.
     pub fn actions(&self, demo: &str, frames: usize) -> Result<Option<Vec<[f64; 7]>>, IngestError> {
         let refuse = |fault: Hdf5Fault| Fault::from(fault).of(&self.reader.path);
         let actions = self.reader.actions(demo).map_err(refuse)?;
@@ -65,24 +65,24 @@ impl Comparison {
     }
 }
 
-/// Distribution of the distances between recorded absolute actions and those that follow from delta actions, beyond the first
-/// step of a demonstration.
+/// Distribution of the differences between recorded absolute actions and those computed from delta actions, without the first
+/// step of each demonstration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GoalErrors {
-    /// Steps compared.
+    /// Number of compared steps.
     pub steps: u64,
-    /// Distances of positions in metres: median, 90 %, 99 %, maximum.
+    /// Differences of positions in metres: median, 90 %, 99 %, maximum.
     pub position_m: [f64; 4],
-    /// Angles between orientations in radians, likewise.
+    /// Angles between orientations in radians, in the same order.
     pub rotation_rad: [f64; 4],
 }
 
 impl GoalErrors {
-    /// The distribution; none of no steps.
+    /// Computes the distribution; `None` if there are no steps.
     pub fn of(errors: &[(f64, f64)]) -> Option<Self> {
         let quantiles = |value: fn(&(f64, f64)) -> f64| {
             let values = sorted(errors.iter().map(value));
-            [0.5, 0.9, 0.99, 1.0].map(|share| nearest_rank(&values, share).unwrap_or(f64::NAN))
+            [0.5, 0.9, 0.99, 1.0].map(|fraction| nearest_rank(&values, fraction).unwrap_or(f64::NAN))
         };
         (!errors.is_empty()).then(|| Self {
             steps: errors.len() as u64,
@@ -93,10 +93,10 @@ impl GoalErrors {
 }
 
 impl RobomimicReader {
-    /// What is not ingested of the first demonstration, as a warning; `cameras` are those that are.
+    /// A warning about datasets of the first demonstration that are not ingested; images of `cameras` are ingested.
     ///
     /// # Errors
-    /// Groups that cannot be read.
+    /// A group cannot be read.
     pub(super) fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
         let taken = |name: &str| {
             let camera = name.strip_prefix("obs/").and_then(|name| name.strip_suffix("_image"));
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_values_that_occur() {
+    fn quantiles_are_observed_values() {
         let errors: Vec<(f64, f64)> = (1..=100).map(|i| (f64::from(i), 0.0)).collect();
         let found = GoalErrors::of(&errors).unwrap();
         assert_eq!(found.position_m, [50.0, 90.0, 99.0, 100.0]);

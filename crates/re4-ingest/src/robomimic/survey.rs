@@ -1,4 +1,4 @@
-//! Whether a file is read by its observations or by its states: what its demonstrations have of either.
+//! Decides whether a file is read by its observations or by its states, depending on which of them its demonstrations have.
 
 use super::demo::OBSERVATIONS;
 use super::fault::Hdf5Fault;
@@ -8,29 +8,29 @@ use super::reader::Layout;
 use crate::demos::DemoName;
 use crate::warning::{Warning, WarningCode};
 
-/// What a demonstration has of observations.
+/// Which observations a demonstration has.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Observed {
-    /// Those that are needed.
+    /// All that are required.
     Whole,
-    /// A group `obs` that lacks this one.
+    /// A group `obs` without this observation.
     Lacks(&'static str),
     /// No group `obs`.
     None,
 }
 
-/// What the demonstrations of a file have.
+/// Which data the demonstrations of a file have.
 #[derive(Debug)]
 pub(super) struct Survey {
     demos: Vec<(String, Observed)>,
     /// Whether every demonstration has states and a model.
     states: bool,
-    /// Whether any has `obs/object`.
+    /// Whether any demonstration has `obs/object`.
     objects: bool,
 }
 
 impl Survey {
-    /// Looks at the names of the datasets; nothing is read.
+    /// Surveys the names of the datasets, without reading any.
     pub(super) fn of(file: &File, demos: &[DemoName]) -> Result<Self, Hdf5Fault> {
         let mut survey = Self {
             demos: Vec::new(),
@@ -40,8 +40,8 @@ impl Survey {
         for demo in demos {
             let group = format!("data/{}", demo.name);
             let lost = |fault: Hdf5Fault| match fault {
-                fault if file.ends_with(&fault) => Err(fault),
-                // It is told when the demonstration is read, and says nothing of the others.
+                fault if file.is_fatal(&fault) => Err(fault),
+                // The fault is reported when the demonstration is read; it does not affect the decision.
                 _ => Ok(Vec::new()),
             };
             let members = file.members(&group).or_else(lost)?;
@@ -72,7 +72,8 @@ impl Survey {
         self.demos.iter().filter(|(_, observed)| which(observed)).count()
     }
 
-    /// By observations, unless no demonstration has all that are needed, or some have none at all, and all have states.
+    /// The layout to use. It is raw if no demonstration has complete observations, or if some have none and all others are
+    /// complete, provided that all demonstrations have states and a model, or that none has observations.
     pub(super) fn layout(&self) -> Layout {
         let whole = self.count(|observed| *observed == Observed::Whole);
         let none = self.count(|observed| *observed == Observed::None);
@@ -85,12 +86,12 @@ impl Survey {
         }
     }
 
-    /// Whether the pose of the object has to come from the states: no demonstration has it, and all have states.
+    /// Whether the pose of the object must be computed from the states: no demonstration has it, and all have states and a model.
     pub(super) fn object_from_states(&self) -> bool {
         !self.objects && self.states
     }
 
-    /// What is to be said where observations are there and not used.
+    /// A warning if observations exist but are not used.
     pub(super) fn warning(&self) -> Option<Warning> {
         let unused: Vec<String> = self
             .demos
@@ -139,27 +140,27 @@ mod tests {
     }
 
     #[test]
-    fn the_layout_is_one_that_all_have() {
+    fn the_chosen_layout_is_available_in_all_demonstrations() {
         use Observed::{Lacks, None, Whole};
         let lacks = || Lacks("obs/robot0_eef_pos");
-        for (observed, states, layout, said) in [
+        for (observed, states, layout, warned) in [
             (vec![Whole, Whole], true, Layout::Observed, false),
             (vec![Whole, Whole], false, Layout::Observed, false),
             (vec![None, None], true, Layout::Raw, false),
             (vec![None, None], false, Layout::Raw, false),
-            // Some have no observations: what all have is used, and that is said.
+            // Some have no observations: the states, which all have, are used, with a warning.
             (vec![None, Whole], true, Layout::Raw, true),
             (vec![Whole, None], false, Layout::Observed, false),
-            // All lack some: other names, or fewer of them.
+            // All lack some observations: they have other names, or fewer were recorded.
             (vec![lacks(), lacks()], true, Layout::Raw, true),
             (vec![lacks(), lacks()], false, Layout::Observed, false),
-            // One lacks some that the others have: that is a fault of it.
+            // One lacks some that the others have: this is a fault of that demonstration.
             (vec![Whole, lacks()], true, Layout::Observed, false),
             (vec![Whole, lacks(), None], true, Layout::Observed, false),
         ] {
             let survey = survey(&observed, states);
             assert_eq!(survey.layout(), layout, "{observed:?} {states}");
-            assert_eq!(survey.warning().is_some(), said, "{observed:?} {states}");
+            assert_eq!(survey.warning().is_some(), warned, "{observed:?} {states}");
         }
     }
 }

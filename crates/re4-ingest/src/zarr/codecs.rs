@@ -1,30 +1,30 @@
-//! From the bytes of a chunk's file to its elements.
+//! Decodes the bytes of a chunk's file to its elements.
 
 use super::metadata::Shard;
 use crate::compression::Compressor;
 
-/// One step between the bytes of elements and those of a file.
+/// One encoding step between the bytes of elements and those of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Codec {
     /// A compressor.
     Compressed(Compressor),
-    /// CRC-32C of the bytes before it, at their end.
+    /// A CRC-32C checksum, appended to the bytes.
     Crc32c,
 }
 
-/// How elements become bytes.
+/// The steps that encode elements to the bytes of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Chain {
-    /// Axis `i` of what is stored is axis `axes[i]` of the array; `None` if all stay.
+    /// Axis `i` of the stored data is axis `axes[i]` of the array; `None` for the identity.
     pub(super) axes: Option<Vec<usize>>,
-    /// Whether the first byte of an element is its highest.
+    /// Whether elements are big-endian.
     pub(super) big_endian: bool,
-    /// In the order in which they were applied.
+    /// In the order of encoding.
     pub(super) codecs: Vec<Codec>,
 }
 
 impl Chain {
-    /// The only compressor, where elements lie in order and lowest byte first, and nothing else was done.
+    /// The compressor, if it is the only codec and elements are in C order and little-endian.
     pub(super) fn plain(&self) -> Option<Compressor> {
         match self.codecs.as_slice() {
             [Codec::Compressed(compressor)] if self.axes.is_none() && !self.big_endian => Some(*compressor),
@@ -32,15 +32,15 @@ impl Chain {
         }
     }
 
-    /// Decodes a chunk of a shape to elements in C order and the machine's byte order.
+    /// Decodes a chunk of a shape to elements in C order and native byte order.
     ///
     /// # Errors
-    /// Why not, in words.
+    /// A description of what is wrong.
     pub(super) fn decode(&self, encoded: Vec<u8>, shape: &[u64], element_size: usize) -> Result<Vec<u8>, String> {
         let size = shape.iter().product::<u64>() as usize * element_size;
         let mut bytes = encoded;
         for (number, codec) in self.codecs.iter().enumerate().rev() {
-            // Bytes that earlier codecs made of the elements: only checksums add some, as nothing is compressed twice.
+            // The size before compression is known exactly, since only checksums add bytes and nothing may be compressed twice.
             let before = &self.codecs[..number];
             if before.iter().any(|codec| matches!(codec, Codec::Compressed(_))) {
                 if *codec == Codec::Crc32c {
@@ -56,7 +56,7 @@ impl Chain {
             };
         }
         if bytes.len() != size {
-            return Err(format!("{} bytes instead of {size}", bytes.len()));
+            return Err(format!("it has {} bytes instead of {size}", bytes.len()));
         }
         if self.big_endian != cfg!(target_endian = "big") && element_size > 1 {
             bytes.chunks_exact_mut(element_size).for_each(<[u8]>::reverse);
@@ -68,7 +68,7 @@ impl Chain {
     }
 }
 
-/// Puts elements whose axes were exchanged back in C order.
+/// Restores C order of elements that were stored with permuted axes.
 fn in_order(bytes: &[u8], shape: &[u64], axes: &[usize], element_size: usize) -> Vec<u8> {
     let mut strides = vec![0; shape.len()];
     let mut stride = element_size;
@@ -94,7 +94,7 @@ fn in_order(bytes: &[u8], shape: &[u64], axes: &[usize], element_size: usize) ->
     ordered
 }
 
-/// Length of a checksum.
+/// Length of a checksum in bytes.
 const CRC32C: usize = 4;
 
 fn without_crc32c(mut bytes: Vec<u8>) -> Result<Vec<u8>, String> {
@@ -102,13 +102,13 @@ fn without_crc32c(mut bytes: Vec<u8>) -> Result<Vec<u8>, String> {
         return Err(format!("{} bytes are too few for a checksum", bytes.len()));
     };
     if crc32c(content) != u32::from_le_bytes(*sum) {
-        return Err("its checksum does not fit".to_owned());
+        return Err("its checksum does not match".to_owned());
     }
     bytes.truncate(bytes.len() - CRC32C);
     Ok(bytes)
 }
 
-/// CRC-32C, reflected, as in RFC 3720, appendix B.4.
+/// CRC-32C (reflected), as defined in RFC 3720, appendix B.4.
 fn crc32c(bytes: &[u8]) -> u32 {
     const TABLE: [u32; 256] = {
         let mut table = [0; 256];
@@ -134,14 +134,14 @@ fn crc32c(bytes: &[u8]) -> u32 {
         .fold(u32::MAX, |sum, &byte| TABLE[usize::from(sum as u8 ^ byte)] ^ sum >> 8)
 }
 
-/// Where a chunk lies in its shard: offset and length; `None` if it is not stored.
+/// Offset and length of a chunk in its shard; `None` if it is not stored.
 pub(super) type Place = Option<(usize, usize)>;
 
 impl Shard {
-    /// Places of the chunks of a shard of a shape, in C order.
+    /// Reads the index of a shard of a shape. Returns the places of its chunks in C order.
     ///
     /// # Errors
-    /// Why not, in words.
+    /// A description of what is wrong.
     pub(super) fn places(&self, file: &[u8], shape: &[u64]) -> Result<Vec<Place>, String> {
         let count: u64 = shape
             .iter()
@@ -151,7 +151,7 @@ impl Shard {
         let numbers = 2 * count;
         let length = numbers as usize * size_of::<u64>() + CRC32C * self.index.codecs.len();
         let Some(start) = file.len().checked_sub(length) else {
-            return Err(format!("{} bytes are too few for the index of a shard", file.len()));
+            return Err(format!("{} bytes are too few for a shard index", file.len()));
         };
         let index = if self.index_at_end {
             &file[start..]
@@ -163,13 +163,14 @@ impl Shard {
         numbers
             .chunks_exact(2)
             .map(|pair| {
+                // By the specification, an absent chunk has the maximum value in both fields.
                 let [offset, length] = [pair[0], pair[1]].map(u64::from_ne_bytes);
                 if (offset, length) == (u64::MAX, u64::MAX) {
                     return Ok(None);
                 }
                 match offset.checked_add(length) {
                     Some(end) if end <= file.len() as u64 => Ok(Some((offset as usize, length as usize))),
-                    _ => Err("a chunk of the shard lies beyond its end".to_owned()),
+                    _ => Err("a chunk of the shard extends past the end of the file".to_owned()),
                 }
             })
             .collect()
@@ -189,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn exchanged_axes_are_put_back() {
+    fn permuted_axes_are_restored() {
         // Element (i, j, k) of a 2 x 3 x 4 array is 100 i + 10 j + k.
         let shape = [2_u64, 3, 4];
         for axes in [[2, 1, 0], [0, 2, 1], [1, 2, 0], [0, 1, 2]] {
@@ -219,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn checksums_are_checked_wherever_they_stand() {
+    fn checksums_are_verified_at_any_position() {
         let sum = |bytes: &[u8]| [bytes, &crc32c(bytes).to_le_bytes()].concat();
         let chain = |codecs: &[Codec]| Chain {
             axes: None,

@@ -1,18 +1,18 @@
-//! Types of the elements of arrays.
+//! Element types of arrays.
 
 use serde_json::Value;
 
-/// Declares the types: what they are in Rust, and their names in formats 2 (`<f4`) and 3 (`float32`).
+/// Declares the element types: the Rust type and its names in formats 2 (`<f4`) and 3 (`float32`).
 macro_rules! elements {
     ($($variant:ident $type:ident $dtype:literal $name:literal)*) => {
-        /// Element types that are read.
+        /// Supported element types.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub(crate) enum Element {
             $($variant),*
         }
 
         impl Element {
-            /// Of format 2.
+            /// The type with this name in format 2.
             pub(super) fn from_dtype(dtype: &str) -> Option<Self> {
                 match dtype.trim_start_matches(['<', '>', '|']) {
                     $($dtype => Some(Self::$variant),)*
@@ -20,7 +20,7 @@ macro_rules! elements {
                 }
             }
 
-            /// Of format 3.
+            /// The type with this name in format 3.
             pub(super) fn from_data_type(name: &str) -> Option<Self> {
                 match name {
                     $($name => Some(Self::$variant),)*
@@ -28,28 +28,29 @@ macro_rules! elements {
                 }
             }
 
-            /// Bytes of an element.
+            /// Size of an element in bytes.
             pub(crate) fn size(self) -> usize {
                 match self {
                     $(Self::$variant => size_of::<$type>(),)*
                 }
             }
 
-            /// A number of metadata as the bytes of an element, in the machine's order; `None` if it is none, or does not fit.
+            /// Converts a number in metadata to the bytes of an element in native order; `None` if it is not a number or out of
+            /// range.
             pub(super) fn bytes_of(self, value: &Value) -> Option<Vec<u8>> {
                 Some(match self {
                     $(Self::$variant => $type::of(value)?.to_ne_bytes().to_vec(),)*
                 })
             }
 
-            /// One element, in the machine's byte order, as a float.
+            /// Converts the bytes of one element, in native order, to a float.
             pub(crate) fn float(self, bytes: &[u8]) -> f64 {
                 match self {
                     $(Self::$variant => $type::from_ne_bytes(array(bytes)).float(),)*
                 }
             }
 
-            /// The same as an integer; `None` where it is not whole.
+            /// Converts the bytes of one element, in native order, to an integer; `None` if the value is not an integer.
             pub(super) fn integer(self, bytes: &[u8]) -> Option<i128> {
                 match self {
                     $(Self::$variant => $type::from_ne_bytes(array(bytes)).whole(),)*
@@ -78,7 +79,7 @@ impl Element {
     }
 }
 
-/// A number in metadata, as an integer, and as a float.
+/// Conversions of a number from metadata, to an integer, and to a float.
 trait Number: Sized {
     fn of(value: &Value) -> Option<Self>;
     fn whole(self) -> Option<i128>;
@@ -110,7 +111,7 @@ integers!(u8 u16 u32 u64 i8 i16 i32 i64);
 
 impl Number for f32 {
     fn of(value: &Value) -> Option<Self> {
-        // Format 3 may write the bits.
+        // Format 3 may write floats as the hexadecimal digits of their bits.
         bits(value).map_or_else(
             || special(value).map(|number| number as Self),
             |bits| u32::from_str_radix(bits, 16).ok().map(Self::from_bits),
@@ -147,7 +148,7 @@ fn bits(value: &Value) -> Option<&str> {
     value.as_str()?.strip_prefix("0x")
 }
 
-/// A number, or a word that stands for one.
+/// Parses a number, or a string that stands for a special value.
 fn special(value: &Value) -> Option<f64> {
     match value.as_str() {
         Some("NaN") => Some(f64::NAN),
@@ -158,7 +159,7 @@ fn special(value: &Value) -> Option<f64> {
     }
 }
 
-/// The bytes of one element; a slice of the wrong length, which `chunks_exact` never gives, would read as zero.
+/// The bytes of one element. A slice of the wrong length, which `chunks_exact` never yields, would be read as zero.
 fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
     bytes.try_into().unwrap_or([0; N])
 }

@@ -1,4 +1,4 @@
-//! What `.zarray` (format 2) and `zarr.json` (format 3) say of an array, in one form.
+//! Array metadata of `.zarray` (format 2) and `zarr.json` (format 3), parsed to one common form.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -11,41 +11,41 @@ use crate::error::Fault;
 /// How an array is stored.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
-    /// Element type as it is written in the metadata.
+    /// Element type as written in the metadata.
     pub(super) dtype: String,
-    /// The same, if it is one that is read.
+    /// The element type; `None` if it is not supported.
     pub(super) element: Option<Element>,
     /// Shape of the array.
     pub(super) shape: Vec<u64>,
-    /// Shape of what one file holds: a chunk, or a shard of several.
+    /// Shape of the content of one file, which is a chunk or a shard of several chunks.
     pub(super) chunk: Vec<u64>,
-    /// How a chunk becomes bytes.
+    /// Codecs that encode a chunk.
     pub(super) chain: Chain,
-    /// How chunks lie in a file, where it holds several.
+    /// How chunks are arranged in a file; `None` if a file contains one chunk.
     pub(super) shard: Option<Shard>,
-    /// What stands for elements of chunks that are not stored, as JSON; null where nothing does.
+    /// Fill value of chunks that are not stored, as JSON; null if there is none.
     pub(super) fill: Value,
-    /// How files are named.
+    /// How chunk files are named.
     pub(super) keys: Keys,
 }
 
-/// A file with several chunks in it, found by an index of offsets and lengths.
+/// A file that contains several chunks, located by an index of offsets and lengths.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Shard {
-    /// Shape of a chunk in it; divides the shape of the shard.
+    /// Shape of an inner chunk; it divides the shape of the shard.
     pub(super) chunk: Vec<u64>,
-    /// Whether the index stands at the end.
+    /// Whether the index is at the end of the file.
     pub(super) index_at_end: bool,
-    /// How the index becomes bytes.
+    /// Codecs that encode the index.
     pub(super) index: Chain,
 }
 
 /// Names of chunk files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Keys {
-    /// Before the numbers, as a number of its own: `c` in format 3.
+    /// Prefix before the numbers: `c` in format 3.
     pub(super) prefix: Option<char>,
-    /// Between the numbers.
+    /// Separator between the parts.
     pub(super) separator: char,
 }
 
@@ -64,14 +64,14 @@ impl Keys {
 
 /// Why metadata cannot be used.
 pub(super) enum Unusable {
-    /// It says nothing, or contradicts itself.
+    /// It is incomplete or contradicts itself.
     Broken(String),
-    /// It says something that this reader cannot do.
+    /// It uses a feature that this reader does not support.
     Unsupported(String),
 }
 
 impl Unusable {
-    /// Names the array.
+    /// Converts it to a fault of this array.
     pub(super) fn of(self, array: &str, file: &str) -> Fault {
         match self {
             Self::Broken(why) => Fault::ArrayMetadata {
@@ -120,8 +120,8 @@ struct Format2 {
 }
 
 impl Layout {
-    /// Reads a `.zarray`. `nested` says whether chunk files are found in folders; it counts where the metadata does not say so,
-    /// as that of older writers.
+    /// Parses a `.zarray`. `nested` returns whether chunk files are in nested folders; it is used if the metadata has no
+    /// `dimension_separator`, as written by older versions of zarr-python.
     pub(super) fn of_format_2(text: &[u8], nested: impl FnOnce() -> bool) -> Result<Self, Unusable> {
         let value: Value = serde_json::from_slice(&as_json(text))?;
         if !value.is_object() {
@@ -133,7 +133,7 @@ impl Layout {
         }
         check_shape(&metadata.shape, &metadata.chunks)?;
         if let Some(filter) = metadata.filters.as_ref().and_then(|filters| filters.first()) {
-            return unsupported(format!("it has the filter {}", name_of(filter, "id")));
+            return unsupported(format!("it uses the filter {}", name_of(filter, "id")));
         }
         let axes = match metadata.order.as_deref() {
             None | Some("C") => None,
@@ -150,7 +150,7 @@ impl Layout {
                 let id = name_of(compressor, "id");
                 match Compressor::of(&id) {
                     Some(compressor) => vec![Codec::Compressed(compressor)],
-                    None => return unsupported(format!("it is compressed by {id}")),
+                    None => return unsupported(format!("it is compressed with {id}")),
                 }
             }
         };
@@ -201,7 +201,7 @@ struct Format3 {
 }
 
 impl Layout {
-    /// Reads a `zarr.json`; `None` if it is a group's.
+    /// Parses a `zarr.json`; `None` if it belongs to a group.
     pub(super) fn of_format_3(text: &[u8]) -> Result<Option<Self>, Unusable> {
         let value: Value = serde_json::from_slice(&as_json(text))?;
         if !value.is_object() {
@@ -219,7 +219,7 @@ impl Layout {
         }
         if let Some(transformer) = metadata.storage_transformers.first() {
             return unsupported(format!(
-                "it has the storage transformer {}",
+                "it uses the storage transformer {}",
                 name_of(transformer, "name")
             ));
         }
@@ -252,7 +252,11 @@ fn check_shape(shape: &[u64], chunk: &[u64]) -> Result<(), Unusable> {
         return broken("it has no dimensions");
     }
     if chunk.len() != shape.len() {
-        return broken(format!("{} chunk lengths for {} dimensions", chunk.len(), shape.len()));
+        return broken(format!(
+            "it has {} chunk lengths for {} dimensions",
+            chunk.len(),
+            shape.len()
+        ));
     }
     if chunk.contains(&0) {
         return broken("a chunk length is 0");
@@ -260,7 +264,7 @@ fn check_shape(shape: &[u64], chunk: &[u64]) -> Result<(), Unusable> {
     Ok(())
 }
 
-/// The name of something that is a string, or an object with its name under `key`.
+/// The name in a value that is either a string or an object with the name under `key`.
 fn name_of(value: &Value, key: &str) -> String {
     match value {
         Value::String(name) => name.clone(),
@@ -295,7 +299,7 @@ fn keys(encoding: &Value) -> Result<Keys, Unusable> {
     }
 }
 
-/// The codecs of a chunk, and how chunks lie in a shard where the file is one.
+/// Parses the codecs of a chunk, and the arrangement of chunks in a shard if the array is sharded.
 fn chain(codecs: &[Value], chunk: &[u64]) -> Result<(Chain, Option<Shard>), Unusable> {
     let mut axes = None;
     let mut rest = codecs.iter();
@@ -314,14 +318,14 @@ fn chain(codecs: &[Value], chunk: &[u64]) -> Result<(Chain, Option<Shard>), Unus
             }
             "sharding_indexed" if axes.is_none() => {
                 if let Some(codec) = rest.next() {
-                    return unsupported(format!("its shards are encoded by {} again", name_of(codec, "name")));
+                    return unsupported(format!("its shards are encoded again by {}", name_of(codec, "name")));
                 }
                 return sharded(codec, chunk).map(|(chain, shard)| (chain, Some(shard)));
             }
-            other => return unsupported(format!("it has the codec {other}")),
+            other => return unsupported(format!("it uses the codec {other}")),
         }
     }
-    broken("none of its codecs turns numbers into bytes")
+    broken("none of its codecs converts numbers to bytes")
 }
 
 fn sharded(codec: &Value, outer: &[u64]) -> Result<(Chain, Shard), Unusable> {
@@ -332,11 +336,11 @@ fn sharded(codec: &Value, outer: &[u64]) -> Result<(Chain, Shard), Unusable> {
     let inner = lengths(codec, "chunk_shape")?;
     check_shape(outer, &inner)?;
     if outer.iter().zip(&inner).any(|(outer, inner)| outer % inner != 0) {
-        return broken("the chunks of its shards do not fill them");
+        return broken("its chunk shape does not evenly divide its shard shape");
     }
     let (chain_of_chunks, nested) = chain(&list("codecs")?, &inner)?;
     if nested.is_some() {
-        return unsupported("it has shards inside of shards");
+        return unsupported("it has nested shards");
     }
     let (index, nested) = chain(&list("index_codecs")?, &[1])?;
     let only_checked = index.codecs.iter().all(|codec| *codec == Codec::Crc32c);
@@ -362,7 +366,7 @@ fn sharded(codec: &Value, outer: &[u64]) -> Result<(Chain, Shard), Unusable> {
     ))
 }
 
-/// `None` where the axes stay as they are.
+/// Parses the order of axes; `None` for the identity.
 fn transposed(codec: &Value, dimensions: usize) -> Result<Option<Vec<usize>>, Unusable> {
     let order: Vec<usize> = match setting(codec, "order") {
         Some(Value::String(order)) if order == "C" => (0..dimensions).collect(),
@@ -373,7 +377,7 @@ fn transposed(codec: &Value, dimensions: usize) -> Result<Option<Vec<usize>>, Un
     let mut sorted = order.clone();
     sorted.sort_unstable();
     if !sorted.iter().copied().eq(0..dimensions) {
-        return broken(format!("its order {order:?} does not name each axis once"));
+        return broken(format!("its order {order:?} does not name every axis exactly once"));
     }
     Ok((order != sorted).then_some(order))
 }
@@ -393,11 +397,12 @@ fn of_bytes(codec: &Value) -> Result<Codec, Unusable> {
     match Compressor::of(known) {
         Some(compressor) => Ok(Codec::Compressed(compressor)),
         None if name == "crc32c" => Ok(Codec::Crc32c),
-        None => unsupported(format!("it has the codec {name}")),
+        None => unsupported(format!("it uses the codec {name}")),
     }
 }
 
-/// JSON, of JSON as Python writes it: `NaN`, `Infinity` and `-Infinity` become strings, which is how Zarr spells them.
+/// Converts JSON as Python writes it to valid JSON: `NaN`, `Infinity` and `-Infinity` become strings, as in the Zarr
+/// specification.
 pub(super) fn as_json(text: &[u8]) -> Vec<u8> {
     let mut json = Vec::with_capacity(text.len());
     let mut rest = text;
@@ -448,7 +453,7 @@ mod tests {
     }
 
     #[test]
-    fn files_are_named_as_each_format_names_them() {
+    fn chunk_files_are_named_by_their_format() {
         let name = |prefix, separator| Keys { prefix, separator }.name(&[3, 0, 12]);
         assert_eq!(name(None, '.'), "3.0.12");
         assert_eq!(name(None, '/'), "3/0/12");
@@ -473,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn a_group_of_format_3_is_no_array() {
+    fn metadata_of_a_format_3_group_is_not_an_array() {
         assert_eq!(format_3(|metadata| metadata["node_type"] = "group".into()), Ok(None));
     }
 

@@ -1,4 +1,4 @@
-//! Datasets made by the tests: agents that are moved by the controller of Push-T.
+//! Synthetic datasets with agents that are moved by the controller of Push-T.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ pub(crate) struct Made {
     pub(crate) ends: Vec<i64>,
 }
 
-/// Episodes of so many frames, whose targets walk about and now and then jump; every second one stands still for a while.
+/// Episodes of `frames` frames each, with targets that drift and sometimes jump. Every second episode has idle periods.
 pub(crate) fn made(episodes: usize, frames: usize) -> Made {
     let mut made = Made {
         state: Vec::new(),
@@ -61,7 +61,7 @@ pub(crate) fn made(episodes: usize, frames: usize) -> Made {
 }
 
 impl Made {
-    /// Changes every number of states and actions; `map` gets the column (0 to 4, and 5 and 6 for actions).
+    /// Changes every number of states and actions; `map` receives the column (0 to 4, and 5 and 6 for actions).
     pub(crate) fn map(mut self, map: impl Fn(usize, f64) -> f64) -> Self {
         for row in &mut self.state {
             for (column, value) in row.iter_mut().enumerate() {
@@ -76,7 +76,7 @@ impl Made {
         self
     }
 
-    /// Changes every action; `map` gets the axis, the agent's coordinate and the action's.
+    /// Changes every action; `map` receives the axis, the agent's coordinate and the action's.
     pub(crate) fn map_actions(mut self, map: impl Fn(usize, f64, f64) -> f64) -> Self {
         for (action, state) in self.action.iter_mut().zip(&self.state) {
             for axis in 0..2 {
@@ -92,7 +92,7 @@ impl Made {
         start..self.ends[episode] as usize
     }
 
-    /// As a store.
+    /// Writes the dataset to a store.
     pub(crate) fn store(&self) -> Copy {
         let frames = self.state.len();
         Copy::of("minimal")
@@ -102,7 +102,7 @@ impl Made {
     }
 }
 
-/// The folder of inputs after public bug reports, if it is at hand.
+/// A test input that reproduces a public bug report, if it is available.
 pub(crate) fn foreign(case: &str) -> Option<std::path::PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let data = std::env::var_os("RE4_DATA").map_or_else(beside, std::path::PathBuf::from);

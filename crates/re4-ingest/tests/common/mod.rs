@@ -1,4 +1,4 @@
-//! Shared by the tests: the fixtures, their formulas, and copies of them that can be broken.
+//! Shared by the tests: the fixtures, the formulas of their values, and copies of them that tests can corrupt.
 #![allow(dead_code, reason = "each test uses a part of this")]
 #![allow(
     clippy::unwrap_used,
@@ -25,7 +25,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-/// The real dataset, if it is at hand.
+/// The original dataset, if it is available.
 pub(crate) fn real_dataset() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
@@ -75,7 +75,7 @@ pub(crate) fn image(t: usize) -> Vec<u8> {
     bytes
 }
 
-/// What a fixture holds for the given episodes.
+/// The content of a fixture for the given episodes.
 pub(crate) fn expected(sources: &[u32], complete: bool) -> PushtEpisodes {
     let rows: Vec<Range<usize>> = sources.iter().map(|&source| RANGES[source as usize].clone()).collect();
     let all = || rows.iter().cloned().flatten();
@@ -97,7 +97,7 @@ pub(crate) fn expected(sources: &[u32], complete: bool) -> PushtEpisodes {
     }
 }
 
-/// A copy of a fixture that a test may break.
+/// A copy of a fixture that a test may corrupt.
 pub(crate) struct Copy {
     folder: TempDir,
 }
@@ -177,19 +177,19 @@ impl Copy {
         self.replace("meta/episode_ends", "<i8", &[ends.len()], bytes)
     }
 
-    /// The sentence with which the copy is refused, without the paths of this run.
+    /// The message with which the copy is refused, without the paths of this run.
     pub(crate) fn refusal(&self) -> String {
         refusal(&self.path(), self.folder.path())
     }
 }
 
-/// The sentence with which a dataset is refused, `folder` written as `[folder]`.
+/// The message with which a dataset is refused, with `folder` replaced by `[folder]`.
 pub(crate) fn refusal(dataset: &Path, folder: &Path) -> String {
     let sentence = read_all(dataset).expect_err("the dataset should be refused");
     sentence.replace(folder.to_str().unwrap(), "[folder]")
 }
 
-/// Opens a dataset and reads columns and images; the sentence of the first error.
+/// Opens a dataset and reads columns and images. Returns the message of the first error.
 pub(crate) fn read_all(dataset: &Path) -> Result<PushtEpisodes, String> {
     let reader = PushtReader::open(dataset).map_err(|error| error.to_string())?;
     let options = PushtOptions {
