@@ -13,9 +13,9 @@
 //! The ranges are those of the task's record.
 //!
 //! Two objects keep clear of each other when their horizontal distance is greater than the sum of their radii, or when the
-//! later one is above the earlier one. Afterwards, objects that the task does not use are put at (10, 10, 10). Nothing moves after that: robosuite
-//! computes the derived quantities (`mj_forward`) and takes no simulation step, so objects start in the air and fall in the first
-//! steps.
+//! later one is above the earlier one. Afterwards, objects that the task does not use are put at (10, 10, 10). Nothing moves after
+//! that: robosuite computes the derived quantities (`mj_forward`) and takes no simulation step, so objects start in the air and
+//! fall in the first steps.
 //!
 //! The two versions differ only in what is not sampled here: the names of the finger joints, and the state of controller and
 //! observations after a reset. Also, MuJoCo 2.3.7 normalises quaternions when it computes the poses, and 3.2.7 does not.

@@ -5,7 +5,7 @@ Needs gym-pusht 0.1.8 (which installs numpy, pymunk, pygame and opencv). Run: py
 Every other episode follows random targets over the whole window, the others push the block; every fourth starts near the
 goal. Within an episode, frames are taken at fixed intervals and, in between, at steps with contact marks. Each frame is
 stored as the first 16 bytes of the SHA-256 of its 512 x 512 x 3 and of its 96 x 96 x 3 bytes, rows from the top, RGB.
-`contacts` counts the contact points of the frame's step: `marked` frames differ from the same scene rendered without marks.
+`marked` frames differ from the same scene rendered without contact marks.
 """
 
 import hashlib
