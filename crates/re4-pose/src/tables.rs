@@ -63,7 +63,7 @@ table! {
         pub learning_rate: f64,
         /// Weighted sum of the losses.
         pub loss: f64,
-        /// L_abs, before its weight: weighted sum of 10 per metre and 1 per rad.
+        /// L_abs, before its weight: squared translation distance in m^2, times 10 by default, plus angle in rad.
         pub absolute: f64,
         /// L_rel, in the same unit.
         pub relative: f64,

@@ -23,13 +23,13 @@ const MINIMUM_ANGLE: f64 = 1e-6;
 
 /// The constant rigid offset C between estimated and recorded poses: `recorded S ≈ estimated Z C`.
 ///
-/// * S is a rotation in the object's symmetry group. For a full rotational symmetry (a can) its angle cannot be observed, and only
-///   the directions of the axes are compared.
+/// * S is a rotation in the object's symmetry group. For a full rotational symmetry (a can) its angle cannot be observed, and
+///   only the directions of the axes are compared.
 /// * Z is the identity, or a rotation by pi about the z axis of the estimated frame, along which the gripper approaches. A
 ///   two-finger gripper grasps equally well after this rotation, and a demonstrator chooses the nearer alternative, so the
-///   choice of Z is not an error of the estimator. Z is used only if the object has no symmetry by pi: if it has one (cube, can), Z would
-///   change nothing observable. For the nut, whose handle is grasped 6 cm from its origin, no C without Z exists: the origin is
-///   on one side of the gripper or on the other.
+///   choice of Z is not an error of the estimator. Z is used only if the object has no symmetry by pi: if it has one (cube, can),
+///   Z would change nothing observable. For the nut, whose handle is grasped 6 cm from its origin, a single C without Z cannot
+///   fit: the origin is on one side of the gripper or on the other.
 ///
 /// So C has six parameters, of which five are observable under a full rotational symmetry. S and Z are chosen for each frame,
 /// so that they minimise the remaining angle.
