@@ -2,7 +2,7 @@
 //!
 //! A checkpoint is one file that is written atomically. It contains the weights, the optimiser's state and the results of the
 //! epochs so far. It begins with the key of the artifact that is being built and a hash over key and contents, so that neither a
-//! checkpoint of other data nor an incomplete one is ever used.
+//! checkpoint of other data nor an incomplete one is used.
 
 use std::fs;
 use std::io::{ErrorKind, Write as _};

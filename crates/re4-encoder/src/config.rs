@@ -44,14 +44,15 @@ pub struct EncoderConfig {
     pub backend: Backend,
     /// Number of epochs.
     pub epochs: u32,
-    /// Optimiser steps per epoch; if omitted, as many as needed for an epoch to use as many images as there are.
+    /// Optimiser steps per epoch; if omitted, the number of training images divided by the batch size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u32>,
     /// Images per step, a multiple of 8: groups of two demonstrations with four images each.
     pub batch: usize,
     /// Learning rate of AdamW.
     pub learning_rate: f64,
-    /// Whether the learning rate decays to zero along half a cosine period; otherwise it is constant.
+    /// Whether the learning rate warms up linearly over the first twentieth of the steps and decays to zero along half a cosine
+    /// period; otherwise it is constant.
     pub cosine: bool,
     /// Weight decay of AdamW.
     pub weight_decay: f64,

@@ -130,6 +130,7 @@ pub(crate) fn batches<'scope, 'env>(
     receiver
 }
 
+/// Loads and sends a batch, or the error. Returns whether the next batch is wanted.
 fn send(sender: &SyncSender<Result<Loaded, EncoderError>>, images: &ImageFile, batch: Batch) -> bool {
     let loaded = load(images, &batch.samples).map(|inputs| Loaded { batch, inputs });
     let good = loaded.is_ok();

@@ -79,28 +79,29 @@ pub struct Trained {
     pub rate: Option<f64>,
 }
 
-/// Number of steps per epoch: that of the settings, or as many as needed to use as many images as there are.
+/// Number of steps per epoch: that of the settings, or the number of training images divided by the batch size.
 pub fn steps_of(config: &EncoderConfig, sampler: &Sampler) -> u32 {
     config
         .steps
         .unwrap_or_else(|| (sampler.images() / config.batch).max(1) as u32)
 }
 
-/// Trains an encoder, from the last valid checkpoint if there is one. `going` is called after every step; its error stops the
+/// Trains an encoder, from the last valid checkpoint if there is one. `on_step` is called after every step; its error stops the
 /// training, and the checkpoints are kept.
 ///
 /// # Errors
-/// When the initial weights cannot be used, a loss is not finite, or the disk is full; or the error that `going` returns.
+/// When the initial weights cannot be used, a loss is not finite, or the disk is full; or the error that `on_step` returns.
 pub fn train<E: From<EncoderError>>(
     task: &Task,
     checkpoints: &Checkpoints,
-    mut going: impl FnMut(&Progress) -> Result<(), E>,
+    mut on_step: impl FnMut(&Progress) -> Result<(), E>,
 ) -> Result<Trained, E> {
     let config = task.config;
     let device = config.backend.device()?.autodiff();
     let mut encoder = start(task, &device)?;
     let mut optimizer = AdamWConfig::new()
         .with_weight_decay(config.weight_decay as f32)
+        // PyTorch's default, because the paper gives none; burn's default is larger.
         .with_epsilon(1e-8)
         .init();
     let mut epochs: Vec<Epoch> = Vec::new();
@@ -137,7 +138,7 @@ pub fn train<E: From<EncoderError>>(
                 for (sum, value) in sums.iter_mut().zip(values) {
                     *sum += value;
                 }
-                going(&Progress {
+                on_step(&Progress {
                     epoch: epoch + 1,
                     steps: u64::from(epoch) * u64::from(steps) + u64::from(step) + 1,
                     rate: sampled as f64 / clock.elapsed().as_secs_f64(),
@@ -178,6 +179,7 @@ fn learning_rate(config: &EncoderConfig, step: u64, steps: u32) -> f64 {
 fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
     let encoder = Encoder::new(task.config.width, device);
     let mut initializer = WeightInitializer {
+        // Another stream than that of the batches, so that the two sequences are independent for the same seed.
         rng: Pcg64::new(u128::from(task.config.seed), 0x5851_f42d_4c95_7f2d_1405_7b7e_f767_814f),
     };
     let encoder = encoder.map(&mut initializer).centred_on(&task.sampler.anchors());
@@ -187,8 +189,8 @@ fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
     }
 }
 
-/// Samples initial weights with its own generator. burn's initializers use global state, so they depend on other computations of
-/// the process.
+/// Samples initial weights with its own generator. burn's initializers use global state, so they depend on other computations
+/// of the process.
 struct WeightInitializer {
     rng: Pcg64,
 }
@@ -201,6 +203,7 @@ impl WeightInitializer {
 
     /// A standard normal number, by the Box-Muller transform.
     fn normal(&mut self) -> f64 {
+        // 1 - u is in (0, 1], so its logarithm is finite.
         let (log, angle) = ((1.0 - self.uniform()).ln(), self.uniform());
         (-2.0 * log).sqrt() * (std::f64::consts::TAU * angle).cos()
     }

@@ -81,7 +81,7 @@ pub enum AnchorError {
         expected.y
     )]
     #[remedy("give the goal pose of this dataset")]
-    Place {
+    Position {
         /// Centroid in the images, world px.
         found: Point2,
         /// Centroid for the goal pose, world px.
@@ -169,7 +169,7 @@ impl Anchor {
         }
         let expected = goal.transform_point(outline.centroid());
         if (centroid - expected).norm() > POSITION_TOLERANCE {
-            return Err(AnchorError::Place {
+            return Err(AnchorError::Position {
                 found: centroid,
                 expected,
             });

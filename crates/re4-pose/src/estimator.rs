@@ -86,7 +86,7 @@ columns! {
 }
 
 impl Estimate {
-    const NOTHING: Self = Self {
+    const NO_BLOCK: Self = Self {
         pose: None,
         confidence: 0.0,
         flag: Flag::NoBlock,
@@ -125,10 +125,10 @@ impl LogPolarEstimator {
     pub fn estimate(&self, image: &PushtImage<'_>) -> Estimate {
         let layer = BlockLayer::of(image);
         let Some(region) = largest(&layer.fractions, &layer.pixels) else {
-            return Estimate::NOTHING;
+            return Estimate::NO_BLOCK;
         };
         if region.area < MINIMUM_REGION * self.outline.pixels() {
-            return Estimate::NOTHING;
+            return Estimate::NO_BLOCK;
         }
         let signature = self.log_polar.signature(&region.mask, region.centroid);
         let rotation = self.log_polar.rotation(&self.signature, &signature);

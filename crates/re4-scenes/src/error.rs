@@ -30,7 +30,7 @@ pub enum ScenesError {
         "cannot choose scenes: the block at ({x:.1}, {y:.1}) px with angle {theta:.2} rad leaves no free position for the pusher at a clearance of {clearance} px"
     )]
     #[remedy("lower scenes.clearance")]
-    NoPlace {
+    NoPosition {
         /// x of the block, px.
         x: f64,
         /// y of the block, px.

@@ -76,7 +76,7 @@ table! {
 
 /// Chooses the scenes that `config` describes, sorted by pose and pusher.
 ///
-/// `going` is called once per (x, y) column of the grid; the choice stops when it returns `false`.
+/// `keep_going` is called once per (x, y) column of the grid; the choice stops when it returns `false`.
 ///
 /// # Errors
 /// When there are no frames or one is not finite, when too few poses keep the separation, when a pose leaves no free position
@@ -84,10 +84,10 @@ table! {
 pub fn sparse_scenes(
     frames: &[ObjectFrame],
     config: &ScenesConfig,
-    going: &(dyn Fn() -> bool + Sync),
+    keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<SparseScene>, ScenesError> {
     let sweep = sweep::Sweep::new(frames, config)?;
-    let chosen = select::greedy(sweep.candidates(going)?, &sweep, config)?;
+    let chosen = select::greedy(sweep.candidates(keep_going)?, &sweep, config)?;
     let mut scenes = Vec::new();
     for (pose, block) in (0..).zip(chosen) {
         let (rho, nearest_demo, nearest_frame) = sweep.nearest(block)?;

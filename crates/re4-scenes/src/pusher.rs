@@ -31,7 +31,7 @@ pub(crate) fn positions(block: Pose2, pose: u32, config: &ScenesConfig) -> Resul
             let x = coordinate();
             Point2::new(x, coordinate())
         });
-        samples.find(is_free).ok_or(ScenesError::NoPlace {
+        samples.find(is_free).ok_or(ScenesError::NoPosition {
             x: block.x,
             y: block.y,
             theta: block.theta,

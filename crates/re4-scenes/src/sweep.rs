@@ -121,11 +121,11 @@ impl Sweep {
     }
 
     /// All grid points with their distances, in grid order; without those that reach into a wall if `inside_walls` is set.
-    /// `going` is called once per column of angles; the sweep stops when it returns `false`.
-    pub(crate) fn candidates(&self, going: &(dyn Fn() -> bool + Sync)) -> Result<Vec<Candidate>, ScenesError> {
+    /// `keep_going` is called once per column of angles; the sweep stops when it returns `false`.
+    pub(crate) fn candidates(&self, keep_going: &(dyn Fn() -> bool + Sync)) -> Result<Vec<Candidate>, ScenesError> {
         let n = self.count;
         let columns = (0..n * n).into_par_iter().map(|column| {
-            if !going() {
+            if !keep_going() {
                 return Err(ScenesError::Interrupted);
             }
             let poses = (column * n..(column + 1) * n).map(|index| (index, self.pose(index)));

@@ -233,6 +233,7 @@ impl Simulator for PushT {
                 limit: COORDINATE_LIMIT,
             });
         }
+        // After a divergence the state stays invalid until a reset, and Chipmunk would abort the process on it.
         Self::check_state(&self.world, "step")?;
         for _ in 0..SUBSTEPS {
             let velocity = self.world.agent_velocity();

@@ -108,7 +108,8 @@ impl Generator {
     }
 }
 
-/// numpy's `SeedSequence(seed).generate_state(4, uint64)`.
+/// numpy's `SeedSequence(seed).generate_state(4, uint64)`. The constants are those of numpy's `bit_generator.pyx`: `INIT_A`,
+/// `MULT_A`, `MIX_MULT_L`, `MIX_MULT_R`, `INIT_B` and `MULT_B`, in this order.
 fn seed_sequence(seed: u32) -> [u64; 4] {
     let mut constant = 0x43b0_d7e5_u32;
     let mut hash = |value: u32| {

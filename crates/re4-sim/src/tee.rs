@@ -70,6 +70,7 @@ pub fn iou(block: Pose2, goal: Pose2) -> f64 {
     iou_of_area(overlap_area(&tee_vertices(block), &tee_vertices(goal)))
 }
 
+/// The minimum removes the rounding error of a block that is exactly on the goal; the same holds for [`iou_of_area`].
 pub(crate) fn coverage_of_area(overlap: f64) -> f64 {
     (overlap / TEE_AREA).min(1.0)
 }

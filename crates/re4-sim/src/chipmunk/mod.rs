@@ -84,14 +84,14 @@ impl World {
         // are finite: constants, and poses that the caller has checked. `rectangles` are convex, so the polygons
         // are valid. The handler's data is the counter, which keeps its address and is freed after the space.
         unsafe {
-            let space = made(ffi::cpSpaceNew());
+            let space = non_null(ffi::cpSpaceNew());
             // The block keeps no velocity after a physics step: Chipmunk multiplies it by 0^dt = 0. The agent is
             // kinematic and not damped.
             ffi::cpSpaceSetDamping(space.as_ptr(), 0.0);
 
             let ground = ffi::cpSpaceGetStaticBody(space.as_ptr());
             for [a, b] in WALLS {
-                let wall = made(ffi::cpSegmentShapeNew(
+                let wall = non_null(ffi::cpSegmentShapeNew(
                     ground,
                     from_point(a),
                     from_point(b),
@@ -101,9 +101,9 @@ impl World {
                 shapes.push(wall);
             }
 
-            let agent_body = made(ffi::cpBodyNewKinematic());
+            let agent_body = non_null(ffi::cpBodyNewKinematic());
             ffi::cpBodySetPosition(agent_body.as_ptr(), from_point(agent));
-            let disc = made(ffi::cpCircleShapeNew(agent_body.as_ptr(), agent_radius, vect(0.0, 0.0)));
+            let disc = non_null(ffi::cpCircleShapeNew(agent_body.as_ptr(), agent_radius, vect(0.0, 0.0)));
             ffi::cpSpaceAddBody(space.as_ptr(), agent_body.as_ptr());
             ffi::cpSpaceAddShape(space.as_ptr(), disc.as_ptr());
             shapes.push(disc);
@@ -111,7 +111,7 @@ impl World {
             let corners = rectangles.map(|rectangle| rectangle.map(from_point));
             // Twice the bar's moment of inertia: gym-pusht and diffusion_policy both pass the bar's corners for the stem too.
             let moment = bar_moment(&corners[0]) + bar_moment(&corners[0]);
-            let block_body = made(ffi::cpBodyNew(BLOCK_MASS, moment));
+            let block_body = non_null(ffi::cpBodyNew(BLOCK_MASS, moment));
             let parts = corners.map(|corners| polygon(block_body, &corners));
             let [bar_centre, stem_centre] = parts.map(|part| point(ffi::cpShapeGetCenterOfGravity(part.as_ptr())));
             let centre = (bar_centre + stem_centre) / 2.0;
@@ -124,7 +124,7 @@ impl World {
                 shapes.push(part);
             }
 
-            let handler = made(ffi::cpSpaceAddCollisionHandler(space.as_ptr(), 0, 0)).as_ptr();
+            let handler = non_null(ffi::cpSpaceAddCollisionHandler(space.as_ptr(), 0, 0)).as_ptr();
             (*handler).post_solve = Some(count_contact_points);
             (*handler).user_data = contact_points.as_ptr().cast::<c_void>();
 
@@ -213,7 +213,7 @@ impl Drop for World {
 }
 
 /// Wraps a pointer that a Chipmunk constructor returned; these do not return null.
-fn made<T>(pointer: *mut T) -> NonNull<T> {
+fn non_null<T>(pointer: *mut T) -> NonNull<T> {
     match NonNull::new(pointer) {
         Some(pointer) => pointer,
         // The same reaction as that of Rust's allocator when memory runs out.
@@ -248,7 +248,7 @@ unsafe fn polygon(body: NonNull<CpBody>, corners: &[CpVect; 4]) -> NonNull<CpSha
         ty: 0.0,
     };
     // SAFETY: the pointer and the count describe `corners`, which the call copies; the body is alive.
-    made(unsafe { ffi::cpPolyShapeNew(body.as_ptr(), corners.len() as c_int, corners.as_ptr(), identity, 0.0) })
+    non_null(unsafe { ffi::cpPolyShapeNew(body.as_ptr(), corners.len() as c_int, corners.as_ptr(), identity, 0.0) })
 }
 
 /// Called by Chipmunk for each touching pair of shapes after a physics step has solved it. It cannot unwind.

@@ -191,6 +191,7 @@ impl Controller {
         let torque =
             STIFFNESS * orientation_error(&self.goal_rotation, &state.rotation) - damping * state.angular_velocity;
 
+        // Task-space inertia Λ = (J M⁻¹ Jᵀ)⁻¹. Position and orientation each get their own 3 x 3 block, which decouples them.
         let inverse = state.inertia.try_inverse().unwrap_or_else(Inertia::zeros);
         let jacobian = &state.jacobian;
         let inverse_jacobian_t = inverse * jacobian.transpose();
