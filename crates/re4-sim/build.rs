@@ -1,19 +1,19 @@
-//! Finds the Chipmunk 7 library and tells the linker about it, the archive before the shared library.
+//! Finds the Chipmunk 7 library and passes it to the linker; in each folder the archive is preferred to the shared library.
 
 use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Names a folder that holds `libchipmunk.a` or `libchipmunk.so`; it is looked in before all others.
+/// Names a folder that contains `libchipmunk.a` or `libchipmunk.so`; it is searched first.
 const FOLDER_VARIABLE: &str = "CHIPMUNK_LIB_DIR";
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed={FOLDER_VARIABLE}");
 
-    // The archive before the shared library of the same folder: then the program runs on machines without the library, and
-    // no other copy of it can be loaded in its place. Debian's archive links into position-independent programs, which
-    // Rust makes.
+    // The archive is preferred to the shared library of the same folder: the program then runs on machines without the library,
+    // and no other copy can be loaded at run time. Debian's archive links into position-independent executables, which Rust
+    // builds.
     let kinds = [
         ("libchipmunk.a", "static"),
         ("libchipmunk.so", "dylib"),
@@ -35,16 +35,16 @@ fn main() {
     println!("cargo::rustc-link-lib=dylib=m");
 }
 
-/// Folders to look in, in order: the variable's, pkg-config's, the C compiler's, the usual ones.
+/// Folders to search, in order: the variable's, pkg-config's, the C compiler's, the usual ones.
 fn candidate_folders() -> Vec<PathBuf> {
     let mut folders: Vec<PathBuf> = env::var_os(FOLDER_VARIABLE).map(PathBuf::from).into_iter().collect();
-    // Debian's package ships no chipmunk.pc, so pkg-config is asked but not relied on.
+    // Debian's package has no chipmunk.pc, so pkg-config may find nothing.
     if let Some(output) = output_of("pkg-config", &["--variable=libdir", "chipmunk"]) {
         folders.push(PathBuf::from(output));
     }
     for name in ["libchipmunk.a", "libchipmunk.so"] {
         if let Some(output) = output_of("cc", &[&format!("-print-file-name={name}")]) {
-            // An unknown file is answered with its bare name, which has no folder.
+            // The compiler answers with the bare file name if it does not find the file.
             folders.extend(
                 Path::new(&output)
                     .parent()

@@ -1,12 +1,16 @@
-//! Training rate of the encoder: forward, loss, backward and a step of `AdamW` on images of 76 x 76 that stay the same.
+//! Measures the training rate of the encoder: forward pass, loss, backward pass and an `AdamW` step on constant 76 x 76 images.
 //!
 //! ```text
 //! encoder_rate [--width 64] [--batch 64] [--steps 5] [--threads 2] [--backend flex]
 //! ```
 //!
-//! Prints one JSON object with the seconds of every step after one that warms up. `benches/encoder_rate.py` runs it in turn with
-//! `PyTorch`. Backends are those of a pipeline file.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "its output is what it is for")]
+//! Prints one JSON object with the seconds of every step after one warm-up step. `benches/encoder_rate.py` runs it alternately
+//! with `PyTorch`. The backends are those of a pipeline file.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "this example prints its results"
+)]
 
 use std::process::ExitCode;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! What computes: from its name in a pipeline file to a device of burn.
+//! Backends: from the name in a pipeline file to a device of burn.
 
 use burn::tensor::Device;
 
@@ -6,10 +6,10 @@ use crate::EncoderError;
 use crate::config::Backend;
 
 impl Backend {
-    /// Its device, without gradients.
+    /// The backend's device, without gradients.
     ///
     /// # Errors
-    /// When this program was built without it, or the machine has no such device.
+    /// When this program was built without the backend, or the machine has no such device.
     pub fn device(self) -> Result<Device, EncoderError> {
         match self {
             Self::Flex => Ok(Device::flex()),
@@ -18,10 +18,10 @@ impl Backend {
         }
     }
 
-    /// Sets how many threads compute, for the whole program. Takes effect once, before the first computation.
+    /// Sets the number of threads of the whole program. This takes effect once, before the first computation.
     ///
     /// # Errors
-    /// When this program was built without the backend, or its threads are running already.
+    /// When this program was built without the backend, or its threads have already started.
     pub fn set_threads(self, threads: usize) -> Result<(), EncoderError> {
         match self {
             Self::Flex => rayon::ThreadPoolBuilder::new()
@@ -36,8 +36,8 @@ impl Backend {
 #[cfg(feature = "torch")]
 #[expect(
     deprecated,
-    reason = "burn means to drop LibTorch; on a processor it is the fastest there is, and on a graphics card the only one that \
-              needs no download while building"
+    reason = "burn plans to remove LibTorch; it is the fastest backend on a CPU, and the only one for a GPU that \
+              needs no download at build time"
 )]
 mod torch {
     use super::{Backend, Device, EncoderError};
@@ -46,7 +46,7 @@ mod torch {
         Ok(Device::libtorch())
     }
 
-    /// Asked beforehand: `LibTorch` would stop the program where there is none.
+    /// Checks for a GPU first, because `LibTorch` aborts the program if there is none.
     pub(super) fn graphics_card() -> Result<Device, EncoderError> {
         if tch::Cuda::is_available() {
             Ok(Device::libtorch_cuda(0))

@@ -1,10 +1,10 @@
-//! Which images a step of the optimiser sees.
+//! Sampling of training batches.
 //!
-//! A batch has groups of two demonstrations. The first demonstration of a group is drawn among all that are trained on; the
-//! second among those whose anchor is nearer than the radius and turned by less than [`SAME_TURN`], and is the first one again
-//! where there is none. Of each, two frames before the grasp and two that hold the object are drawn, independently and with
-//! equal chances, and every image has its own crop. Every draw depends on seed, epoch and step alone, so a training that
-//! goes on after a checkpoint draws the same.
+//! A batch consists of groups of two demonstrations. The first demonstration of a group is sampled from the training set. The
+//! second is sampled from the demonstrations whose anchor differs from the first one's by less than the radius and less than
+//! [`SAME_ROTATION`]; if there are none, it is the first one again. From each demonstration, two frames before the grasp and two
+//! that hold the object are sampled uniformly and independently, and every image has its own random crop. All samples depend only
+//! on seed, epoch and step, so a training that resumes from a checkpoint uses the same batches.
 
 use nalgebra::{Isometry3, Vector3};
 use rand_pcg::Pcg64;
@@ -13,17 +13,18 @@ use rand_pcg::rand_core::Rng as _;
 use crate::loss::{BEFORE, GROUP, HELD};
 use crate::{CROP, SIDE};
 
-/// Anchors that are turned by more than this against each other, in rad, are not one place: the gripper holds another way.
-const SAME_TURN: f64 = 0.3;
+/// Maximum angle between two anchors that L_cross treats as the same pose, in rad; beyond it, the gripper holds the object
+/// differently.
+const SAME_ROTATION: f64 = 0.3;
 
-/// What training knows of a demonstration. There is no recorded object pose in it.
+/// The training data of a demonstration. It has no recorded object pose.
 #[derive(Debug, Clone)]
 pub struct TrainingDemo {
-    /// Number of its first image in the file of images.
+    /// Number of its first image in the image file.
     pub first: u64,
-    /// Frames before the grasp, whose images show the object at the anchor.
+    /// Frames before the grasp, in which the object is at the anchor.
     pub before: Vec<u32>,
-    /// Frames that hold the object.
+    /// Frames in which the gripper holds the object.
     pub held: Vec<u32>,
     /// End effector's pose at the grasp.
     pub anchor: Isometry3<f64>,
@@ -31,27 +32,27 @@ pub struct TrainingDemo {
     pub eef: Vec<Isometry3<f64>>,
 }
 
-/// An image of a batch.
+/// An image of a batch, with its target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Number of the image.
     pub image: u64,
     /// First row and column of the crop.
     pub crop: [u8; 2],
-    /// What the estimate should be.
+    /// Target of the estimate.
     pub target: Isometry3<f64>,
 }
 
-/// The images of a step.
+/// The images of an optimiser step.
 #[derive(Debug, Clone)]
 pub struct Batch {
-    /// In groups of [`GROUP`].
+    /// The images, in groups of [`GROUP`].
     pub samples: Vec<Sample>,
-    /// For each group, whether its two anchors belong to one place.
+    /// For each group, whether its anchors are those of two demonstrations that L_cross treats as the same pose.
     pub near: Vec<bool>,
 }
 
-/// Draws batches.
+/// Samples batches.
 #[derive(Debug)]
 pub struct Sampler {
     demos: Vec<TrainingDemo>,
@@ -60,18 +61,18 @@ pub struct Sampler {
     groups: usize,
 }
 
-/// A whole number below `bound`, which is at least 1.
+/// A uniform integer below `bound`, which must be at least 1.
 fn below(rng: &mut Pcg64, bound: usize) -> usize {
-    // Of 64 bits times the bound, the upper half: even up to bound / 2^64.
+    // The upper half of the product with a 64-bit number: uniform up to a bias of bound / 2^64.
     ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
 }
 
 impl Sampler {
-    /// Every demonstration needs frames of both kinds.
+    /// A sampler for demonstrations that each have frames before the grasp and frames that hold the object.
     pub fn new(demos: Vec<TrainingDemo>, radius: f64, seed: u64, batch: usize) -> Self {
         let same = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
-            let way: Vector3<f64> = a.translation.vector - b.translation.vector;
-            way.norm() < radius && a.rotation.angle_to(&b.rotation) < SAME_TURN
+            let difference: Vector3<f64> = a.translation.vector - b.translation.vector;
+            difference.norm() < radius && a.rotation.angle_to(&b.rotation) < SAME_ROTATION
         };
         let near = (0..demos.len())
             .map(|i| {
@@ -88,7 +89,7 @@ impl Sampler {
         }
     }
 
-    /// The batch of a step, both counted from 0.
+    /// The batch of a step; epoch and step are counted from 0.
     pub fn batch(&self, epoch: u32, step: u32) -> Batch {
         let mut rng = Pcg64::new(
             u128::from(self.seed) << 64 | u128::from(epoch) << 32 | u128::from(step),
@@ -105,10 +106,10 @@ impl Sampler {
                 n => others[below(&mut rng, n)],
             };
             for demo in [&self.demos[first], &self.demos[second]] {
-                let mut draw = |frames: &[u32], target: &dyn Fn(usize) -> Isometry3<f64>| {
+                let mut sample = |frames: &[u32], target: &dyn Fn(usize) -> Isometry3<f64>| {
                     let frame = frames[below(&mut rng, frames.len())];
-                    let free = SIDE - CROP + 1;
-                    let crop = [below(&mut rng, free) as u8, below(&mut rng, free) as u8];
+                    let offsets = SIDE - CROP + 1;
+                    let crop = [below(&mut rng, offsets) as u8, below(&mut rng, offsets) as u8];
                     samples.push(Sample {
                         image: demo.first + u64::from(frame),
                         crop,
@@ -116,27 +117,27 @@ impl Sampler {
                     });
                 };
                 for _ in 0..BEFORE {
-                    draw(&demo.before, &|_| demo.anchor);
+                    sample(&demo.before, &|_| demo.anchor);
                 }
                 for _ in 0..HELD {
-                    draw(&demo.held, &|frame| demo.eef[frame]);
+                    sample(&demo.held, &|frame| demo.eef[frame]);
                 }
             }
         }
         Batch { samples, near }
     }
 
-    /// The anchors: where estimates start from.
+    /// The anchors of the demonstrations, around which the initial estimates are distributed.
     pub fn anchors(&self) -> Vec<Isometry3<f64>> {
         self.demos.iter().map(|demo| demo.anchor).collect()
     }
 
-    /// Fraction of demonstrations that have another one near.
+    /// Fraction of the demonstrations that have another one with a nearby anchor.
     pub fn with_neighbours(&self) -> f64 {
         self.near.iter().filter(|others| !others.is_empty()).count() as f64 / self.demos.len().max(1) as f64
     }
 
-    /// How many images there are to draw from.
+    /// Number of images in the training set.
     pub fn images(&self) -> usize {
         self.demos.iter().map(|demo| demo.before.len() + demo.held.len()).sum()
     }

@@ -1,8 +1,8 @@
-//! Checkpoints: what a training that was ended goes on from.
+//! Checkpoints, from which an interrupted training resumes.
 //!
-//! A checkpoint is one file, written whole or not at all. It holds weights, the optimiser's state and the course so far, and
-//! is tied by a hash to the artifact in the making and to its own contents: one of other data, or one that is not whole, is
-//! never taken for it.
+//! A checkpoint is one file that is written atomically. It contains the weights, the optimiser's state and the results of the
+//! epochs so far. It begins with the key of the artifact that is being built and a hash over key and contents, so that neither a
+//! checkpoint of other data nor an incomplete one is used.
 
 use std::fs;
 use std::io::{ErrorKind, Write as _};
@@ -16,17 +16,17 @@ use crate::EncoderError;
 use crate::resnet::Encoder;
 use crate::train::Epoch;
 
-/// First bytes of a file.
+/// First bytes of a checkpoint file.
 const MAGIC: &[u8; 16] = b"re4 checkpoint 1";
 
-/// The folder of the checkpoints of an artifact.
+/// The checkpoint folder of an artifact.
 #[derive(Debug)]
 pub struct Checkpoints {
     folder: PathBuf,
     key: [u8; 32],
 }
 
-/// A checkpoint that was read.
+/// The contents of a checkpoint file.
 pub(crate) struct Checkpoint {
     path: PathBuf,
     encoder: Vec<u8>,
@@ -39,10 +39,10 @@ fn name(epochs: usize) -> String {
 }
 
 impl Checkpoints {
-    /// The folder, made if need be, of the artifact of this key.
+    /// Opens the checkpoint folder of the artifact with this key, and creates it if necessary.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// When the folder cannot be created.
     pub fn open(folder: &Path, key: [u8; 32]) -> Result<Self, EncoderError> {
         fs::create_dir_all(folder).map_err(|source| EncoderError::Checkpoint {
             path: folder.to_path_buf(),
@@ -54,10 +54,10 @@ impl Checkpoints {
         })
     }
 
-    /// In words, the checkpoint that is kept after so many epochs.
+    /// A sentence about the checkpoint that is kept after this number of epochs, for error messages.
     pub(crate) fn describe(&self, epochs: u32) -> String {
         match epochs {
-            0 => "no epoch was finished before it".to_owned(),
+            0 => "no epoch was finished, so there is no checkpoint".to_owned(),
             n => format!(
                 "the checkpoint of epoch {n} is kept as {}",
                 self.folder.join(name(n as usize)).display()
@@ -72,7 +72,7 @@ impl Checkpoints {
         *hasher.finalize().as_bytes()
     }
 
-    /// Writes the checkpoint of the last of these epochs, and removes those before it.
+    /// Writes the checkpoint of the last of these epochs, and removes older ones.
     pub(crate) fn keep(
         &self,
         encoder: &Encoder,
@@ -85,16 +85,16 @@ impl Checkpoints {
             source,
         };
         let other = |error: &dyn std::fmt::Display| failed(std::io::Error::other(error.to_string()));
-        let course = serde_json::to_vec(epochs).map_err(|error| other(&error))?;
-        // Without gradients, so that the statistics of batch normalisation are those after the last step.
+        let epoch_results = serde_json::to_vec(epochs).map_err(|error| other(&error))?;
+        // The inference copy of the module has the statistics of batch normalisation after the last step.
         let encoder = encoder
             .valid()
             .into_record()
             .into_bytes()
             .map_err(|error| other(&error))?;
         let optimizer = optimizer.into_bytes().map_err(|error| other(&error))?;
-        let mut contents = Vec::with_capacity(encoder.len() + optimizer.len() + course.len() + 24);
-        for part in [course.as_slice(), &encoder, &optimizer] {
+        let mut contents = Vec::with_capacity(encoder.len() + optimizer.len() + epoch_results.len() + 24);
+        for part in [epoch_results.as_slice(), &encoder, &optimizer] {
             contents.extend((part.len() as u64).to_le_bytes());
             contents.extend_from_slice(part);
         }
@@ -108,14 +108,14 @@ impl Checkpoints {
         file.persist(&path).map_err(|error| failed(error.error))?;
         for (number, older) in self.found()? {
             if number < epochs.len() {
-                // One that stays is in nobody's way.
+                // A failure does not matter: the newest valid checkpoint is used.
                 let _ = fs::remove_file(older);
             }
         }
         Ok(())
     }
 
-    /// Files that are called checkpoints, by their epoch.
+    /// Paths of the files with the name of a checkpoint, sorted by epoch.
     fn found(&self) -> Result<Vec<(usize, PathBuf)>, EncoderError> {
         let failed = |source| EncoderError::Checkpoint {
             path: self.folder.clone(),
@@ -134,7 +134,10 @@ impl Checkpoints {
         Ok(found)
     }
 
-    /// The last one that is whole.
+    /// The last valid checkpoint.
+    ///
+    /// # Errors
+    /// When a file cannot be read, or belongs to another artifact.
     pub(crate) fn last(&self) -> Result<Option<Checkpoint>, EncoderError> {
         for (_, path) in self.found()?.into_iter().rev() {
             let bytes = match fs::read(&path) {
@@ -159,8 +162,8 @@ impl Checkpoints {
             if *hash != self.hash(contents) {
                 continue;
             }
-            if let Some([course, encoder, optimizer]) = parts(contents)
-                && let Ok(epochs) = serde_json::from_slice(course)
+            if let Some([epoch_results, encoder, optimizer]) = parts(contents)
+                && let Ok(epochs) = serde_json::from_slice(epoch_results)
             {
                 return Ok(Some(Checkpoint {
                     path,
@@ -173,20 +176,20 @@ impl Checkpoints {
         Ok(None)
     }
 
-    /// Removes the folder; the artifact is published.
+    /// Removes the folder after the artifact is published.
     ///
     /// # Errors
-    /// When it cannot be removed.
+    /// When the folder cannot be removed.
     pub fn remove(self) -> Result<(), EncoderError> {
         match fs::remove_dir_all(&self.folder) {
-            // Another run of the same artifact was first.
+            // Another run of the same artifact has already removed it.
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             removed => removed.map_err(|source| EncoderError::Checkpoint {
                 path: self.folder.clone(),
                 source,
             })?,
         }
-        // Others may still need the folder of all checkpoints.
+        // Removes the parent folder if it is empty; other artifacts may still have checkpoints there.
         if let Some(all) = self.folder.parent() {
             let _ = fs::remove_dir(all);
         }
@@ -205,7 +208,7 @@ fn parts(mut contents: &[u8]) -> Option<[&[u8]; 3]> {
 }
 
 impl Checkpoint {
-    /// Puts what it holds in the place of a training's beginning.
+    /// Loads the checkpoint into a new encoder and optimiser.
     pub(crate) fn restore(
         self,
         encoder: Encoder,

@@ -5,20 +5,20 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What computes.
+/// The backend that runs the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
-    /// Pure Rust on the processor; always there, and the same bits for any number of threads.
+    /// Pure Rust on the CPU; always available, with bit-identical results for any number of threads.
     Flex,
-    /// `LibTorch` on the processor; built with `--features torch`.
+    /// `LibTorch` on the CPU; requires a build with `--features torch`.
     Torch,
-    /// `LibTorch` on an NVIDIA graphics card; built with `--features torch`.
+    /// `LibTorch` on an NVIDIA GPU; requires a build with `--features torch`.
     Cuda,
 }
 
 impl Backend {
-    /// Its name in pipeline files.
+    /// The backend's name in pipeline files.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Flex => "flex",
@@ -28,40 +28,41 @@ impl Backend {
     }
 }
 
-/// The encoder and how it is trained (the paper's appendix "Prehensile Pose Estimation").
+/// The encoder and its training (the paper's appendix "Prehensile Pose Estimation").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EncoderConfig {
-    /// Camera whose images are read.
+    /// Name of the camera whose images are the input.
     pub camera: String,
-    /// Channels after the first convolution: 64 is ResNet-18; fewer make all layers narrower by the same factor.
+    /// Channels after the first convolution: 64 for ResNet-18; a smaller number makes all layers narrower by the same factor.
     pub width: usize,
-    /// Weights to start from: ResNet-18's in torchvision's names, as `.pth` or `.safetensors`. Random ones where it is left
-    /// out. Looked for as the source is.
+    /// Initial weights: those of ResNet-18 with torchvision's names, as `.pth` or `.safetensors`. If omitted, the initial weights
+    /// are random. The path is resolved like that of the source.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
-    /// What computes. Others than `flex` need a program built with them.
+    /// The backend. Backends other than `flex` require a program built with them.
     pub backend: Backend,
-    /// Epochs.
+    /// Number of epochs.
     pub epochs: u32,
-    /// Steps of the optimiser an epoch; as many as draw as many images as there are where it is left out.
+    /// Optimiser steps per epoch; if omitted, the number of training images divided by the batch size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u32>,
-    /// Images a step, a multiple of 8: groups of two demonstrations with four images each.
+    /// Images per step, a multiple of 8: groups of two demonstrations with four images each.
     pub batch: usize,
     /// Learning rate of AdamW.
     pub learning_rate: f64,
-    /// Whether the learning rate falls to zero along half a cosine; it is constant otherwise.
+    /// Whether the learning rate warms up linearly over the first twentieth of the steps and decays to zero along half a cosine
+    /// period; otherwise it is constant.
     pub cosine: bool,
     /// Weight decay of AdamW.
     pub weight_decay: f64,
     /// Weights of the losses.
     pub losses: LossConfig,
-    /// Anchors of two demonstrations that are nearer than this belong to one place (L_cross), in metres.
+    /// Maximum distance between the anchors of two demonstrations that L_cross treats as the same pose, in metres.
     pub radius: f64,
-    /// Fraction of the demonstrations that are not trained on and tell how good the encoder is.
+    /// Fraction of the demonstrations in the held-out set, which is not trained on and is used to evaluate the encoder.
     pub held_out: f64,
-    /// Seed of weights, batches and crops.
+    /// Seed of initial weights, batches and crops.
     pub seed: u64,
 }
 
@@ -86,23 +87,23 @@ impl Default for EncoderConfig {
     }
 }
 
-/// Weights of the losses; 0 leaves one out.
+/// Weights of the losses; a weight of 0 disables a loss.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LossConfig {
-    /// L_abs: the estimate is the end effector's pose while the object is held, and before that the demonstration's anchor.
+    /// L_abs: the estimate equals the end effector's pose while the object is held, and the demonstration's anchor before that.
     pub absolute: f64,
-    /// L_rel: inside of a demonstration, the object moves as the end effector while held, and not at all before.
+    /// L_rel: within a demonstration, the object moves like the end effector while held, and does not move before the grasp.
     pub relative: f64,
-    /// L_cross: demonstrations whose anchors are near have the same estimate before the grasp.
+    /// L_cross: demonstrations with nearby anchors have equal estimates before the grasp.
     pub cross: f64,
-    /// Of L_abs, the fraction of frames that hold the object; the others are before the grasp.
+    /// In L_abs, the fraction of the weight on frames that hold the object; the rest is on frames before the grasp.
     pub absolute_held: f64,
-    /// In L_rel, the weight of pairs that hold the object.
+    /// In L_rel, the weight of pairs of frames that hold the object.
     pub relative_held: f64,
-    /// In L_rel, the weight of pairs before the grasp.
+    /// In L_rel, the weight of pairs of frames before the grasp.
     pub relative_before: f64,
-    /// Weight of a metre of translation where a radian counts 1.
+    /// Weight of the squared translation distance in m^2, relative to the rotation angle in rad.
     pub translation: f64,
 }
 

@@ -1,26 +1,26 @@
-//! What can go wrong.
+//! Errors of the encoder.
 
 use re4_fault::{Fault, Remedy};
 use std::path::PathBuf;
 
-/// An error of the encoder, in one sentence.
+/// Why the encoder cannot be trained, loaded or used.
 #[derive(Debug, thiserror::Error, Remedy)]
 pub enum EncoderError {
-    /// This program was built without a backend.
-    #[error("pose.encoder.backend is \"{0}\", and this program was built without it")]
-    #[remedy("build it with --features torch, or set it to \"flex\"")]
+    /// This program was built without the backend.
+    #[error("pose.encoder.backend is \"{0}\", but this program was built without it")]
+    #[remedy("build it with --features torch, or set pose.encoder.backend = \"flex\"")]
     NoBackend(&'static str),
-    /// No graphics card that `LibTorch` can use.
-    #[error("pose.encoder.backend is \"cuda\", and LibTorch finds no NVIDIA graphics card")]
+    /// `LibTorch` finds no GPU that it can use.
+    #[error("pose.encoder.backend is \"cuda\", but LibTorch finds no NVIDIA GPU")]
     #[remedy(
-        "check that nvidia-smi lists one and that the LibTorch of this program is one for CUDA, or set it to \"torch\""
+        "check that nvidia-smi lists a GPU and that this program's LibTorch supports CUDA, or set pose.encoder.backend = \"torch\""
     )]
     NoGraphicsCard,
     /// The number of threads cannot be set.
     #[error("cannot set the number of threads ({0})")]
-    #[remedy("set it once, before anything is computed")]
+    #[remedy("set it once, before the first computation")]
     Threads(String),
-    /// A file of weights is not what it should be.
+    /// A weights file cannot be used.
     #[error("cannot use the weights {path}: {why}", path = .path.display())]
     #[remedy(why.remedy())]
     Weights {
@@ -29,37 +29,37 @@ pub enum EncoderError {
         /// What is wrong, and how to fix it.
         why: Fault,
     },
-    /// Scratch space cannot be written.
+    /// The scratch file of images cannot be written.
     #[error("cannot write images to a scratch file in {folder}: {source}", folder = .folder.display())]
-    #[remedy("free some space and run again, training goes on from the last checkpoint")]
+    #[remedy("free some space and run again, training resumes from the last checkpoint")]
     Scratch {
-        /// Where.
+        /// Folder of the scratch file.
         folder: PathBuf,
-        /// Why.
+        /// The underlying error.
         source: std::io::Error,
     },
-    /// Scratch space cannot be read.
+    /// The scratch file of images cannot be read.
     #[error("cannot read the scratch file of images: {0}")]
-    #[remedy("run again, training goes on from the last checkpoint")]
+    #[remedy("run again, training resumes from the last checkpoint")]
     ScratchRead(std::io::Error),
-    /// The thread that loads images ended.
-    #[error("the thread that loads images ended before the epoch did")]
-    #[remedy("run again, training goes on from the last checkpoint")]
+    /// The image loading thread ended early.
+    #[error("the image loading thread ended before the epoch did")]
+    #[remedy("run again, training resumes from the last checkpoint")]
     Loader,
     /// A checkpoint cannot be written or read.
-    #[error("cannot keep or read the checkpoint {path}: {source}", path = .path.display())]
-    #[remedy("free some space, or remove it, and run again")]
+    #[error("cannot write or read the checkpoint {path}: {source}", path = .path.display())]
+    #[remedy("free some space, or remove the checkpoint, and run again")]
     Checkpoint {
-        /// Which.
+        /// The checkpoint.
         path: PathBuf,
-        /// Why.
+        /// The underlying error.
         source: std::io::Error,
     },
-    /// A checkpoint of another training.
-    #[error("the checkpoint {path} is of another training, with other data or settings", path = .path.display())]
+    /// A checkpoint belongs to another training run.
+    #[error("the checkpoint {path} is of another training run, with other data or settings", path = .path.display())]
     #[remedy("remove it and run again")]
     ForeignCheckpoint {
-        /// Which.
+        /// The checkpoint.
         path: PathBuf,
     },
     /// The training diverged.
@@ -70,11 +70,11 @@ pub enum EncoderError {
         epoch: u32,
         /// Step of the epoch, from 1.
         step: u32,
-        /// What is kept.
+        /// Which checkpoint is kept.
         kept: String,
     },
-    /// An image of another size.
-    #[error("an image has {0} bytes where 84 x 84 pixels of three colours have 21168")]
-    #[remedy("use images of that size")]
+    /// An image has the wrong size.
+    #[error("an image has {0} bytes, but an RGB image of 84 x 84 pixels has 21168")]
+    #[remedy("use RGB images of 84 x 84 pixels")]
     Image(usize),
 }

@@ -1,7 +1,7 @@
-//! Images on disk, and batches of them made ahead.
+//! Images on disk, and a thread that loads batches in advance.
 //!
-//! A training draws images in no order. So they are unpacked once, one after the other, into a file beside the artifact in
-//! the making, and read from there one by one: memory does not grow with the dataset.
+//! Training reads images in random order. They are therefore unpacked once, sequentially, to a file next to the artifact that is
+//! being built, and read from there one by one, so that memory does not grow with the dataset.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -13,14 +13,14 @@ use std::thread::Scope;
 use crate::batches::{Batch, Sample, Sampler};
 use crate::{CROP, EncoderError, PICTURE_BYTES, SIDE};
 
-/// Means and standard deviations of ImageNet's colours, red, green, blue, which ResNet's weights are for.
+/// Means and standard deviations of ImageNet's channels (red, green, blue), for which ResNet's weights are trained.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// Batches that wait for the optimiser.
-const AHEAD: usize = 3;
+/// Number of batches that are loaded in advance.
+const PREFETCH: usize = 3;
 
-/// Unpacked images.
+/// A file of unpacked images.
 #[derive(Debug)]
 pub struct ImageFile {
     file: File,
@@ -28,10 +28,10 @@ pub struct ImageFile {
 }
 
 impl ImageFile {
-    /// Writes images of [`PICTURE_BYTES`] bytes one after the other; the file goes when it is dropped.
+    /// Writes images of [`PICTURE_BYTES`] bytes to a temporary file, which is deleted when the value is dropped.
     ///
     /// # Errors
-    /// When the disk is full, or an image has another size, or could not be had in the first place.
+    /// When the disk is full, when an image has another size, or when the iterator returns an error.
     pub fn write<E: From<EncoderError>>(
         folder: &Path,
         images: impl Iterator<Item = Result<Vec<u8>, E>>,
@@ -56,12 +56,12 @@ impl ImageFile {
         Ok(Self { file, count })
     }
 
-    /// How many there are.
+    /// Number of images.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// The image of this number.
+    /// Reads an image to `into`, which must have [`PICTURE_BYTES`] bytes.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -72,8 +72,8 @@ impl ImageFile {
     }
 }
 
-/// Puts the crop of an image into a batch's numbers: channels first, normalised.
-pub fn place(image: &[u8], crop: [u8; 2], into: &mut [f32]) {
+/// Writes the crop of an image to the input of the network: channels first, normalised. `crop` is its first row and column.
+pub fn crop_and_normalise(image: &[u8], crop: [u8; 2], into: &mut [f32]) {
     let [top, left] = crop.map(usize::from);
     for (channel, plane) in into.chunks_exact_mut(CROP * CROP).enumerate().take(3) {
         let (scale, shift) = (1.0 / (255.0 * DEVIATION[channel]), MEAN[channel] / DEVIATION[channel]);
@@ -86,32 +86,32 @@ pub fn place(image: &[u8], crop: [u8; 2], into: &mut [f32]) {
     }
 }
 
-/// First row and column of the crop in the middle.
+/// First row and column of the centre crop.
 pub const MIDDLE: [u8; 2] = [((SIDE - CROP) / 2) as u8; 2];
 
-/// Numbers of an image in a batch.
+/// Numbers per image in the network's input.
 pub const INPUTS: usize = 3 * CROP * CROP;
 
 /// A batch with its images.
 pub struct Loaded {
-    /// Which they are.
+    /// The samples of the batch.
     pub batch: Batch,
-    /// `[samples, 3, 76, 76]`.
+    /// The normalised crops, `[samples, 3, 76, 76]`.
     pub inputs: Vec<f32>,
 }
 
-/// The images of samples.
+/// Loads the crops of samples.
 pub(crate) fn load(images: &ImageFile, samples: &[Sample]) -> Result<Vec<f32>, EncoderError> {
     let mut inputs = vec![0.0; samples.len() * INPUTS];
     let mut image = vec![0; PICTURE_BYTES];
     for (sample, into) in samples.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
         images.read(sample.image, &mut image)?;
-        place(&image, sample.crop, into);
+        crop_and_normalise(&image, sample.crop, into);
     }
     Ok(inputs)
 }
 
-/// The batches of an epoch in their order, made ahead by a thread that ends when nobody listens any more.
+/// The batches of an epoch in order, loaded in advance by a thread that ends when the receiver is dropped.
 pub(crate) fn batches<'scope, 'env>(
     scope: &'scope Scope<'scope, 'env>,
     images: &'env ImageFile,
@@ -119,7 +119,7 @@ pub(crate) fn batches<'scope, 'env>(
     epoch: u32,
     steps: u32,
 ) -> Receiver<Result<Loaded, EncoderError>> {
-    let (sender, receiver) = sync_channel(AHEAD);
+    let (sender, receiver) = sync_channel(PREFETCH);
     scope.spawn(move || {
         for step in 0..steps {
             if !send(&sender, images, sampler.batch(epoch, step)) {
@@ -130,6 +130,7 @@ pub(crate) fn batches<'scope, 'env>(
     receiver
 }
 
+/// Loads and sends a batch, or the error. Returns whether the next batch is wanted.
 fn send(sender: &SyncSender<Result<Loaded, EncoderError>>, images: &ImageFile, batch: Batch) -> bool {
     let loaded = load(images, &batch.samples).map(|inputs| Loaded { batch, inputs });
     let good = loaded.is_ok();

@@ -1,6 +1,7 @@
-//! The learned pose encoder of robosuite's tasks: a residual network in burn, its losses, its training and its weights.
+//! The learned pose encoder for robosuite's tasks: a ResNet-18 in burn, its losses, training, checkpoints and weights.
 //!
-//! Training sees images, end-effector poses, gripper widths and modes. No type here holds a recorded object pose.
+//! Training uses images, end-effector poses, gripper widths and modes. No type in this crate contains a recorded object pose, so
+//! ground truth cannot reach the training.
 
 mod backend;
 pub mod batches;
@@ -19,5 +20,5 @@ pub use error::EncoderError;
 pub use predict::{PICTURE_BYTES, Prediction, Predictor, SIDE};
 pub use weights::to_bytes;
 
-/// Side of the part of an image that the encoder sees, in pixels.
+/// Side of the crop that is the encoder's input, in pixels.
 pub const CROP: usize = 76;

@@ -1,4 +1,4 @@
-//! Poses from images.
+//! Estimates poses from images with a trained encoder.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,63 +7,63 @@ use burn::tensor::{Tensor, TensorData};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::config::Backend;
-use crate::images::{INPUTS, MIDDLE, place};
+use crate::images::{INPUTS, MIDDLE, crop_and_normalise};
 use crate::resnet::{EMBEDDING, Encoder};
 use crate::{CROP, EncoderError};
 
-/// Side of the images in pixels.
+/// Side of the images, in pixels.
 pub const SIDE: usize = 84;
 
 /// Bytes of an image: 84 x 84 pixels, RGB, first row at the top.
 pub const PICTURE_BYTES: usize = SIDE * SIDE * 3;
 
-/// What the encoder says of an image.
+/// The encoder's output for an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
-    /// Pose of the object, world frame, in metres: that of the gripper as it would hold the object.
+    /// Pose of the object, world frame, in metres: the pose of a gripper that would hold the object.
     pub pose: Isometry3<f64>,
-    /// Embedding, 256 numbers.
+    /// The embedding, 256 numbers.
     pub embedding: Vec<f32>,
 }
 
-/// A trained encoder. Clones share its weights; an estimate does not depend on which images are asked for together.
+/// A trained encoder. Clones share the weights. An estimate does not depend on the other images of the same call.
 #[derive(Clone)]
 pub struct Predictor {
-    // Weights of burn may be sent to another thread, and not be shared by two.
+    // The mutex is needed because burn's modules are `Send` but not `Sync`.
     encoder: Arc<Mutex<Encoder>>,
 }
 
 impl Predictor {
-    /// Reads the weights that a training wrote.
+    /// Reads the weights file of a trained encoder.
     ///
     /// # Errors
-    /// When the file cannot be read or is not one of an encoder, or this program was built without the backend.
+    /// When the file cannot be read or is not an encoder's, or this program was built without the backend.
     pub fn open(weights: &Path, backend: Backend) -> Result<Self, EncoderError> {
         let device = backend.device()?;
         Ok(Self::new(crate::weights::load(weights, &device)?))
     }
 
-    /// An encoder that was just trained.
+    /// A predictor from an encoder in memory, such as one that was just trained.
     pub fn new(encoder: Encoder) -> Self {
         Self {
             encoder: Arc::new(Mutex::new(encoder)),
         }
     }
 
-    /// What the encoder says of images of [`PICTURE_BYTES`] bytes each, in their order, cropped in the middle.
+    /// The encoder's outputs for images of [`PICTURE_BYTES`] bytes each, in the same order, with a centre crop.
     ///
     /// # Errors
     /// When an image has another size.
     pub fn predict(&self, images: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError> {
-        if let Some(odd) = images.iter().find(|image| image.len() != PICTURE_BYTES) {
-            return Err(EncoderError::Image(odd.len()));
+        if let Some(wrong) = images.iter().find(|image| image.len() != PICTURE_BYTES) {
+            return Err(EncoderError::Image(wrong.len()));
         }
-        // A panic elsewhere leaves the weights as they are.
+        // A panic in another thread cannot leave the weights inconsistent, so a poisoned lock is usable.
         let encoder = self.encoder.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let device = encoder.device();
         let mut inputs = vec![0.0; images.len() * INPUTS];
-        for (image, into) in images.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
-            place(image, MIDDLE, into);
+        for (image, values) in images.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
+            crop_and_normalise(image, MIDDLE, values);
         }
         let inputs = Tensor::<4>::from_data(TensorData::new(inputs, [images.len(), 3, CROP, CROP]), &device);
         let (embeddings, poses) = encoder.poses(inputs);

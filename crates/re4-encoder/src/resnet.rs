@@ -1,4 +1,4 @@
-//! A residual network of 18 layers in torchvision's layout.
+//! The network: ResNet-18 in torchvision's layout, with an embedding and a pose head.
 
 use burn::module::{Module, Param, RunningState};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use crate::loss::Poses;
 
-/// Numbers of the embedding.
+/// Length of the embedding.
 pub const EMBEDDING: usize = 256;
 
 fn conv(channels: [usize; 2], kernel: usize, stride: usize, device: &Device) -> Conv2d {
@@ -30,7 +30,7 @@ fn norm(channels: usize, device: &Device) -> BatchNorm {
     BatchNormConfig::new(channels).init(device)
 }
 
-/// Zeros, which training draws weights in the place of: burn would draw biases, too.
+/// A linear layer with zero weights: training then samples them with its own generator. burn would sample biases too.
 fn linear([inputs, outputs]: [usize; 2], device: &Device) -> Linear {
     LinearConfig::new(inputs, outputs)
         .with_initializer(Initializer::Zeros)
@@ -77,13 +77,13 @@ impl Block {
     }
 }
 
-/// Where a tensor of the network lies.
+/// A reference to a tensor of the network.
 pub(crate) enum Slot<'a> {
     /// Weight of a convolution, `[out, in, height, width]`.
     Kernel(&'a mut Param<Tensor<4>>),
-    /// Weight of a linear layer, `[in, out]`: burn's layout, the transpose of `PyTorch`'s.
+    /// Weight of a linear layer, `[in, out]`: burn's layout, which is the transpose of `PyTorch`'s.
     Matrix(&'a mut Param<Tensor<2>>),
-    /// A bias, or a scale.
+    /// A bias or a scale.
     Vector(&'a mut Param<Tensor<1>>),
     /// A running statistic of batch normalisation.
     Running(&'a mut RunningState<Tensor<1>>),
@@ -110,7 +110,7 @@ fn linear_slots<'a>(name: &'a str, linear: &'a mut Linear) -> impl Iterator<Item
         .chain(bias.map(|bias| (format!("{name}.bias"), Slot::Vector(bias))))
 }
 
-/// The network.
+/// The encoder network.
 #[derive(Module, Debug)]
 pub struct Encoder {
     conv1: Conv2d,
@@ -124,12 +124,12 @@ pub struct Encoder {
     head: Linear,
 }
 
-/// Metres that a 1 of the head's translation stands for: the head's numbers are then of the size that its initial weights
-/// give, and steps of the optimiser are millimetres.
+/// Metres per unit of the head's translation output. With this scale, the outputs have the magnitude that the initial weights
+/// give, and an optimiser step changes the estimate by millimetres.
 pub const SCALE: f64 = 0.1;
 
 impl Encoder {
-    /// An encoder with burn's initial weights.
+    /// An encoder with burn's initial weights; `width` is the number of channels after the first convolution.
     pub fn new(width: usize, device: &Device) -> Self {
         let stage = |inside: usize, out: usize, stride: usize| {
             vec![Block::new(inside, out, stride, device), Block::new(out, out, 1, device)]
@@ -150,9 +150,9 @@ impl Encoder {
         }
     }
 
-    /// The same, with a head whose estimates are spread about the mean of these poses at first.
+    /// Sets the bias of the head to the mean of these poses, so that the initial estimates are distributed around it.
     #[must_use]
-    pub fn aimed(mut self, poses: &[Isometry3<f64>]) -> Self {
+    pub fn centred_on(mut self, poses: &[Isometry3<f64>]) -> Self {
         let count = poses.len().max(1) as f64;
         let mean =
             |part: &dyn Fn(&Isometry3<f64>) -> Vector3<f64>| poses.iter().map(part).sum::<Vector3<f64>>() / count;
@@ -171,23 +171,23 @@ impl Encoder {
         self.head.bias = self.head.bias.map(|bias| {
             bias.map(|tensor| {
                 let device = tensor.device();
-                let aimed = Tensor::from_data(TensorData::new(values.clone(), [9]), &device);
+                let bias = Tensor::from_data(TensorData::new(values.clone(), [9]), &device);
                 if tensor.is_require_grad() {
-                    aimed.require_grad()
+                    bias.require_grad()
                 } else {
-                    aimed
+                    bias
                 }
             })
         });
         self
     }
 
-    /// Channels after the first convolution.
+    /// Number of channels after the first convolution.
     pub fn width(&self) -> usize {
         self.conv1.weight.lazy_shape()[0]
     }
 
-    /// Images `[batch, 3, height, width]`, normalised, to the features behind the average pool, `[batch, 8 width]`.
+    /// Maps normalised images `[batch, 3, height, width]` to the features after the average pool, `[batch, 8 width]`.
     pub fn features(&self, images: Tensor<4>) -> Tensor<2> {
         let mut x = self.maxpool.forward(relu(self.bn1.forward(self.conv1.forward(images))));
         for block in [&self.layer1, &self.layer2, &self.layer3, &self.layer4]
@@ -200,25 +200,25 @@ impl Encoder {
         x.mean_dim(3).mean_dim(2).reshape([batch, channels])
     }
 
-    /// Images `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and the head's numbers `[batch, 9]`.
+    /// Maps normalised images `[batch, 3, height, width]` to embeddings `[batch, 256]` and head outputs `[batch, 9]`.
     pub fn forward(&self, images: Tensor<4>) -> (Tensor<2>, Tensor<2>) {
         let embedding = self.embedding.forward(self.features(images));
         let raw = self.head.forward(embedding.clone());
         (embedding, raw)
     }
 
-    /// Images `[batch, 3, height, width]`, normalised, to embeddings `[batch, 256]` and poses in the world frame.
+    /// Maps normalised images `[batch, 3, height, width]` to embeddings `[batch, 256]` and poses in the world frame.
     pub fn poses(&self, images: Tensor<4>) -> (Tensor<2>, Poses) {
         let (embedding, raw) = self.forward(images);
         (embedding, Poses::from_raw(&raw, SCALE))
     }
 
-    /// Where it computes.
+    /// The device of the weights.
     pub fn device(&self) -> Device {
         self.head.weight.val().device()
     }
 
-    /// Every tensor under the name that torchvision's `resnet18` has for it; `embedding` and `head` are this crate's own.
+    /// Every tensor with its name in torchvision's `resnet18`; `embedding` and `head` are this crate's own.
     pub(crate) fn slots(&mut self) -> Vec<Named<'_>> {
         let mut slots = vec![conv_slot("conv1", &mut self.conv1)];
         slots.extend(norm_slots("bn1", &mut self.bn1));

@@ -1,4 +1,4 @@
-//! Training.
+//! Training of the encoder.
 
 use std::path::Path;
 use std::time::Instant;
@@ -19,88 +19,89 @@ use crate::loss::{GROUP, Losses, Poses, losses};
 use crate::resnet::Encoder;
 use crate::{CROP, EncoderError};
 
-/// Images at once where nothing is trained.
-const CHUNK: usize = 64;
+/// Number of images per forward pass when the held-out loss is computed.
+const HELD_OUT_BATCH: usize = 64;
 
-/// Most images whose loss is told of demonstrations that were held out.
-const HELD_OUT: usize = 512;
+/// Maximum number of images for the held-out loss.
+const MAXIMUM_HELD_OUT: usize = 512;
 
-/// What a training is made of.
+/// The inputs of a training.
 pub struct Task<'a> {
     /// Settings.
     pub config: &'a EncoderConfig,
-    /// Batches.
+    /// Samples the batches.
     pub sampler: &'a Sampler,
     /// Images of all demonstrations.
     pub images: &'a ImageFile,
-    /// Frames of demonstrations that are held out, with the targets that they would have; nothing is chosen by them.
+    /// Frames of the held-out demonstrations with their targets. Their loss is only reported: it selects no checkpoint or setting.
     pub held_out: &'a [Sample],
-    /// Weights to start from, in torchvision's names.
+    /// Initial weights with torchvision's names; random if `None`.
     pub weights: Option<&'a Path>,
 }
 
-/// How far a training is.
+/// The progress of a training.
 #[derive(Debug, Clone, Copy)]
 pub struct Progress {
-    /// Epoch, from 1.
+    /// Current epoch, from 1.
     pub epoch: u32,
-    /// Steps done in all.
+    /// Total number of finished steps.
     pub steps: u64,
-    /// Images a second, since the start of this process.
+    /// Images per second since the start of this process.
     pub rate: f64,
-    /// Mean losses of the epoch up to here: sum, absolute, relative, cross.
+    /// Mean losses of the epoch so far: sum, absolute, relative, cross.
     pub losses: [f64; 4],
 }
 
-/// A finished epoch.
+/// The results of a finished epoch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Epoch {
-    /// Number, from 1.
+    /// Number of the epoch, from 1.
     pub epoch: u32,
-    /// Steps until its end.
+    /// Total number of steps up to the end of the epoch.
     pub steps: u32,
-    /// Learning rate of its last step.
+    /// Learning rate of the epoch's last step.
     pub learning_rate: f64,
-    /// Means of its steps.
+    /// Mean losses over the epoch's steps: sum, absolute, relative, cross.
     pub losses: [f64; 4],
-    /// L_abs of frames that were held out.
+    /// L_abs over frames of the held-out set; `None` if there are none.
     pub held_out: Option<f64>,
 }
 
-/// What came of it.
+/// The result of a training.
 pub struct Trained {
-    /// Weights.
+    /// The trained network.
     pub encoder: Encoder,
-    /// One an epoch.
+    /// One entry per epoch.
     pub epochs: Vec<Epoch>,
-    /// Epochs that were there already, from a checkpoint.
+    /// Number of epochs that were restored from a checkpoint.
     pub resumed: u32,
-    /// Images a second of this process; `None` where nothing was left to train.
+    /// Images per second in this process; `None` if all epochs were restored.
     pub rate: Option<f64>,
 }
 
-/// Steps of an epoch: as many as draw as many images as there are, or as the settings say.
+/// Number of steps per epoch: that of the settings, or the number of training images divided by the batch size.
 pub fn steps_of(config: &EncoderConfig, sampler: &Sampler) -> u32 {
     config
         .steps
         .unwrap_or_else(|| (sampler.images() / config.batch).max(1) as u32)
 }
 
-/// Trains, from the last whole checkpoint on where there is one. `going` is told after every step and ends the training, whose
-/// checkpoints stay, by its error.
+/// Trains an encoder, from the last valid checkpoint if there is one. `on_step` is called after every step; its error stops the
+/// training, and the checkpoints are kept.
 ///
 /// # Errors
-/// When the weights to start from cannot be used, a loss is not finite, the disk is full, or by `going`.
+/// When the initial weights cannot be used, a loss is not finite, or the disk is full; or the error that `on_step` returns.
 pub fn train<E: From<EncoderError>>(
     task: &Task,
     checkpoints: &Checkpoints,
-    mut going: impl FnMut(&Progress) -> Result<(), E>,
+    mut on_step: impl FnMut(&Progress) -> Result<(), E>,
 ) -> Result<Trained, E> {
     let config = task.config;
     let device = config.backend.device()?.autodiff();
     let mut encoder = start(task, &device)?;
     let mut optimizer = AdamWConfig::new()
         .with_weight_decay(config.weight_decay as f32)
+        // PyTorch's default, because the paper gives none; burn's default is larger.
         .with_epsilon(1e-8)
         .init();
     let mut epochs: Vec<Epoch> = Vec::new();
@@ -110,7 +111,7 @@ pub fn train<E: From<EncoderError>>(
     let resumed = epochs.len() as u32;
     let steps = steps_of(config, task.sampler);
     let clock = Instant::now();
-    let mut drawn = 0_u64;
+    let mut sampled = 0_u64;
     for epoch in resumed..config.epochs {
         let mut sums = [0.0; 4];
         let mut rate_of_step = config.learning_rate;
@@ -133,14 +134,14 @@ pub fn train<E: From<EncoderError>>(
                     }
                     .into());
                 }
-                drawn += loaded.batch.samples.len() as u64;
+                sampled += loaded.batch.samples.len() as u64;
                 for (sum, value) in sums.iter_mut().zip(values) {
                     *sum += value;
                 }
-                going(&Progress {
+                on_step(&Progress {
                     epoch: epoch + 1,
                     steps: u64::from(epoch) * u64::from(steps) + u64::from(step) + 1,
-                    rate: drawn as f64 / clock.elapsed().as_secs_f64(),
+                    rate: sampled as f64 / clock.elapsed().as_secs_f64(),
                     losses: sums.map(|sum| sum / f64::from(step + 1)),
                 })?;
             }
@@ -157,7 +158,7 @@ pub fn train<E: From<EncoderError>>(
     }
     Ok(Trained {
         encoder: encoder.valid(),
-        rate: (drawn > 0).then(|| drawn as f64 / clock.elapsed().as_secs_f64()),
+        rate: (sampled > 0).then(|| sampled as f64 / clock.elapsed().as_secs_f64()),
         epochs,
         resumed,
     })
@@ -168,67 +169,73 @@ fn learning_rate(config: &EncoderConfig, step: u64, steps: u32) -> f64 {
         return config.learning_rate;
     }
     let all = f64::from(config.epochs) * f64::from(steps);
-    let share = step as f64 / all;
-    // The first twentieth leads up from nothing, so that the first steps, whose gradients say little, move little.
-    let up = (share * 20.0).min(1.0).max(1.0 / all);
-    config.learning_rate * up * 0.5 * (1.0 + (std::f64::consts::PI * share).cos())
+    let fraction = step as f64 / all;
+    // Linear warm-up over the first twentieth, because the gradients of the first steps are unreliable.
+    let warm_up = (fraction * 20.0).min(1.0).max(1.0 / all);
+    config.learning_rate * warm_up * 0.5 * (1.0 + (std::f64::consts::PI * fraction).cos())
 }
 
-/// The encoder before its first step.
+/// The encoder before the first step.
 fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
     let encoder = Encoder::new(task.config.width, device);
-    let mut rng = Rng {
+    let mut initializer = WeightInitializer {
+        // Another stream than that of the batches, so that the two sequences are independent for the same seed.
         rng: Pcg64::new(u128::from(task.config.seed), 0x5851_f42d_4c95_7f2d_1405_7b7e_f767_814f),
     };
-    let encoder = encoder.map(&mut rng).aimed(&task.sampler.anchors());
+    let encoder = encoder.map(&mut initializer).centred_on(&task.sampler.anchors());
     match task.weights {
         Some(path) => crate::weights::load_torchvision(encoder, path),
         None => Ok(encoder),
     }
 }
 
-/// Draws weights: burn's own draw depends on what else the process draws.
-struct Rng {
+/// Samples initial weights with its own generator. burn's initializers use global state, so they depend on other computations
+/// of the process.
+struct WeightInitializer {
     rng: Pcg64,
 }
 
-impl Rng {
-    /// Even in [0, 1).
-    fn even(&mut self) -> f64 {
+impl WeightInitializer {
+    /// A uniform number in [0, 1).
+    fn uniform(&mut self) -> f64 {
         (self.rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
+    /// A standard normal number, by the Box-Muller transform.
     fn normal(&mut self) -> f64 {
-        let (radius, turn) = ((1.0 - self.even()).ln(), self.even());
-        (-2.0 * radius).sqrt() * (std::f64::consts::TAU * turn).cos()
+        // 1 - u is in (0, 1], so its logarithm is finite.
+        let (log, angle) = ((1.0 - self.uniform()).ln(), self.uniform());
+        (-2.0 * log).sqrt() * (std::f64::consts::TAU * angle).cos()
     }
 }
 
-impl ModuleMapper for Rng {
+impl ModuleMapper for WeightInitializer {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
         param.map(|tensor| {
             let dims = tensor.dims();
             let count: usize = dims.iter().product();
             let values: Vec<f32> = match dims.as_slice() {
-                // Convolutions as in torchvision: He's normal distribution by outputs.
+                // Convolutions as in torchvision: He initialisation, normal, with the fan-out.
                 [out, _, height, width] => {
                     let deviation = (2.0 / (out * height * width) as f64).sqrt();
                     (0..count).map(|_| (self.normal() * deviation) as f32).collect()
                 }
-                // Linear layers as in PyTorch: even, up to the root of the inputs.
+                // Linear layers as in PyTorch: uniform, bounded by one over the square root of the number of inputs.
                 [inputs, _] => {
                     let bound = (1.0 / *inputs as f64).sqrt();
-                    (0..count).map(|_| ((2.0 * self.even() - 1.0) * bound) as f32).collect()
+                    (0..count)
+                        .map(|_| ((2.0 * self.uniform() - 1.0) * bound) as f32)
+                        .collect()
                 }
-                // Scales and offsets are 1 and 0 as they are.
+                // Scales and biases keep burn's values, 1 and 0.
                 _ => return tensor,
             };
             let device = tensor.device();
-            let drawn = Tensor::from_data(TensorData::new(values, dims), &device);
+            let sampled = Tensor::from_data(TensorData::new(values, dims), &device);
             if tensor.is_require_grad() {
-                drawn.require_grad()
+                sampled.require_grad()
             } else {
-                drawn
+                sampled
             }
         })
     }
@@ -239,7 +246,7 @@ fn inputs(values: Vec<f32>, device: &Device) -> Tensor<4> {
     Tensor::from_data(TensorData::new(values, [count, 3, CROP, CROP]), device)
 }
 
-/// One step of the optimiser; the losses before it.
+/// One step of the optimiser; returns the losses before the step. If a loss is not finite, the weights stay unchanged.
 fn advance(
     encoder: Encoder,
     optimizer: &mut ModuleOptimizer,
@@ -273,14 +280,14 @@ fn advance(
     (optimizer.step(learning_rate, encoder, gradients), values)
 }
 
-/// L_abs of frames of demonstrations that were held out, cropped in the middle.
+/// L_abs over frames of the held-out demonstrations, with centre crops.
 fn held_out(encoder: &Encoder, task: &Task) -> Result<Option<f64>, EncoderError> {
     if task.held_out.is_empty() {
         return Ok(None);
     }
     let encoder = encoder.valid();
     let device = encoder.device();
-    let step = task.held_out.len().div_ceil(HELD_OUT);
+    let step = task.held_out.len().div_ceil(MAXIMUM_HELD_OUT);
     let samples: Vec<Sample> = task
         .held_out
         .iter()
@@ -291,7 +298,7 @@ fn held_out(encoder: &Encoder, task: &Task) -> Result<Option<f64>, EncoderError>
         })
         .collect();
     let mut sum = 0.0;
-    for chunk in samples.chunks(CHUNK) {
+    for chunk in samples.chunks(HELD_OUT_BATCH) {
         let (_, estimates) = encoder.poses(inputs(load(task.images, chunk)?, &device));
         let targets: Vec<Isometry3<f64>> = chunk.iter().map(|sample| sample.target).collect();
         let losses = estimates.metric(&Poses::from_known(&targets, &device), task.config.losses.translation);

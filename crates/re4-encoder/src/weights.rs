@@ -1,6 +1,6 @@
-//! Weights in files: those of torchvision's ResNet-18 to start from, and the encoder's own.
+//! Weights files: those of torchvision's ResNet-18 as initial weights, and the encoder's own.
 //!
-//! Both have torchvision's names (`conv1.weight`, `layer2.0.downsample.1.running_var`), so that Python reads the encoder's trunk
+//! Both use torchvision's names (`conv1.weight`, `layer2.0.downsample.1.running_var`), so Python can read the encoder's trunk
 //! with `safetensors` and `torchvision.models.resnet.ResNet.load_state_dict(..., strict=False)`. The encoder's own layers are
 //! `embedding` and `head`, in `PyTorch`'s layout `[out, in]`.
 
@@ -19,32 +19,31 @@ use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use crate::EncoderError;
 use crate::resnet::{Encoder, Slot};
 
-/// A ResNet-18 with 64 channels has 45 MB; a file beyond this is none, and is not read into memory.
-const LARGEST: u64 = 1 << 30;
+/// Maximum size of a weights file, in bytes. A ResNet-18 with 64 channels has 45 MB; a larger file is refused before it is read.
+const MAXIMUM_SIZE: u64 = 1 << 30;
 
-/// More channels than this after the first convolution would be beyond [`LARGEST`].
-const WIDEST: usize = 256;
+/// Maximum number of channels after the first convolution; more would exceed [`MAXIMUM_SIZE`].
+const MAXIMUM_WIDTH: usize = 256;
 
-/// Where dictionaries of weights are found in a file: at the top, or as trainings save them.
+/// Prefixes of the tensor names in a file: none, or those that training programs add.
 const PREFIXES: [&str; 4] = ["", "state_dict.", "module.", "state_dict.module."];
 
-/// Starts an encoder from torchvision's ResNet-18: a `.pth` file of `torch.save`, or `.safetensors` with the same names.
-/// Running statistics are included; `fc`, torchvision's last layer, is left out, and the encoder's own layers stay as they
-/// are.
+/// Loads torchvision's ResNet-18 as initial weights: a `.pth` file of `torch.save`, or `.safetensors` with the same names.
+/// The running statistics are included. torchvision's last layer `fc` is ignored, and the encoder's own layers stay unchanged.
 ///
 /// # Errors
-/// When the file cannot be read, is not one of weights, or holds another network: every tensor's presence, shape, kind and
-/// range is checked before the encoder is touched.
+/// When the file cannot be read, is not a weights file, or contains another network. The presence, shape, data type and
+/// range of every tensor are checked before the encoder is changed.
 pub fn load_torchvision(encoder: Encoder, path: &Path) -> Result<Encoder, EncoderError> {
     File::open(path, Origin::Torchvision)
         .and_then(|file| fill(encoder, &file, Origin::Torchvision))
         .map_err(|why| weights_error(path, why))
 }
 
-/// Reads an encoder that [`save`] wrote. The number of channels is that of the file.
+/// Reads an encoder that [`save`] wrote. The file determines the number of channels.
 ///
 /// # Errors
-/// When the file cannot be read, or holds something else.
+/// When the file cannot be read, or is not an encoder's weights file.
 pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
     let origin = Origin::Own;
     let load = || {
@@ -55,10 +54,10 @@ pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
     load().map_err(|why| weights_error(path, why))
 }
 
-/// An encoder as the bytes of a safetensors file, tensors sorted by name: equal weights are equal bytes.
+/// Serialises an encoder to safetensors, with the tensors sorted by name: equal weights give equal bytes.
 ///
 /// # Errors
-/// When the weights cannot be had from their device.
+/// When the weights cannot be read from their device.
 pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
     let pack = || -> Result<Vec<u8>, Fault> {
         let mut tensors = BTreeMap::new();
@@ -72,16 +71,16 @@ pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
             .iter()
             .map(|(name, (shape, bytes))| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
             .collect();
-        // No metadata: its keys would come in an order of their own.
+        // Without metadata, because the order of its keys is not deterministic.
         views
             .and_then(|views| safetensors::serialize(views, None))
-            .map_err(|error: SafeTensorError| fault!("they cannot be packed ({error})"))
+            .map_err(|error: SafeTensorError| fault!("the weights cannot be serialised ({error})"))
     };
-    pack().map_err(|why| weights_error(Path::new("of the encoder in training"), why))
+    pack().map_err(|why| weights_error(Path::new("of the trained encoder"), why))
 }
 
-/// Writes an encoder to a file, as [`to_bytes`]. The file is written in place; where readers may look meanwhile, write a
-/// sibling and rename it.
+/// Writes an encoder to a file, in the format of [`to_bytes`]. The write is not atomic; if others may read the file at the same
+/// time, write a sibling file and rename it.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -91,7 +90,7 @@ pub fn save(encoder: &Encoder, path: &Path) -> Result<(), EncoderError> {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
                 fault!("the file cannot be written ({error})"; "free some space")
             }
-            _ => fault!("the file cannot be written ({error})"; "choose a folder that can be written to"),
+            _ => fault!("the file cannot be written ({error})"; "choose a writable folder"),
         };
         weights_error(path, why)
     })
@@ -104,7 +103,7 @@ fn weights_error(path: &Path, why: Fault) -> EncoderError {
     }
 }
 
-/// Shape in `PyTorch`'s layout, and the values.
+/// The shape in `PyTorch`'s layout, and the values.
 fn values_of(slot: Slot<'_>) -> Result<(Vec<usize>, Vec<f32>), String> {
     let read = |data: TensorData| {
         let shape: Vec<usize> = data.shape().iter().copied().collect();
@@ -122,19 +121,19 @@ fn values_of(slot: Slot<'_>) -> Result<(Vec<usize>, Vec<f32>), String> {
             Ok((vec![out, inside], transposed(&values, out)))
         }
         Slot::Vector(param) => read(param.val().into_data()),
-        // The last step of a training is pending in the state until it is asked for in this way.
+        // burn applies the pending update of the last training step only in `valid`.
         Slot::Running(state) => read(state.valid().value().into_data()),
     }
 }
 
-/// Rows of `columns` values each, turned into columns.
+/// Transposes a matrix with rows of `columns` values each.
 fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
     (0..columns)
         .flat_map(|column| values.iter().skip(column).step_by(columns).copied())
         .collect()
 }
 
-/// Whose file it is, which decides what must be in it and how a wrong one is fixed.
+/// The origin of a file, which determines its contents and how to fix a wrong one.
 #[derive(Clone, Copy)]
 enum Origin {
     Torchvision,
@@ -142,19 +141,20 @@ enum Origin {
 }
 
 impl Origin {
-    fn fix(self) -> &'static str {
+    fn remedy(self) -> &'static str {
         match self {
-            Self::Torchvision => "give torchvision's resnet18, which re4-pipe fetch resnet18 downloads",
+            Self::Torchvision => "use torchvision's resnet18, which re4-pipe fetch resnet18 downloads",
             Self::Own => "train the encoder again",
         }
     }
 
-    /// Whether a file may hold this beside what is asked for.
+    /// Whether a file may also contain this tensor, which is not loaded.
     fn ignores(self, name: &str) -> bool {
         matches!(self, Self::Torchvision) && (name.starts_with("fc.") || name.ends_with(".num_batches_tracked"))
     }
 
-    fn asks_for(self, name: &str) -> bool {
+    /// Whether a file must contain this tensor.
+    fn requires(self, name: &str) -> bool {
         matches!(self, Self::Own) || !(name.starts_with("embedding.") || name.starts_with("head."))
     }
 }
@@ -164,20 +164,20 @@ fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, Fa
     let mut slots: Vec<_> = encoder
         .slots()
         .into_iter()
-        .filter(|(name, _)| origin.asks_for(name))
+        .filter(|(name, _)| origin.requires(name))
         .collect();
     file.check_names(slots.iter().map(|(name, _)| name.as_str()).collect(), origin)?;
     let width = file.width(origin)?;
     if width != expected {
         return Err(fault!(
-            "conv1.weight has {width} channels and the encoder's has {expected}";
-            "set pose.encoder.width = {width}, or start from weights of {expected} channels"
+            "conv1.weight has {width} channels, but the encoder's has {expected}";
+            "set pose.encoder.width = {width}, or use weights with {expected} channels"
         ));
     }
     for (name, slot) in &slots {
         file.check_shape(name, &slot.shape(), origin)?;
     }
-    // Everything is read before the first is put: batch normalisation shares its statistics between clones.
+    // All tensors are read before the first one is set, because clones of the encoder share the batch normalisation statistics.
     let mut values = Vec::with_capacity(slots.len());
     for (name, _) in &slots {
         values.push(file.values(name, origin)?);
@@ -190,7 +190,7 @@ fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, Fa
 }
 
 impl Slot<'_> {
-    /// In `PyTorch`'s layout.
+    /// The shape in `PyTorch`'s layout.
     fn shape(&self) -> Vec<usize> {
         let mut shape: Vec<usize> = match self {
             Self::Kernel(param) => param.lazy_shape().iter().copied().collect(),
@@ -204,7 +204,7 @@ impl Slot<'_> {
         shape
     }
 
-    /// Puts values in `PyTorch`'s layout, as many as [`Slot::shape`] says.
+    /// Sets the values, which are in `PyTorch`'s layout and match [`Slot::shape`].
     fn put(&mut self, values: Vec<f32>) {
         let shape = self.shape();
         match self {
@@ -222,7 +222,7 @@ impl Slot<'_> {
                 let tensor = Tensor::from_data(TensorData::new(values, shape), &param.lazy_device());
                 **param = param.clone().transform_for_load(tensor, param.id);
             }
-            // A new state: the old one may be shared with a clone, and may have an update pending.
+            // A new state, because a clone may share the old one, which may also have a pending update.
             Self::Running(state) => {
                 let device = state.value().device();
                 **state = RunningState::new(Tensor::from_data(TensorData::new(values, shape), &device));
@@ -250,7 +250,7 @@ impl Content {
     }
 }
 
-/// The tensors of a file by name, without the prefix that they share.
+/// The tensors of a file by name, without their common prefix.
 struct File {
     tensors: BTreeMap<String, Content>,
 }
@@ -258,23 +258,23 @@ struct File {
 impl File {
     fn open(path: &Path, origin: Origin) -> Result<Self, Fault> {
         let metadata = fs::metadata(path).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => fault!("there is no such file"; "{}", origin.fix()),
+            io::ErrorKind::NotFound => fault!("the file does not exist"; "{}", origin.remedy()),
             _ => cannot_read(&error),
         })?;
         if !metadata.is_file() {
-            return Err(fault!("it is not a file"; "name the file of weights itself"));
+            return Err(fault!("the path is not a file"; "give the path of the weights file"));
         }
         if metadata.len() == 0 {
-            return Err(fault!("the file is empty"; "{}", origin.fix()));
+            return Err(fault!("the file is empty"; "{}", origin.remedy()));
         }
-        if metadata.len() > LARGEST {
+        if metadata.len() > MAXIMUM_SIZE {
             let bytes = metadata.len();
-            return Err(fault!("{bytes} bytes are more than a ResNet-18 has"; "{}", origin.fix()));
+            return Err(fault!("the file has {bytes} bytes, more than a ResNet-18 has"; "{}", origin.remedy()));
         }
         let mut tensors = if is_safetensors(path).map_err(|error| cannot_read(&error))? {
             read_safetensors(path, origin)?
         } else if matches!(origin, Origin::Own) {
-            return Err(fault!("it is not a safetensors file"; "{}", origin.fix()));
+            return Err(fault!("it is not a safetensors file"; "{}", origin.remedy()));
         } else {
             read_torch(path, origin)?
         };
@@ -293,21 +293,21 @@ impl File {
     fn get(&self, name: &str, origin: Origin) -> Result<&Content, Fault> {
         self.tensors
             .get(name)
-            .ok_or_else(|| fault!("it holds no tensor {name}, so it is not a ResNet-18"; "{}", origin.fix()))
+            .ok_or_else(|| fault!("it has no tensor {name}, so it is not a ResNet-18"; "{}", origin.remedy()))
     }
 
-    /// Channels after the first convolution.
+    /// Number of channels after the first convolution.
     fn width(&self, origin: Origin) -> Result<usize, Fault> {
         match *self.get("conv1.weight", origin)?.shape() {
-            [width, 3, 7, 7] if (1..=WIDEST).contains(&width) => Ok(width),
+            [width, 3, 7, 7] if (1..=MAXIMUM_WIDTH).contains(&width) => Ok(width),
             ref shape => Err(fault!(
-                "conv1.weight has the shape {shape:?} where a ResNet-18 has [64, 3, 7, 7], or another width up to {WIDEST} in front";
-                "{}", origin.fix()
+                "conv1.weight has the shape {shape:?}, but a ResNet-18 has [width, 3, 7, 7] with a width of 1 to {MAXIMUM_WIDTH}";
+                "{}", origin.remedy()
             )),
         }
     }
 
-    /// Names the first tensor that is missing, or that another network has and this one has not.
+    /// Reports the first unexpected tensor, or else the first missing one.
     fn check_names(&self, mut expected: Vec<&str>, origin: Origin) -> Result<(), Fault> {
         expected.sort_unstable();
         let foreign = self
@@ -316,13 +316,15 @@ impl File {
             .find(|name| expected.binary_search(&name.as_str()).is_err() && !origin.ignores(name));
         if let Some(name) = foreign {
             let what = if self.tensors.contains_key("layer1.0.conv3.weight") {
-                "it is a ResNet of 50 layers or more"
+                "it is a ResNet-50 or deeper"
             } else if self.tensors.contains_key("layer1.2.conv1.weight") {
-                "it is a ResNet-34 or the like"
+                "it is a ResNet-34 or similar"
             } else {
                 "it is another network"
             };
-            return Err(fault!("{what}: it holds a tensor {name}, which a ResNet-18 has not"; "{}", origin.fix()));
+            return Err(
+                fault!("{what}: it has a tensor {name}, which a ResNet-18 does not have"; "{}", origin.remedy()),
+            );
         }
         for name in expected {
             self.get(name, origin)?;
@@ -335,8 +337,8 @@ impl File {
         let shape = content.shape();
         if shape != expected {
             return Err(fault!(
-                "{name} has the shape {shape:?} and should have {expected:?}, so it is another network";
-                "{}", origin.fix()
+                "{name} has the shape {shape:?}, but should have {expected:?}, so it is another network";
+                "{}", origin.remedy()
             ));
         }
         let kind = match content {
@@ -344,15 +346,15 @@ impl File {
             Content::Safe { dtype, .. } => (*dtype != Dtype::F32).then(|| format!("{dtype:?}")),
         };
         kind.map_or(Ok(()), |kind| {
-            Err(fault!("{name} holds numbers of the kind {kind}"; "save the weights as 32-bit floats"))
+            Err(fault!("{name} has the data type {kind}"; "save the weights as 32-bit floats"))
         })
     }
 
-    /// The values, all finite, and variances not negative.
+    /// Reads a tensor and checks that all values are finite and that variances are not negative.
     fn values(&self, name: &str, origin: Origin) -> Result<Vec<f32>, Fault> {
         let values: Vec<f32> = match self.get(name, origin)? {
             Content::Torch(tensor) => guarded(|| tensor.read().map_err(|error| error.to_string()))
-                .map_err(|why| fault!("{name} cannot be read ({why}), so the file is damaged"; "{}", origin.fix()))?
+                .map_err(|why| fault!("{name} cannot be read ({why}), so the file is damaged"; "{}", origin.remedy()))?
                 .as_chunks()
                 .0
                 .iter()
@@ -369,8 +371,8 @@ impl File {
             .find(|value| !value.is_finite() || (variance && **value < 0.0))
         {
             Some(value) => Err(fault!(
-                "{name} holds the value {value}, which no trained network has";
-                "{}", origin.fix()
+                "{name} contains the value {value}, which is invalid in a trained network";
+                "{}", origin.remedy()
             )),
             None => Ok(values),
         }
@@ -381,7 +383,7 @@ fn cannot_read(error: &io::Error) -> Fault {
     fault!("the file cannot be read ({error})"; "check its permissions and the disk")
 }
 
-/// Whether a file is to be read as safetensors: it is called so, or begins so, with a length and an opening brace.
+/// Whether a file is read as safetensors: by its extension, or because it begins with a length and an opening brace.
 fn is_safetensors(path: &Path) -> io::Result<bool> {
     use io::Read;
     let mut start = Vec::new();
@@ -394,11 +396,11 @@ fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Cont
     let file = SafeTensors::deserialize(&bytes).map_err(|error| {
         let what = match error {
             SafeTensorError::MetadataIncompleteBuffer | SafeTensorError::InvalidHeaderLength => {
-                "it is cut short or has something appended"
+                "it is truncated or has extra bytes"
             }
-            _ => "it is not a safetensors file, or a damaged one",
+            _ => "it is not a valid safetensors file",
         };
-        fault!("{what} ({error})"; "{}", origin.fix())
+        fault!("{what} ({error})"; "{}", origin.remedy())
     })?;
     let tensors = file.iter().map(|(name, view)| {
         let content = Content::Safe {
@@ -414,7 +416,7 @@ fn read_safetensors(path: &Path, origin: Origin) -> Result<BTreeMap<String, Cont
 fn read_torch(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, Fault> {
     let reader = guarded(|| PytorchReader::new(path).map_err(|error| error.to_string())).map_err(|why| {
         let why = why.split('\n').next().unwrap_or_default();
-        fault!("it is not a file that torch.save wrote, or a damaged one ({why})"; "{}", origin.fix())
+        fault!("it is not a valid file of torch.save ({why})"; "{}", origin.remedy())
     })?;
     Ok(reader
         .into_tensors()
@@ -423,7 +425,7 @@ fn read_torch(path: &Path, origin: Origin) -> Result<BTreeMap<String, Content>, 
         .collect())
 }
 
-/// Runs the reader of `PyTorch`'s files, whose authors mean it to bear any file; should it stop on one, that is an error too.
+/// Calls the reader of `PyTorch` files. It should return an error for every invalid file; if it panics, that is an error too.
 fn guarded<T>(read: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err("its reader stopped".to_owned()))
+    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err("the reader panicked".to_owned()))
 }

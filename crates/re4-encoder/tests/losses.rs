@@ -1,5 +1,5 @@
-//! The losses against a slow reference in f64, their gradients against finite differences, and the angle at its ends.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Compares the losses with a simple f64 reference and their gradients with finite differences, and tests the angle at 0 and pi.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -7,10 +7,10 @@ use proptest::prelude::*;
 use re4_encoder::LossConfig;
 use re4_encoder::loss::{GROUP, Poses, losses};
 
-/// Numbers of the head.
+/// Number of head outputs per pose.
 const NUMBERS: usize = 9;
 
-/// Nine numbers to a pose, slowly: Gram and Schmidt on two vectors.
+/// Converts nine numbers to a pose in a simple way: Gram-Schmidt on two vectors.
 fn pose(raw: &[f64]) -> Isometry3<f64> {
     let vector = |k: usize| Vector3::new(raw[k], raw[k + 1], raw[k + 2]);
     let first = vector(3).normalize();
@@ -23,14 +23,14 @@ fn pose(raw: &[f64]) -> Isometry3<f64> {
     )
 }
 
-/// The metric l of the paper, by quaternions.
+/// The paper's pose metric l, computed with quaternions.
 fn metric(a: &Isometry3<f64>, b: &Isometry3<f64>, weight: f64) -> f64 {
-    let way = a.translation.vector - b.translation.vector;
-    weight * way.norm_squared() + a.rotation.angle_to(&b.rotation)
+    let difference = a.translation.vector - b.translation.vector;
+    weight * difference.norm_squared() + a.rotation.angle_to(&b.rotation)
 }
 
-/// The losses as the appendix writes them: sums over frames and pairs, here means. Estimates, targets, groups of two
-/// demonstrations with two frames before the grasp and two that hold.
+/// The losses of the paper's appendix, with means over frames and pairs instead of sums. Estimates and targets are in groups of
+/// two demonstrations, each with two frames before the grasp and two that hold the object.
 fn reference(estimates: &[Isometry3<f64>], targets: &[Isometry3<f64>], near: &[bool], c: &LossConfig) -> [f64; 4] {
     let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
     let l = |a: &Isometry3<f64>, b: &Isometry3<f64>| metric(a, b, c.translation);
@@ -61,8 +61,8 @@ fn reference(estimates: &[Isometry3<f64>], targets: &[Isometry3<f64>], near: &[b
             .enumerate()
             .map(|(group, near)| {
                 let i = GROUP * group;
-                let tied = l(&estimates[i], &estimates[i + 4]) + l(&estimates[i + 1], &estimates[i + 5]);
-                if *near { tied / 2.0 } else { 0.0 }
+                let sum = l(&estimates[i], &estimates[i + 4]) + l(&estimates[i + 1], &estimates[i + 5]);
+                if *near { sum / 2.0 } else { 0.0 }
             })
             .collect(),
     );
@@ -89,7 +89,7 @@ fn near_tensor(near: &[bool], device: &Device) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values, [near.len(), 1]), device)
 }
 
-/// Head's numbers and targets of two groups, with vectors that are not nearly parallel.
+/// Head outputs and targets of two groups, with rotation vectors that are not nearly parallel.
 fn batch() -> impl Strategy<Value = (Vec<f64>, Vec<f64>, Vec<bool>)> {
     let rows = || prop::collection::vec(-2.0..2.0_f64, 2 * GROUP * NUMBERS);
     (rows(), rows(), prop::collection::vec(any::<bool>(), 2)).prop_filter("degenerate", |(a, b, _)| {
@@ -107,7 +107,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn losses_are_those_of_the_slow_reference((raw, wanted, near) in batch()) {
+    fn losses_equal_those_of_the_reference((raw, wanted, near) in batch()) {
         let device = Device::flex();
         let config = LossConfig::default();
         let poses: Vec<_> = raw.chunks_exact(NUMBERS).map(pose).collect();
@@ -126,7 +126,7 @@ proptest! {
     }
 
     #[test]
-    fn gradients_are_those_of_finite_differences((raw, wanted, near) in batch()) {
+    fn gradients_equal_finite_differences((raw, wanted, near) in batch()) {
         let device = Device::flex().autodiff();
         let config = LossConfig::default();
         let targets: Vec<_> = wanted.chunks_exact(NUMBERS).map(pose).collect();
@@ -150,7 +150,7 @@ proptest! {
             };
             let slope = |by: f64| (moved(by) - moved(-by)) / (2.0 * by);
             let (fine, coarse) = (slope(1e-6), slope(1e-4));
-            // Where the angle passes pi between the two sides there is no slope to compare with.
+            // Finite differences are meaningless where the angle passes pi between the two points.
             if (fine - coarse).abs() < 1e-3 {
                 prop_assert!(
                     (f64::from(gradient[k]) - fine).abs() < 2e-3 * (1.0 + fine.abs()),
@@ -162,33 +162,33 @@ proptest! {
 }
 
 #[test]
-fn the_angle_and_its_gradient_are_finite_at_nothing_and_at_half_a_turn() {
+fn the_angle_and_its_gradient_are_finite_at_zero_and_at_pi() {
     let device = Device::flex().autodiff();
-    for (turn, axis) in [
+    for (angle, axis) in [
         (0.0, Vector3::x()),
         (1e-9, Vector3::y()),
         (std::f64::consts::PI, Vector3::x()),
         (std::f64::consts::PI, Vector3::z()),
         (std::f64::consts::PI - 1e-7, Vector3::new(1.0, 2.0, 3.0)),
     ] {
-        let turned = UnitQuaternion::from_scaled_axis(axis.normalize() * turn);
+        let rotation = UnitQuaternion::from_scaled_axis(axis.normalize() * angle);
         let raw = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
         let leaf = tensor(&raw, &device).require_grad();
-        let target = Isometry3::from_parts(Translation3::identity(), turned);
-        let (square, angle) = Poses::from_raw(&leaf, 0.1).distance(&Poses::from_known(&[target], &device));
-        let value = number(angle.clone().sum());
-        assert!((value - turn).abs() < 1e-3, "{value} for {turn}");
-        let gradient = leaf.grad(&(square + angle).sum().backward()).unwrap();
+        let target = Isometry3::from_parts(Translation3::identity(), rotation);
+        let (square, estimated) = Poses::from_raw(&leaf, 0.1).distance(&Poses::from_known(&[target], &device));
+        let value = number(estimated.clone().sum());
+        assert!((value - angle).abs() < 1e-3, "{value} for {angle}");
+        let gradient = leaf.grad(&(square + estimated).sum().backward()).unwrap();
         let gradient: Vec<f32> = gradient.into_data().iter::<f32>().collect();
         assert!(
             gradient.iter().all(|x| x.is_finite() && x.abs() < 10.0),
-            "{gradient:?} for {turn}"
+            "{gradient:?} for {angle}"
         );
     }
 }
 
 #[test]
-fn vectors_of_no_length_give_finite_poses() {
+fn zero_vectors_give_finite_poses() {
     let device = Device::flex().autodiff();
     let leaf = tensor(&[0.0; NUMBERS], &device).require_grad();
     let poses = Poses::from_raw(&leaf, 0.1);

@@ -1,5 +1,5 @@
-//! A training for real, on images that this test draws: a square on a table where the object is, and a cross for the gripper.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop where it fails")]
+//! A complete training on images that this test renders: a square at the object's position, and a cross for the gripper.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may panic")]
 
 use std::cell::Cell;
 use std::path::Path;
@@ -12,14 +12,14 @@ use re4_encoder::train::{Task, Trained, train};
 use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor, SIDE};
 use re4_fault::Remedy as _;
 
-/// Frames before the grasp, and that hold.
+/// Number of frames before the grasp, and of frames that hold the object.
 const BEFORE: usize = 6;
 const HELD: usize = 4;
 
-/// Spread along a line that fills a rectangle evenly.
-fn place(demo: usize) -> [f64; 2] {
-    let even = |ratio: f64| (demo as f64 * ratio).fract() - 0.5;
-    [0.3 * even(0.754_877_666), 0.3 * even(0.569_840_291)]
+/// A position that depends on the demonstration: a low-discrepancy sequence that fills a rectangle uniformly.
+fn position(demo: usize) -> [f64; 2] {
+    let centred = |ratio: f64| (demo as f64 * ratio).fract() - 0.5;
+    [0.3 * centred(0.754_877_666), 0.3 * centred(0.569_840_291)]
 }
 
 fn pose(at: [f64; 2], height: f64) -> Isometry3<f64> {
@@ -29,7 +29,7 @@ fn pose(at: [f64; 2], height: f64) -> Isometry3<f64> {
     )
 }
 
-fn draw(object: [f64; 2], gripper: [f64; 2]) -> Vec<u8> {
+fn render(object: [f64; 2], gripper: [f64; 2]) -> Vec<u8> {
     let mut image = vec![60; PICTURE_BYTES];
     let pixel = |at: [f64; 2]| at.map(|x| (SIDE as f64 * (0.5 + x / 0.5)) as i64);
     let mut paint = |column: i64, row: i64, colour: [u8; 3]| {
@@ -53,25 +53,25 @@ struct Scenes {
     folder: tempfile::TempDir,
 }
 
-/// Demonstrations that come from a corner, grasp, and carry towards the middle.
+/// Demonstrations in which the gripper comes from a corner, grasps the object, and carries it towards the centre.
 fn scenes(count: usize) -> Scenes {
     let folder = tempfile::tempdir().unwrap();
     let mut images = Vec::new();
     let demos = (0..count)
         .map(|demo| {
-            let at = place(demo);
+            let at = position(demo);
             let first = images.len() as u64;
             let mut eef = Vec::new();
             for frame in 0..BEFORE + HELD {
-                let share = (frame.min(BEFORE) as f64) / BEFORE as f64;
+                let fraction = (frame.min(BEFORE) as f64) / BEFORE as f64;
                 let carried = (frame.saturating_sub(BEFORE)) as f64 * 0.1;
                 let object = at.map(|x| x * (1.0 - carried));
                 let gripper = if frame < BEFORE {
-                    [-0.2 + share * (at[0] + 0.2), -0.2 + share * (at[1] + 0.2)]
+                    [-0.2 + fraction * (at[0] + 0.2), -0.2 + fraction * (at[1] + 0.2)]
                 } else {
                     object
                 };
-                images.push(draw(object, gripper));
+                images.push(render(object, gripper));
                 eef.push(pose(gripper, 0.8));
             }
             TrainingDemo {
@@ -103,17 +103,17 @@ fn config() -> EncoderConfig {
     }
 }
 
-struct Ended;
+struct Interrupted;
 
-impl From<EncoderError> for Ended {
+impl From<EncoderError> for Interrupted {
     fn from(error: EncoderError) -> Self {
         panic!("{error}")
     }
 }
 
-/// Trains on all but every fifth demonstration, for so many steps at most.
+/// Trains on all demonstrations except every fifth one, which are held out; stops after at most `steps` steps.
 fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Option<Trained> {
-    let (held_out, taught): (Vec<_>, Vec<_>) = (0..scenes.demos.len()).partition(|demo| demo % 5 == 0);
+    let (held_out, training): (Vec<_>, Vec<_>) = (0..scenes.demos.len()).partition(|demo| demo % 5 == 0);
     let held_out: Vec<Sample> = held_out
         .into_iter()
         .flat_map(|demo| {
@@ -125,8 +125,8 @@ fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Op
             })
         })
         .collect();
-    let taught = taught.into_iter().map(|demo| scenes.demos[demo].clone()).collect();
-    let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
+    let training = training.into_iter().map(|demo| scenes.demos[demo].clone()).collect();
+    let sampler = Sampler::new(training, config.radius, config.seed, config.batch);
     let task = Task {
         config,
         sampler: &sampler,
@@ -137,28 +137,28 @@ fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Op
     let done = Cell::new(0);
     train(&task, &Checkpoints::open(folder, [7; 32]).unwrap(), |_| {
         done.set(done.get() + 1);
-        if done.get() < steps { Ok(()) } else { Err(Ended) }
+        if done.get() < steps { Ok(()) } else { Err(Interrupted) }
     })
     .ok()
 }
 
 #[test]
-fn the_loss_falls_and_places_that_were_held_out_are_found() {
+fn the_loss_decreases_and_held_out_positions_are_estimated() {
     let scenes = scenes(60);
     let folder = tempfile::tempdir().unwrap();
     let trained = fit(&scenes, &config(), folder.path(), u64::MAX).unwrap();
-    let course: Vec<f64> = trained.epochs.iter().map(|epoch| epoch.losses[0]).collect();
-    assert!(course[4] < 0.25 * course[0], "{course:?}");
+    let losses: Vec<f64> = trained.epochs.iter().map(|epoch| epoch.losses[0]).collect();
+    assert!(losses[4] < 0.25 * losses[0], "{losses:?}");
     let held_out: Vec<f64> = trained.epochs.iter().filter_map(|epoch| epoch.held_out).collect();
     assert!(held_out[4] < 0.5 * held_out[0], "{held_out:?}");
 
     let predictor = Predictor::new(trained.encoder);
-    let taught: Vec<usize> = (0..60).filter(|demo| demo % 5 != 0).collect();
-    let mean = taught
+    let training: Vec<usize> = (0..60).filter(|demo| demo % 5 != 0).collect();
+    let mean = training
         .iter()
         .map(|&demo| scenes.demos[demo].anchor.translation.vector)
         .sum::<Vector3<f64>>()
-        / taught.len() as f64;
+        / training.len() as f64;
     let (mut errors, mut of_mean) = (Vec::new(), Vec::new());
     for demo in scenes.demos.iter().step_by(5) {
         let mut image = vec![0; PICTURE_BYTES];
@@ -173,12 +173,12 @@ fn the_loss_falls_and_places_that_were_held_out_are_found() {
     let (error, baseline) = (errors[errors.len() / 2], of_mean[of_mean.len() / 2]);
     assert!(
         error < 0.3 * baseline,
-        "median error {error:.4} m, of the mean pose {baseline:.4} m"
+        "the median error is {error:.4} m, that of the mean pose {baseline:.4} m"
     );
 }
 
 #[test]
-fn a_training_that_was_ended_goes_on_to_the_same_bytes() {
+fn an_interrupted_training_resumes_bit_exactly() {
     let scenes = scenes(20);
     let config = EncoderConfig {
         epochs: 3,
@@ -188,7 +188,7 @@ fn a_training_that_was_ended_goes_on_to_the_same_bytes() {
     let whole = tempfile::tempdir().unwrap();
     let whole = fit(&scenes, &config, whole.path(), u64::MAX).unwrap();
     assert_eq!(whole.resumed, 0);
-    // In the middle of the second epoch, and in the third.
+    // Interrupted in the middle of the second epoch, and again in the third.
     let folder = tempfile::tempdir().unwrap();
     assert!(fit(&scenes, &config, folder.path(), 9).is_none());
     assert!(fit(&scenes, &config, folder.path(), 8).is_none());
@@ -201,7 +201,7 @@ fn a_training_that_was_ended_goes_on_to_the_same_bytes() {
 }
 
 #[test]
-fn checkpoints_that_are_not_ours_or_not_whole_are_not_taken() {
+fn foreign_or_damaged_checkpoints_are_not_used() {
     let scenes = scenes(10);
     let config = EncoderConfig {
         epochs: 2,
@@ -212,7 +212,7 @@ fn checkpoints_that_are_not_ours_or_not_whole_are_not_taken() {
     let whole = fit(&scenes, &config, folder.path(), u64::MAX).unwrap();
     let file = folder.path().join("epoch-00002");
     let bytes = std::fs::read(&file).unwrap();
-    // A flipped bit, and half of it: as if there were none.
+    // With a flipped bit, or truncated, a checkpoint is ignored.
     for damaged in [
         {
             let mut bytes = bytes.clone();
@@ -237,17 +237,17 @@ fn checkpoints_that_are_not_ours_or_not_whole_are_not_taken() {
     };
     let foreign = Checkpoints::open(folder.path(), [8; 32]).unwrap();
     let Err(error) = train(&task, &foreign, |_| Ok::<_, EncoderError>(())) else {
-        panic!("a foreign checkpoint was taken")
+        panic!("a checkpoint of another training was used")
     };
     assert!(
         error
             .sentence()
-            .contains("is of another training, with other data or settings; remove it")
+            .contains("is of another training run, with other data or settings; remove it")
     );
 }
 
 #[test]
-fn a_loss_that_is_not_finite_ends_the_training_and_keeps_the_last_good_checkpoint() {
+fn a_loss_that_is_not_finite_stops_the_training_and_keeps_the_last_checkpoint() {
     let scenes = scenes(10);
     let good = EncoderConfig {
         epochs: 1,
@@ -272,7 +272,7 @@ fn a_loss_that_is_not_finite_ends_the_training_and_keeps_the_last_good_checkpoin
     };
     let checkpoints = Checkpoints::open(folder.path(), [7; 32]).unwrap();
     let Err(error) = train(&task, &checkpoints, |_| Ok::<_, EncoderError>(())) else {
-        panic!("a loss of 1e30 was taken")
+        panic!("a training with a loss of 1e30 was not stopped")
     };
     let text = error.sentence();
     assert!(
@@ -284,7 +284,7 @@ fn a_loss_that_is_not_finite_ends_the_training_and_keeps_the_last_good_checkpoin
 }
 
 #[test]
-fn batches_follow_from_seed_epoch_and_step_and_pair_what_is_near() {
+fn batches_depend_on_seed_epoch_and_step_and_pair_near_anchors() {
     let scenes = scenes(40);
     let sampler = Sampler::new(scenes.demos.clone(), 0.05, 3, 64);
     let batch = sampler.batch(2, 5);
@@ -298,9 +298,10 @@ fn batches_follow_from_seed_epoch_and_step_and_pair_what_is_near() {
         let batch = sampler.batch(0, step);
         for (group, near) in batch.samples.chunks(8).zip(&batch.near) {
             let (first, second) = (demo_of(&group[0]), demo_of(&group[4]));
-            let way = scenes.demos[first].anchor.translation.vector - scenes.demos[second].anchor.translation.vector;
+            let difference =
+                scenes.demos[first].anchor.translation.vector - scenes.demos[second].anchor.translation.vector;
             assert_eq!(*near, first != second);
-            assert!(way.norm() < 0.05);
+            assert!(difference.norm() < 0.05);
             for (k, sample) in group.iter().enumerate() {
                 let demo = &scenes.demos[demo_of(sample)];
                 let frame = (sample.image - demo.first) as usize;
@@ -311,7 +312,7 @@ fn batches_follow_from_seed_epoch_and_step_and_pair_what_is_near() {
             }
         }
     }
-    // 9 x 9 crops, all of them drawn.
+    // There are 9 x 9 crops, and each of them is sampled.
     assert_eq!(crops.len(), 81);
     assert!(crops.iter().all(|crop| crop.iter().all(|&at| at <= 8)));
 }

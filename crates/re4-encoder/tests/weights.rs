@@ -1,6 +1,6 @@
-//! Weights from files, the encoder's own and torchvision's, and what torchvision says with the same ones.
+//! Weights files of the encoder and of torchvision, and comparison of the features with torchvision's.
 //!
-//! The files in `data` are those of `tests/torchvision_reference.py`.
+//! `tests/torchvision_reference.py` writes the files in `data`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -41,7 +41,7 @@ fn crc32(bytes: &[u8]) -> u32 {
     })
 }
 
-/// `numbers` of `tests/torchvision_reference.py`.
+/// The same as `numbers` of `tests/torchvision_reference.py`.
 fn numbers(name: &str, count: usize) -> Vec<f32> {
     let start = crc32(name.as_bytes());
     let number = |index: usize| {
@@ -56,7 +56,7 @@ fn numbers(name: &str, count: usize) -> Vec<f32> {
     (0..count).map(number).collect()
 }
 
-/// `tensor` of `tests/torchvision_reference.py`.
+/// The same as `tensor` of `tests/torchvision_reference.py`.
 fn values(name: &str, shape: &[usize]) -> Vec<f32> {
     let mut values = numbers(name, shape.iter().product());
     for value in &mut values {
@@ -88,7 +88,7 @@ fn read_safetensors(path: &Path) -> BTreeMap<String, Stored> {
         .collect()
 }
 
-/// torchvision's names and shapes of a ResNet-18, with computed values.
+/// The names and shapes of torchvision's ResNet-18, with computed values.
 fn computed() -> BTreeMap<String, Stored> {
     let reference = json("resnet18.json");
     let shapes = reference["shapes"].as_object().unwrap().clone();
@@ -103,7 +103,7 @@ fn computed() -> BTreeMap<String, Stored> {
     shapes.into_iter().map(tensor).collect()
 }
 
-/// The largest difference to the fixture's features, relative to the largest feature.
+/// The largest difference from the fixture's features, relative to the largest feature.
 fn difference(encoder: &Encoder, reference: &Value) -> f64 {
     let expected: Vec<Vec<f64>> = serde_json::from_value(reference["features"].clone()).unwrap();
     let (count, side) = (expected.len(), 76);
@@ -121,37 +121,37 @@ fn difference(encoder: &Encoder, reference: &Value) -> f64 {
     features
         .iter()
         .zip(&expected)
-        .fold(0.0, |most: f64, (value, expected)| {
-            most.max((f64::from(*value) - expected).abs())
+        .fold(0.0, |largest: f64, (value, expected)| {
+            largest.max((f64::from(*value) - expected).abs())
         })
         / largest
 }
 
-/// torchvision's own rounding is up to 6e-7 of the largest feature (`float64` of the fixtures); the sums here are taken in another
-/// order, and are as long.
+/// torchvision's own rounding error is up to 6e-7 of the largest feature (`float64` of the fixtures). The sums here have the same
+/// length but another order.
 const TOLERANCE: f64 = 3e-6;
 
 fn narrow() -> Encoder {
     load_torchvision(Encoder::new(2, &Device::flex()), &data("narrow18.pth")).unwrap()
 }
 
-fn why<T>(result: Result<T, re4_encoder::EncoderError>, folder: &Path) -> String {
+fn refusal<T>(result: Result<T, re4_encoder::EncoderError>, folder: &Path) -> String {
     let sentence = result.err().expect("the file should be refused").sentence();
-    assert!(!sentence.contains("its reader stopped"), "{sentence}");
+    assert!(!sentence.contains("the reader panicked"), "{sentence}");
     sentence
         .replace(folder.to_str().unwrap(), "[folder]")
         .replace(data("").to_str().unwrap(), "[data]/")
 }
 
 #[test]
-fn features_equal_torchvisions() {
+fn features_equal_those_of_torchvision() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("resnet18.safetensors");
     write_safetensors(&path, &computed());
     let encoder = load_torchvision(Encoder::new(64, &Device::flex()), &path).unwrap();
-    let most = difference(&encoder, &json("resnet18.json"));
-    assert!(most < TOLERANCE, "{most}");
-    // The comparison sees a single statistic.
+    let error = difference(&encoder, &json("resnet18.json"));
+    assert!(error < TOLERANCE, "{error}");
+    // The comparison detects a change of a single running statistic.
     let mut tensors = computed();
     let (_, bytes) = tensors.get_mut("layer3.1.bn2.running_mean").unwrap();
     bytes[..4].copy_from_slice(&0.5_f32.to_le_bytes());
@@ -161,13 +161,13 @@ fn features_equal_torchvisions() {
 }
 
 #[test]
-fn files_of_torch_are_read() {
+fn torch_files_are_read() {
     for file in ["narrow18.pth", "narrow18_checkpoint.pth"] {
         let encoder = load_torchvision(Encoder::new(2, &Device::flex()), &data(file)).unwrap();
-        let most = difference(&encoder, &json("narrow18.json"));
-        assert!(most < TOLERANCE, "{file}: {most}");
+        let error = difference(&encoder, &json("narrow18.json"));
+        assert!(error < TOLERANCE, "{file}: {error}");
     }
-    // Neither the ending of the name nor a device with gradients matters.
+    // Neither the file extension nor a device with gradients matters.
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("weights");
     fs::copy(data("narrow18.pth"), &path).unwrap();
@@ -176,12 +176,12 @@ fn files_of_torch_are_read() {
     assert!(difference(&encoder.valid(), &json("narrow18.json")) < TOLERANCE);
     let loss = encoder.features(Tensor::ones([2, 3, 76, 76], &device)).sum();
     let gradients = burn::optim::GradientsParams::from_grads(loss.backward(), &encoder);
-    // All but the running statistics, the embedding and the head.
-    assert_eq!(gradients.len(), 60, "loaded weights still learn");
+    // All parameters except the running statistics, the embedding and the head.
+    assert_eq!(gradients.len(), 60, "loaded weights must be trainable");
 }
 
 #[test]
-fn what_is_saved_is_loaded_bit_by_bit_under_torchvisions_names() {
+fn saved_weights_are_loaded_bit_exactly_with_torchvision_names() {
     let folder = TempDir::new().unwrap();
     let (first, second) = (folder.path().join("a.safetensors"), folder.path().join("b.safetensors"));
     let encoder = narrow();
@@ -200,7 +200,10 @@ fn what_is_saved_is_loaded_bit_by_bit_under_torchvisions_names() {
             .iter()
             .flat_map(|value| value.to_le_bytes())
             .collect();
-        assert!(stored[name].1 == bytes, "{name} is what Python computed");
+        assert!(
+            stored[name].1 == bytes,
+            "{name} differs from the value that Python computed"
+        );
     }
     let own: Vec<&String> = stored.keys().filter(|name| !names.contains_key(*name)).collect();
     assert_eq!(own, ["embedding.bias", "embedding.weight", "head.bias", "head.weight"]);
@@ -208,7 +211,7 @@ fn what_is_saved_is_loaded_bit_by_bit_under_torchvisions_names() {
     assert_eq!(stored["embedding.weight"].0, [256, 16]);
     assert_eq!(stored["head.weight"].0, [9, 256]);
 
-    // PyTorch's layout: a pose is weight x embedding + bias.
+    // PyTorch's layout: the head output is weight x embedding + bias.
     let (embedding, pose) = encoder.forward(Tensor::ones([1, 3, 76, 76], &Device::flex()));
     let embedding: Vec<f32> = embedding.into_data().try_into_vec().unwrap();
     let pose: Vec<f32> = pose.into_data().try_into_vec().unwrap();
@@ -239,13 +242,13 @@ fn the_last_step_of_a_training_is_saved() {
     assert!(before["bn1.running_var"] != after["bn1.running_var"]);
     assert!(before["bn1.weight"] == after["bn1.weight"]);
     assert!(after == saved(&encoder.valid(), "valid"));
-    // A load is not mixed with a step before it.
+    // A load discards a pending update of an earlier step.
     let encoder = load_torchvision(encoder, &data("narrow18.pth")).unwrap();
     assert!(before == saved(&encoder, "again"));
 }
 
 #[test]
-fn equal_weights_are_equal_bytes_in_every_process() {
+fn equal_weights_give_equal_bytes_in_every_process() {
     const SAVE_TO: &str = "RE4_ENCODER_TEST_SAVE_TO";
     const SEED: &str = "RE4_ENCODER_TEST_SEED";
     if let (Some(path), Ok(seed)) = (std::env::var_os(SAVE_TO), std::env::var(SEED)) {
@@ -256,9 +259,9 @@ fn equal_weights_are_equal_bytes_in_every_process() {
     let folder = TempDir::new().unwrap();
     let saved = |name: &str, seed: &str| {
         let path = folder.path().join(name);
-        // Its own summary of tests is not to be taken for one of this run.
+        // The output is captured, so that the child's test summary does not appear in this run.
         let output = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "equal_weights_are_equal_bytes_in_every_process"])
+            .args(["--exact", "equal_weights_give_equal_bytes_in_every_process"])
             .env(SAVE_TO, &path)
             .env(SEED, seed)
             .output()
@@ -271,7 +274,7 @@ fn equal_weights_are_equal_bytes_in_every_process() {
     assert!(first != saved("third", "8"));
 }
 
-/// `computed` with a change.
+/// Writes a copy of `good.safetensors` with a change.
 fn changed(folder: &Path, name: &str, change: impl FnOnce(&mut BTreeMap<String, Stored>)) -> PathBuf {
     let path = folder.join(name);
     let mut tensors = read_safetensors(&folder.join("good.safetensors"));
@@ -284,13 +287,14 @@ fn changed(folder: &Path, name: &str, change: impl FnOnce(&mut BTreeMap<String, 
 fn other_networks_are_refused() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    let start = |width: usize, path: &Path| why(load_torchvision(Encoder::new(width, &Device::flex()), path), folder);
+    let start =
+        |width: usize, path: &Path| refusal(load_torchvision(Encoder::new(width, &Device::flex()), path), folder);
     let mut sentences = vec![
         start(1, &data("narrow34.pth")),
         start(1, &data("narrow50.pth")),
         start(64, &data("narrow18.pth")),
     ];
-    // A ResNet-18 of two channels without embedding and head.
+    // A ResNet-18 with two channels, at first with embedding and head, then without.
     let good = folder.join("good.safetensors");
     save(&narrow(), &good).unwrap();
     sentences.push(start(2, &good));
@@ -327,21 +331,21 @@ fn other_networks_are_refused() {
     sentences.extend(wrong.iter().map(|path| start(2, path)));
     let half = folder.join("half.safetensors");
     let text = fs::read(&good).unwrap();
-    // Halves of twice the size: the first tensor says so, the file is otherwise sound.
+    // The header declares another data type for the first tensor; the file is otherwise valid.
     let text = text
         .windows(3)
         .position(|window| window == b"F32")
         .map(|at| [&text[..at], b"I32", &text[at + 3..]].concat());
     fs::write(&half, text.unwrap()).unwrap();
     sentences.push(start(2, &half));
-    // The encoder's own files need all that training wrote.
-    sentences.push(why(load(&good, &Device::flex()), folder));
-    sentences.push(why(load(&data("narrow18.pth"), &Device::flex()), folder));
+    // The encoder's own files must contain every tensor that training writes.
+    sentences.push(refusal(load(&good, &Device::flex()), folder));
+    sentences.push(refusal(load(&data("narrow18.pth"), &Device::flex()), folder));
     insta::assert_snapshot!(sentences.join("\n"));
 }
 
 #[test]
-fn what_is_no_file_of_weights_is_refused() {
+fn invalid_weights_files_are_refused() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
     let file = |name: &str, bytes: &[u8]| {
@@ -354,7 +358,7 @@ fn what_is_no_file_of_weights_is_refused() {
     save(&narrow(), &good).unwrap();
     let safe = fs::read(&good).unwrap();
     let header = u64::from_le_bytes(safe[..8].try_into().unwrap());
-    let lying = |length: u64| [&length.to_le_bytes(), &safe[8..]].concat();
+    let with_header_length = |length: u64| [&length.to_le_bytes(), &safe[8..]].concat();
     let noise: Vec<u8> = numbers("noise", 10_000)
         .iter()
         .flat_map(|value| value.to_le_bytes())
@@ -375,23 +379,23 @@ fn what_is_no_file_of_weights_is_refused() {
         file("cut.pth", &torch[..torch.len() / 2]),
         file("cut.safetensors", &safe[..safe.len() / 2]),
         file("short.safetensors", &safe[..5]),
-        file("longer.safetensors", &lying(header + 8)),
-        file("shorter.safetensors", &lying(header - 8)),
-        file("endless.safetensors", &lying(u64::MAX)),
+        file("longer.safetensors", &with_header_length(header + 8)),
+        file("shorter.safetensors", &with_header_length(header - 8)),
+        file("endless.safetensors", &with_header_length(u64::MAX)),
         file("appended.safetensors", &[safe.as_slice(), b"x"].concat()),
     ];
     let sentences: Vec<String> = paths
         .iter()
-        .map(|path| why(load_torchvision(Encoder::new(2, &Device::flex()), path), folder))
+        .map(|path| refusal(load_torchvision(Encoder::new(2, &Device::flex()), path), folder))
         .collect();
     insta::assert_snapshot!(sentences.join("\n"));
     for path in &paths {
-        why(load(path, &Device::flex()), folder);
+        refusal(load(path, &Device::flex()), folder);
     }
 }
 
 #[test]
-fn damaged_files_are_errors_wherever_the_damage_is() {
+fn damaged_files_are_refused_wherever_the_damage_is() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
     let path = folder.join("damaged.pth");
@@ -399,12 +403,12 @@ fn damaged_files_are_errors_wherever_the_damage_is() {
     let encoder = Encoder::new(2, &Device::flex());
     for length in (0..torch.len()).step_by(263).chain(torch.len() - 40..torch.len()) {
         fs::write(&path, &torch[..length]).unwrap();
-        why(load_torchvision(encoder.clone(), &path), folder);
+        refusal(load_torchvision(encoder.clone(), &path), folder);
     }
-    // Changed bytes may be somewhere where nothing depends on them; then the weights are the right ones.
+    // Changed bytes may be where nothing depends on them; then the weights are correct.
     let choice = numbers("damage", 3 * 400);
     let expected = json("narrow18.json");
-    let (mut borne, mut refused) = (0, 0);
+    let (mut accepted, mut refused) = (0, 0);
     for three in choice.chunks(3) {
         let at = (f32::midpoint(three[0], 1.0) * torch.len() as f32) as usize;
         let mut bytes = torch.clone();
@@ -415,13 +419,13 @@ fn damaged_files_are_errors_wherever_the_damage_is() {
         match load_torchvision(encoder.clone(), &path) {
             Ok(encoder) => {
                 assert!(difference(&encoder, &expected) < TOLERANCE);
-                borne += 1;
+                accepted += 1;
             }
             Err(error) => {
-                why::<()>(Err(error), folder);
+                refusal::<()>(Err(error), folder);
                 refused += 1;
             }
         }
     }
-    assert!(refused > borne, "{refused} refused, {borne} borne");
+    assert!(refused > accepted, "{refused} refused, {accepted} accepted");
 }

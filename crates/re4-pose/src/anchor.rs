@@ -1,8 +1,8 @@
-//! The anchor: the one frame of reference for angles, calibrated by the task's goal pose.
+//! The anchor: the reference mask from which angles are measured, calibrated with the task's goal pose.
 //!
-//! Every image of Push-T shows the goal, the same T as the block, filled light green. Where it is not hidden, its pixels
-//! are the same in all images; the maximum fraction of the goal's colour over many images is a mask of the T at the
-//! goal pose. That mask is the anchor, and the goal pose, which the task gives, is its pose. No recorded pose is used.
+//! Every image of Push-T shows the goal, the same T as the block, filled light green. Its visible pixels are the same in all
+//! images, so the maximum of each pixel's goal-coloured fraction over many images is a mask of the T at the goal pose. That mask is
+//! the anchor; its pose is the goal pose, which the task defines. No recorded pose is used.
 
 use re4_fault::Remedy;
 use re4_geometry::{Point2, Pose2};
@@ -12,87 +12,87 @@ use crate::component::{Region, largest};
 use crate::image::{PushtImage, SCALE, SIDE, goal_fraction, image, is_block_in_bgr};
 use crate::outline::Outline;
 
-/// The goal seen in images may have this fraction of its area more or less than its outline.
+/// Relative tolerance between the area of the goal in the images and that of its outline.
 const AREA_TOLERANCE: f64 = 0.08;
 
-/// The goal may be seen this far, in world pixels, from where its pose says.
-const PLACE_TOLERANCE: f64 = 4.0;
+/// Tolerance between the goal's centroid in the images and that of the goal pose, in world pixels.
+const POSITION_TOLERANCE: f64 = 4.0;
 
 /// A mask of the T at a known pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Anchor {
-    share: Vec<f32>,
+    fractions: Vec<f32>,
     goal: Pose2,
     centroid: Point2,
 }
 
-/// Why images give no anchor.
+/// Why images cannot calibrate an anchor.
 #[derive(Debug, Clone, PartialEq, Error, Remedy)]
 pub enum AnchorError {
-    /// The goal pose would not be seen.
+    /// The goal would not be completely inside the image.
     #[error(
         "the goal pose ({:.1}, {:.1}, {:.3} rad) puts a part of the goal outside of the image, which shows 0 to 512 px",
         goal.x,
         goal.y,
         goal.theta
     )]
-    #[remedy("give a goal pose that lies inside")]
+    #[remedy("give a goal pose inside the image")]
     GoalOutside {
         /// The goal pose.
         goal: Pose2,
     },
-    /// No image to look at.
-    #[error("there is no image to calibrate on")]
+    /// No image was added.
+    #[error("there are no images to calibrate on")]
     #[remedy("ingest the images too (ingest.images = true)")]
     NoImages,
-    /// No region with the goal's colour.
-    #[error("none of the {images} images looked at shows the goal's light green (144, 238, 144)")]
-    #[remedy("images of Push-T have 8 bits a channel, 0 to 255, in the order RGB")]
+    /// No image has a region with the goal's colour.
+    #[error("none of the {images} images shows the goal's light green (144, 238, 144)")]
+    #[remedy("use RGB images with 8 bits per channel, 0 to 255")]
     NoGoal {
-        /// Images looked at.
+        /// Number of images that were searched.
         images: usize,
     },
-    /// Red and blue have changed places.
-    #[error("the images hold blue before red: {pixels} pixels have the block's colour read as BGR and none as RGB")]
-    #[remedy("convert them to RGB")]
+    /// The channels are in BGR order.
+    #[error("the images are in BGR order: {pixels} pixels have the block's colour as BGR and none as RGB")]
+    #[remedy("convert the images to RGB")]
     Bgr {
-        /// Pixels with the block's colour backwards.
+        /// Number of pixels that have the block's colour as BGR.
         pixels: usize,
     },
-    /// The goal's region has another size.
+    /// The goal's region has the wrong size.
     #[error(
-        "the goal seen in {images} images covers {found:.0} px^2 and should cover {expected:.0}: it is never seen whole, or drawn otherwise"
+        "the goal in the {images} images covers {found:.0} px^2 and should cover {expected:.0}: it is never completely visible, or it is rendered differently"
     )]
     #[remedy("ingest more episodes")]
     Area {
-        /// Images looked at.
+        /// Number of images that were searched.
         images: usize,
-        /// Area seen.
+        /// Area in the images, world px^2.
         found: f64,
-        /// Area of the outline.
+        /// Area of the outline, world px^2.
         expected: f64,
     },
-    /// The goal is elsewhere.
+    /// The goal's region is at the wrong position.
     #[error(
-        "the goal in the images has its centre at ({:.1}, {:.1}) and the goal pose puts it at ({:.1}, {:.1})",
+        "the goal in the images has its centre at ({:.1}, {:.1}), but the goal pose puts it at ({:.1}, {:.1})",
         found.x,
         found.y,
         expected.x,
         expected.y
     )]
     #[remedy("give the goal pose of this dataset")]
-    Place {
-        /// Centroid seen.
+    Position {
+        /// Centroid in the images, world px.
         found: Point2,
-        /// Centroid by the goal pose.
+        /// Centroid for the goal pose, world px.
         expected: Point2,
     },
 }
 
-/// Collects what images show of the goal. The order of images does not matter.
+/// Accumulates the visible parts of the goal over images. The order of the images does not matter.
 #[derive(Debug, Clone)]
 pub struct AnchorBuilder {
-    share: Vec<f32>,
+    fractions: Vec<f32>,
     images: usize,
     block_pixels: usize,
     bgr_pixels: usize,
@@ -101,7 +101,7 @@ pub struct AnchorBuilder {
 impl Default for AnchorBuilder {
     fn default() -> Self {
         Self {
-            share: vec![0.0; SIDE * SIDE],
+            fractions: vec![0.0; SIDE * SIDE],
             images: 0,
             block_pixels: 0,
             bgr_pixels: 0,
@@ -110,21 +110,21 @@ impl Default for AnchorBuilder {
 }
 
 impl AnchorBuilder {
-    /// Looks at an image.
+    /// Adds an image.
     pub fn add(&mut self, image: &PushtImage<'_>) {
         self.images += 1;
-        for (share, &pixel) in self.share.iter_mut().zip(image.pixels()) {
-            *share = share.max(goal_fraction(pixel));
+        for (fraction, &pixel) in self.fractions.iter_mut().zip(image.pixels()) {
+            *fraction = fraction.max(goal_fraction(pixel));
             let [red, green, blue] = pixel;
             self.bgr_pixels += usize::from(is_block_in_bgr(pixel));
             self.block_pixels += usize::from(is_block_in_bgr([blue, green, red]));
         }
     }
 
-    /// The anchor of the images that were added, for a T of this outline whose goal is at `goal`.
+    /// The anchor from the added images, for a T of this outline with the goal pose `goal`.
     ///
     /// # Errors
-    /// When the goal was not seen whole, or not where `goal` says.
+    /// When the goal is not completely visible over all images, or is not at `goal`.
     pub fn finish(self, goal: Pose2, outline: &Outline) -> Result<Anchor, AnchorError> {
         if self.images == 0 {
             return Err(AnchorError::NoImages);
@@ -134,30 +134,30 @@ impl AnchorBuilder {
                 pixels: self.bgr_pixels,
             });
         }
-        Anchor::of_goal_mask(&self.share, goal, outline, self.images)
+        Anchor::of_goal_mask(&self.fractions, goal, outline, self.images)
     }
 }
 
 impl Anchor {
-    /// The anchor of a mask of the goal: for each of the 96 x 96 pixels, row by row, the fraction that has the goal's colour.
+    /// The anchor from a mask of the goal: for each of the 96 x 96 pixels, row by row, the fraction that has the goal's colour.
     ///
     /// # Errors
-    /// When the mask is not that of a goal at `goal`.
-    pub fn from_goal_mask(share: &[f32], goal: Pose2, outline: &Outline) -> Result<Self, AnchorError> {
-        Self::of_goal_mask(share, goal, outline, 1)
+    /// When the mask does not show a goal at `goal`.
+    pub fn from_goal_mask(fractions: &[f32], goal: Pose2, outline: &Outline) -> Result<Self, AnchorError> {
+        Self::of_goal_mask(fractions, goal, outline, 1)
     }
 
-    fn of_goal_mask(share: &[f32], goal: Pose2, outline: &Outline, images: usize) -> Result<Self, AnchorError> {
+    fn of_goal_mask(fractions: &[f32], goal: Pose2, outline: &Outline, images: usize) -> Result<Self, AnchorError> {
         let outline = outline.without_stroke();
         let inside = |v: f64| (0.0..=(SIDE - 1) as f64).contains(&image(v));
         if !outline.corners(goal).all(|corner| inside(corner.x) && inside(corner.y)) {
             return Err(AnchorError::GoalOutside { goal });
         }
-        if share.len() != SIDE * SIDE {
+        if fractions.len() != SIDE * SIDE {
             return Err(AnchorError::NoGoal { images });
         }
-        let covered: Vec<usize> = (0..share.len()).filter(|&at| share[at] > 0.0).collect();
-        let Region { area, centroid, mask } = largest(share, &covered).ok_or(AnchorError::NoGoal { images })?;
+        let covered: Vec<usize> = (0..fractions.len()).filter(|&at| fractions[at] > 0.0).collect();
+        let Region { area, centroid, mask } = largest(fractions, &covered).ok_or(AnchorError::NoGoal { images })?;
         let expected_area = outline.pixels() * SCALE * SCALE;
         let found = area * SCALE * SCALE;
         if (found / expected_area - 1.0).abs() > AREA_TOLERANCE {
@@ -168,25 +168,25 @@ impl Anchor {
             });
         }
         let expected = goal.transform_point(outline.centroid());
-        if (centroid - expected).norm() > PLACE_TOLERANCE {
-            return Err(AnchorError::Place {
+        if (centroid - expected).norm() > POSITION_TOLERANCE {
+            return Err(AnchorError::Position {
                 found: centroid,
                 expected,
             });
         }
         Ok(Self {
-            share: mask,
+            fractions: mask,
             goal,
             centroid,
         })
     }
 
-    /// Fraction of each of the 96 x 96 pixels that has the goal's colour, row by row.
+    /// For each of the 96 x 96 pixels, row by row, the fraction that has the goal's colour.
     pub fn share(&self) -> &[f32] {
-        &self.share
+        &self.fractions
     }
 
-    /// Pose of the T in the anchor: the goal pose.
+    /// Pose of the T in the mask: the goal pose.
     pub fn goal(&self) -> Pose2 {
         self.goal
     }

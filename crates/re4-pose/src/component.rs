@@ -1,82 +1,82 @@
-//! Connected regions of a mask.
+//! Connected components of a mask.
 
 use re4_geometry::Point2;
 
 use crate::image::{SIDE, world};
 
-/// Shares of at least this are part of a region; lesser ones only at its rim.
+/// Pixels with at least this fraction are connected to each other; pixels with less belong to a region only at its rim.
 const INSIDE: f32 = 0.5;
 
-/// A region of a mask.
+/// A connected component of a mask.
 pub(crate) struct Region {
-    /// Area in image pixels: the sum of the shares, those at the rim included.
+    /// Area in image pixels: the sum of the fractions, including those at the rim.
     pub(crate) area: f64,
-    /// Centroid, in world pixels, weighted by the shares.
+    /// Centroid, in world pixels, weighted by the fractions.
     pub(crate) centroid: Point2,
-    /// The mask with this region alone.
+    /// The mask of this region only.
     pub(crate) mask: Vec<f32>,
 }
 
-/// The largest region of `pixels` (those with any share) that hang together by sides or corners, with the soft pixels at its
-/// rim; the first from the top if several are as large. None when no pixel is inside of a region.
-pub(crate) fn largest(share: &[f32], pixels: &[usize]) -> Option<Region> {
+/// The largest 8-connected region of `pixels` (those with a positive fraction), including the soft pixels at its rim; the first
+/// one from the top if several are equally large. Returns `None` if no pixel has a fraction of at least `INSIDE`.
+pub(crate) fn largest(fractions: &[f32], pixels: &[usize]) -> Option<Region> {
     let mut label = vec![0_u16; SIDE * SIDE];
-    let mut waiting = Vec::new();
+    let mut stack = Vec::new();
     let mut best: Option<(usize, u16)> = None;
     let mut regions = 0;
     for &start in pixels {
-        if share[start] < INSIDE || label[start] != 0 {
+        if fractions[start] < INSIDE || label[start] != 0 {
             continue;
         }
         regions += 1;
         let mut size = 0;
         label[start] = regions;
-        waiting.push(start);
-        while let Some(at) = waiting.pop() {
+        stack.push(start);
+        while let Some(at) = stack.pop() {
             size += 1;
             for next in neighbours(at) {
-                if share[next] >= INSIDE && label[next] == 0 {
+                if fractions[next] >= INSIDE && label[next] == 0 {
                     label[next] = regions;
-                    waiting.push(next);
+                    stack.push(next);
                 }
             }
         }
-        if best.is_none_or(|(most, _)| size > most) {
+        if best.is_none_or(|(largest, _)| size > largest) {
             best = Some((size, regions));
         }
     }
     let (_, chosen) = best?;
     let rim = |at: usize| label[at] == 0 && neighbours(at).any(|next| label[next] == chosen);
     let mut mask = vec![0.0; SIDE * SIDE];
-    let mut own = Vec::with_capacity(pixels.len());
+    let mut members = Vec::with_capacity(pixels.len());
     for &at in pixels.iter().filter(|&&at| label[at] == chosen || rim(at)) {
-        mask[at] = share[at];
-        own.push(at);
+        mask[at] = fractions[at];
+        members.push(at);
     }
     Some(Region {
-        area: own.iter().map(|&at| f64::from(share[at])).sum(),
-        centroid: centroid(share, &own),
+        area: members.iter().map(|&at| f64::from(fractions[at])).sum(),
+        centroid: centroid(fractions, &members),
         mask,
     })
 }
 
-/// Centroid of some pixels of a mask, in world pixels; not a number where there are none.
-pub(crate) fn centroid(share: &[f32], pixels: &[usize]) -> Point2 {
+/// Centroid of the given pixels of a mask, in world pixels; NaN if there are none.
+pub(crate) fn centroid(fractions: &[f32], pixels: &[usize]) -> Point2 {
     let (mut area, mut moment) = (0.0, Point2::zeros());
     for &at in pixels {
-        let weight = f64::from(share[at]);
+        let weight = f64::from(fractions[at]);
         area += weight;
-        moment += weight * place(at);
+        moment += weight * position(at);
     }
     moment / area
 }
 
-/// Centre of a pixel, in the world.
-fn place(at: usize) -> Point2 {
+/// World position of a pixel's centre.
+fn position(at: usize) -> Point2 {
     Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64))
 }
 
-/// The pixel itself and those that touch it.
+/// The pixel itself and its neighbours by edges and corners.
 fn neighbours(at: usize) -> impl Iterator<Item = usize> {
     let (row, column) = (at / SIDE, at % SIDE);
     (row.saturating_sub(1)..=(row + 1).min(SIDE - 1))
@@ -88,18 +88,18 @@ mod tests {
     use super::*;
 
     fn mask(rows: &[(usize, usize, f32)]) -> (Vec<f32>, Vec<usize>) {
-        let mut share = vec![0.0; SIDE * SIDE];
+        let mut fractions = vec![0.0; SIDE * SIDE];
         for &(row, column, value) in rows {
-            share[row * SIDE + column] = value;
+            fractions[row * SIDE + column] = value;
         }
-        let pixels = (0..share.len()).filter(|&at| share[at] > 0.0).collect();
-        (share, pixels)
+        let pixels = (0..fractions.len()).filter(|&at| fractions[at] > 0.0).collect();
+        (fractions, pixels)
     }
 
     #[test]
-    fn the_largest_region_is_taken_with_its_soft_rim() {
-        // Three pixels that touch by corners, a soft one beside them, two pixels far away, a soft one alone.
-        let (share, pixels) = mask(&[
+    fn the_largest_region_includes_its_soft_rim() {
+        // Three pixels that touch by corners, a soft one next to them, two pixels far away, and an isolated soft one.
+        let (fractions, pixels) = mask(&[
             (10, 10, 1.0),
             (11, 11, 0.5),
             (12, 10, 0.75),
@@ -108,28 +108,28 @@ mod tests {
             (40, 41, 1.0),
             (70, 70, 0.25),
         ]);
-        let region = largest(&share, &pixels).unwrap();
+        let region = largest(&fractions, &pixels).unwrap();
         assert_eq!(region.area, 2.5);
-        let expected = (place(10 * SIDE + 10)
-            + 0.5 * place(11 * SIDE + 11)
-            + 0.75 * place(12 * SIDE + 10)
-            + 0.25 * place(12 * SIDE + 11))
+        let expected = (position(10 * SIDE + 10)
+            + 0.5 * position(11 * SIDE + 11)
+            + 0.75 * position(12 * SIDE + 10)
+            + 0.25 * position(12 * SIDE + 11))
             / 2.5;
         assert!((region.centroid - expected).norm() < 1e-9);
         assert_eq!(region.mask.iter().filter(|value| **value > 0.0).count(), 4);
     }
 
     #[test]
-    fn of_two_as_large_the_first_from_the_top_and_of_none_nothing() {
-        let (share, pixels) = mask(&[(50, 3, 1.0), (5, 90, 1.0)]);
-        assert_eq!(largest(&share, &pixels).unwrap().centroid, place(5 * SIDE + 90));
-        let (share, pixels) = mask(&[(50, 3, 0.4)]);
-        assert!(largest(&share, &pixels).is_none());
+    fn ties_go_to_the_first_region_from_the_top() {
+        let (fractions, pixels) = mask(&[(50, 3, 1.0), (5, 90, 1.0)]);
+        assert_eq!(largest(&fractions, &pixels).unwrap().centroid, position(5 * SIDE + 90));
+        let (fractions, pixels) = mask(&[(50, 3, 0.4)]);
+        assert!(largest(&fractions, &pixels).is_none());
     }
 
     #[test]
-    fn regions_do_not_hang_together_round_the_border() {
-        let (share, pixels) = mask(&[(20, SIDE - 1, 1.0), (21, 0, 1.0), (21, 1, 1.0)]);
-        assert_eq!(largest(&share, &pixels).unwrap().area, 2.0);
+    fn regions_do_not_wrap_around_the_border() {
+        let (fractions, pixels) = mask(&[(20, SIDE - 1, 1.0), (21, 0, 1.0), (21, 1, 1.0)]);
+        assert_eq!(largest(&fractions, &pixels).unwrap().area, 2.0);
     }
 }

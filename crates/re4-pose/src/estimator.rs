@@ -1,4 +1,4 @@
-//! The estimator: from an image to the block's pose.
+//! Estimates the block's pose from an image.
 
 use std::f64::consts::TAU;
 
@@ -12,41 +12,41 @@ use crate::log_polar::{LogPolar, Signature};
 use crate::outline::Outline;
 use crate::refine::{agreement, refine};
 
-/// A largest region of less than this fraction of the block's area is not taken for the block.
-const LEAST_REGION: f64 = 0.15;
+/// Minimum area of the largest region, as a fraction of the block's area; a smaller region is not taken for the block.
+const MINIMUM_REGION: f64 = 0.15;
 
-/// More block-coloured area than this beyond the outline, as a fraction of the block's, is a second block.
-const MOST_BEYOND: f64 = 0.25;
+/// Maximum block-coloured area outside of the outline, as a fraction of the block's area; more indicates a second block.
+const MAXIMUM_OUTSIDE: f64 = 0.25;
 
-/// With less than this fraction of the block in view, its pose is a guess.
-const LEAST_SEEN: f64 = 0.7;
+/// Minimum visible fraction of the block; with less, the pose is unreliable.
+const MINIMUM_VISIBLE: f64 = 0.7;
 
-/// With less intersection over union than this, the outline does not fit.
-const LEAST_FIT: f64 = 0.8;
+/// Minimum intersection over union of outline and image; with less, the outline does not fit.
+const MINIMUM_FIT: f64 = 0.8;
 
-/// Agreement that a second start may improve on.
+/// Intersection over union from which no restarts are tried.
 const GOOD_FIT: f64 = 0.82;
 
-/// Starts, evenly over the circle, where the first one did not fit.
+/// Number of restarts, at equally spaced angles, if the first fit is poor.
 const RESTARTS: usize = 12;
 
-/// What to think of an estimate.
+/// The reliability of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Flag {
-    /// The outline fits what is seen.
+    /// The outline fits the visible part of the image.
     Clear,
-    /// Much of the block is hidden; the pose is a guess.
+    /// Much of the block is hidden; the pose is unreliable.
     Occluded,
-    /// The outline does not fit what is seen; the pose is a guess.
+    /// The outline does not fit the visible part of the image; the pose is unreliable.
     PoorFit,
-    /// Block-coloured area is left over: there are two blocks, or something else of that colour.
+    /// There is block-coloured area outside of the outline: a second block, or something else of that colour.
     SecondBlock,
-    /// Nothing of the block's colour is seen, or too little of it; there is no pose.
+    /// No or too little block-coloured area is visible; there is no pose.
     NoBlock,
 }
 
 impl Flag {
-    /// Every flag.
+    /// All flags.
     pub const ALL: [Self; 5] = [
         Self::Clear,
         Self::Occluded,
@@ -71,22 +71,22 @@ columns! {
     /// An estimated pose.
     #[derive(Copy)]
     pub struct Estimate {
-        /// Estimated pose of the block's frame, its angle in [0, 2 pi); null where no block is seen.
+        /// Estimated pose of the block's frame, with the angle in [0, 2 pi); null if no block is visible.
         #[frame = "world"]
         #[prefix = "object"]
         pub pose: Option<Pose2>,
-        /// Intersection over union of the block's outline at the pose with the block-coloured pixels, over what neither the pusher nor
-        /// a contact mark hides, times the fraction of the outline in view: 0 (nothing agrees) to 1. Images being coarse, an exact
-        /// pose in full view has 0.9 to 0.97.
+        /// Intersection over union of the block's outline at the pose and the block-coloured pixels, computed where neither the
+        /// pusher nor a contact mark hides them, times the visible fraction of the outline: 0 (no agreement) to 1. Because the
+        /// images are coarse, an exact pose of a completely visible block has 0.9 to 0.97.
         pub confidence: f64,
-        /// What to think of the pose: clear; or occluded, poor_fit or second_block, when it is a guess; or no_block, when there is
-        /// none.
+        /// Reliability of the pose: clear; occluded, poor_fit or second_block if the pose is unreliable; no_block if there is no
+        /// pose.
         pub flag: Flag,
     }
 }
 
 impl Estimate {
-    const NOTHING: Self = Self {
+    const NO_BLOCK: Self = Self {
         pose: None,
         confidence: 0.0,
         flag: Flag::NoBlock,
@@ -100,15 +100,15 @@ pub struct LogPolarEstimator {
     signature: Signature,
     /// Angle of the T in the anchor.
     angle: f64,
-    /// The mask's centroid in the block's frame, by the anchor.
+    /// The centroid in the block's frame, including the stroke.
     centroid: Point2,
     outline: Outline,
     refined: bool,
 }
 
 impl LogPolarEstimator {
-    /// An estimator that measures angles from `anchor`, for a block of this outline. With `refined`, the outline is aligned
-    /// with the image after the paper's estimate.
+    /// An estimator that measures angles relative to `anchor`, for a block of this outline. If `refined` is set, the paper's
+    /// closed-form estimate is refined by alignment of the outline with the image.
     pub fn new(anchor: &Anchor, outline: Outline, refined: bool) -> Self {
         let log_polar = LogPolar::new();
         Self {
@@ -121,14 +121,14 @@ impl LogPolarEstimator {
         }
     }
 
-    /// The pose of the block in an image.
+    /// Estimates the pose of the block in an image.
     pub fn estimate(&self, image: &PushtImage<'_>) -> Estimate {
         let layer = BlockLayer::of(image);
-        let Some(region) = largest(&layer.share, &layer.pixels) else {
-            return Estimate::NOTHING;
+        let Some(region) = largest(&layer.fractions, &layer.pixels) else {
+            return Estimate::NO_BLOCK;
         };
-        if region.area < LEAST_REGION * self.outline.pixels() {
-            return Estimate::NOTHING;
+        if region.area < MINIMUM_REGION * self.outline.pixels() {
+            return Estimate::NO_BLOCK;
         }
         let signature = self.log_polar.signature(&region.mask, region.centroid);
         let rotation = self.log_polar.rotation(&self.signature, &signature);
@@ -138,9 +138,9 @@ impl LogPolarEstimator {
         }
         let mut fit = agreement(&layer, &self.outline, pose);
         if self.refined && fit.iou < GOOD_FIT {
-            // A pusher before the block moves the centroid, distorts the signature and may cut the block in two: try the
-            // whole circle, about the largest region's centroid and about that of all that has the block's colour.
-            for centroid in [region.centroid, centroid(&layer.share, &layer.pixels)] {
+            // A pusher in front of the block shifts the centroid, distorts the signature and may split the block: restart at
+            // angles over the full circle, from the largest region's centroid and from that of all block-coloured pixels.
+            for centroid in [region.centroid, centroid(&layer.fractions, &layer.pixels)] {
                 for start in 0..RESTARTS {
                     let angle = rotation + TAU * start as f64 / RESTARTS as f64;
                     let other = refine(&layer, &self.outline, self.pose_at(centroid, angle));
@@ -151,26 +151,26 @@ impl LogPolarEstimator {
                 }
             }
         }
-        let flag = if fit.beyond > MOST_BEYOND {
+        let flag = if fit.outside > MAXIMUM_OUTSIDE {
             Flag::SecondBlock
-        } else if fit.seen < LEAST_SEEN {
+        } else if fit.visible < MINIMUM_VISIBLE {
             Flag::Occluded
-        } else if fit.iou < LEAST_FIT {
+        } else if fit.iou < MINIMUM_FIT {
             Flag::PoorFit
         } else {
             Flag::Clear
         };
         Estimate {
             pose: Some(pose.normalized()),
-            confidence: fit.iou * fit.seen,
+            confidence: fit.iou * fit.visible,
             flag,
         }
     }
 
-    /// The pose that has its mask's centroid there and is turned from the anchor by `rotation`.
+    /// The pose with the mask's centroid at `centroid`, rotated by `rotation` relative to the anchor.
     fn pose_at(&self, centroid: Point2, rotation: f64) -> Pose2 {
-        let turned = Pose2::new(0.0, 0.0, self.angle + rotation);
-        let origin = centroid - turned.transform_point(self.centroid);
-        Pose2::new(origin.x, origin.y, turned.theta)
+        let rotated = Pose2::new(0.0, 0.0, self.angle + rotation);
+        let origin = centroid - rotated.transform_point(self.centroid);
+        Pose2::new(origin.x, origin.y, rotated.theta)
     }
 }

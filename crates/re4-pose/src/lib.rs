@@ -1,11 +1,11 @@
 //! `GetPose`: object poses from images.
 //!
-//! Push-T's estimator has a closed form and learns nothing (paper, appendix "Push-T", Pose Estimation): the block is found
-//! by its colour, its largest connected region gives the position by its centroid and a fixed pixel-to-world affine, and
-//! the log-polar transform of the region gives the angle by a cross-correlation with one anchor. The block's outline is then
-//! aligned with the image. Every estimate says how far it is to be trusted.
+//! Push-T's estimator has a closed form and learns nothing (paper, appendix "Push-T", Pose Estimation). It segments the block
+//! by colour. The centroid of the largest connected component and a fixed pixel-to-world affine give the position. The log-polar
+//! transform of the component gives the angle by cross-correlation with one anchor image (log-polar registration). The estimator
+//! then aligns the block's outline with the image. Every estimate has a confidence and a flag.
 //!
-//! Poses in space come from a learned encoder, which is elsewhere; how good they are is measured in [`spatial`].
+//! SE(3) poses come from a learned encoder, which is another crate; [`spatial`] evaluates them.
 
 mod anchor;
 mod component;

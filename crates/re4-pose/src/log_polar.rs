@@ -10,34 +10,34 @@ use rustfft::{Fft, FftPlanner};
 
 use crate::image::{SCALE, SIDE, image};
 
-/// Bins along the angle, over the whole circle.
+/// Number of bins along the angle, over the full circle.
 const ANGLES: usize = 128;
 
-/// Bins along the logarithm of the radius; an even number, since two share a transform.
+/// Number of bins along the logarithm of the radius; even, because two radii are transformed together.
 const RADII: usize = 12;
 
-/// Minimum and maximum radius, in world pixels: the farthest point of the block is 84 px from its centroid.
+/// Minimum and maximum radius, in world pixels. The farthest point of the block is 84 px from its centroid.
 const RADIUS: [f64; 2] = [8.0, 92.0];
 
-/// A mask in log-polar coordinates about its centroid, Fourier-transformed along the angle, two radii in one transform as
-/// real and imaginary part.
+/// The log-polar representation of a mask about its centroid, Fourier-transformed along the angle. Two radii are transformed
+/// together, as real and imaginary part.
 #[derive(Clone)]
 pub(crate) struct Signature(Vec<Complex<f64>>);
 
-/// Transforms masks and finds rotations between them.
+/// Computes signatures of masks and the rotation between two of them (log-polar registration).
 #[derive(Clone)]
 pub(crate) struct LogPolar {
     forward: Arc<dyn Fft<f64>>,
     backward: Arc<dyn Fft<f64>>,
-    /// Sampling places about the centroid, in image pixels: radius by radius, angle by angle.
-    places: Arc<Vec<Point2>>,
+    /// Sampling offsets from the centroid, in image pixels: radius by radius, angle by angle.
+    offsets: Arc<Vec<Point2>>,
 }
 
 impl LogPolar {
     pub(crate) fn new() -> Self {
         let mut planner = FftPlanner::new();
         let [minimum, maximum] = RADIUS;
-        let places = (0..RADII)
+        let offsets = (0..RADII)
             .flat_map(|i| {
                 let radius = minimum * (maximum / minimum).powf(i as f64 / (RADII - 1) as f64) / SCALE;
                 (0..ANGLES).map(move |j| {
@@ -49,16 +49,16 @@ impl LogPolar {
         Self {
             forward: planner.plan_fft_forward(ANGLES),
             backward: planner.plan_fft_inverse(ANGLES),
-            places: Arc::new(places),
+            offsets: Arc::new(offsets),
         }
     }
 
     /// The signature of a mask about `centroid` (world pixels).
     pub(crate) fn signature(&self, mask: &[f32], centroid: Point2) -> Signature {
         let centre = Point2::new(image(centroid.x), image(centroid.y));
-        let sample = |place: &Point2| bilinear(mask, centre + place);
+        let sample = |offset: &Point2| bilinear(mask, centre + offset);
         let mut spectra = Vec::with_capacity(RADII / 2 * ANGLES);
-        for pair in self.places.chunks_exact(2 * ANGLES) {
+        for pair in self.offsets.chunks_exact(2 * ANGLES) {
             let (one, other) = pair.split_at(ANGLES);
             spectra.extend(one.iter().zip(other).map(|(a, b)| Complex::new(sample(a), sample(b))));
         }
@@ -66,10 +66,10 @@ impl LogPolar {
         Signature(spectra)
     }
 
-    /// The rotation that carries `anchor` onto `mask`, in radians: the peak of their circular cross-correlation along the angle,
-    /// summed over the radii, with a parabola through the highest bin and its neighbours.
+    /// The rotation from `anchor` to `mask`, in radians: the peak of their circular cross-correlation along the angle, summed over
+    /// the radii, with sub-bin precision by a parabola through the highest bin and its neighbours.
     pub(crate) fn rotation(&self, anchor: &Signature, mask: &Signature) -> f64 {
-        // With two real rows a + ib in one transform, the real part of the correlation is the sum of the rows' own.
+        // Each transform has two real rows as a + ib; the real part of its correlation is the sum of the correlations of the rows.
         let mut product = vec![Complex::new(0.0, 0.0); ANGLES];
         for (a, m) in anchor.0.chunks_exact(ANGLES).zip(mask.0.chunks_exact(ANGLES)) {
             for ((sum, a), m) in product.iter_mut().zip(a).zip(m) {
@@ -91,15 +91,15 @@ impl LogPolar {
     }
 }
 
-/// The mask at a place of the image, between its pixels; nothing outside of the image.
-fn bilinear(mask: &[f32], place: Point2) -> f64 {
-    // Beyond the last pixel there is nothing to blend with; the block never reaches that far, since walls stand there.
+/// The mask at a point of the image by bilinear interpolation; zero outside of the image.
+fn bilinear(mask: &[f32], point: Point2) -> f64 {
+    // The last row and column have no neighbours to interpolate with. The block never reaches them, because the walls are there.
     let inside = |v: f64| (0.0..(SIDE - 1) as f64).contains(&v);
-    if !inside(place.x) || !inside(place.y) {
+    if !inside(point.x) || !inside(point.y) {
         return 0.0;
     }
-    let (column, row) = (place.x as usize, place.y as usize);
-    let (right, lower) = (place.x - column as f64, place.y - row as f64);
+    let (column, row) = (point.x as usize, point.y as usize);
+    let (right, lower) = (point.x - column as f64, point.y - row as f64);
     let at = row * SIDE + column;
     let value = |at: usize| f64::from(mask[at]);
     let upper_row = value(at) + right * (value(at + 1) - value(at));
@@ -117,16 +117,16 @@ mod tests {
     use crate::image::world;
     use crate::outline::Outline;
 
-    /// A soft mask of the T with its centroid in the middle of the image.
+    /// A soft mask of the T with its centroid in the centre of the image.
     fn mask(angle: f64) -> Vec<f32> {
         let outline = Outline::new(&re4_sim::tee_rectangles(), 0.0);
         let centre = Point2::new(256.0, 256.0);
-        let turn = Pose2::new(0.0, 0.0, angle);
-        let place = |at: usize| Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64)) - centre;
+        let rotation = Pose2::new(0.0, 0.0, angle);
+        let position = |at: usize| Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64)) - centre;
         (0..SIDE * SIDE)
             .map(|at| {
                 outline
-                    .distance(turn.inverse_transform_point(place(at)) + outline.centroid())
+                    .distance(rotation.inverse_transform_point(position(at)) + outline.centroid())
                     .value
             })
             .map(|distance| (0.5 - distance / 5.0).clamp(0.0, 1.0) as f32)
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rotation_is_the_shift_at_the_peak_between_bins_too() {
+    fn rotations_are_found_between_bins_too() {
         let log_polar = LogPolar::new();
         let centre = Point2::new(256.0, 256.0);
         let anchor = log_polar.signature(&mask(PI / 4.0), centre);
@@ -149,11 +149,11 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_image_there_is_nothing() {
+    fn the_mask_is_zero_outside_of_the_image() {
         let full = vec![1.0; SIDE * SIDE];
         assert_eq!(bilinear(&full, Point2::new(40.3, 50.7)), 1.0);
-        for place in [(-0.1, 3.0), (3.0, -0.1), (95.0, 3.0), (3.0, 95.2), (f64::NAN, 3.0)] {
-            assert_eq!(bilinear(&full, Point2::new(place.0, place.1)), 0.0);
+        for (x, y) in [(-0.1, 3.0), (3.0, -0.1), (95.0, 3.0), (3.0, 95.2), (f64::NAN, 3.0)] {
+            assert_eq!(bilinear(&full, Point2::new(x, y)), 0.0);
         }
     }
 }

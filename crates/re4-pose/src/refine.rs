@@ -1,4 +1,4 @@
-//! Aligning the block's outline with the mask, from a pose nearby: Gauss-Newton on the soft mask.
+//! Aligns the block's outline with the segmented image from an initial pose: Gauss-Newton on a soft mask.
 
 use nalgebra::{Matrix3, Vector3};
 use re4_geometry::{Point2, Pose2};
@@ -6,20 +6,20 @@ use re4_geometry::{Point2, Pose2};
 use crate::image::{BlockLayer, SIDE, image, world};
 use crate::outline::Outline;
 
-/// Widths, in world pixels, over which the outline's mask falls from 1 to 0, one after the other, with the number of
-/// steps: a wide ramp feels an outline that is pixels away, a narrow one is exact.
+/// Widths of the ramp over which the outline's mask falls from 1 to 0, in world pixels, with the number of steps, in order. A
+/// wide ramp converges from several pixels away, a narrow one is accurate.
 const RAMPS: [(f64, usize); 3] = [(21.0, 2), (11.0, 2), (5.0, 3)];
 
-/// A step shorter than this, in px (and px at the block's rim for angles), ends the steps of a ramp.
-const STILL: f64 = 0.02;
+/// A shorter step than this, in px (at radius `RIM` for angles), ends the iterations of a ramp.
+const CONVERGED: f64 = 0.02;
 
-/// Scales the angle to px at the block's rim, so that all three unknowns have one unit.
+/// Radius in px by which angles are multiplied, so that all three unknowns have the same unit: about that of the block's rim.
 const RIM: f64 = 60.0;
 
-/// Pulls steps to zero where a view leaves a direction undetermined; in the unit of the squared gradient.
+/// Levenberg damping for directions that the visible pixels do not determine; in the unit of the squared gradient.
 const DAMPING: f64 = 1e-3;
 
-/// Turns `pose` and moves it until the outline fits what is seen of the block.
+/// Moves `pose` until the outline fits the visible part of the block.
 pub(crate) fn refine(layer: &BlockLayer, outline: &Outline, mut pose: Pose2) -> Pose2 {
     for (ramp, steps) in RAMPS {
         for _ in 0..steps {
@@ -27,7 +27,7 @@ pub(crate) fn refine(layer: &BlockLayer, outline: &Outline, mut pose: Pose2) -> 
             pose.x += step.x;
             pose.y += step.y;
             pose.theta += step.z / RIM;
-            if step.norm() < STILL {
+            if step.norm() < CONVERGED {
                 break;
             }
         }
@@ -39,63 +39,68 @@ fn step(layer: &BlockLayer, outline: &Outline, pose: Pose2, ramp: f64) -> Vector
     let (sine, cosine) = pose.theta.sin_cos();
     let mut normal = Matrix3::from_diagonal_element(DAMPING);
     let mut right = Vector3::zeros();
-    for_each_pixel(outline, pose, ramp, |at, value, place| {
+    for_each_pixel(outline, pose, ramp, |at, value, point| {
         let height = 0.5 - value / ramp;
         if !(0.0..=1.0).contains(&height) || layer.hidden[at] {
             return;
         }
-        let g = outline.distance(place).gradient;
-        // How the distance changes as the pose moves: against the gradient, and by the lever arm as it turns.
+        let g = outline.distance(point).gradient;
+        // Derivative of the mask with respect to the pose: a translation moves the outline along its gradient, a rotation by the
+        // lever arm.
         let slope = Vector3::new(
             -(cosine * g.x - sine * g.y),
             -(sine * g.x + cosine * g.y),
-            (g.x * place.y - g.y * place.x) / RIM,
+            (g.x * point.y - g.y * point.x) / RIM,
         ) * (-1.0 / ramp);
         normal += slope * slope.transpose();
-        right += slope * (f64::from(layer.share[at]) - height);
+        right += slope * (f64::from(layer.fractions[at]) - height);
     });
     normal
         .cholesky()
         .map_or_else(Vector3::zeros, |normal| normal.solve(&right))
 }
 
-/// How well the outline at a pose agrees with an image.
+/// Agreement of the outline at a pose with an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Agreement {
-    /// Intersection over union of outline and block-coloured pixels, where neither pusher nor mark hides them.
+    /// Intersection over union of the outline and the block-coloured pixels, where neither pusher nor contact mark hides them.
     pub(crate) iou: f64,
-    /// Fraction of the outline's area that is seen: neither hidden nor outside of the image.
-    pub(crate) seen: f64,
-    /// Block-coloured area beyond the outline, as a fraction of the outline's area.
-    pub(crate) beyond: f64,
+    /// Visible fraction of the outline's area: neither hidden nor outside of the image.
+    pub(crate) visible: f64,
+    /// Block-coloured area outside of the outline, as a fraction of the outline's area.
+    pub(crate) outside: f64,
 }
 
 /// Compares the outline at `pose` with the whole image.
 pub(crate) fn agreement(layer: &BlockLayer, outline: &Outline, pose: Pose2) -> Agreement {
-    // The softness of a pixel: about its own width.
+    // The width of the outline's soft edge: about that of an image pixel.
     const RAMP: f64 = 6.0;
-    let (mut both, mut either, mut seen) = (0.0, 0.0, 0.0);
+    let (mut intersection, mut union_area, mut visible) = (0.0, 0.0, 0.0);
     for_each_pixel(outline, pose, RAMP, |at, value, _| {
         let height = (0.5 - value / RAMP).clamp(0.0, 1.0);
         if layer.hidden[at] {
             return;
         }
-        let share = f64::from(layer.share[at]);
-        seen += height;
-        both += share.min(height);
-        either += share.max(height);
+        let fraction = f64::from(layer.fractions[at]);
+        visible += height;
+        intersection += fraction.min(height);
+        union_area += fraction.max(height);
     });
     let unhidden = layer.pixels.iter().filter(|&&at| !layer.hidden[at]);
-    let block: f64 = unhidden.map(|&at| f64::from(layer.share[at])).sum();
+    let block: f64 = unhidden.map(|&at| f64::from(layer.fractions[at])).sum();
     let area = outline.pixels();
     Agreement {
-        iou: if either > 0.0 { both / either } else { 0.0 },
-        seen: (seen / area).min(1.0),
-        beyond: ((block - both) / area).max(0.0),
+        iou: if union_area > 0.0 {
+            intersection / union_area
+        } else {
+            0.0
+        },
+        visible: (visible / area).min(1.0),
+        outside: ((block - intersection) / area).max(0.0),
     }
 }
 
-/// Calls `visit` for every pixel near the outline at `pose`, with its index, its signed distance and its place in the
+/// Calls `visit` for every pixel near the outline at `pose`, with the pixel's index, its signed distance and its position in the
 /// block's frame.
 fn for_each_pixel(outline: &Outline, pose: Pose2, margin: f64, mut visit: impl FnMut(usize, f64, Point2)) {
     let (mut low, mut high) = (Point2::repeat(f64::INFINITY), Point2::repeat(f64::NEG_INFINITY));

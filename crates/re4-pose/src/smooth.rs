@@ -1,12 +1,13 @@
-//! Poses of a demonstration from the estimates of its frames.
+//! Poses of a demonstration's frames from the estimates of all of its frames.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use re4_episode::Mode;
 use re4_geometry::{Pose2, wrap_to_pi};
 use re4_stats::upper_median;
 
-/// Poses with the gaps filled: between two clear ones by equal fractions of the motion, the short way round; before the first
-/// and after the last by that one. None when none is clear.
+/// Fills the gaps of a sequence of poses. Between two known poses, position and angle are interpolated linearly, the angle along
+/// the shorter arc. Frames before the first known pose get that pose, frames after the last one get the last. Returns `None` if no
+/// pose is known.
 pub fn between_clear(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
     let clear: Vec<(usize, Pose2)> = known
         .iter()
@@ -22,10 +23,10 @@ pub fn between_clear(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
         ) {
             (_, Some((frame, pose))) if *frame == i => *pose,
             (Some((from, a)), Some((to, b))) => {
-                let share = (i - from) as f64 / (to - from) as f64;
-                let turn = wrap_to_pi(b.theta - a.theta);
-                let between = |a: f64, b: f64| a + share * (b - a);
-                Pose2::new(between(a.x, b.x), between(a.y, b.y), a.theta + share * turn).normalized()
+                let fraction = (i - from) as f64 / (to - from) as f64;
+                let rotation = wrap_to_pi(b.theta - a.theta);
+                let between = |a: f64, b: f64| a + fraction * (b - a);
+                Pose2::new(between(a.x, b.x), between(a.y, b.y), a.theta + fraction * rotation).normalized()
             }
             (None, _) => first.1,
             (_, None) => last.1,
@@ -34,18 +35,21 @@ pub fn between_clear(known: &[Option<Pose2>]) -> Option<Vec<Pose2>> {
     Some((0..known.len()).map(at).collect())
 }
 
-/// Most poses that a median is taken of.
-const SAMPLE: usize = 64;
+/// Maximum number of orientations of a median, whose cost is quadratic.
+const MEDIAN_SAMPLES: usize = 64;
 
-/// What modes make of estimates: before a grasp the object lies still, at the median of the estimates of these frames; from the grasp
-/// on it moves with the gripper; and after the last release it lies where it was let go.
+/// Combines the estimates of a demonstration's frames by mode. Before a grasp the object is at rest, at the median of the
+/// estimates of these frames. From the grasp on it moves with the gripper. After the last release it is at rest where it was
+/// released.
+///
+/// `own` are the estimates, `eef` the end effector's poses, both in the world frame.
 pub fn by_mode(own: &[Isometry3<f64>], eef: &[Isometry3<f64>], modes: &[Mode]) -> Vec<Isometry3<f64>> {
     let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(own.len());
     for run in modes.chunk_by(|a, b| a == b) {
         let frames = poses.len()..poses.len() + run.len();
         let last = poses.last().copied();
         match (run[0], last) {
-            // From the frame before the mode changed on, the object and the gripper are one.
+            // The object moves rigidly with the gripper from the frame before the change of mode.
             (Mode::Transfer, Some(last)) => {
                 let held = eef[frames.start].inv_mul(&last);
                 poses.extend(frames.map(|frame| eef[frame] * held));
@@ -55,43 +59,43 @@ pub fn by_mode(own: &[Isometry3<f64>], eef: &[Isometry3<f64>], modes: &[Mode]) -
                 let rests = median(&own[frames.clone()]);
                 poses.extend(frames.map(|_| rests));
             }
-            // Held from the first frame on: nothing was seen of it before.
+            // Grasped from the first frame: there is no earlier estimate to carry along, so the frames keep their own.
             (Mode::Transfer, None) => poses.extend_from_slice(&own[frames]),
         }
     }
     poses
 }
 
-/// The median of each coordinate, and of the orientations the one that the others are nearest to.
+/// The median of each coordinate, and the orientation with the minimum sum of angles to the others (a geodesic medoid).
 fn median(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
     let coordinate = |k: usize| upper_median(poses.iter().map(|pose| pose.translation.vector[k])).unwrap_or_default();
-    let step = poses.len().div_ceil(SAMPLE);
+    let step = poses.len().div_ceil(MEDIAN_SAMPLES);
     let sample: Vec<_> = poses.iter().step_by(step).map(|pose| pose.rotation).collect();
-    let away = |one: &UnitQuaternion<f64>| sample.iter().map(|other| one.angle_to(other)).sum::<f64>();
-    let middle = sample
+    let total_angle = |one: &UnitQuaternion<f64>| sample.iter().map(|other| one.angle_to(other)).sum::<f64>();
+    let medoid = sample
         .iter()
-        .min_by(|a, b| away(a).total_cmp(&away(b)))
+        .min_by(|a, b| total_angle(a).total_cmp(&total_angle(b)))
         .copied()
         .unwrap_or_default();
-    Isometry3::from_parts(Translation3::new(coordinate(0), coordinate(1), coordinate(2)), middle)
+    Isometry3::from_parts(Translation3::new(coordinate(0), coordinate(1), coordinate(2)), medoid)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn at(x: f64, turn: f64) -> Isometry3<f64> {
+    fn at(x: f64, yaw: f64) -> Isometry3<f64> {
         Isometry3::from_parts(
             Translation3::new(x, 0.0, 0.0),
-            UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), turn),
+            UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), yaw),
         )
     }
 
     #[test]
-    fn modes_hold_the_object_still_in_the_world_and_then_in_the_gripper() {
+    fn the_object_rests_before_the_grasp_and_then_moves_with_the_gripper() {
         let (transit, transfer) = (Mode::Transit, Mode::Transfer);
         let modes = [transit, transit, transit, transfer, transfer, transit];
-        // The second estimate is far off, and turned half about; so are all that show the object in the hand or after it.
+        // The second estimate is an outlier, rotated by about pi; the estimates from the grasp on are wrong too.
         let own = [
             at(1.0, 0.1),
             at(9.0, 3.1),
@@ -119,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_that_is_held_from_the_first_frame_on_is_where_it_is_seen() {
+    fn an_object_that_is_held_from_the_first_frame_keeps_its_estimates() {
         let own = [at(1.0, 0.0), at(2.0, 0.0), at(3.0, 0.0)];
         let modes = [Mode::Transfer, Mode::Transfer, Mode::Transit];
         let poses = by_mode(&own, &own, &modes);

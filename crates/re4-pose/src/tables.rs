@@ -7,8 +7,8 @@ use crate::estimator::Flag;
 use crate::spatial::{FrameError, GraspPhase};
 
 table! {
-    /// One row a frame of every demonstration: the object's pose as estimated from the frame's image alone, and what to think of it.
-    /// No recorded object pose enters. Sorted by episode and frame.
+    /// One row per frame of every demonstration: the object's pose as estimated from the frame's image only, and its reliability.
+    /// Recorded object poses are not used. Sorted by episode and frame.
     #[table("poses", version = 2, formerly = "spatial_poses")]
     pub struct PoseRow<E> {
         /// Number of the demonstration in this artifact, from 0.
@@ -22,12 +22,12 @@ table! {
 }
 
 columns! {
-    /// What an encoder says of an image. The estimated frame is that of the gripper as it holds the object, a constant rigid offset
-    /// away from the recorded frame at best.
+    /// An encoder's estimate for an image. The estimated frame is that of the gripper when it holds the object: it differs from
+    /// the recorded frame by a constant rigid offset at best.
     pub struct SpatialEstimate {
-        /// Whether images of this demonstration were trained on; the others were held out.
+        /// Whether images of this demonstration were in the training set; if not, they were held out.
         pub trained_on: bool,
-        /// Estimated pose.
+        /// Estimated pose of the object.
         #[frame = "world"]
         pub object: Isometry3<f64>,
         /// The encoder's embedding of the image, 256 numbers.
@@ -36,8 +36,8 @@ columns! {
 }
 
 table! {
-    /// One row a pixel of the 96 x 96 images: how much of it the goal covers, as seen over the images. The goal pose is the pose of
-    /// this mask; angles are measured from it. Sorted by row and column.
+    /// One row per pixel of the 96 x 96 images: the fraction of it that the goal covers, over all images. The pose of this mask is
+    /// the goal pose, and angles are measured relative to it. Sorted by row and column.
     #[table("anchor", version = 2)]
     pub struct AnchorRow {
         /// Row of the image, from 0 at the top.
@@ -51,44 +51,44 @@ table! {
 }
 
 table! {
-    /// One row an epoch of the encoder's training: the losses as trained (means over the epoch's steps), and the same on
-    /// demonstrations that were held out, which nothing is chosen by.
+    /// One row per epoch of the encoder's training: the training losses (means over the epoch's steps), and the loss on held-out
+    /// demonstrations, which is not used for any choice.
     #[table("training", version = 1)]
     pub struct TrainingRow {
         /// Number of the epoch, from 1.
         pub epoch: u32,
-        /// Steps of the optimiser until its end.
+        /// Number of optimiser steps up to the end of the epoch.
         pub steps: u32,
-        /// Learning rate in its last step.
+        /// Learning rate of the epoch's last step.
         pub learning_rate: f64,
         /// Weighted sum of the losses.
         pub loss: f64,
-        /// L_abs, before its weight: weighted sum of 10 per metre and 1 per rad.
+        /// L_abs, before its weight: squared translation distance in m^2, times 10 by default, plus angle in rad.
         pub absolute: f64,
-        /// L_rel, likewise.
+        /// L_rel, in the same unit.
         pub relative: f64,
-        /// L_cross, likewise.
+        /// L_cross, in the same unit.
         pub cross: f64,
-        /// L_abs over frames of the demonstrations that were held out, without random crops; null where none was.
+        /// L_abs over frames of the held-out demonstrations, without random crops; null if there are none.
         pub held_out_absolute: Option<f64>,
     }
 }
 
 table! {
-    /// One row a frame of every demonstration, made after training from the recorded object poses, which nothing before it has read:
-    /// error of the estimated pose after one constant rigid offset is removed, which is fitted on frames before the grasp of the
-    /// demonstrations trained on. Rotations of the object that do not show are no error; of an object without such rotations neither
-    /// is half a rotation of the two-finger gripper about its axis of approach. Sorted by episode and frame.
+    /// One row per frame of every demonstration: the error of the estimated pose with respect to the recorded object pose, which
+    /// is used only here, after training. One constant rigid offset is removed, which is fitted on frames before the grasp of the
+    /// demonstrations trained on. Rotations within the object's symmetry are no error. For an object without a symmetry by pi, a
+    /// rotation by pi of the two-finger gripper about its axis of approach is no error either. Sorted by episode and frame.
     #[table("pose_errors", version = 2)]
     pub struct PoseErrorRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
         /// Number of the frame in its episode, from 0.
         pub frame: u32,
-        /// Whether images of this demonstration were trained on.
+        /// Whether images of this demonstration were in the training set.
         pub trained_on: bool,
-        /// before_grasp: transit that transfer follows, or no transfer at all; held: transfer; after_release: transit after the last
-        /// transfer.
+        /// before_grasp: transit before transfer, or all frames if there is no transfer; held: transfer; after_release: transit
+        /// after the last transfer.
         pub phase: GraspPhase,
         /// The error.
         #[prefix = ""]

@@ -1,46 +1,46 @@
-//! What can go wrong.
+//! Errors of the choice of scenes.
 
 use re4_fault::Remedy;
 use re4_index::IndexError;
 use thiserror::Error;
 
-/// Why scenes could not be chosen.
+/// Why scenes cannot be chosen.
 #[derive(Debug, Error, PartialEq, Remedy)]
 pub enum ScenesError {
-    /// The frames cannot be searched.
+    /// The frames of the demonstrations cannot be indexed.
     #[error("cannot choose scenes: {0}")]
     Frames(#[from] IndexError),
     /// The grid has too few poses that are far enough from each other.
     #[error(
-        "cannot choose scenes: only {found} of the {wanted} poses asked for keep a separation of {separation}, out of {candidates} on the grid"
+        "cannot choose scenes: only {found} of the {wanted} requested poses keep a separation of {separation}, out of {candidates} on the grid"
     )]
     #[remedy("lower scenes.separation or scenes.poses")]
     TooFewPoses {
-        /// Poses that keep the separation.
+        /// Number of poses that keep the separation.
         found: u32,
-        /// Poses asked for.
+        /// Number of requested poses.
         wanted: u32,
-        /// Separation asked for.
+        /// Requested separation.
         separation: f64,
-        /// Poses on the grid, those that reach into a wall left out if asked for.
+        /// Number of poses on the grid, without those that reach into a wall if `inside_walls` is set.
         candidates: usize,
     },
-    /// There is no free place for the pusher.
+    /// There is no free position for the pusher.
     #[error(
-        "cannot choose scenes: the block at ({x:.1}, {y:.1}) px, turned by {theta:.2} rad, leaves the pusher no place at a clearance of {clearance} px"
+        "cannot choose scenes: the block at ({x:.1}, {y:.1}) px with angle {theta:.2} rad leaves no free position for the pusher at a clearance of {clearance} px"
     )]
     #[remedy("lower scenes.clearance")]
-    NoPlace {
-        /// Position of the block, x.
+    NoPosition {
+        /// x of the block, px.
         x: f64,
-        /// Position of the block, y.
+        /// y of the block, px.
         y: f64,
-        /// Angle of the block.
+        /// Angle of the block, rad.
         theta: f64,
-        /// Clearance asked for.
+        /// Requested clearance, px.
         clearance: f64,
     },
-    /// The caller asked to stop.
+    /// The caller interrupted the choice.
     #[error("the choice of scenes was interrupted")]
     #[remedy("nothing was written, run it again")]
     Interrupted,

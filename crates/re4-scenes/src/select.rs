@@ -1,4 +1,4 @@
-//! The greedy choice of poses that keep apart.
+//! Greedy choice of poses that keep a separation.
 
 use rayon::prelude::*;
 use re4_geometry::Pose2;
@@ -6,25 +6,25 @@ use re4_geometry::Pose2;
 use crate::sweep::{Candidate, Sweep};
 use crate::{ScenesConfig, ScenesError};
 
-/// Goes through the candidates from the maximum `rho` down, the first of the grid first among equals, and takes each pose
-/// that keeps the separation from all taken before.
+/// Visits the candidates in descending order of `rho`, equal ones in grid order, and takes each pose that keeps the separation
+/// from all poses taken before.
 pub(crate) fn greedy(
     mut candidates: Vec<Candidate>,
     sweep: &Sweep,
     config: &ScenesConfig,
 ) -> Result<Vec<Pose2>, ScenesError> {
-    // Places differ, so that the order is total and the unstable sort is as good as a stable one.
-    candidates.par_sort_unstable_by(|a, b| b.rho.total_cmp(&a.rho).then(a.place.cmp(&b.place)));
+    // Grid indices are unique, so the order is total and an unstable sort is deterministic.
+    candidates.par_sort_unstable_by(|a, b| b.rho.total_cmp(&a.rho).then(a.index.cmp(&b.index)));
     let wanted = config.poses as usize;
     let mut chosen: Vec<Pose2> = Vec::new();
     for candidate in &candidates {
         if chosen.len() == wanted {
             break;
         }
-        let pose = sweep.pose(candidate.place);
+        let pose = sweep.pose(candidate.index);
         if chosen
             .iter()
-            .all(|other| sweep.apart(pose, *other) >= config.separation)
+            .all(|other| sweep.distance(pose, *other) >= config.separation)
         {
             chosen.push(pose);
         }

@@ -1,4 +1,4 @@
-//! The grid, and how far each of its poses is from the demonstrations.
+//! The grid of poses and their distances to the demonstrations.
 
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// `count` values (two or more) over a range widened by `padding`, both of its ends among them.
+    /// `count` values (two or more) over a range widened by `padding`, including both ends.
     fn line(range: Range, padding: f64, count: u32) -> Self {
         let (low, high) = (range.minimum - padding, range.maximum + padding);
         Self {
@@ -27,8 +27,8 @@ impl Axis {
         }
     }
 
-    /// As [`Axis::line`], for angles: where the widened range is a full turn or more, `count` values once round the circle,
-    /// none of them twice.
+    /// Like [`Axis::line`], for angles: if the widened range covers the full circle, `count` values over one circle without
+    /// duplicates.
     fn circle(range: Range, padding: f64, count: u32) -> Self {
         let line = Self::line(range, padding, count);
         if range.maximum - range.minimum + 2.0 * padding < TAU {
@@ -45,11 +45,11 @@ impl Axis {
     }
 }
 
-/// A place of the grid and the distance of its pose to the nearest frame of a demonstration, normalised. Places are counted
+/// A grid point, with the normalised distance of its pose to the nearest frame of a demonstration. Grid points are numbered
 /// with x outermost and theta innermost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Candidate {
-    pub(crate) place: u32,
+    pub(crate) index: u32,
     pub(crate) rho: f64,
 }
 
@@ -62,9 +62,9 @@ pub(crate) struct Sweep {
 }
 
 impl Sweep {
-    /// Lays the grid.
+    /// Builds the grid and the index of the frames.
     pub(crate) fn new(frames: &[ObjectFrame], config: &ScenesConfig) -> Result<Self, ScenesError> {
-        // All frames get the same end effector: Retrieve then decides by the object's pose alone.
+        // All frames get the same end effector, so Retrieve compares only the object's poses.
         let indexed = frames.iter().map(|frame| IndexedFrame {
             episode: frame.episode,
             frame: frame.frame,
@@ -87,51 +87,51 @@ impl Sweep {
         })
     }
 
-    /// The pose at a place of the grid.
-    pub(crate) fn pose(&self, place: u32) -> Pose2 {
+    /// The pose of a grid point.
+    pub(crate) fn pose(&self, index: u32) -> Pose2 {
         let [x, y, theta] = self.axes;
         let n = self.count;
         Pose2::new(
-            x.value(place / n / n),
-            y.value(place / n % n),
-            wrap_to_two_pi(theta.value(place % n)),
+            x.value(index / n / n),
+            y.value(index / n % n),
+            wrap_to_two_pi(theta.value(index % n)),
         )
     }
 
-    /// Distance of a pose to the nearest frame, and that frame: demonstration and number. Of frames that are equally near it
-    /// is the first.
+    /// Distance of a pose to the nearest frame, and that frame: demonstration and frame number. Of equally near frames, the
+    /// first one is returned.
     pub(crate) fn nearest(&self, pose: Pose2) -> Result<(f64, u32, u32), ScenesError> {
         let query = Query {
             mode: Mode::Transit,
             eef: Point2::zeros(),
             object: pose,
         };
-        // With no tolerance, Retrieve's first stage admits the nearest frame of each demonstration alone.
+        // With zero tolerance, Retrieve's first stage admits only the nearest frame of each demonstration.
         let found = self.index.retrieve(&query, 0.0)?.ok_or(IndexError::Empty)?;
         Ok((found.d_o, found.episode, found.frame))
     }
 
-    /// Distance between two poses in normalised coordinates, by which chosen ones are kept apart. Angles are taken the short
-    /// way round, however the distance to the demonstrations takes them: 0 and 2π are one pose.
-    pub(crate) fn apart(&self, a: Pose2, b: Pose2) -> f64 {
+    /// Distance between two poses in normalised coordinates, for the separation of chosen poses. It uses the shortest angular
+    /// difference, whatever the metric of the distance to the demonstrations, because 0 and 2π are the same pose.
+    pub(crate) fn distance(&self, a: Pose2, b: Pose2) -> f64 {
         let [_, _, x, y, theta] = self.index.normalization().ranges.map(Range::span);
         let (dx, dy) = ((a.x - b.x) / x, (a.y - b.y) / y);
-        let turn = periodic_distance(a.theta, b.theta, TAU) / theta;
-        (dx * dx + dy * dy + turn * turn).sqrt()
+        let rotation = periodic_distance(a.theta, b.theta, TAU) / theta;
+        (dx * dx + dy * dy + rotation * rotation).sqrt()
     }
 
-    /// Every place of the grid with its distance, in the order of the grid; without those that reach into a wall, if so
-    /// asked. `going` is called once a column of angles and says whether to go on.
-    pub(crate) fn candidates(&self, going: &(dyn Fn() -> bool + Sync)) -> Result<Vec<Candidate>, ScenesError> {
+    /// All grid points with their distances, in grid order; without those that reach into a wall if `inside_walls` is set.
+    /// `keep_going` is called once per column of angles; the sweep stops when it returns `false`.
+    pub(crate) fn candidates(&self, keep_going: &(dyn Fn() -> bool + Sync)) -> Result<Vec<Candidate>, ScenesError> {
         let n = self.count;
         let columns = (0..n * n).into_par_iter().map(|column| {
-            if !going() {
+            if !keep_going() {
                 return Err(ScenesError::Interrupted);
             }
-            let places = (column * n..(column + 1) * n).map(|place| (place, self.pose(place)));
-            places
+            let poses = (column * n..(column + 1) * n).map(|index| (index, self.pose(index)));
+            poses
                 .filter(|(_, pose)| !self.inside_walls || is_inside(*pose))
-                .map(|(place, pose)| self.nearest(pose).map(|(rho, ..)| Candidate { place, rho }))
+                .map(|(index, pose)| self.nearest(pose).map(|(rho, ..)| Candidate { index, rho }))
                 .collect::<Result<Vec<_>, _>>()
         });
         let columns = columns.collect::<Result<Vec<_>, _>>()?;
@@ -158,30 +158,30 @@ mod tests {
     }
 
     #[test]
-    fn a_line_has_both_of_its_padded_ends() {
+    fn a_line_includes_both_padded_ends() {
         assert_eq!(
             values(Axis::line(range(100.0, 400.0), 20.0, 5), 5),
             [80.0, 165.0, 250.0, 335.0, 420.0]
         );
-        // Angles that do not go round are a line as well.
+        // An angular range of less than the full circle is a line too.
         let arc = values(Axis::circle(range(1.0, 2.0), 0.5, 3), 3);
         assert_eq!(arc, [0.5, 1.5, 2.5]);
     }
 
     #[test]
-    fn a_circle_has_no_angle_twice() {
-        let turn = values(Axis::circle(range(0.0, TAU - 0.01), 0.15, 50), 50);
-        for (i, a) in turn.iter().enumerate() {
-            for b in &turn[..i] {
+    fn a_circle_has_no_duplicate_angles() {
+        let circle = values(Axis::circle(range(0.0, TAU - 0.01), 0.15, 50), 50);
+        for (i, a) in circle.iter().enumerate() {
+            for b in &circle[..i] {
                 assert!(periodic_distance(*a, *b, TAU) > TAU / 50.0 - 1e-12);
             }
         }
-        assert_eq!(turn[0], -0.15);
+        assert_eq!(circle[0], -0.15);
     }
 
     #[test]
-    fn a_block_at_a_wall_is_inside_until_a_corner_is_in_the_wall() {
-        // Angle 0: the bar reaches from x - 60 to x + 60, the stem down to y + 120.
+    fn a_block_is_inside_until_a_corner_reaches_into_a_wall() {
+        // At angle 0 the bar extends from x - 60 to x + 60, and the stem down to y + 120.
         let [low, high] = WALL_FACES;
         assert!(is_inside(Pose2::new(low + 60.0, low, 0.0)));
         assert!(!is_inside(Pose2::new(low + 59.9, low, 0.0)));

@@ -1,6 +1,6 @@
-//! Scenes against a plain reading of the definition: every pose of the grid against every frame, and the maximum remaining
-//! one taken again and again.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop where it fails")]
+//! Compares scenes with a direct implementation of the definition: the distance of every grid pose to every frame, and repeated
+//! choice of the remaining pose with the largest distance.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may panic")]
 
 use std::f64::consts::TAU;
 
@@ -34,7 +34,7 @@ fn scenes(frames: &[ObjectFrame], config: &ScenesConfig) -> Result<Vec<SparseSce
     sparse_scenes(frames, config, &|| true)
 }
 
-/// Minimum and maximum value, and the unit of the dimension.
+/// Minimum, maximum, and the unit of the dimension's normalisation.
 fn range(values: impl Iterator<Item = f64>) -> (f64, f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     (low, high, if high > low { high - low } else { 1.0 })
@@ -45,7 +45,7 @@ fn line(low: f64, high: f64, n: u32) -> Vec<f64> {
     (0..n).map(|i| low + step * f64::from(i)).collect()
 }
 
-/// Poses in the order of their choice with rho and the nearest frame; fewer than asked for where no more keep apart.
+/// Poses in the order of their choice with rho and the nearest frame; fewer than requested if no more keep the separation.
 fn oracle(frames: &[ObjectFrame], config: &ScenesConfig) -> Vec<(Pose2, f64, u32, u32)> {
     let (x0, x1, x) = range(frames.iter().map(|f| f.object.x));
     let (y0, y1, y) = range(frames.iter().map(|f| f.object.y));
@@ -73,12 +73,13 @@ fn oracle(frames: &[ObjectFrame], config: &ScenesConfig) -> Vec<(Pose2, f64, u32
                 }
                 let mut nearest = (f64::INFINITY, 0, 0);
                 for f in frames {
-                    let turn = match config.angle {
+                    let rotation = match config.angle {
                         AngleMetric::Periodic => periodic_distance(pose.theta, f.object.theta, TAU),
                         AngleMetric::Raw => (pose.theta - f.object.theta.rem_euclid(TAU)).abs(),
                     };
                     let square = |d: f64| d * d;
-                    let rho = (square((gx - f.object.x) / x) + square((gy - f.object.y) / y) + square(turn / t)).sqrt();
+                    let rho =
+                        (square((gx - f.object.x) / x) + square((gy - f.object.y) / y) + square(rotation / t)).sqrt();
                     if rho < nearest.0 {
                         nearest = (rho, f.episode, f.frame);
                     }
@@ -89,13 +90,15 @@ fn oracle(frames: &[ObjectFrame], config: &ScenesConfig) -> Vec<(Pose2, f64, u32
     }
     let mut chosen: Vec<(Pose2, f64, u32, u32)> = Vec::new();
     while chosen.len() < config.poses as usize && !poses.is_empty() {
-        // Rounding must not decide between equals: the first of the grid wins.
+        // Rounding must not decide between equal distances: the first grid point is taken.
         let best = poses.iter().map(|p| p.1).fold(0.0, f64::max);
         let at = poses.iter().position(|p| p.1 >= best - 1e-9).unwrap();
         let taken = poses.remove(at);
         poses.retain(|(pose, ..)| {
-            let turn = periodic_distance(pose.theta, taken.0.theta, TAU) / t;
-            let distance = ((pose.x - taken.0.x) / x).hypot((pose.y - taken.0.y) / y).hypot(turn);
+            let rotation = periodic_distance(pose.theta, taken.0.theta, TAU) / t;
+            let distance = ((pose.x - taken.0.x) / x)
+                .hypot((pose.y - taken.0.y) / y)
+                .hypot(rotation);
             distance >= config.separation
         });
         chosen.push(taken);
@@ -104,7 +107,7 @@ fn oracle(frames: &[ObjectFrame], config: &ScenesConfig) -> Vec<(Pose2, f64, u32
 }
 
 fn poses() -> impl Strategy<Value = Vec<(f64, f64, f64)>> {
-    // Fewer than four could lie symmetrically, with ties all over the grid.
+    // Fewer than four could be symmetric, with ties all over the grid.
     prop::collection::vec((120.0..400.0f64, 120.0..400.0f64, -7.0..7.0f64), 4..25)
 }
 
@@ -112,7 +115,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
     #[test]
-    fn the_poses_are_those_of_the_oracle(
+    fn chosen_poses_equal_those_of_the_oracle(
         poses in poses(), inside_walls: bool, raw: bool, separation in 0.05..0.6f64,
         padding in 0.0..60.0f64, padding_angle in 0.0..1.0f64,
     ) {
@@ -126,7 +129,7 @@ proptest! {
             Ok(scenes) => {
                 prop_assert_eq!(scenes.len(), 8);
                 let found: Vec<&SparseScene> = scenes.iter().step_by(2).collect();
-                // A tie that rounding breaks leads elsewhere: then only the distances can be compared.
+                // Rounding may break a tie differently and change all later choices: then only the distances are comparable.
                 for (scene, (pose, rho, demo, frame)) in found.into_iter().zip(&expected) {
                     prop_assert!((scene.rho - rho).abs() < 1e-9, "{scene:?} {rho}");
                     let same = (scene.block.translation() - pose.translation()).norm() < 1e-9
@@ -143,11 +146,11 @@ proptest! {
     }
 
     #[test]
-    fn scenes_are_what_they_promise(poses in poses(), seed: u32, clearance in 0.0..30.0f64) {
+    fn scenes_satisfy_their_constraints(poses in poses(), seed: u32, clearance in 0.0..30.0f64) {
         let config = ScenesConfig { seed, clearance, ..small() };
         let Ok(scenes) = scenes(&frames(&poses), &config) else { return Ok(()) };
         for pair in scenes.chunks(2).collect::<Vec<_>>().windows(2) {
-            prop_assert!(pair[0][0].rho >= pair[1][0].rho, "poses come in falling order of rho");
+            prop_assert!(pair[0][0].rho >= pair[1][0].rho, "poses must be in descending order of rho");
         }
         let mut simulator = PushT::new().unwrap();
         for scene in &scenes {
@@ -159,17 +162,17 @@ proptest! {
             for part in tee_vertices(scene.block) {
                 prop_assert!(distance_point_to_convex(scene.agent, &part) >= AGENT_RADIUS + clearance);
             }
-            // The simulator takes the scene as it is: nothing is pushed out of anything.
-            let asked = Scene { agent: scene.agent, block: scene.block };
-            let seen = simulator.reset(&asked, ResetOrder::PoseIsPose).unwrap();
-            prop_assert!((seen.agent - scene.agent).norm() < 1e-9);
-            prop_assert!((seen.block.translation() - scene.block.translation()).norm() < 1e-6, "{seen:?} {scene:?}");
-            prop_assert!(periodic_distance(seen.block.theta, scene.block.theta, TAU) < 1e-6);
+            // A reset keeps the scene unchanged: the physics step pushes no body out of another.
+            let requested = Scene { agent: scene.agent, block: scene.block };
+            let observed = simulator.reset(&requested, ResetOrder::PoseIsPose).unwrap();
+            prop_assert!((observed.agent - scene.agent).norm() < 1e-9);
+            prop_assert!((observed.block.translation() - scene.block.translation()).norm() < 1e-6, "{observed:?} {scene:?}");
+            prop_assert!(periodic_distance(observed.block.theta, scene.block.theta, TAU) < 1e-6);
         }
     }
 
     #[test]
-    fn more_pushers_and_another_seed_leave_the_rest_alone(poses in poses(), seed: u32) {
+    fn more_pushers_or_another_seed_change_nothing_else(poses in poses(), seed: u32) {
         let frames = frames(&poses);
         let with = |pushers, seed| scenes(&frames, &ScenesConfig { pushers, seed, ..small() });
         let (Ok(two), Ok(three), Ok(other)) = (with(2, seed), with(3, seed), with(2, seed ^ 1)) else { return Ok(()) };
@@ -183,8 +186,8 @@ proptest! {
 }
 
 #[test]
-fn equals_are_taken_in_the_order_of_the_grid() {
-    // One frame in the middle of the cube that its padding makes: all eight corners are equally far.
+fn ties_are_taken_in_grid_order() {
+    // One frame in the centre of the cube that its padding spans: all eight corners are equally far.
     let frames = frames(&[(256.0, 256.0, 1.0)]);
     let config = ScenesConfig {
         poses: 8,
@@ -209,8 +212,8 @@ fn equals_are_taken_in_the_order_of_the_grid() {
 }
 
 #[test]
-fn an_angle_at_the_seam_is_one_pose() {
-    // Angles 0.1 and 2π - 0.1 are close together; a raw distance to the demonstrations changes nothing about that.
+fn angles_across_the_seam_are_near() {
+    // Angles 0.1 and 2π - 0.1 are near each other for the separation, even if the distance to the demonstrations is raw.
     let frames = frames(&[(200.0, 200.0, 0.1), (300.0, 300.0, TAU - 0.1), (250.0, 250.0, 3.0)]);
     for angle in [AngleMetric::Periodic, AngleMetric::Raw] {
         let config = ScenesConfig {
@@ -226,40 +229,40 @@ fn an_angle_at_the_seam_is_one_pose() {
         for (i, a) in chosen.iter().enumerate() {
             assert!((0.0..TAU).contains(&a.block.theta));
             for b in &chosen[..i] {
-                let turn = periodic_distance(a.block.theta, b.block.theta, TAU) / unit;
-                let way = (a.block.translation() - b.block.translation()).norm() / 100.0;
-                assert!(way.hypot(turn) >= 0.3 - 1e-12, "{a:?} {b:?}");
+                let rotation = periodic_distance(a.block.theta, b.block.theta, TAU) / unit;
+                let translation = (a.block.translation() - b.block.translation()).norm() / 100.0;
+                assert!(translation.hypot(rotation) >= 0.3 - 1e-12, "{a:?} {b:?}");
             }
         }
     }
 }
 
 #[test]
-fn what_cannot_be_done_is_said() {
+fn impossible_requests_are_reported() {
     let some = frames(&[(200.0, 200.0, 0.1), (300.0, 300.0, 2.0)]);
-    let say = |frames: &[ObjectFrame], config: ScenesConfig| scenes(frames, &config).unwrap_err().sentence();
+    let message = |frames: &[ObjectFrame], config: ScenesConfig| scenes(frames, &config).unwrap_err().sentence();
     assert_eq!(
-        say(
+        message(
             &some,
             ScenesConfig {
                 separation: 5.0,
                 ..small()
             }
         ),
-        "cannot choose scenes: only 1 of the 4 poses asked for keep a separation of 5, out of 343 on the grid; lower scenes.separation or scenes.poses"
+        "cannot choose scenes: only 1 of the 4 requested poses keep a separation of 5, out of 343 on the grid; lower scenes.separation or scenes.poses"
     );
     assert!(
-        say(
+        message(
             &some,
             ScenesConfig {
                 clearance: 600.0,
                 ..small()
             }
         )
-        .contains("leaves the pusher no place")
+        .contains("leaves no free position for the pusher")
     );
-    assert!(say(&[], small()).contains("there are no frames"));
+    assert!(message(&[], small()).contains("there are no frames"));
     let broken = frames(&[(200.0, 200.0, 0.1), (f64::NAN, 300.0, 2.0)]);
-    assert!(say(&broken, small()).contains("episode 0, frame 1"));
+    assert!(message(&broken, small()).contains("episode 0, frame 1"));
     assert_eq!(sparse_scenes(&some, &small(), &|| false), Err(ScenesError::Interrupted));
 }

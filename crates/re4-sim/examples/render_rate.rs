@@ -1,8 +1,8 @@
-//! Prints what an image costs on one thread, over the states of the reference trace: the canvas, the observation made from
-//! it, and both.
+//! Prints the time per image on one thread, over the states of the reference trace: for the canvas, for the observation made
+//! from it, and for both.
 //!
 //! `cargo run --release -p re4-sim --example render_rate`
-#![expect(clippy::print_stdout, reason = "printing is what this example is for")]
+#![expect(clippy::print_stdout, reason = "this example prints its results")]
 
 #[path = "../tests/common/mod.rs"]
 #[expect(dead_code, reason = "the tests use more of the trace than this example")]
@@ -17,7 +17,7 @@ fn main() -> Result<(), SimError> {
     let mut simulator = PushT::new()?;
     let (mut canvas, mut observation) = (Canvas::new(), Vec::new());
     let mut frames = 0_u32;
-    let (mut drawing, mut shrinking) = (0.0, 0.0);
+    let (mut rendering, mut shrinking) = (0.0, 0.0);
     let mut sum = 0_u64;
     for episode in &trace.episodes {
         simulator.reset(&episode.scene, ResetOrder::Legacy)?;
@@ -25,11 +25,11 @@ fn main() -> Result<(), SimError> {
             simulator.step(&step.action)?;
             let start = Instant::now();
             simulator.render_into(&mut canvas);
-            let drawn = Instant::now();
+            let rendered = Instant::now();
             canvas.observation_into(&mut observation);
-            shrinking += drawn.elapsed().as_secs_f64();
-            drawing += (drawn - start).as_secs_f64();
-            // Keeps the images from being left out as unused.
+            shrinking += rendered.elapsed().as_secs_f64();
+            rendering += (rendered - start).as_secs_f64();
+            // Using the images keeps the compiler from removing the computation.
             sum += observation.iter().map(|&value| u64::from(value)).sum::<u64>();
             frames += 1;
         }
@@ -40,8 +40,8 @@ fn main() -> Result<(), SimError> {
         "mean_value {:.6}",
         sum as f64 / f64::from(frames) / observation.len() as f64
     );
-    println!("milliseconds_canvas {:.4}", per_frame(drawing));
+    println!("milliseconds_canvas {:.4}", per_frame(rendering));
     println!("milliseconds_observation {:.4}", per_frame(shrinking));
-    println!("milliseconds_frame {:.4}", per_frame(drawing + shrinking));
+    println!("milliseconds_frame {:.4}", per_frame(rendering + shrinking));
     Ok(())
 }

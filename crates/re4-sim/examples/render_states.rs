@@ -1,4 +1,4 @@
-//! Reads states from standard input, five numbers a line (agent x, y, block x, y, theta; pixels and radians), and writes
+//! Reads states from standard input, five numbers per line (agent x, y, block x, y, theta; pixels and radians), and writes
 //! their images to standard output as raw RGB bytes: 96 x 96, or 512 x 512 with the argument `canvas`.
 //!
 //! `cargo run --release -p re4-sim --example render_states [canvas] < states.txt > images.bin`

@@ -1,9 +1,9 @@
-//! Plays the actions of a reference trace again and again on one thread, and prints how many policy steps a second that are.
+//! Repeats the actions of a reference trace on one thread and prints the number of policy steps per second.
 //!
 //! `cargo run --release -p re4-sim --example robosuite_rate TRACE [EPISODES]`, with the simulators in the folder that
-//! `RE4_SIMULATORS` names or in data/simulators. Resets are not timed. `steps_per_s_fast` is that of `Fidelity::Fast`; the
-//! differences are how far the coordinates got from those of the trace, in the first so many policy steps.
-#![expect(clippy::print_stdout, reason = "printing is what this example is for")]
+//! `RE4_SIMULATORS` names or in data/simulators. Resets are not timed. `steps_per_s_fast` is the rate of `Fidelity::Fast`. The
+//! differences are the maximum deviations of the coordinates from those of the trace within the given numbers of policy steps.
+#![expect(clippy::print_stdout, reason = "this example prints its results")]
 
 #[path = "../tests/reference/mod.rs"]
 mod reference;
@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &simulators.join(format!("mujoco-{}", profile.mujoco())),
         profile.mujoco(),
     )?;
-    // As demonstrations are simulated: without what is only drawn.
+    // Rollouts simulate the same reduced model, without the parts that only rendering needs.
     let mjcf = without_images(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
     let apart = without_contacts(&mjcf, &task.put_away())?;
 

@@ -1,7 +1,7 @@
-//! Prints how many control steps a second one thread simulates, with coverage, on the actions of the reference trace.
+//! Prints how many control steps per second one thread simulates, with coverage, on the actions of the reference trace.
 //!
 //! `cargo run --release -p re4-sim --example throughput [rounds]`
-#![expect(clippy::print_stdout, reason = "printing is what this example is for")]
+#![expect(clippy::print_stdout, reason = "this example prints its results")]
 
 #[path = "../tests/common/mod.rs"]
 #[expect(dead_code, reason = "the tests use more of the trace than this example")]

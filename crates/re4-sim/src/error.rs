@@ -1,20 +1,20 @@
-//! What can go wrong in a simulator.
+//! Errors of the simulators.
 
 use re4_fault::Remedy;
 use re4_mujoco::MujocoError;
 
-/// Why a simulator refused to start, reset or step.
+/// Why a simulator cannot start, reset or step.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum SimError {
-    /// The program was linked with a library of another major version.
+    /// The program was linked with another major version of Chipmunk.
     #[error("cannot start Push-T: the physics library reports Chipmunk version {found}, not 7.x")]
     #[remedy("build with Chipmunk 7 (Debian, Ubuntu: `apt-get install libchipmunk-dev`)")]
     Library {
-        /// The version string the library carries.
+        /// The version string that the library reports.
         found: String,
     },
-    /// The requested scene has a coordinate that no reset can take.
+    /// A coordinate of the requested scene is not finite or too large.
     #[error("cannot reset Push-T: {coordinate} of the requested scene is {value}")]
     #[remedy("give a finite number of at most {limit} in absolute value")]
     Reset {
@@ -25,7 +25,7 @@ pub enum SimError {
         /// The maximum absolute value allowed.
         limit: f64,
     },
-    /// The action has a coordinate that no step can take.
+    /// A coordinate of the action is not finite or too large.
     #[error("cannot step Push-T: {coordinate} of the action is {value}")]
     #[remedy("give a finite number of at most {limit} in absolute value")]
     Step {
@@ -36,9 +36,9 @@ pub enum SimError {
         /// The maximum absolute value allowed.
         limit: f64,
     },
-    /// The physics came to a state it cannot go on from; the simulator must be reset.
+    /// The physics brought a coordinate out of bounds; the simulator must be reset.
     #[error(
-        "cannot {operation} Push-T: the physics brought {coordinate} to {value}, outside of {limit} in absolute value"
+        "cannot {operation} Push-T: the physics brought {coordinate} to {value}, more than {limit} in absolute value"
     )]
     #[remedy("reset the simulator to a scene in which agent and block do not overlap")]
     Diverged {
@@ -51,43 +51,43 @@ pub enum SimError {
         /// The maximum absolute value allowed.
         limit: f64,
     },
-    /// A robosuite task cannot be simulated.
+    /// MuJoCo reported an error for a robosuite task.
     #[error("cannot simulate {task}: {source}")]
     #[remedy(source.remedy())]
     Mujoco {
         /// The task.
         task: &'static str,
-        /// Why.
+        /// The error that MuJoCo reported.
         source: MujocoError,
     },
-    /// The model is not one of the task.
+    /// The model is not a scene of the task.
     #[error("cannot simulate {task}: {reason}")]
-    #[remedy("take the model_file of a demonstration of {task}")]
+    #[remedy("use the model_file of a demonstration of {task}")]
     Model {
         /// The task.
         task: &'static str,
         /// What is wrong with the model.
         reason: String,
     },
-    /// A recorded state does not fit the model.
+    /// The length of a recorded state does not match the model.
     #[error(
         "cannot reset {task}: the state has {found} numbers, the model needs {expected} ({})",
-        if *nv == 0 { "coordinates alone".to_owned() } else { format!("time, {nq} coordinates, {nv} velocities") }
+        if *nv == 0 { "coordinates only".to_owned() } else { format!("time, {nq} coordinates, {nv} velocities") }
     )]
-    #[remedy("take states and model_file of the same demonstration")]
+    #[remedy("use the states and the model_file of the same demonstration")]
     StateLength {
         /// The task.
         task: &'static str,
-        /// Numbers of the state.
+        /// Length of the given state.
         found: usize,
-        /// Numbers that the model needs.
+        /// Length that the model needs.
         expected: usize,
-        /// Coordinates of the model.
+        /// Number of the model's coordinates.
         nq: usize,
-        /// Velocities of the model; 0 where coordinates alone are asked for.
+        /// Number of the model's velocities; 0 if only coordinates are expected.
         nv: usize,
     },
-    /// A number that is NaN or infinite.
+    /// A number of a state or action is NaN or infinite, or too large.
     #[error("cannot {operation} {task}: number {index} of the {what} is {value}")]
     #[remedy("give finite numbers")]
     NotFinite {
@@ -95,23 +95,23 @@ pub enum SimError {
         operation: &'static str,
         /// The task.
         task: &'static str,
-        /// State or action.
+        /// `state` or `action`.
         what: &'static str,
-        /// Which number, from 0.
+        /// Index of the number, from 0.
         index: usize,
         /// Its value.
         value: f64,
     },
-    /// The simulation came to numbers that are not finite or absurdly large.
+    /// The simulation reached numbers that are not finite or too large.
     #[error(
         "cannot step {task}: the simulation became unstable{}",
         if reason.is_empty() { String::new() } else { format!(" ({reason})") }
     )]
-    #[remedy("reset it")]
+    #[remedy("reset the simulation")]
     Unstable {
         /// The task.
         task: &'static str,
-        /// MuJoCo's words.
+        /// A description of the instability.
         reason: String,
     },
 }

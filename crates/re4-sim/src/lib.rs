@@ -1,8 +1,8 @@
-//! Simulators behind one trait: Push-T over Chipmunk, robosuite's tasks over MuJoCo, with numpy-compatible scene seeds.
+//! Simulators behind one trait: Push-T on Chipmunk and robosuite's tasks on MuJoCo, with numpy-compatible scene seeds.
 //!
-//! [`PushT`] computes what the Python package gym-pusht 0.1.8 computes, bit for bit in positions, velocities and contact
-//! counts; [`robosuite`] what robosuite 1.4.1 and 1.5.1 compute; the README of this crate tells how that is tested. Lengths are pixels of the 512 x 512 window (y points down),
-//! angles radians, time seconds.
+//! [`PushT`] reproduces the Python package gym-pusht 0.1.8 bit for bit in positions, velocities and contact counts. [`robosuite`]
+//! reproduces robosuite 1.4.1 and 1.5.1. The README of this crate describes the parity tests. In Push-T, lengths are pixels of the
+//! 512 x 512 window (y points down), angles are radians and times are seconds.
 
 mod chipmunk;
 mod error;

@@ -1,6 +1,6 @@
 //! Push-T: a round agent pushes a T-shaped block onto a goal.
 //!
-//! Figures and order of operations follow gym-pusht 0.1.8 (`envs/pusht.py`).
+//! Constants and order of operations follow gym-pusht 0.1.8 (`envs/pusht.py`).
 
 use re4_geometry::{Point2, Pose2, wrap_to_two_pi};
 
@@ -26,20 +26,21 @@ pub const SUBSTEPS: u32 = 10;
 /// Side of the square window, in pixels; actions of the demonstrations lie within it.
 pub const WINDOW: f64 = 512.0;
 
-/// Maximum absolute value of a coordinate that a reset or step takes, in pixels or radians, and that a state may reach.
+/// Maximum absolute value of a coordinate that a reset or step accepts, in pixels or radians.
 ///
-/// Far outside of the window, so that no policy meets it by chance, and far from where double precision would suffer.
+/// The limit is far outside of the window, so that no policy reaches it by chance, and small enough for double precision.
+/// The state itself may reach twice this value.
 pub const COORDINATE_LIMIT: f64 = 1e5;
 
-/// Where gym-pusht puts agent and block before it sets the requested state.
+/// The state in which gym-pusht creates agent and block before it sets the requested state.
 const FIRST_SCENE: Scene = Scene {
     agent: Point2::new(256.0, 400.0),
     block: Pose2::new(256.0, 300.0, 0.0),
 };
 
-/// A state to ask for in a reset, in pixels and radians.
+/// An initial state to request in a reset, in pixels and radians.
 ///
-/// Under [`ResetOrder::Legacy`] the block does not arrive at `block`; [`Scene::from_observed`] makes up for that.
+/// Under [`ResetOrder::Legacy`] the block does not arrive at `block`; [`Scene::from_observed`] compensates for that.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scene {
     /// Centre of the agent.
@@ -51,13 +52,13 @@ pub struct Scene {
 impl Scene {
     /// The scene to request under [`ResetOrder::Legacy`] so that the block arrives at `block_recorded`.
     ///
-    /// The legacy reset sets the block's position and then turns it about its centre of gravity `c = (0, 45)`, so it
+    /// The legacy reset sets the block's position and then rotates it about its centre of gravity `c = (0, 45)`, so it
     /// arrives at `requested + c - R(theta) c`. This is the inverse: `requested = recorded - c + R(theta) c`. Use it for
-    /// states that were recorded, such as the rows of the demonstrations. The physics step that ends a reset moves the
-    /// block further if it overlaps the agent or a wall.
+    /// recorded states, such as the rows of the demonstrations. The physics step that ends a reset moves the block further
+    /// if it overlaps the agent or a wall.
     pub fn from_observed(agent: Point2, block_recorded: Pose2) -> Self {
-        let turned = Pose2::new(0.0, 0.0, block_recorded.theta).transform_point(CENTRE_OF_GRAVITY);
-        let requested = block_recorded.translation() - CENTRE_OF_GRAVITY + turned;
+        let rotated = Pose2::new(0.0, 0.0, block_recorded.theta).transform_point(CENTRE_OF_GRAVITY);
+        let requested = block_recorded.translation() - CENTRE_OF_GRAVITY + rotated;
         Self {
             agent,
             block: Pose2::new(requested.x, requested.y, block_recorded.theta),
@@ -65,7 +66,7 @@ impl Scene {
     }
 }
 
-/// What a policy sees of a Push-T state, in pixels, pixels per second and radians.
+/// The part of a Push-T state that a policy observes, in pixels, pixels per second and radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PushTObservation {
     /// Centre of the agent.
@@ -78,8 +79,8 @@ pub struct PushTObservation {
 
 /// The Push-T simulator.
 ///
-/// It may be sent to another thread but not shared between threads. Each reset builds a fresh Chipmunk space, as gym-pusht
-/// does, so that an episode does not depend on those before it.
+/// It may be sent to another thread but not shared between threads. Each reset builds a new Chipmunk space, as gym-pusht
+/// does, so that an episode does not depend on earlier ones.
 pub struct PushT {
     world: World,
     goal_vertices: [[Point2; 4]; 2],
@@ -100,7 +101,7 @@ impl PushT {
     /// A simulator in gym-pusht's state before its first reset: agent at (256, 400), block at (256, 300) and angle 0.
     ///
     /// # Errors
-    /// When the program was linked with a Chipmunk of another major version than 7.
+    /// When the major version of the linked Chipmunk library is not 7.
     pub fn new() -> Result<Self, SimError> {
         let found = chipmunk_version();
         if !found.starts_with("7.") {
@@ -113,7 +114,7 @@ impl PushT {
         })
     }
 
-    /// Where the block should be brought.
+    /// The goal pose of the block.
     pub fn goal(&self) -> Pose2 {
         GOAL
     }
@@ -143,7 +144,7 @@ impl PushT {
         }
     }
 
-    /// Contact points of the last reset or step, added up over its physics steps.
+    /// Sum of the contact points over all physics steps of the last reset or step.
     pub fn contact_points(&self) -> u32 {
         self.contact_points
     }
@@ -153,12 +154,12 @@ impl PushT {
         tee_vertices(self.world.block_pose())
     }
 
-    /// What Chipmunk would draw of the state: where the shapes and the marks of the last physics step's contacts are.
+    /// The shapes and the contact marks of the last physics step, as Chipmunk's debug drawing reports them.
     pub(crate) fn drawing(&self) -> Drawing {
         self.world.drawing()
     }
 
-    /// Checks the state after physics, so that nothing unsound is handed on or goes into the next physics step.
+    /// Checks the state after physics, so that no invalid number is returned or enters the next physics step.
     fn check_state(world: &World, operation: &'static str) -> Result<(), SimError> {
         let (agent, block) = (world.agent_position(), world.block_pose());
         let named = [
@@ -168,7 +169,7 @@ impl PushT {
             ("block_y", block.y),
             ("block_theta", block.theta),
         ];
-        // Twice the limit: a state that was just allowed in may move on.
+        // Twice the limit, because a requested state at the limit may still move.
         let limit = 2.0 * COORDINATE_LIMIT;
         match outside(named, limit) {
             None => Ok(()),
@@ -232,10 +233,11 @@ impl Simulator for PushT {
                 limit: COORDINATE_LIMIT,
             });
         }
+        // After a divergence the state stays invalid until a reset, and Chipmunk would abort the process on it.
         Self::check_state(&self.world, "step")?;
         for _ in 0..SUBSTEPS {
             let velocity = self.world.agent_velocity();
-            // The order of these operations decides the last bits.
+            // As in gym-pusht: another order of these operations would change the last bits.
             let acceleration = PROPORTIONAL_GAIN * (action - self.world.agent_position())
                 + DAMPING_GAIN * (Point2::new(0.0, 0.0) - velocity);
             self.world.set_agent_velocity(velocity + acceleration * TIME_STEP);
@@ -251,7 +253,7 @@ fn new_world() -> World {
     World::new(FIRST_SCENE.agent, FIRST_SCENE.block, AGENT_RADIUS, &tee_rectangles())
 }
 
-/// The first coordinate that is not finite or greater than `limit` in absolute value.
+/// The first coordinate that is not finite or is greater than `limit` in absolute value.
 fn outside<const N: usize>(named: [(&'static str, f64); N], limit: f64) -> Option<(&'static str, f64)> {
     named
         .into_iter()

@@ -1,12 +1,12 @@
-//! numpy's legacy generator `RandomState`, which `np.random.seed` and the functions of `np.random` use, as far as scenes
-//! need it: Matsumoto and Nishimura 1998 (MT19937), Marsaglia's polar method for normal numbers.
+//! The part of numpy's legacy generator `RandomState`, which `np.random.seed` and the functions of `np.random` use, that
+//! scenes need: Matsumoto and Nishimura 1998 (MT19937), Marsaglia's polar method for normal numbers.
 
 use rand_mt::Mt;
 
 /// numpy's `RandomState(seed)`; also its global generator after `np.random.seed(seed)`.
 pub(crate) struct RandomState {
     words: Mt,
-    /// The second number of the last pair of normal ones.
+    /// The second number of the last pair of normal numbers.
     kept_normal: Option<f64>,
 }
 
@@ -18,7 +18,7 @@ impl RandomState {
         }
     }
 
-    /// `randint(low, high)`: masks 32 bits down to the next power of two and draws again while the result is too great.
+    /// `randint(low, high)`: masks 32 bits to the next power of two and samples again while the result is too large.
     pub(crate) fn integer(&mut self, low: u32, high: u32) -> u32 {
         let maximum = high - 1 - low;
         let mask = u32::MAX >> maximum.leading_zeros();
@@ -30,7 +30,7 @@ impl RandomState {
         }
     }
 
-    /// `random()`: a number in `[0, 1)` of 53 bits, from two words.
+    /// `random()`: a number in `[0, 1)` with 53 random bits, from two words.
     pub(crate) fn unit(&mut self) -> f64 {
         let high = f64::from(self.words.next_u32() >> 5);
         let low = f64::from(self.words.next_u32() >> 6);
@@ -42,8 +42,8 @@ impl RandomState {
         low + (high - low) * self.unit()
     }
 
-    /// `randn()`: the polar method makes two numbers, hands out the second one and keeps the first one for the next call,
-    /// whatever is drawn in between.
+    /// `randn()`: the polar method gives two numbers. As in numpy, the second one is returned and the first one is kept for
+    /// the next call, even if other numbers are sampled in between.
     pub(crate) fn standard_normal(&mut self) -> f64 {
         if let Some(kept) = self.kept_normal.take() {
             return kept;

@@ -1,6 +1,6 @@
-//! Scenes from seeds, with the bits of numpy's generators.
+//! Scenes from seeds, bit-identical to those that numpy's generators give.
 //!
-//! Two generators are in use for Push-T: `diffusion_policy` draws from numpy's legacy `RandomState` (MT19937), gym-pusht
+//! Push-T programs use two generators: `diffusion_policy` samples from numpy's legacy `RandomState` (MT19937), gym-pusht
 //! from `Generator(PCG64(SeedSequence(seed)))`. The algorithms are public: Matsumoto and Nishimura 1998 (MT19937),
 //! Marsaglia's polar method for normal numbers, O'Neill 2014 (PCG XSL RR 128/64) and her `seed_seq` replacement that numpy's
 //! `SeedSequence` follows, Lemire 2019 for bounded integers.
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::Scene;
 use crate::random_state::RandomState;
 
-/// Which program's seeds are meant.
+/// The program whose seeding is reproduced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SeedScheme {
@@ -29,8 +29,8 @@ pub enum SeedScheme {
 
 /// The scene that a program requests for `seed`: agent in `[50, 450)`², block in `[100, 400)`², all whole pixels.
 ///
-/// The block's angle is uniform in `[-π, π)` for gym-pusht and normal, `N(-π, (2π)²)`, for `diffusion_policy`. It is the
-/// *requested* state: the block's recorded position differs under [`ResetOrder::Legacy`](crate::ResetOrder::Legacy).
+/// The block's angle is uniform in `[-π, π)` for gym-pusht and normal, `N(-π, (2π)²)`, for `diffusion_policy`. This is the
+/// *requested* scene: the block arrives at another position under [`ResetOrder::Legacy`](crate::ResetOrder::Legacy).
 pub fn scene_from_seed(scheme: SeedScheme, seed: u32) -> Scene {
     match scheme {
         SeedScheme::DiffusionPolicy => {
@@ -64,10 +64,10 @@ fn scene(agent: Point2, block: Point2, theta: f64) -> Scene {
     }
 }
 
-/// numpy's `Generator(PCG64(SeedSequence(seed)))`, as far as scenes need it.
+/// The part of numpy's `Generator(PCG64(SeedSequence(seed)))` that scenes need.
 struct Generator {
     bits: Pcg64,
-    /// The upper half of a 64-bit draw, kept for the next 32-bit draw.
+    /// The upper half of a 64-bit word, kept for the next 32-bit word as numpy keeps it.
     kept_half: Option<u32>,
 }
 
@@ -90,7 +90,7 @@ impl Generator {
         word as u32
     }
 
-    /// `integers(low, high)`: Lemire's multiplication, with rejection of the few products that would favour a value.
+    /// `integers(low, high)`: Lemire's multiplication, with rejection of the few products that would bias the result.
     fn integer(&mut self, low: u32, high: u32) -> u32 {
         let count = high - low;
         let threshold = count.wrapping_neg() % count;
@@ -102,13 +102,14 @@ impl Generator {
         }
     }
 
-    /// A number in `[0, 1)` of 53 bits; it leaves a kept half where it is, as numpy does.
+    /// A number in `[0, 1)` with 53 random bits. It does not use a kept half word, as in numpy.
     fn unit(&mut self) -> f64 {
         (self.bits.next_u64() >> 11) as f64 / 9_007_199_254_740_992.0
     }
 }
 
-/// numpy's `SeedSequence(seed).generate_state(4, uint64)`.
+/// numpy's `SeedSequence(seed).generate_state(4, uint64)`. The constants are those of numpy's `bit_generator.pyx`: `INIT_A`,
+/// `MULT_A`, `MIX_MULT_L`, `MIX_MULT_R`, `INIT_B` and `MULT_B`, in this order.
 fn seed_sequence(seed: u32) -> [u64; 4] {
     let mut constant = 0x43b0_d7e5_u32;
     let mut hash = |value: u32| {

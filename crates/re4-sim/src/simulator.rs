@@ -1,40 +1,40 @@
-//! The interface that rollouts drive.
+//! The interface of the simulators that rollouts use.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
 
-/// A simulator of one task: reset it to a scene, then step it with actions.
+/// A simulator of one task: it is reset to a scene and then stepped with actions.
 ///
-/// The same calls in the same order give the same bits, on any thread and beside any number of other simulators.
+/// The same calls in the same order give bit-identical results, on any thread and next to any number of other simulators.
 pub trait Simulator: Send {
-    /// A state that can be asked for in a reset.
+    /// The initial state that a reset requests.
     type Scene;
-    /// What else a reset depends on.
+    /// Options of a reset.
     type Reset;
-    /// What a policy sees of the state.
+    /// The part of the state that a policy observes.
     type Observation;
-    /// What a policy commands.
+    /// The command of a policy for one control step.
     type Action;
-    /// What one control step leads to.
+    /// The result of one control step.
     type Step;
 
     /// Starts an episode from `scene`.
     ///
     /// # Errors
-    /// When the scene is not one the simulator can take; the simulator then stays as it was.
+    /// When the scene is invalid; the simulator then keeps its state.
     fn reset(&mut self, scene: &Self::Scene, how: Self::Reset) -> Result<Self::Observation, SimError>;
 
     /// Runs one control step.
     ///
     /// # Errors
-    /// When the action is not one the simulator can take, which leaves the simulator as it was; or when the physics came to
-    /// a state it cannot go on from, after which only a reset helps.
+    /// When the action is invalid, in which case the simulator keeps its state; or when the physics diverges, after which
+    /// the simulator must be reset.
     fn step(&mut self, action: &Self::Action) -> Result<Self::Step, SimError>;
 }
 
-/// What one control step of Push-T led to.
+/// The result of one control step of Push-T.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Step<O> {
     /// The state after the step.
@@ -47,20 +47,20 @@ pub struct Step<O> {
     pub score: f64,
     /// Whether the coverage is strictly above 0.95.
     pub success: bool,
-    /// Contact points of all physics steps, divided by the number of physics steps in a control step, rounded up: the
-    /// `n_contacts` column of the Push-T demonstrations.
+    /// Contact points of all physics steps, divided by the number of physics steps in a control step, rounded up. This is
+    /// the `n_contacts` column of the Push-T demonstrations.
     ///
-    /// (gym-pusht's `info["n_contacts"]` divides by 1000 in place of 10 and is therefore 0 or 1.)
+    /// (gym-pusht's `info["n_contacts"]` divides by 1000 instead of 10 and is therefore 0 or 1.)
     pub contacts: u32,
 }
 
-/// In which order a reset sets the block's position and angle.
+/// The order in which a reset sets the block's position and angle.
 ///
-/// It matters because setting the angle turns the block about its centre of gravity, which is not its origin.
+/// The order matters because setting the angle rotates the block about its centre of gravity, which is not its origin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 pub enum ResetOrder {
-    /// Position, then angle: gym-pusht always, `diffusion_policy` in its benchmark (`legacy_test: True`), and the human
-    /// demonstrations. The block arrives at `requested + c - R(theta) c` with `c` its centre of gravity.
+    /// Position, then angle: gym-pusht always does this, as do `diffusion_policy` in its benchmark (`legacy_test: True`) and
+    /// the human demonstrations. The block arrives at `requested + c - R(theta) c`, where `c` is its centre of gravity.
     #[default]
     #[serde(rename = "legacy")]
     Legacy,

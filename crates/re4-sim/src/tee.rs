@@ -1,11 +1,11 @@
-//! The T-shaped block: its two rectangles, its goal, and how much of the goal it covers.
+//! The T-shaped block: its two rectangles, its goal pose, and its coverage of the goal.
 //!
-//! Source of the figures: gym-pusht 0.1.8 (`envs/pusht.py`), the same in `diffusion_policy`'s `env/pusht/pusht_env.py`.
+//! The constants are those of gym-pusht 0.1.8 (`envs/pusht.py`), which `diffusion_policy`'s `env/pusht/pusht_env.py` uses too.
 
 use crate::chipmunk::WALL_FACES;
 use re4_geometry::{Point2, Pose2, clip_convex, polygon_area};
 
-/// Where the block should be brought, in pixels and radians.
+/// The goal pose of the block, in pixels and radians.
 pub const GOAL: Pose2 = Pose2::new(256.0, 256.0, std::f64::consts::FRAC_PI_4);
 
 /// An episode succeeds when the coverage is strictly greater than this.
@@ -14,8 +14,8 @@ pub const SUCCESS_COVERAGE: f64 = 0.95;
 /// Radius of the round agent, in pixels.
 pub const AGENT_RADIUS: f64 = 15.0;
 
-/// The block's centre of gravity in its own frame, in pixels: the plain mean of the rectangles' centroids, not weighted by
-/// area, as in gym-pusht.
+/// The block's centre of gravity in its own frame, in pixels: the mean of the rectangles' centroids without area weights, as
+/// in gym-pusht.
 pub const CENTRE_OF_GRAVITY: Point2 = Point2::new(0.0, 45.0);
 
 /// Area of the block, in square pixels: a bar of 120 x 30 and a stem of 30 x 90.
@@ -23,7 +23,7 @@ pub const TEE_AREA: f64 = 6300.0;
 
 /// The bar and the stem, each as its four corners in the block's frame, in pixels.
 ///
-/// The corners are in the order gym-pusht's keypoints have them.
+/// The corners are in the order of gym-pusht's keypoints.
 pub const fn tee_rectangles() -> [[Point2; 4]; 2] {
     [
         [
@@ -49,14 +49,14 @@ pub fn tee_vertices(pose: Pose2) -> [[Point2; 4]; 2] {
     })
 }
 
-/// How far the block's farthest corner reaches into a wall or beyond it, in pixels; 0 for a block between the walls.
+/// The distance by which a corner of the block reaches into a wall or past it, in pixels; 0 for a block between the walls.
 pub fn depth_in_walls(block: Pose2) -> f64 {
     let [low, high] = WALL_FACES;
-    let beyond = |p: &Point2| [low - p.x, p.x - high, low - p.y, p.y - high];
+    let depths = |p: &Point2| [low - p.x, p.x - high, low - p.y, p.y - high];
     tee_vertices(block)
         .iter()
         .flatten()
-        .flat_map(beyond)
+        .flat_map(depths)
         .fold(0.0, f64::max)
 }
 
@@ -70,6 +70,7 @@ pub fn iou(block: Pose2, goal: Pose2) -> f64 {
     iou_of_area(overlap_area(&tee_vertices(block), &tee_vertices(goal)))
 }
 
+/// The minimum removes the rounding error of a block that is exactly on the goal; the same holds for [`iou_of_area`].
 pub(crate) fn coverage_of_area(overlap: f64) -> f64 {
     (overlap / TEE_AREA).min(1.0)
 }
@@ -78,17 +79,17 @@ pub(crate) fn iou_of_area(overlap: f64) -> f64 {
     (overlap / (2.0 * TEE_AREA - overlap)).min(1.0)
 }
 
-/// Area of the intersection of two T shapes; their rectangles do not overlap within one T, so the four parts add up.
+/// Area of the intersection of two T shapes. The two rectangles of a T do not overlap, so the four intersections add up.
 pub(crate) fn overlap_area(a: &[[Point2; 4]; 2], b: &[[Point2; 4]; 2]) -> f64 {
     a.iter()
         .flat_map(|p| b.iter().map(move |q| (p, q)))
         .filter(|(p, q)| boxes_meet(p, q))
         .map(|(p, q)| polygon_area(&clip_convex(p, q)))
-        // `sum` starts from -0, which would be the coverage of a block off the goal.
+        // `sum` starts from -0, so a block off the goal would have the coverage -0.
         .fold(0.0, |sum, area| sum + area)
 }
 
-/// Whether the axis-parallel boxes round two rectangles meet: spares most of the clipping while the block is far away.
+/// Whether the axis-aligned bounding boxes of two rectangles overlap: avoids most of the clipping while the block is far away.
 fn boxes_meet(p: &[Point2; 4], q: &[Point2; 4]) -> bool {
     (0..2).all(|axis| {
         let range = |r: &[Point2; 4]| {

@@ -1,4 +1,4 @@
-//! Resets, bad input, coverage, and manners of the library underneath.
+//! Resets, invalid input, coverage, and side effects of the Chipmunk library.
 
 use std::f64::consts::{PI, TAU};
 use std::process::Command;
@@ -25,25 +25,25 @@ fn the_legacy_reset_shifts_the_block_as_gym_pusht_does() {
         ([250.0, 260.0, 1.0], [287.866_194_32, 280.686_396_24]),
         ([20.0, 30.0, 1.0], [57.866_194_32, 50.686_396_24]),
     ] {
-        let seen = simulator
+        let observed = simulator
             .reset(&scene([100.0, 120.0], block), ResetOrder::Legacy)
             .unwrap();
         assert!(
-            (seen.block.x - arrived[0]).abs() < 1e-8 && (seen.block.y - arrived[1]).abs() < 1e-8,
-            "{seen:?}"
+            (observed.block.x - arrived[0]).abs() < 1e-8 && (observed.block.y - arrived[1]).abs() < 1e-8,
+            "{observed:?}"
         );
-        assert_eq!(seen.agent, Point2::new(100.0, 120.0));
+        assert_eq!(observed.agent, Point2::new(100.0, 120.0));
     }
 }
 
 #[test]
-fn the_orders_of_reset_follow_their_formulas_and_from_observed_inverts_the_legacy_one() {
+fn reset_orders_follow_their_formulas_and_from_observed_inverts_the_legacy_order() {
     let mut simulator = PushT::new().unwrap();
     let mut far = 0;
     for seed in 0..300 {
         for scheme in [SeedScheme::DiffusionPolicy, SeedScheme::GymPusht] {
             let requested = scene_from_seed(scheme, seed);
-            // Away from the agent and the walls, where the physics step of the reset moves nothing.
+            // Far from the agent and the walls, so that the physics step of the reset moves nothing.
             let requested = Scene {
                 agent: Point2::new(30.0, 30.0),
                 ..requested
@@ -57,22 +57,22 @@ fn the_orders_of_reset_follow_their_formulas_and_from_observed_inverts_the_legac
                     (8.0..503.0).contains(&v.x) && (8.0..503.0).contains(&v.y) && (v - requested.agent).norm() > 140.0
                 })
             };
-            let arrives = |seen: Pose2, at: Pose2| {
-                (seen.translation() - at.translation()).norm() < 1e-9
-                    && periodic_distance(seen.theta, at.theta, TAU) < 1e-9
+            let arrives = |observed: Pose2, at: Pose2| {
+                (observed.translation() - at.translation()).norm() < 1e-9
+                    && periodic_distance(observed.theta, at.theta, TAU) < 1e-9
             };
             if clear(formula) {
                 far += 1;
-                let seen = simulator.reset(&requested, ResetOrder::Legacy).unwrap();
-                assert!(arrives(seen.block, formula), "seed {seed}: {seen:?}");
-                let again = Scene::from_observed(requested.agent, seen.block);
+                let observed = simulator.reset(&requested, ResetOrder::Legacy).unwrap();
+                assert!(arrives(observed.block, formula), "seed {seed}: {observed:?}");
+                let again = Scene::from_observed(requested.agent, observed.block);
                 assert!((again.block.translation() - p.translation()).norm() < 1e-9);
-                let seen_again = simulator.reset(&again, ResetOrder::Legacy).unwrap();
-                assert!(arrives(seen_again.block, seen.block));
+                let observed_again = simulator.reset(&again, ResetOrder::Legacy).unwrap();
+                assert!(arrives(observed_again.block, observed.block));
             }
             if clear(p) {
-                let seen = simulator.reset(&requested, ResetOrder::PoseIsPose).unwrap();
-                assert!(arrives(seen.block, p), "seed {seed}: {seen:?}");
+                let observed = simulator.reset(&requested, ResetOrder::PoseIsPose).unwrap();
+                assert!(arrives(observed.block, p), "seed {seed}: {observed:?}");
             }
         }
     }
@@ -110,9 +110,9 @@ fn a_block_on_the_goal_is_a_success_and_one_far_away_is_not() {
 }
 
 #[test]
-fn a_block_off_the_goal_covers_nothing() {
+fn a_block_off_the_goal_has_zero_coverage() {
     for measure in [coverage, re4_sim::iou] {
-        // To the bit: a sum of nothing is -0 to some.
+        // Compared as bits: an empty sum of floating-point numbers may be -0.
         assert_eq!(measure(Pose2::new(30.0, 30.0, 0.0), GOAL).to_bits(), 0.0_f64.to_bits());
     }
 }
@@ -141,7 +141,7 @@ fn success_is_strict_and_the_score_is_the_scaled_coverage() {
 }
 
 #[test]
-fn input_that_is_not_sane_is_refused_and_changes_nothing() {
+fn invalid_input_is_refused_and_changes_nothing() {
     let mut simulator = PushT::new().unwrap();
     let good = scene_from_seed(SeedScheme::DiffusionPolicy, 3);
     simulator.reset(&good, ResetOrder::Legacy).unwrap();
@@ -188,11 +188,11 @@ fn input_that_is_not_sane_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn awkward_but_allowed_scenes_do_not_end_the_process() {
+fn extreme_but_allowed_scenes_do_not_abort_the_process() {
     let mut simulator = PushT::new().unwrap();
     let l = COORDINATE_LIMIT;
     for values in [
-        // The agent on the block's centre of gravity, on a corner, on an edge, and on a wall; block on the walls' corner.
+        // The agent on the block's centre of gravity, on a corner, on an edge and on a wall; the block on a corner of the walls.
         [200.0, 245.0, 200.0, 200.0, 0.0],
         [140.0, 200.0, 200.0, 200.0, 0.0],
         [200.0, 200.0, 200.0, 200.0, 0.0],
@@ -218,11 +218,11 @@ fn awkward_but_allowed_scenes_do_not_end_the_process() {
 }
 
 #[test]
-fn the_state_before_the_first_reset_is_that_of_gym_pusht() {
+fn the_state_before_the_first_reset_equals_that_of_gym_pusht() {
     let mut simulator = PushT::new().unwrap();
-    let seen = simulator.observation();
+    let observed = simulator.observation();
     assert_eq!(
-        (seen.agent, seen.block),
+        (observed.agent, observed.block),
         (Point2::new(256.0, 400.0), Pose2::new(256.0, 300.0, 0.0))
     );
     simulator.step(&Point2::new(256.0, 400.0)).unwrap();
@@ -254,7 +254,7 @@ fn coverage_agrees_with_shapely() {
     }
 }
 
-/// Fraction of the goal's points, on a grid of its own frame, that lie in the block.
+/// Fraction of the goal's points, on a grid in its own frame, that are inside the block.
 fn coverage_on_a_grid(block: Pose2, goal: Pose2, cell: f64) -> f64 {
     let inside = |p: Point2| {
         (p.x.abs() <= 60.0 && (0.0..=30.0).contains(&p.y)) || (p.x.abs() <= 15.0 && (30.0..=120.0).contains(&p.y))
@@ -277,20 +277,20 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn coverage_agrees_with_counting_points(dx in -60.0..60.0f64, dy in -60.0..60.0f64, theta in -4.0..4.0f64) {
+    fn coverage_agrees_with_a_grid_of_points(dx in -60.0..60.0f64, dy in -60.0..60.0f64, theta in -4.0..4.0f64) {
         let block = Pose2::new(GOAL.x + dx, GOAL.y + dy, theta);
         let counted = coverage_on_a_grid(block, GOAL, 0.5);
         let exact = coverage(block, GOAL);
         prop_assert!((exact - counted).abs() < 6e-3, "{exact} against {counted}");
         prop_assert!((iou(block, GOAL) - exact / (2.0 - exact)).abs() < 1e-12);
-        // Neither depends on the frame in which both are given, nor on which is the goal.
+        // Neither depends on the common frame of the two poses, nor on which of them is the goal.
         prop_assert!((coverage(GOAL, block) - exact).abs() < 1e-10);
         let motion = Pose2::new(-31.0, 12.0, 2.2);
         prop_assert!((coverage(motion.compose(block), motion.compose(GOAL)) - exact).abs() < 1e-10);
     }
 }
 
-/// Run as a child by the next test.
+/// Run in a child process by the next test.
 #[test]
 fn makes_a_simulator() {
     PushT::new().unwrap();
@@ -310,7 +310,7 @@ fn the_library_prints_nothing() {
 }
 
 #[test]
-fn names_in_files_are_those_of_the_programs() {
+fn serialised_names_are_those_of_the_programs() {
     let json = |value: &str| value.to_owned();
     assert_eq!(serde_json::to_string(&ResetOrder::Legacy).unwrap(), json("\"legacy\""));
     assert_eq!(
@@ -330,10 +330,10 @@ fn names_in_files_are_those_of_the_programs() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Overlapping bodies, targets far outside of the window: an assertion that failed in the library would end this test
-    /// program. `PROPTEST_CASES` sets how many episodes are tried.
+    /// Overlapping bodies and targets far outside of the window: a failed assertion in the library would abort this test
+    /// program. `PROPTEST_CASES` sets the number of episodes.
     #[test]
-    fn no_allowed_input_ends_the_process(
+    fn no_allowed_input_aborts_the_process(
         agent in prop::array::uniform2(-50.0..562.0f64),
         near in prop::array::uniform2(-80.0..80.0f64),
         theta in -20.0..20.0f64,

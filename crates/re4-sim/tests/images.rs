@@ -1,7 +1,8 @@
-//! The same bytes as gym-pusht 0.1.8's images: whole episodes replayed, every stored frame compared at both sizes.
+//! Images equal those of gym-pusht 0.1.8 byte for byte: whole episodes are replayed, and every stored frame is compared at both
+//! sizes.
 
-#![expect(clippy::unwrap_used, reason = "helpers of a test may end it")]
-#![expect(clippy::panic, reason = "helpers of a test may end it")]
+#![expect(clippy::unwrap_used, reason = "helpers of a test may panic")]
+#![expect(clippy::panic, reason = "helpers of a test may panic")]
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -52,7 +53,7 @@ fn hash_of(bytes: &[u8]) -> String {
         })
 }
 
-/// Replays an episode and hands each stored frame to `check` when the simulator is in its state.
+/// Replays an episode and calls `check` for each stored frame when the simulator is in its state.
 fn replay(episode: &Episode, mut check: impl FnMut(&PushT, &Frame)) {
     let [agent_x, agent_y, x, y, theta] = episode.scene;
     let scene = Scene {
@@ -71,7 +72,7 @@ fn replay(episode: &Episode, mut check: impl FnMut(&PushT, &Frame)) {
             check(&simulator, frame);
         }
     }
-    assert!(frames.next().is_none(), "a frame lies after the episode's end");
+    assert!(frames.next().is_none(), "a frame is after the episode's end");
 }
 
 #[test]
@@ -85,7 +86,7 @@ fn every_frame_has_the_bytes_of_gym_pusht() {
         replay(episode, |simulator, frame| {
             simulator.render_into(&mut canvas);
             canvas.observation_into(&mut observation);
-            // The full images come first: they tell where a difference is.
+            // The full images are compared first, because they show where a difference is.
             if let Some(name) = &frame.image {
                 compare(name, &observation);
                 images += 1;
@@ -110,14 +111,14 @@ fn every_frame_has_the_bytes_of_gym_pusht() {
         "{} of {frames} frames differ (episode, step): {wrong:?}",
         wrong.len()
     );
-    // The comparison is worth something only with many frames, most of them with contact marks.
+    // The comparison is meaningful only with many frames, most of them with contact marks.
     assert!(
         frames >= 200 && 2 * marked >= frames && images >= 5,
         "{frames} {marked} {images}"
     );
 }
 
-/// Names the first pixel at which an observation differs from the stored image.
+/// Panics with the first pixel at which an observation differs from the stored image.
 fn compare(name: &str, observation: &[u8]) {
     let expected = image::open(data().join("images").join(name)).unwrap().to_rgb8();
     let pairs = expected.chunks_exact(3).zip(observation.chunks_exact(3));
@@ -129,7 +130,7 @@ fn compare(name: &str, observation: &[u8]) {
 }
 
 #[test]
-fn a_used_canvas_draws_what_a_new_one_does() {
+fn a_reused_canvas_gives_the_same_image_as_a_new_one() {
     let reference = reference();
     let mut used = Canvas::new();
     for episode in &reference.episodes[..4] {
@@ -143,9 +144,9 @@ fn a_used_canvas_draws_what_a_new_one_does() {
 }
 
 #[test]
-fn what_is_far_away_or_not_finite_is_not_drawn() {
+fn shapes_far_away_or_not_finite_are_not_rendered() {
     let away = render_state(Point2::new(-500.0, 900.0), Pose2::new(5000.0, -5000.0, 1.0));
-    // Goal and walls alone.
+    // Only goal and walls are visible.
     assert!(away.bytes().chunks_exact(3).all(|pixel| {
         [[255, 255, 255], [144, 238, 144], [211, 211, 211]].contains(&[pixel[0], pixel[1], pixel[2]])
     }));
@@ -155,12 +156,12 @@ fn what_is_far_away_or_not_finite_is_not_drawn() {
             let block = Pose2::new(coordinate(0), coordinate(1), coordinate(2));
             let image = render_state(Point2::new(coordinate(0), coordinate(1)), block);
             if odd.is_nan() || (odd.is_infinite() && place == 2) {
-                let alone = render_state(Point2::new(coordinate(0), coordinate(1)), Pose2::new(9e9, 9e9, 0.0));
-                assert!(image == alone, "{odd} in place {place}");
+                let agent_only = render_state(Point2::new(coordinate(0), coordinate(1)), Pose2::new(9e9, 9e9, 0.0));
+                assert!(image == agent_only, "{odd} in place {place}");
             }
         }
     }
-    // Partly outside: no panic on any side, and something of the block is seen.
+    // Partly outside: no panic on any side, and a part of the block is visible.
     for (x, y) in [
         (-20.0, 250.0),
         (530.0, 250.0),
@@ -169,10 +170,10 @@ fn what_is_far_away_or_not_finite_is_not_drawn() {
         (0.0, 0.0),
         (511.0, 511.0),
     ] {
-        let seen = (0..16).filter(|&turn| {
-            let block = Pose2::new(x, y, f64::from(turn) * 0.4);
+        let visible = (0..16).filter(|&i| {
+            let block = Pose2::new(x, y, f64::from(i) * 0.4);
             render_state(Point2::new(x, y), block) != away
         });
-        assert!(seen.count() > 0, "nothing is seen at {x}, {y}");
+        assert!(visible.count() > 0, "nothing is visible at {x}, {y}");
     }
 }

@@ -1,6 +1,6 @@
-//! The same bits as gym-pusht 0.1.8 on a recorded trace, alone and beside other simulators.
+//! Bit-exact agreement with gym-pusht 0.1.8 on a recorded trace, with one simulator and with many.
 
-#![expect(clippy::unwrap_used, reason = "helpers of a test may end it")]
+#![expect(clippy::unwrap_used, reason = "helpers of a test may panic")]
 
 mod common;
 
@@ -56,7 +56,7 @@ fn gym_pusht_and_this_simulator_agree_bit_for_bit() {
     assert!(trace.versions.contains("gym-pusht 0.1.8"), "{}", trace.versions);
     let steps: Vec<_> = trace.episodes.iter().flat_map(|e| &e.steps).collect();
     assert_eq!((trace.episodes.len(), steps.len(), trace.stride), (40, 12_000, 10));
-    // The comparison is worth something only if much of the trace is pushing.
+    // The comparison is meaningful only if the agent pushes in much of the trace.
     let touching = steps.iter().filter(|s| s.contact_points > 0).count();
     assert!(touching > 6_000, "only {touching} steps have contacts");
     assert!(steps.iter().filter(|s| s.coverage > 0.3).count() > 100);
@@ -74,7 +74,7 @@ fn many_simulators_at_once_give_the_same_bits() {
         for thread in 0..8 {
             let trace = &trace;
             scope.spawn(move || {
-                // Two simulators per thread, stepped in turn over different episodes, the second handed over from another
+                // Two simulators per thread run different episodes alternately; the second one was created in another
                 // thread.
                 let mut own = PushT::new().unwrap();
                 let mut sent = std::thread::spawn(|| PushT::new().unwrap()).join().unwrap();
@@ -88,7 +88,7 @@ fn many_simulators_at_once_give_the_same_bits() {
 }
 
 #[test]
-fn interleaved_simulators_do_not_touch_each_other() {
+fn interleaved_simulators_do_not_affect_each_other() {
     let trace = common::read(&common::path());
     let mut simulators: Vec<_> = trace.episodes[..8]
         .iter()

@@ -1,9 +1,9 @@
-//! What cannot be simulated is told in one sentence.
+//! Invalid libraries, models, states and actions are reported in one sentence.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test may stop where it fails"
+    reason = "a test may panic"
 )]
 
 mod reference;
@@ -21,12 +21,12 @@ use re4_sim::robosuite::{
 use simulators::{Form, Trace, library, simulators};
 use tempfile::TempDir;
 
-/// An empty folder of this test's own.
+/// An empty temporary folder.
 fn folder() -> TempDir {
     TempDir::new().unwrap()
 }
 
-/// The error as a user reads it.
+/// The error message as a user reads it, with its remedy.
 fn sentence<T>(result: Result<T, impl Remedy>) -> String {
     let text = result.err().unwrap().sentence();
     assert!(!text.contains('\n'), "{text}");
@@ -34,7 +34,7 @@ fn sentence<T>(result: Result<T, impl Remedy>) -> String {
 }
 
 #[test]
-fn no_library() {
+fn a_missing_library_is_reported() {
     let place = folder();
     let folder = place.path();
     for version in Version::ALL {
@@ -50,7 +50,7 @@ fn no_library() {
 }
 
 #[test]
-fn a_library_of_another_version() {
+fn a_library_of_another_version_is_reported() {
     let Some(simulators) = simulators() else { return };
     let other = simulators.join("mujoco-3.2.7");
     let expected = format!(
@@ -58,13 +58,13 @@ fn a_library_of_another_version() {
         other.display()
     );
     assert_eq!(sentence(Library::open(&other, Version::V2_3_7)), expected);
-    // Also where it was loaded before as what it is.
+    // Also when the library was loaded before with the right version.
     Library::open(&other, Version::V3_2_7).unwrap();
     assert_eq!(sentence(Library::open(&other, Version::V2_3_7)), expected);
 }
 
 #[test]
-fn a_library_that_is_not_whole() {
+fn a_truncated_library_is_reported() {
     let Some(simulators) = simulators() else { return };
     for version in Version::ALL {
         let whole = fs::read(simulators.join(format!("mujoco-{version}/libmujoco.so"))).unwrap();
@@ -100,7 +100,7 @@ fn a_library_that_is_not_whole() {
 }
 
 #[test]
-fn a_model_that_does_not_parse() {
+fn a_model_that_does_not_parse_is_reported() {
     let Some(simulators) = simulators() else { return };
     let trace = Trace::read("lift_1.4.1_absolute");
     let library = library(&simulators, trace.profile);
@@ -124,7 +124,7 @@ fn a_model_that_does_not_parse() {
 }
 
 #[test]
-fn a_model_whose_mesh_is_missing() {
+fn a_missing_mesh_is_reported() {
     let Some(simulators) = simulators() else { return };
     let trace = Trace::read("lift_1.4.1_absolute");
     let assets = simulators.join("robosuite-1.4.1");
@@ -159,7 +159,7 @@ fn a_model_whose_mesh_is_missing() {
 }
 
 #[test]
-fn a_model_of_another_task_or_version() {
+fn a_model_of_another_task_or_version_is_reported() {
     let Some(simulators) = simulators() else { return };
     let of = |name| Trace::read(name);
     let compile = |name, task| {
@@ -174,11 +174,11 @@ fn a_model_of_another_task_or_version() {
     };
     assert_eq!(
         compile("can_1.4.1_absolute", "lift"),
-        "cannot simulate Lift: the model has no joint cube_joint0; take the model_file of a demonstration of Lift"
+        "cannot simulate Lift: the model has no joint cube_joint0; use the model_file of a demonstration of Lift"
     );
     assert_eq!(
         compile("lift_1.5.1_absolute", "square"),
-        "cannot simulate NutAssemblySquare: the model has no joint SquareNut_joint0; take the model_file of a demonstration of NutAssemblySquare"
+        "cannot simulate NutAssemblySquare: the model has no joint SquareNut_joint0; use the model_file of a demonstration of NutAssemblySquare"
     );
     let (old, new) = (of("lift_1.4.1_absolute"), of("lift_1.5.1_absolute"));
     assert_eq!(
@@ -188,23 +188,23 @@ fn a_model_of_another_task_or_version() {
             new.profile,
             &old.mjcf(&simulators)
         )),
-        "cannot simulate Lift: the model has no joint gripper0_right_finger_joint1; take the model_file of a demonstration of Lift"
+        "cannot simulate Lift: the model has no joint gripper0_right_finger_joint1; use the model_file of a demonstration of Lift"
     );
     let library = old.library(&simulators);
     let empty = "<mujoco><worldbody/></mujoco>";
     assert_eq!(
         sentence(RobosuiteModel::compile(&library, old.task, old.profile, empty)),
-        "cannot simulate Lift: the model has 0 actuators, a Panda with its gripper has 9; take the model_file of a demonstration of Lift"
+        "cannot simulate Lift: the model has 0 actuators, a Panda with its gripper has 9; use the model_file of a demonstration of Lift"
     );
     let slower = old.mjcf(&simulators).replace("<option ", "<option timestep=\"0.004\" ");
     assert_eq!(
         sentence(RobosuiteModel::compile(&library, old.task, old.profile, &slower)),
-        "cannot simulate Lift: the model's time step is 0.004 s, not 0.002 s; take the model_file of a demonstration of Lift"
+        "cannot simulate Lift: the model's time step is 0.004 s, not 0.002 s; use the model_file of a demonstration of Lift"
     );
 }
 
 #[test]
-fn states_and_actions_that_do_not_fit() {
+fn invalid_states_and_actions_are_reported() {
     let Some(simulators) = simulators() else { return };
     let trace = Trace::read("lift_1.4.1_absolute");
     let mut simulation = Robosuite::new(&trace.model(&simulators, Form::Physics)).unwrap();
@@ -212,15 +212,15 @@ fn states_and_actions_that_do_not_fit() {
     let mut reset = |scene| sentence(simulation.reset(&scene, FirstTorques::AsRobosuite));
     assert_eq!(
         reset(RobosuiteScene::Recorded(state[1..].to_vec())),
-        "cannot reset Lift: the state has 31 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); take states and model_file of the same demonstration"
+        "cannot reset Lift: the state has 31 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); use the states and the model_file of the same demonstration"
     );
     assert_eq!(
         reset(RobosuiteScene::Recorded(Vec::new())),
-        "cannot reset Lift: the state has 0 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); take states and model_file of the same demonstration"
+        "cannot reset Lift: the state has 0 numbers, the model needs 32 (time, 16 coordinates, 15 velocities); use the states and the model_file of the same demonstration"
     );
     assert_eq!(
         reset(RobosuiteScene::Placed(state.clone())),
-        "cannot reset Lift: the state has 32 numbers, the model needs 16 (coordinates alone); take states and model_file of the same demonstration"
+        "cannot reset Lift: the state has 32 numbers, the model needs 16 (coordinates only); use the states and the model_file of the same demonstration"
     );
     for (value, at) in [(f64::NAN, 3), (f64::INFINITY, 0), (1e10, 31)] {
         let mut state = state.clone();

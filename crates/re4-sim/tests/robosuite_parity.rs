@@ -1,11 +1,11 @@
-//! robosuite's traces replayed here: physics to the bit, torques, states and observations.
+//! Replays robosuite's traces: physics is bit-exact; torques, states and observations agree within tolerances.
 //!
-//! `tests/robosuite_reference.py` made the traces with robosuite itself; `-- --nocapture` prints every figure.
+//! `tests/robosuite_reference.py` recorded the traces with robosuite itself; `-- --nocapture` prints all differences.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test may stop where it fails"
+    reason = "a test may panic"
 )]
 
 mod reference;
@@ -20,7 +20,7 @@ use simulators::{Form, Trace, apart, apart_as_rotations, apart_without, simulato
 const CONTROLS: usize = 9;
 
 #[test]
-fn traces_are_as_the_simulation_assumes() {
+fn traces_match_the_assumptions_of_the_simulation() {
     for trace in Trace::all() {
         let file = &trace.file;
         assert_eq!(
@@ -30,7 +30,7 @@ fn traces_are_as_the_simulation_assumes() {
             trace.name
         );
         assert_eq!(file.f64s("q_init").numbers, INITIAL_JOINTS, "{}", trace.name);
-        // The environment's own call and the controller's, which has a fresh state in the first step.
+        // 1.4 calls `mj_forward` in the environment and in the controller, whose state is already current in the first step.
         let calls = file.u8s("forwards").numbers;
         let expected = |step: usize| match trace.profile {
             Profile::V1_4 => 1 + u8::from(step > 0),
@@ -45,7 +45,7 @@ fn traces_are_as_the_simulation_assumes() {
 }
 
 #[test]
-fn the_same_controls_lead_to_the_same_bits() {
+fn equal_controls_give_bit_identical_states() {
     let Some(folder) = simulators() else { return };
     for trace in Trace::all() {
         let (qpos, qvel, controls) = (
@@ -98,7 +98,7 @@ fn torques_in_the_same_states_are_equal() {
 }
 
 #[test]
-fn closed_loop_stays_with_robosuite_until_contact() {
+fn closed_loop_follows_robosuite_until_contact() {
     let Some(folder) = simulators() else { return };
     for trace in Trace::all() {
         let qpos = trace.file.f64s("qpos");
@@ -129,7 +129,7 @@ fn closed_loop_stays_with_robosuite_until_contact() {
     }
 }
 
-/// Newer traces hold the environment's verdicts about every edge of its rule.
+/// Newer traces contain the environment's success verdicts around every edge of its success rule.
 #[test]
 fn verdicts_at_every_edge_are_equal() {
     let Some(folder) = simulators() else { return };
@@ -159,8 +159,8 @@ fn verdicts_at_every_edge_are_equal() {
     }
 }
 
-/// What was seen in a row of a trace: poses and finger positions are of different simulation steps.
-struct Seen {
+/// The values that correspond to a row of a trace: poses and finger positions are from different simulation steps.
+struct Sampled {
     poses: RobosuiteObservation,
     fingers: [f64; 2],
     success: bool,
@@ -174,24 +174,25 @@ fn observations_and_verdicts_are_equal() {
         let controls = trace.file.f64s("ctrl");
         let mut simulation = trace.start(&folder, Form::Whole, Fidelity::Robosuite);
         let first = simulation.observation();
-        let mut rows = vec![Seen {
+        let mut rows = vec![Sampled {
             poses: first,
             fingers: first.fingers,
             success: simulation.success(),
         }];
         for (step, action) in trace.actions.iter().enumerate() {
             let mut recorded = controls.row(step).chunks_exact(CONTROLS);
-            let mut seen = Vec::new();
-            // With two forced updates since the reset robosuite samples after simulation step 24, where poses are those of 23.
+            let mut observations = Vec::new();
+            // With two forced updates since the reset, robosuite samples after simulation step 24, when poses are those of
+            // step 23.
             let done = simulation
                 .step_through(action, |simulation, controls| {
-                    seen.push(simulation.observation());
+                    observations.push(simulation.observation());
                     controls.copy_from_slice(recorded.next().unwrap());
                 })
                 .unwrap();
-            rows.push(Seen {
-                poses: seen[23],
-                fingers: seen[24].fingers,
+            rows.push(Sampled {
+                poses: observations[23],
+                fingers: observations[24].fingers,
                 success: done.success,
             });
         }
@@ -199,7 +200,7 @@ fn observations_and_verdicts_are_equal() {
     }
 }
 
-fn compare(trace: &Trace, rows: &[Seen]) {
+fn compare(trace: &Trace, rows: &[Sampled]) {
     let file = &trace.file;
     let (positions, hands) = (file.f64s("robot0_eef_pos"), file.f64s("robot0_eef_quat"));
     let (fingers, objects, success) = (
@@ -215,13 +216,13 @@ fn compare(trace: &Trace, rows: &[Seen]) {
         mut finger,
         mut object,
         mut relative,
-        mut turn,
+        mut relative_rotation,
     ] = [0.0_f64; 7];
     let mut verdicts = [0; 2];
-    for (row, seen) in rows.iter().enumerate() {
+    for (row, sampled) in rows.iter().enumerate() {
         let observed = RobosuiteObservation {
-            fingers: seen.fingers,
-            ..seen.poses
+            fingers: sampled.fingers,
+            ..sampled.poses
         };
         eef = eef.max(apart(
             observed.grip_site.translation.vector.as_slice(),
@@ -236,8 +237,8 @@ fn compare(trace: &Trace, rows: &[Seen]) {
         let theirs = objects.row(row);
         let ours = observed.object_state(trace.task, trace.profile);
         assert_eq!(ours.len(), theirs.len());
-        // robosuite 1.5 relates the hand to the object's pose of the sample before; before row 0 that is one of the reset, which
-        // no trace holds.
+        // robosuite 1.5 computes the relative pose from the object's pose of the previous sample. For row 0 this is a sample of
+        // the reset, which traces do not contain.
         let is_late = trace.profile == Profile::V1_5 && trace.task.layouts[1].relates_rotations();
         let late = RobosuiteObservation {
             object: rows[row.saturating_sub(1)].poses.object,
@@ -263,15 +264,16 @@ fn compare(trace: &Trace, rows: &[Seen]) {
             ));
             if trace.task.layouts[0].relates_rotations() {
                 let rotation = relative_from + 3..relative_from + 7;
-                turn = turn.max(apart_as_rotations(&ours[rotation.clone()], &theirs[rotation]));
+                relative_rotation =
+                    relative_rotation.max(apart_as_rotations(&ours[rotation.clone()], &theirs[rotation]));
             }
         }
-        assert_eq!(u8::from(seen.success), success[row], "{} row {row}", trace.name);
-        verdicts[usize::from(seen.success)] += 1;
+        assert_eq!(u8::from(sampled.success), success[row], "{} row {row}", trace.name);
+        verdicts[usize::from(sampled.success)] += 1;
     }
     println!(
         "{:22} observations: eef {eef:.1e} m, hand {hand:.1e}, site {site:.1e}, fingers {finger:.1e} m, object {object:.1e}, \
-         relative {relative:.1e} m and {turn:.1e}; {} successes among {} equal verdicts",
+         relative {relative:.1e} m and {relative_rotation:.1e}; {} successes among {} equal verdicts",
         trace.name,
         verdicts[1],
         rows.len()
@@ -279,8 +281,8 @@ fn compare(trace: &Trace, rows: &[Seen]) {
     for difference in [eef, hand, finger, object] {
         assert!(difference <= 1e-12, "{}: {difference:e}", trace.name);
     }
-    // robosuite turns matrices into quaternions and back in single precision, which these go through.
-    for difference in [site, relative, turn] {
+    // robosuite converts between matrices and quaternions in single precision, which affects these values.
+    for difference in [site, relative, relative_rotation] {
         assert!(difference <= 1e-6, "{}: {difference:e}", trace.name);
     }
 }

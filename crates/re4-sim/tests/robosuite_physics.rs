@@ -1,9 +1,9 @@
-//! What the simulation of robosuite's tasks is made of: steps in parts, threads, and models with less in them.
+//! Properties of the simulation of robosuite's tasks: stages of a step, threads, resets, and reduced models.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test may stop where it fails"
+    reason = "a test may panic"
 )]
 
 mod reference;
@@ -14,13 +14,13 @@ use re4_sim::Simulator as _;
 use re4_sim::robosuite::Fidelity;
 use simulators::{Form, Trace, apart_without, bits, simulators};
 
-/// Coordinates, velocities and the solver's next start.
+/// Coordinates, velocities and the solver's next warm start, as bits.
 fn everything(data: &Data) -> Vec<u64> {
     [data.qpos(), data.qvel(), data.qacc_warmstart()].map(bits).concat()
 }
 
 #[test]
-fn a_step_is_the_sum_of_its_stages() {
+fn a_step_equals_its_stages() {
     let Some(folder) = simulators() else { return };
     for trace in Trace::all() {
         let controls = trace.file.f64s("ctrl");
@@ -49,7 +49,7 @@ fn a_step_is_the_sum_of_its_stages() {
     }
 }
 
-/// The states of an episode, to the bit.
+/// The states of an episode, as bits.
 fn episode(trace: &Trace, folder: &std::path::Path) -> Vec<Vec<u64>> {
     let mut simulation = trace.start(folder, Form::Physics, Fidelity::Robosuite);
     let step = |action| {
@@ -60,11 +60,11 @@ fn episode(trace: &Trace, folder: &std::path::Path) -> Vec<Vec<u64>> {
 }
 
 #[test]
-fn threads_change_no_bit() {
+fn threads_do_not_change_a_bit() {
     let Some(folder) = simulators() else { return };
     let traces: Vec<Trace> = Trace::all().collect();
-    let alone: Vec<_> = traces.iter().map(|trace| episode(trace, &folder)).collect();
-    // All at once, two simulations of every model.
+    let sequential: Vec<_> = traces.iter().map(|trace| episode(trace, &folder)).collect();
+    // All at once, with two simulations of every model.
     let together: Vec<_> = std::thread::scope(|scope| {
         let threads: Vec<_> = traces
             .iter()
@@ -73,15 +73,15 @@ fn threads_change_no_bit() {
             .collect();
         threads.into_iter().map(|thread| thread.join().unwrap()).collect()
     });
-    assert_eq!(together.len(), 2 * alone.len());
+    assert_eq!(together.len(), 2 * sequential.len());
     for (at, states) in together.iter().enumerate() {
-        let at = at % alone.len();
-        assert!(*states == alone[at], "{}", traces[at].name);
+        let at = at % sequential.len();
+        assert!(*states == sequential[at], "{}", traces[at].name);
     }
 }
 
 #[test]
-fn a_reset_forgets_what_was_before() {
+fn episodes_after_a_reset_are_independent_of_earlier_ones() {
     let Some(folder) = simulators() else { return };
     for trace in Trace::all() {
         let mut simulation = trace.start(&folder, Form::Physics, Fidelity::Robosuite);
@@ -103,7 +103,7 @@ fn a_reset_forgets_what_was_before() {
 }
 
 #[test]
-fn less_work_leads_to_the_same_motion() {
+fn reduced_models_and_less_computation_give_the_same_motion() {
     let Some(folder) = simulators() else { return };
     for trace in Trace::all() {
         let play = |form, fidelity| {
@@ -116,10 +116,10 @@ fn less_work_leads_to_the_same_motion() {
         };
         let whole = play(Form::Whole, Fidelity::Robosuite);
         let free = trace.steps_before_contact();
-        // What is put away falls through the floor where it touches nothing.
+        // Objects that are put away fall through the floor if they do not collide.
         let away = trace.coordinates_put_away(&trace.model(&folder, Form::Whole));
-        let drawn = play(Form::Physics, Fidelity::Robosuite);
-        for (step, (less, whole)) in drawn.iter().zip(&whole).enumerate() {
+        let physics = play(Form::Physics, Fidelity::Robosuite);
+        for (step, (less, whole)) in physics.iter().zip(&whole).enumerate() {
             assert_eq!(bits(less), bits(whole), "{} step {step}", trace.name);
         }
         let fast = play(Form::Apart, Fidelity::Fast);

@@ -1,10 +1,10 @@
-//! Scenes from seeds are those numpy draws; the table is written by `tests/data/make_seed_states.py`.
+//! Scenes from seeds equal those that numpy samples; `tests/data/make_seed_states.py` writes the table.
 
 use re4_sim::{SeedScheme, scene_from_seed};
 use serde_json::Value;
 
 #[test]
-fn scenes_are_those_of_numpy() {
+fn scenes_equal_those_of_numpy() {
     let table: Value = serde_json::from_str(include_str!("data/seed_states.json")).unwrap();
     for (scheme, count) in [(SeedScheme::DiffusionPolicy, 407), (SeedScheme::GymPusht, 101)] {
         let name = serde_json::to_value(scheme).unwrap();
@@ -13,7 +13,7 @@ fn scenes_are_those_of_numpy() {
         for (seed, row) in scenes {
             let expected: [f64; 5] = serde_json::from_value(row.clone()).unwrap();
             let scene = scene_from_seed(scheme, seed.parse().unwrap());
-            let drawn = [
+            let sampled = [
                 scene.agent.x,
                 scene.agent.y,
                 scene.block.x,
@@ -21,9 +21,9 @@ fn scenes_are_those_of_numpy() {
                 scene.block.theta,
             ];
             assert_eq!(
-                drawn.map(f64::to_bits),
+                sampled.map(f64::to_bits),
                 expected.map(f64::to_bits),
-                "{name}, seed {seed}: {drawn:?}, not {expected:?}"
+                "{name}, seed {seed}: {sampled:?}, not {expected:?}"
             );
         }
     }

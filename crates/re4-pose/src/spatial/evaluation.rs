@@ -1,38 +1,38 @@
-//! Estimates of whole demonstrations against their recorded poses, beside what a constant and the labels would score.
+//! Compares the estimates of whole demonstrations with their recorded poses, and with two baselines: a constant and the labels.
 
 use nalgebra::Isometry3;
 use re4_geometry::spatial::{Symmetry, SymmetryError, SymmetryGroup};
 
 use super::{FrameError, GraspPhase, Offset, arrival_error, mean_pose};
 
-/// Frames of a held-out demonstration that ask for a grasp, at most; evenly spaced.
-const QUERIES: usize = 32;
+/// Maximum number of query frames per held-out demonstration, evenly spaced.
+const MAXIMUM_QUERIES: usize = 32;
 
-/// The distance in metres that counts as much as a rad when the nearest frame is retrieved, as the policies have it.
+/// The distance in metres that counts as one rad when the nearest frame is retrieved, as in the policies.
 const METRES_PER_RAD: f64 = 0.1;
 
-/// A demonstration with its estimated poses; all lists have one entry a frame.
+/// A demonstration with its estimated poses; all lists have one entry per frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Demonstration {
-    /// Whether the estimator was trained on it.
+    /// Whether the estimator was trained on this demonstration.
     pub trained_on: bool,
-    /// When each frame is.
+    /// Phase of each frame.
     pub phases: Vec<GraspPhase>,
     /// Estimated poses of the object.
     pub estimated: Vec<Isometry3<f64>>,
     /// Recorded poses of the object.
     pub recorded: Vec<Isometry3<f64>>,
-    /// Grip site.
+    /// Poses of the grip site.
     pub eef: Vec<Isometry3<f64>>,
 }
 
 impl Demonstration {
-    /// The grasp frame g(d): the first one in transfer.
+    /// The grasp frame g(d): the first frame in transfer.
     pub fn grasp_frame(&self) -> Option<usize> {
         self.phases.iter().position(|phase| *phase == GraspPhase::Held)
     }
 
-    /// What a frame is labelled with for training: the end effector in transfer, that at g(d) before it, and otherwise nothing.
+    /// The training label of a frame: the end effector's pose in transfer, that at g(d) before it, and `None` otherwise.
     fn label(&self, frame: usize) -> Option<Isometry3<f64>> {
         let grasp = self.grasp_frame()?;
         match self.phases[frame] {
@@ -46,44 +46,44 @@ impl Demonstration {
     }
 }
 
-/// Errors of one way to estimate, after the offset that was fitted for it is taken away.
+/// Errors of one estimation method, after the offset fitted for it is removed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
-    /// Fitted on frames before the grasp of the demonstrations that were trained on, and on nothing else.
+    /// The offset, fitted only on frames before the grasp of the demonstrations trained on.
     pub offset: Offset,
-    /// By demonstration and frame; nothing where there is no estimate.
+    /// Errors by demonstration and frame; `None` if a frame has no estimate.
     pub errors: Vec<Vec<Option<FrameError>>>,
 }
 
-/// Where a grasp that is carried to a held-out demonstration would arrive; see [`arrival_error`]. Both objects are taken to be
-/// where they are when they are grasped: in robosuite they still fall onto the table in the first frames.
+/// The error of a grasp that is transported to a held-out demonstration; see [`arrival_error`]. The recorded pose of each object
+/// is that at the grasp, because in robosuite objects still fall onto the table in the first frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrival {
-    /// Distance from where it should, in metres.
+    /// Distance from the correct position, in metres.
     pub distance: f64,
-    /// Angle to how it should, in rad.
+    /// Angle to the correct orientation, in rad.
     pub angle: f64,
 }
 
-/// What the estimates of some demonstrations are worth.
+/// Evaluation of the estimates of some demonstrations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluation {
-    /// The estimates. Nothing where no frame can fix the offset; the same holds for the other two.
+    /// The estimates; `None` if no frame can calibrate the offset, here and in the next two fields.
     pub estimates: Option<Measured>,
-    /// The labels of training as estimates, where frames have them: their spread is that of the demonstrator's grasps, and an
-    /// encoder that learned them by heart would have their errors. One that generalises averages them, and can be better.
+    /// The training labels as estimates, for frames that have them. Their spread is that of the demonstrator's grasps. An
+    /// encoder that memorises the labels has these errors; one that generalises averages them and can be better.
     pub labels: Option<Measured>,
-    /// One and the same pose for every frame: the mean of the labels of the frames before the grasp that were trained on.
+    /// The same pose for every frame: the mean of the training labels of frames before the grasp.
     pub mean: Option<Measured>,
-    /// Grasps of the demonstrations trained on, carried to frames before the first grasp of those held out: each time from the
-    /// frame whose estimated pose is nearest.
+    /// Grasps of the training demonstrations, transported to frames before the first grasp of the held-out demonstrations: each
+    /// from the frame with the nearest estimated pose.
     pub arrivals: Vec<Arrival>,
 }
 
-/// Measures the estimates of demonstrations. The object has this symmetry.
+/// Evaluates the estimates of demonstrations with an object of this symmetry.
 ///
 /// # Errors
-/// When the symmetry is none.
+/// When the symmetry is invalid.
 ///
 /// # Panics
 /// When the lists of a demonstration differ in length.
@@ -92,7 +92,7 @@ pub fn evaluate(demonstrations: &[Demonstration], symmetry: Symmetry) -> Result<
         let frames = own.phases.len();
         assert!(
             own.estimated.len() == frames && own.recorded.len() == frames && own.eef.len() == frames,
-            "one entry a frame"
+            "all lists must have one entry per frame"
         );
     }
     let trained_on = || demonstrations.iter().filter(|own| own.trained_on);
@@ -131,36 +131,36 @@ fn measure(
     Ok(Some(Measured { offset, errors }))
 }
 
-/// A frame before a demonstration's first grasp, and the frame of that.
+/// A frame before a demonstration's first grasp, with the frame of that grasp.
 #[derive(Clone, Copy)]
-struct Waiting<'a> {
+struct PreGraspFrame<'a> {
     own: &'a Demonstration,
     frame: usize,
     grasp: usize,
 }
 
-impl Waiting<'_> {
+impl PreGraspFrame<'_> {
     fn estimated(&self) -> &Isometry3<f64> {
         &self.own.estimated[self.frame]
     }
 
-    /// Where the object is when it is grasped.
+    /// The recorded pose of the object at the grasp.
     fn recorded(&self) -> &Isometry3<f64> {
         &self.own.recorded[self.grasp]
     }
 }
 
 fn arrivals(demonstrations: &[Demonstration], symmetry: &SymmetryGroup) -> Vec<Arrival> {
-    let waiting = |own| {
+    let before_first_grasp = |own| {
         let grasp = Demonstration::grasp_frame(own).unwrap_or(0);
-        (0..grasp).map(move |frame| Waiting { own, frame, grasp })
+        (0..grasp).map(move |frame| PreGraspFrame { own, frame, grasp })
     };
     let of = |trained_on: bool| demonstrations.iter().filter(move |own| own.trained_on == trained_on);
-    let known: Vec<Waiting<'_>> = of(true).flat_map(waiting).collect();
+    let known: Vec<PreGraspFrame<'_>> = of(true).flat_map(before_first_grasp).collect();
     let mut arrivals = Vec::new();
     for own in of(false) {
-        let frames: Vec<Waiting<'_>> = waiting(own).collect();
-        for query in frames.iter().step_by(frames.len().div_ceil(QUERIES).max(1)) {
+        let frames: Vec<PreGraspFrame<'_>> = before_first_grasp(own).collect();
+        for query in frames.iter().step_by(frames.len().div_ceil(MAXIMUM_QUERIES).max(1)) {
             let Some(demo) = nearest(query.estimated(), &known, symmetry) else {
                 continue;
             };
@@ -176,17 +176,17 @@ fn arrivals(demonstrations: &[Demonstration], symmetry: &SymmetryGroup) -> Vec<A
     arrivals
 }
 
-/// The frame whose estimated pose is nearest; ties go to the first.
+/// The frame with the nearest estimated pose; ties go to the first one.
 fn nearest<'a, 'b>(
     query: &Isometry3<f64>,
-    known: &'b [Waiting<'a>],
+    known: &'b [PreGraspFrame<'a>],
     symmetry: &SymmetryGroup,
-) -> Option<&'b Waiting<'a>> {
+) -> Option<&'b PreGraspFrame<'a>> {
     let mut best = (f64::INFINITY, None);
     for candidate in known {
         let estimated = candidate.estimated();
         let apart = (estimated.translation.vector - query.translation.vector).norm() / METRES_PER_RAD;
-        // Most are too far away for their turn to matter.
+        // Most candidates are already too far by their translation, so the angle is not computed.
         if apart < best.0 {
             let distance = apart + symmetry.angle(&query.rotation, &estimated.rotation);
             if distance < best.0 {

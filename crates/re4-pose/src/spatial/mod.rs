@@ -1,8 +1,8 @@
-//! How good estimated poses of an object in space are: an offset that the estimator does not owe, phases, and errors.
+//! Evaluates estimated SE(3) poses of an object: calibration of a constant offset, phases of a grasp, and errors.
 //!
-//! A self-supervised encoder learns the pose of the gripper as it holds the object (paper, appendix "Prehensile Pose
-//! Estimation"). That frame is a constant rigid offset away from the recorded one at best, so one [`Offset`] is fitted and
-//! taken away before errors are measured. Nothing here is for training: it reads recorded object poses.
+//! A self-supervised encoder learns the pose of the gripper when it holds the object (paper, appendix "Prehensile Pose
+//! Estimation"). That frame differs from the recorded one by a constant rigid offset at best. One [`Offset`] is therefore fitted
+//! and removed before errors are measured. This module reads recorded object poses, so training must not use it.
 //!
 //! World frame, metres, radians.
 
@@ -15,11 +15,11 @@ use re4_geometry::spatial::{SymmetryGroup, pose_distance};
 pub use evaluation::{Arrival, Demonstration, Evaluation, Measured, evaluate};
 pub use offset::{FrameError, Offset};
 
-/// When a frame is, seen from the grasps of its demonstration.
+/// The phase of a frame relative to the grasps of its demonstration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum GraspPhase {
-    /// In transit, and a frame of transfer is still to come; so is transit between the grasps of a demonstration that needs
-    /// several, and all of a demonstration that never grasps.
+    /// In transit, before a later frame of transfer. This includes transit between the grasps of a demonstration with
+    /// several, and all frames of a demonstration without a grasp.
     BeforeGrasp,
     /// In transfer.
     Held,
@@ -28,10 +28,10 @@ pub enum GraspPhase {
 }
 
 impl GraspPhase {
-    /// All, in the order of a demonstration.
+    /// All phases, in the order of a demonstration.
     pub const ALL: [Self; 3] = [Self::BeforeGrasp, Self::Held, Self::AfterRelease];
 
-    /// The word used in tables and summaries.
+    /// The name used in tables and summaries.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::BeforeGrasp => "before_grasp",
@@ -40,7 +40,7 @@ impl GraspPhase {
         }
     }
 
-    /// Phases of a demonstration's frames, from whether each is in transfer.
+    /// The phases of a demonstration's frames, given whether each frame is in transfer.
     pub fn of(transfer: &[bool]) -> Vec<Self> {
         let end = transfer
             .iter()
@@ -55,13 +55,13 @@ impl GraspPhase {
     }
 }
 
-/// How far from where it should be the end effector would arrive, when a grasp is carried from a demonstration to a query by
-/// Reframe's motion `δ = o_q o_j⁻¹` (paper, Algorithm 2) with estimated poses: distance in metres and angle in rad between
-/// `δ x` with the estimated poses and `δ x` with the recorded ones, where `x` is the demonstration's end effector at its grasp.
+/// The error in the end effector's pose when a grasp is transported from a demonstration to a query by Reframe's motion
+/// `δ = o_q o_j⁻¹` (paper, Algorithm 2) with estimated poses: the distance in metres and the angle in rad between `δ x` with the
+/// estimated poses and `δ x` with the recorded ones, where `x` is the demonstration's end effector at its grasp.
 ///
-/// `query` and `demo` are the estimated and the recorded pose of the object that asks and of the one that was retrieved. Turns
-/// that do not show are chosen as a policy does, so that the estimated `o_q` is nearest to `o_j`; the recorded `o_q` is turned
-/// so that its `δ` is nearest to the estimated one, for a grasp of the cube from another side is a grasp all the same.
+/// `query` and `demo` are each the estimated and the recorded pose of the object, of the query and of the retrieved demonstration.
+/// The symmetry-equivalent pose is chosen as in a policy, so that the estimated `o_q` is nearest to `o_j`. For the recorded `o_q`,
+/// it is chosen so that its `δ` is nearest to the estimated one, because grasping a cube from another side is correct too.
 pub fn arrival_error(
     symmetry: &SymmetryGroup,
     query: [&Isometry3<f64>; 2],
@@ -70,13 +70,13 @@ pub fn arrival_error(
 ) -> (f64, f64) {
     let (aligned, _) = symmetry.align(query[0], demo[0]);
     let estimated = aligned * demo[0].inverse();
-    let (turned, _) = symmetry.align(query[1], &(estimated * demo[1]));
-    let recorded = turned * demo[1].inverse();
+    let (equivalent, _) = symmetry.align(query[1], &(estimated * demo[1]));
+    let recorded = equivalent * demo[1].inverse();
     pose_distance(&(estimated * grasp), &(recorded * grasp))
 }
 
-/// The mean of poses: of their translations, and the rotation with the minimum sum of squared chordal distances, nearly, for
-/// poses less than a quarter of a turn apart. `None` of nothing.
+/// The mean of poses: the mean of their translations, and approximately the rotation with the minimum sum of squared chordal
+/// distances, for poses less than pi / 2 apart. Returns `None` for no poses.
 pub fn mean_pose<'a>(poses: impl IntoIterator<Item = &'a Isometry3<f64>>) -> Option<Isometry3<f64>> {
     let mut poses = poses.into_iter();
     let first = poses.next()?;

@@ -26,12 +26,12 @@ fn about_z(angle: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
-fn turned(pose: &Isometry3<f64>, turn: UnitQuaternion<f64>) -> Isometry3<f64> {
-    Isometry3::from_parts(pose.translation, pose.rotation * turn)
+fn rotated(pose: &Isometry3<f64>, rotation: UnitQuaternion<f64>) -> Isometry3<f64> {
+    Isometry3::from_parts(pose.translation, pose.rotation * rotation)
 }
 
-/// A turn of the object that does not show, out of a number.
-fn unseen(symmetry: Symmetry, number: u32) -> UnitQuaternion<f64> {
+/// A rotation in the object's symmetry, selected by a number.
+fn symmetry_rotation(symmetry: Symmetry, number: u32) -> UnitQuaternion<f64> {
     match symmetry {
         Symmetry::None => UnitQuaternion::identity(),
         Symmetry::Fold { n, .. } => about_z(f64::from(number % n) * TAU / f64::from(n)),
@@ -51,7 +51,7 @@ fn symmetry() -> impl Strategy<Value = Symmetry> {
     ]
 }
 
-/// An offset as the gripper has it: for symmetric objects, whose turns must not move its lever, along their axis.
+/// An offset that a gripper can have: for symmetric objects, on their axis, so that symmetry rotations do not move its lever arm.
 fn grasped(symmetry: Symmetry, offset: &Isometry3<f64>) -> Isometry3<f64> {
     if symmetry == Symmetry::None {
         return *offset;
@@ -60,19 +60,23 @@ fn grasped(symmetry: Symmetry, offset: &Isometry3<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(0.0, 0.0, offset.translation.z), down * about_z(0.3))
 }
 
-/// Recorded poses of estimates that are exact but for an offset, turns that do not show, and half turns of the gripper.
+/// Pairs of estimates that are exact except for an offset, symmetry rotations, and rotations of the gripper by pi.
 fn exact(
     estimates: &[Isometry3<f64>],
     offset: &Isometry3<f64>,
     symmetry: Symmetry,
-    turns: &[(u32, bool)],
+    rotations: &[(u32, bool)],
 ) -> Vec<[Isometry3<f64>; 2]> {
-    let recorded = |(estimate, (number, half)): (&Isometry3<f64>, &(u32, bool))| {
-        let gripper = if *half { about_z(PI) } else { UnitQuaternion::identity() };
-        let object = turned(estimate, gripper) * offset;
-        [*estimate, turned(&object, unseen(symmetry, *number))]
+    let recorded = |(estimate, (number, by_pi)): (&Isometry3<f64>, &(u32, bool))| {
+        let gripper = if *by_pi {
+            about_z(PI)
+        } else {
+            UnitQuaternion::identity()
+        };
+        let object = rotated(estimate, gripper) * offset;
+        [*estimate, rotated(&object, symmetry_rotation(symmetry, *number))]
     };
-    estimates.iter().zip(turns).map(recorded).collect()
+    estimates.iter().zip(rotations).map(recorded).collect()
 }
 
 #[test]
@@ -90,7 +94,7 @@ fn phases_follow_the_grasps() {
 }
 
 #[test]
-fn a_known_disturbance_is_the_error() {
+fn the_error_equals_a_known_disturbance() {
     let offset = Isometry3::from_parts(
         Translation3::new(0.0, 0.06, 0.008),
         UnitQuaternion::from_euler_angles(PI, 0.0, 1.5),
@@ -108,14 +112,14 @@ fn a_known_disturbance_is_the_error() {
     let fitted = Offset::fit(&pairs, Symmetry::None).unwrap().unwrap();
     assert!(fitted.allows_pi());
     let [estimated, recorded] = &pairs[7];
-    // 3 mm aside.
+    // Translated by 3 mm.
     let mut moved = *estimated;
     moved.translation.vector += Vector3::new(0.0, 0.003, 0.0);
     let error = fitted.error(&moved, recorded);
     assert!((error.translation - 0.003).abs() < 1e-9 && (error.translation_at_grasp - 0.003).abs() < 1e-9);
     assert!(error.rotation < 1e-9);
-    // A turn of 0.1 rad about the axis of approach: at the grasp nothing moves, at the nut's origin the lever of 6 cm does.
-    let spun = turned(estimated, about_z(0.1));
+    // Rotated by 0.1 rad about the axis of approach: the grasp does not move, the nut's origin does, by the lever arm of 6 cm.
+    let spun = rotated(estimated, about_z(0.1));
     let error = fitted.error(&spun, recorded);
     assert!((error.rotation - 0.1).abs() < 1e-9, "{error:?}");
     assert!((error.translation - 0.12 * 0.05_f64.sin()).abs() < 1e-9, "{error:?}");
@@ -123,7 +127,7 @@ fn a_known_disturbance_is_the_error() {
 }
 
 #[test]
-fn far_off_estimates_do_not_move_the_offset() {
+fn outliers_do_not_move_the_offset() {
     let offset = Isometry3::from_parts(Translation3::new(0.001, 0.002, 0.01), about_z(0.4));
     let estimates: Vec<_> = (0..100)
         .map(|i| {
@@ -135,8 +139,8 @@ fn far_off_estimates_do_not_move_the_offset() {
         .collect();
     let mut pairs = exact(&estimates, &offset, Symmetry::None, &[(0, false); 100]);
     for (i, [_, recorded]) in pairs.iter_mut().enumerate().filter(|(i, _)| i % 3 == 0) {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 0.5 + 0.01 * i as f64);
-        *recorded = turned(recorded, turn);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 0.5 + 0.01 * i as f64);
+        *recorded = rotated(recorded, rotation);
         recorded.translation.vector += Vector3::new(0.3, 0.1 * i as f64, -0.2);
     }
     let fitted = Offset::fit(&pairs, Symmetry::None).unwrap().unwrap();
@@ -146,18 +150,18 @@ fn far_off_estimates_do_not_move_the_offset() {
 }
 
 #[test]
-fn nothing_gives_no_offset() {
+fn no_pairs_give_no_offset() {
     assert_eq!(Offset::fit(&[], CUBE).unwrap(), None);
     assert!(Offset::fit(&[], Symmetry::Full { axis: [0.0; 3] }).is_err());
     assert_eq!(mean_pose([]), None);
 }
 
 #[test]
-fn a_grasp_that_is_carried_arrives_where_it_should_but_for_the_error() {
+fn a_transported_grasp_arrives_with_the_error_of_the_estimate() {
     let cube = CUBE.group().unwrap();
     let at = |x: f64, y: f64, yaw: f64| Isometry3::from_parts(Translation3::new(x, y, 0.82), about_z(yaw));
     let (query, demo, grasp) = (at(0.02, 0.01, 0.3), at(-0.01, 0.0, 0.1), at(-0.01, 0.004, 0.1));
-    // The estimator's own frame, and quarters of a turn that it says differently, are no error.
+    // The estimator's own frame and symmetry-equivalent estimates are no error.
     let offset = Isometry3::from_parts(Translation3::new(0.0, 0.0, 0.01), about_z(1.0));
     for quarter in 0..4 {
         let estimated = query
@@ -169,7 +173,7 @@ fn a_grasp_that_is_carried_arrives_where_it_should_but_for_the_error() {
     let aside = at(0.025, 0.01, 0.3);
     let (distance, angle) = arrival_error(&cube, [&aside, &query], [&demo, &demo], &grasp);
     assert!((distance - 0.005).abs() < 1e-12 && angle < 1e-9);
-    // Without the symmetry a quarter of a turn is one.
+    // Without the symmetry, a rotation by pi / 2 is an error.
     let none = Symmetry::None.group().unwrap();
     let (_, angle) = arrival_error(
         &none,
@@ -181,7 +185,7 @@ fn a_grasp_that_is_carried_arrives_where_it_should_but_for_the_error() {
 }
 
 #[test]
-fn a_mean_pose_is_in_the_middle() {
+fn the_mean_pose_is_in_the_middle() {
     let at = |x: f64, yaw: f64| Isometry3::from_parts(Translation3::new(x, 0.0, 0.8), about_z(yaw));
     let negated = Isometry3::from_parts(
         at(2.0, 0.3).translation,
@@ -192,7 +196,7 @@ fn a_mean_pose_is_in_the_middle() {
     assert!(translation < 1e-12 && angle < 1e-9, "{translation} {angle}");
 }
 
-/// A demonstration of 12 frames: 6 before the grasp, 4 held, 2 after the release; the object moves with the gripper while held.
+/// A demonstration of 12 frames: 6 before the grasp, 4 held, 2 after the release. The object moves with the gripper while held.
 fn demonstration(number: u32, trained_on: bool, estimate: impl Fn(&Isometry3<f64>) -> Isometry3<f64>) -> Demonstration {
     let n = f64::from(number);
     let start = Isometry3::from_parts(Translation3::new(0.01 * n, -0.007 * n, 0.83), about_z(0.4 * n));
@@ -243,7 +247,7 @@ fn held_out_frames_do_not_move_the_offset() {
 }
 
 #[test]
-fn labels_and_the_mean_are_measured_in_the_same_way() {
+fn labels_and_mean_are_measured_like_estimates() {
     let demos: Vec<_> = (0..9)
         .map(|number| demonstration(number, number < 6, |pose| *pose))
         .collect();
@@ -253,7 +257,7 @@ fn labels_and_the_mean_are_measured_in_the_same_way() {
         mean,
         arrivals,
     } = evaluate(&demos, CUBE).unwrap();
-    // The object is held at its origin, so that labels are exact; there are none after the release.
+    // The object is held at its origin, so the labels are exact; there are none after the release.
     let labels = labels.unwrap();
     assert!((0..9).all(|demo| worst(&labels, demo) < 1e-9));
     assert!(labels.errors[0][9].is_some() && labels.errors[0][10].is_none());
@@ -263,7 +267,7 @@ fn labels_and_the_mean_are_measured_in_the_same_way() {
             .iter()
             .all(|arrival| arrival.distance < 1e-9 && arrival.angle < 1e-9)
     );
-    // Numbers 0 to 5 trained on: the mean is that of 2.5, and the median offset brings it there exactly.
+    // Trained on numbers 0 to 5: the mean pose is that of number 2.5, and the median offset is exactly there.
     let mean = mean.unwrap();
     let expected = |demo: f64| (demo - 2.5).abs() * 0.01_f64.hypot(0.007);
     for (demo, error) in mean.errors.iter().enumerate() {
@@ -273,7 +277,7 @@ fn labels_and_the_mean_are_measured_in_the_same_way() {
 }
 
 #[test]
-fn a_demonstration_without_a_grasp_has_no_label_and_gives_none() {
+fn a_demonstration_without_a_grasp_has_no_labels_and_no_arrivals() {
     let mut never = demonstration(1, true, |pose| *pose);
     never.phases = GraspPhase::of(&[false; 12]);
     let query = demonstration(2, false, |pose| *pose);
@@ -291,10 +295,10 @@ proptest! {
         symmetry in symmetry(),
         offset in pose(),
         estimates in prop::collection::vec(pose(), 1..40),
-        turns in prop::collection::vec((0..97u32, any::<bool>()), 40),
+        rotations in prop::collection::vec((0..97u32, any::<bool>()), 40),
     ) {
         let offset = grasped(symmetry, &offset);
-        let pairs = exact(&estimates, &offset, symmetry, &turns);
+        let pairs = exact(&estimates, &offset, symmetry, &rotations);
         let fitted = Offset::fit(&pairs, symmetry).unwrap().unwrap();
         for [estimated, recorded] in &pairs {
             let error = fitted.error(estimated, recorded);
@@ -305,11 +309,11 @@ proptest! {
     }
 
     #[test]
-    fn an_offset_depends_on_neither_the_world_nor_the_order(
+    fn an_offset_depends_on_neither_the_world_frame_nor_the_order(
         offset in pose(), world in pose(), estimates in prop::collection::vec(pose(), 2..20),
     ) {
-        let turns = vec![(0, false); estimates.len()];
-        let pairs = exact(&estimates, &offset, Symmetry::None, &turns);
+        let rotations = vec![(0, false); estimates.len()];
+        let pairs = exact(&estimates, &offset, Symmetry::None, &rotations);
         let mut moved: Vec<_> = pairs.iter().map(|pair| pair.map(|pose| world * pose)).collect();
         moved.reverse();
         let [a, b] = [&pairs, &moved].map(|pairs| Offset::fit(pairs, Symmetry::None).unwrap().unwrap());

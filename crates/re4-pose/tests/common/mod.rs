@@ -1,6 +1,6 @@
-//! Images drawn by the simulator's renderer, and errors of estimates.
-#![allow(dead_code, reason = "every test file uses a part of it")]
-#![expect(clippy::unwrap_used, reason = "only tests call these functions, and they may end")]
+//! Images of the simulator's renderer, and errors of estimates.
+#![allow(dead_code, reason = "every test file uses only a part of it")]
+#![expect(clippy::unwrap_used, reason = "only tests call these functions, and they may panic")]
 
 use std::f64::consts::TAU;
 
@@ -14,13 +14,13 @@ pub(crate) fn outline() -> Outline {
     Outline::new(&tee_rectangles(), OUTLINE_RADIUS)
 }
 
-pub(crate) fn drawn(agent: Point2, block: Pose2) -> Vec<u8> {
+pub(crate) fn rendered(agent: Point2, block: Pose2) -> Vec<u8> {
     render_state(agent, block).observation()
 }
 
-/// An image with the pusher out of the way in a corner.
-pub(crate) fn block_alone(block: Pose2) -> Vec<u8> {
-    drawn(Point2::new(25.0, 25.0), block)
+/// An image with the pusher in a corner, where it hides nothing.
+pub(crate) fn unobstructed(block: Pose2) -> Vec<u8> {
+    rendered(Point2::new(25.0, 25.0), block)
 }
 
 pub(crate) fn view(image: &[u8]) -> PushtImage<'_> {
@@ -29,7 +29,7 @@ pub(crate) fn view(image: &[u8]) -> PushtImage<'_> {
 
 pub(crate) fn estimator(refined: bool) -> LogPolarEstimator {
     let mut builder = AnchorBuilder::default();
-    builder.add(&view(&block_alone(Pose2::new(110.0, 110.0, 0.3))));
+    builder.add(&view(&unobstructed(Pose2::new(110.0, 110.0, 0.3))));
     LogPolarEstimator::new(&builder.finish(GOAL, &outline()).unwrap(), outline(), refined)
 }
 
@@ -45,8 +45,8 @@ pub(crate) fn error(estimate: &Estimate, truth: Pose2) -> (f64, f64) {
 /// Paints a disc of one colour into an image; centre and radius in world pixels.
 pub(crate) fn paint_disc(image: &mut [u8], centre: Point2, radius: f64, colour: [u8; 3]) {
     for (i, pixel) in image.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-        let place = |d: usize| (d as f64 + 0.5) * 512.0 / SIDE as f64 - 0.5;
-        if (Point2::new(place(i % SIDE), place(i / SIDE)) - centre).norm() <= radius {
+        let world = |d: usize| (d as f64 + 0.5) * 512.0 / SIDE as f64 - 0.5;
+        if (Point2::new(world(i % SIDE), world(i / SIDE)) - centre).norm() <= radius {
             *pixel = colour;
         }
     }

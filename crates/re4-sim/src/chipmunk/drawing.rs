@@ -1,4 +1,4 @@
-//! What Chipmunk's debug drawing reports of a space: the corners it computed itself and the marks of contacts.
+//! Output of Chipmunk's debug drawing of a space: the corners that it computes and the marks of contacts.
 
 use std::ffi::{c_int, c_void};
 
@@ -14,11 +14,11 @@ pub(crate) struct Drawing {
     pub(crate) circles: Vec<Point2>,
     /// Corners of the block's rectangles: bar, stem.
     pub(crate) rectangles: Vec<[Point2; 4]>,
-    /// For every contact point of the last physics step, a line across it along the contact's normal.
+    /// For every contact point of the last physics step, a short line through it along the contact's normal.
     pub(crate) marks: Vec<[Point2; 2]>,
 }
 
-/// Colours are chosen by whoever paints a drawing.
+/// Chipmunk's colours are not used: the renderer chooses its own.
 const NO_COLOUR: CpColor = CpColor {
     r: 0.0,
     g: 0.0,
@@ -27,7 +27,7 @@ const NO_COLOUR: CpColor = CpColor {
 };
 
 impl World {
-    /// What there is to draw after the last physics step. Walls do not move and are left out.
+    /// The shapes and contact marks after the last physics step, without the walls, which do not move.
     pub(crate) fn drawing(&self) -> Drawing {
         let mut drawing = Drawing::default();
         let mut options = CpDrawOptions {
@@ -44,19 +44,19 @@ impl World {
             data: (&raw mut drawing).cast::<c_void>(),
         };
         // SAFETY: the space lives as long as `self`, is not being stepped, and no other thread can reach it. The call
-        // reads the space, but for a lock count that it raises and lowers again. Every callback is set, and each gets
-        // `data`, the one pointer to `drawing` that is used until the call returns.
+        // only reads the space, except for a lock count that it raises and lowers again. Every callback is set, and each gets
+        // `data`, the only pointer to `drawing` that is used until the call returns.
         unsafe { ffi::cpSpaceDebugDraw(self.space.as_ptr(), &raw mut options) }
         drawing
     }
 }
 
-/// The drawing that a callback adds to.
+/// The drawing that a callback appends to.
 ///
 /// # Safety
-/// `data` must be the pointer that [`World::drawing`] set, and the call it makes must still run.
+/// `data` must be the pointer that [`World::drawing`] set, and that call must not have returned.
 unsafe fn drawing_of<'a>(data: *mut c_void) -> &'a mut Drawing {
-    // SAFETY: by the above it points to a `Drawing` that nothing else uses at the time.
+    // SAFETY: the caller guarantees that it points to a `Drawing` that nothing else uses at this time.
     unsafe { &mut *data.cast::<Drawing>() }
 }
 
@@ -65,7 +65,7 @@ unsafe extern "C" fn circle(centre: CpVect, _: f64, _: f64, _: CpColor, _: CpCol
     unsafe { drawing_of(data) }.circles.push(point(centre));
 }
 
-/// Chipmunk draws segments of no radius for constraints, of which there are none, and for contact points.
+/// Chipmunk draws segments without a radius for constraints, which a Push-T space does not have, and for contact points.
 unsafe extern "C" fn segment(a: CpVect, b: CpVect, _: CpColor, data: *mut c_void) {
     // SAFETY: Chipmunk passes the options' data.
     unsafe { drawing_of(data) }.marks.push([point(a), point(b)]);
@@ -74,9 +74,9 @@ unsafe extern "C" fn segment(a: CpVect, b: CpVect, _: CpColor, data: *mut c_void
 unsafe extern "C" fn fat_segment(_: CpVect, _: CpVect, _: f64, _: CpColor, _: CpColor, _: *mut c_void) {}
 
 unsafe extern "C" fn polygon(count: c_int, corners: *const CpVect, _: f64, _: CpColor, _: CpColor, data: *mut c_void) {
-    // Both polygons of the block are rectangles.
+    // Both polygons of the block have four corners.
     if count == 4 {
-        // SAFETY: Chipmunk passes as many corners as it says, and the options' data.
+        // SAFETY: Chipmunk passes `count` corners, and the options' data.
         let (corners, drawing) = unsafe { (*corners.cast::<[CpVect; 4]>(), drawing_of(data)) };
         drawing.rectangles.push(corners.map(point));
     }

@@ -1,4 +1,4 @@
-//! The part of Chipmunk 7's C interface that Push-T uses. Names and layouts are those of `chipmunk.h`.
+//! The part of Chipmunk 7's C interface that Push-T uses. Names and layouts follow `chipmunk.h`.
 
 use std::ffi::{c_char, c_int, c_uchar, c_void};
 
@@ -33,7 +33,7 @@ macro_rules! opaque {
 
 opaque!(CpSpace, CpBody, CpShape, CpArbiter);
 
-/// `cpCollisionHandler`. The two callbacks that answer yes or no, and `separate`, are never touched here.
+/// `cpCollisionHandler`. `begin`, `pre_solve` and `separate` keep Chipmunk's defaults.
 #[repr(C)]
 pub(super) struct CpCollisionHandler {
     type_a: usize,
@@ -60,7 +60,7 @@ pub(super) const DRAW_SHAPES: c_int = 1;
 /// `CP_SPACE_DEBUG_DRAW_COLLISION_POINTS`.
 pub(super) const DRAW_COLLISION_POINTS: c_int = 1 << 2;
 
-/// `cpSpaceDebugDrawOptions`. Its `flags` are an enumeration, which is as large as an `int`.
+/// `cpSpaceDebugDrawOptions`. Its `flags` are a C enumeration, which has the size of an `int`.
 #[repr(C)]
 pub(super) struct CpDrawOptions {
     pub(super) draw_circle: unsafe extern "C" fn(CpVect, f64, f64, CpColor, CpColor, *mut c_void),

@@ -1,8 +1,8 @@
-//! Images of Push-T: the 512 x 512 canvas and the 96 x 96 observation, with the bytes of gym-pusht 0.1.8's.
+//! Images of Push-T: the 512 x 512 canvas and the 96 x 96 observation, byte-identical to gym-pusht 0.1.8's.
 //!
-//! gym-pusht draws with pygame on a white surface, in this order: the goal, then what Chipmunk's debug drawing reports (the
-//! block's rectangles, the agent, the walls, and a red mark across each contact point), and shrinks the surface with
-//! `OpenCV`. The order, the colours and the rounding rules here are those observed of pygame 2.6.1 and `OpenCV` 4.14.
+//! gym-pusht renders with pygame on a white surface, in this order: the goal, then what Chipmunk's debug drawing reports (the
+//! block's rectangles, the agent, the walls, and a red mark across each contact point). It then shrinks the surface with
+//! `OpenCV`. The order, the colours and the rounding rules are those observed of pygame 2.6.1 and `OpenCV` 4.14.
 
 mod paint;
 mod shrink;
@@ -28,19 +28,18 @@ const BLOCK_OUTLINE: [u8; 3] = [119, 136, 153];
 const WALL_COLOUR: [u8; 3] = [211, 211, 211];
 const MARK_COLOUR: [u8; 3] = [231, 76, 60];
 
-/// The lighter disc inside the agent's is smaller by this many pixels.
+/// Difference between the radii of the agent's disc and of the lighter disc inside it, in pixels.
 const AGENT_RIM: f64 = 4.0;
-/// How far the outline round each of the block's rectangles reaches, in pixels.
+/// Radius of the outline around each of the block's rectangles, in pixels.
 pub const OUTLINE_RADIUS: f64 = 2.0;
 
-/// An image of 512 x 512 pixels: RGB, 8 bits each, row by row from the top.
+/// An image of 512 x 512 pixels: 8-bit RGB, row by row from the top.
 ///
-/// One that is drawn on again and again, with [`PushT::render_into`] or [`Canvas::draw_state`], spares an allocation of
-/// 768 KiB per frame.
+/// Reusing a canvas, with [`PushT::render_into`] or [`Canvas::draw_state`], saves an allocation of 768 KiB per frame.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Canvas {
     pixels: Vec<[u8; 3]>,
-    /// White paper with the goal on it, from which each image starts.
+    /// White with the goal on it; every image starts from these pixels.
     background: Vec<[u8; 3]>,
 }
 
@@ -60,7 +59,7 @@ impl Canvas {
     /// Width and height, in pixels.
     pub const SIDE: usize = SIDE;
 
-    /// Colour of what nothing is drawn on: red, green and blue.
+    /// Background colour: red, green and blue.
     pub const PAPER: [u8; 3] = WHITE;
 
     /// Colour of the block's outline.
@@ -77,7 +76,7 @@ impl Canvas {
         WALL_COLOUR,
     ];
 
-    /// A canvas with the goal alone on it.
+    /// A canvas that shows only the goal.
     pub fn new() -> Self {
         let mut canvas = Self {
             pixels: vec![WHITE; SIDE * SIDE],
@@ -95,21 +94,21 @@ impl Canvas {
         self.pixels.as_flattened()
     }
 
-    /// The image shrunk to 96 x 96, as policies see it: `96 * 96 * 3` bytes in the order of [`Canvas::bytes`].
+    /// The image shrunk to 96 x 96, as policies observe it: `96 * 96 * 3` bytes in the order of [`Canvas::bytes`].
     ///
-    /// Bilinear without smoothing, in `OpenCV`'s fixed-point arithmetic.
+    /// Bilinear interpolation without antialiasing, in `OpenCV`'s fixed-point arithmetic.
     pub fn observation(&self) -> Vec<u8> {
         let mut observation = Vec::new();
         self.observation_into(&mut observation);
         observation
     }
 
-    /// [`Canvas::observation`] into a buffer whose former content is replaced.
+    /// Writes [`Canvas::observation`] to a buffer, whose content is replaced.
     pub fn observation_into(&self, observation: &mut Vec<u8>) {
         shrink::shrink(&self.pixels, observation);
     }
 
-    /// Draws a state over whatever was on the canvas: [`render_state`] without a new canvas.
+    /// Renders a state and replaces the previous image: [`render_state`] without a new canvas.
     pub fn draw_state(&mut self, agent: Point2, block: Pose2) {
         self.draw_scene(&[agent], &tee_vertices(block), &[]);
     }
@@ -143,7 +142,7 @@ impl Canvas {
             return;
         }
         let scale = radius / ((dx * dx + dy * dy) as f64).sqrt();
-        // Across the line only where x and y grow together: the absolute values lose the direction, as in gym-pusht.
+        // This is perpendicular to the line only if x and y grow together: as in gym-pusht, absolute values lose the direction.
         let x = (dy as f64 * scale).round_ties_even() as i64;
         let y = (dx as f64 * scale).round_ties_even() as i64;
         let corners = [(from, -1), (from, 1), (to, 1), (to, -1)];
@@ -157,17 +156,17 @@ impl Canvas {
 }
 
 impl PushT {
-    /// An image of the current state, with the contacts of the last physics step marked: gym-pusht's canvas after the
+    /// An image of the current state with marks at the contacts of the last physics step: gym-pusht's canvas after the
     /// same reset and steps.
     ///
-    /// [`Canvas::observation`] shrinks it to what policies see.
+    /// [`Canvas::observation`] shrinks it to the image that policies observe.
     pub fn render(&self) -> Canvas {
         let mut canvas = Canvas::new();
         self.render_into(&mut canvas);
         canvas
     }
 
-    /// [`PushT::render`] over whatever was on `canvas`.
+    /// Renders to an existing canvas and replaces its image; see [`PushT::render`].
     pub fn render_into(&self, canvas: &mut Canvas) {
         let Drawing {
             circles,
@@ -180,9 +179,9 @@ impl PushT {
 
 /// An image of a state, in pixels and radians, without physics and therefore without contact marks.
 ///
-/// `block` is the pose as it is recorded and observed (the pose of the block's own frame), not one to request of a reset.
-/// For the same state it differs from [`PushT::render`] in the contact marks, and by a rounding step where a corner lies
-/// within the last bits of half a pixel. What is not in the window, or not finite, is not drawn.
+/// `block` is the recorded or observed pose (the pose of the block's own frame), not one to request in a reset.
+/// For the same state the image differs from [`PushT::render`] in the contact marks, and by one pixel where a corner is
+/// within the last bits of half a pixel. Shapes that are outside of the window, or not finite, are not rendered.
 pub fn render_state(agent: Point2, block: Pose2) -> Canvas {
     let mut canvas = Canvas::new();
     canvas.draw_state(agent, block);

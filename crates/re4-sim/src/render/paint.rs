@@ -1,10 +1,10 @@
-//! Filled polygons, discs and lines with the pixels of pygame 2.6.1's, clipped to the canvas.
+//! Filled polygons, discs and lines with the same pixels as pygame 2.6.1, clipped to the canvas.
 
 use re4_geometry::Point2;
 
 use super::{Canvas, SIDE};
 
-/// A pixel of the canvas or beyond it; y points down.
+/// A pixel inside or outside of the canvas; y points down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Pixel {
     pub(super) x: i64,
@@ -17,10 +17,10 @@ impl Pixel {
     }
 }
 
-/// Coordinates end here: far outside of the canvas, and far from where products of them would overflow.
+/// Coordinates are clamped to this value: it is far outside of the canvas, and products of such coordinates do not overflow.
 const FAR: f64 = 1e6;
 
-/// The nearest pixel; halves go to the even one, as Python rounds. What is not a number goes far outside.
+/// The nearest pixel; halves are rounded to even, as in Python. NaN is mapped far outside.
 pub(super) fn pixel(point: Point2) -> Pixel {
     let nearest = |v: f64| {
         if v.is_nan() {
@@ -38,9 +38,10 @@ pub(super) fn pixels(points: &[Point2; 4]) -> [Pixel; 4] {
 
 const LAST: i64 = SIDE as i64 - 1;
 
-/// Where a thick line from `from` starts: at the border, one pixel beyond the last row and column, if it comes from outside.
+/// The start of a thick line inside the canvas: `from` itself, or the point where the line crosses the border, which is one
+/// pixel past the last row and column.
 ///
-/// None for a line that lies on the outer side of one border.
+/// Returns `None` for a line that does not meet the canvas.
 fn entry(from: Pixel, to: Pixel) -> Option<Pixel> {
     const BORDER: i64 = SIDE as i64;
     let missed = |a: i64, b: i64| (a < 0 && b < 0) || (a > BORDER && b > BORDER);
@@ -53,7 +54,7 @@ fn entry(from: Pixel, to: Pixel) -> Option<Pixel> {
     if !inside(exact.0) && dx != 0 {
         at.x = from.x.clamp(0, BORDER);
         let across = ((at.x - from.x) * dy) as f64 / dx as f64;
-        // Halves of the way across are rounded up, whichever its direction.
+        // Halves of the distance across are rounded away from zero, in both directions.
         at.y = from.y + across.round() as i64;
         exact = (at.x as f64, from.y as f64 + across);
     }
@@ -63,7 +64,7 @@ fn entry(from: Pixel, to: Pixel) -> Option<Pixel> {
         at.x = from.x + across.round() as i64;
         exact = (from.x as f64 + across, at.y as f64);
     }
-    // A line that passes by a corner of the canvas never enters it.
+    // A line that passes near a corner of the canvas may miss it.
     (inside(exact.0) && inside(exact.1)).then_some(at)
 }
 
@@ -84,8 +85,8 @@ impl Canvas {
 
     /// Fills a quadrilateral, scan line by scan line, between pairs of crossings of its edges.
     ///
-    /// An edge has its upper end but not its lower one, except on the lowest scan line. Crossings are cut to
-    /// whole pixels. A horizontal edge between the uppermost and the lowest scan line is coloured for itself.
+    /// An edge includes its upper end but not its lower one, except on the lowest scan line. Crossings are truncated to
+    /// whole pixels. A horizontal edge between the uppermost and the lowest scan line is filled separately.
     pub(super) fn fill(&mut self, corners: &[Pixel; 4], colour: [u8; 3]) {
         let edges = std::array::from_fn::<_, 4, _>(|i| {
             let (p, q) = (corners[i], corners[(i + 1) % 4]);
@@ -104,7 +105,7 @@ impl Canvas {
             for (upper, lower) in edges {
                 if upper.y < lower.y && upper.y <= y && (y < lower.y || (y == bottom && lower.y == bottom)) {
                     let height = lower.y - upper.y;
-                    // One fraction, cut towards zero: to the left within the canvas.
+                    // One fraction, truncated towards zero, which is to the left within the canvas.
                     crossings[count] = ((y - upper.y) * (lower.x - upper.x) + upper.x * height) / height;
                     count += 1;
                 }
@@ -121,7 +122,7 @@ impl Canvas {
         }
     }
 
-    /// A disc by the midpoint rule, of even width: it reaches one pixel less far to the right and down.
+    /// A disc by the midpoint algorithm. Its width is even: it extends one pixel less to the right and down.
     pub(super) fn disc(&mut self, centre: Pixel, radius: i64, colour: [u8; 3]) {
         let (mut x, mut y, mut error) = (0, radius, 1 - radius);
         while x < y {
@@ -139,7 +140,8 @@ impl Canvas {
         }
     }
 
-    /// A line by Bresenham's rule, started anew where it enters the canvas, that is `width` (even) pixels wide along x where it is steep, along y where it is not.
+    /// A line by Bresenham's algorithm, restarted where it enters the canvas. It is `width` (even) pixels wide, along x if it is
+    /// steep, else along y.
     pub(super) fn thick_line(&mut self, from: Pixel, to: Pixel, width: i64, colour: [u8; 3]) {
         let (dx, dy) = ((to.x - from.x).abs(), (to.y - from.y).abs());
         let (step_x, step_y) = ((to.x - from.x).signum(), (to.y - from.y).signum());
@@ -149,7 +151,7 @@ impl Canvas {
         let Some(mut at) = entry(from, to) else {
             return;
         };
-        // As many steps as are left along the line's longer direction.
+        // One step per remaining pixel along the line's longer direction.
         let steps = if steep {
             (to.y - at.y).abs()
         } else {
@@ -175,22 +177,23 @@ impl Canvas {
         }
     }
 
-    /// An anti-aliased line: along its longer direction, two pixels share the colour by their distance from the line.
+    /// An anti-aliased line: at each step along its longer direction, two pixels get the colour, weighted by their distances from
+    /// the line.
     ///
-    /// The distances are single precision sums, counted from one pixel before the canvas: where a sum passes a power of two
-    /// decides its last bits, and so whether a blend is cut to one value or the next.
+    /// The distances are single-precision sums that start one pixel outside of the canvas, as in pygame: the point where a sum
+    /// passes a power of two determines its last bits, and so to which of two values a blend is truncated.
     pub(super) fn smooth_line(&mut self, a: Pixel, b: Pixel, colour: [u8; 3]) {
         let steep = (b.x - a.x).abs() < (b.y - a.y).abs();
-        let turned = |p: Pixel| if steep { (p.y, p.x) } else { (p.x, p.y) };
+        let along_first = |p: Pixel| if steep { (p.y, p.x) } else { (p.x, p.y) };
         let ((from, from_across), (to, to_across)) = {
-            let (p, q) = (turned(a), turned(b));
+            let (p, q) = (along_first(a), along_first(b));
             if q.0 < p.0 { (q, p) } else { (p, q) }
         };
-        let mut blend = |along: i64, across: i64, share: f32| {
+        let mut blend = |along: i64, across: i64, weight: f32| {
             let (x, y) = if steep { (across, along) } else { (along, across) };
             if let Some(pixel) = self.at(x, y) {
                 for (old, new) in pixel.iter_mut().zip(colour) {
-                    *old = (share * f32::from(new) + (1.0 - share) * f32::from(*old)) as u8;
+                    *old = (weight * f32::from(new) + (1.0 - weight) * f32::from(*old)) as u8;
                 }
             }
         };
@@ -201,7 +204,7 @@ impl Canvas {
         let slope = (to_across - from_across) as f32 / (to - from) as f32;
         let mut across = (from_across + 1) as f32;
         let mut first = from + 1;
-        // A line that comes from beyond the canvas starts one pixel outside of it, counted as above.
+        // A line that comes from outside of the canvas starts one pixel before the border, counted as above.
         let border = if slope < 0.0 { SIDE as f32 + 1.0 } else { 0.0 };
         if (slope < 0.0 && across > border) || (slope > 0.0 && across < border) {
             let start = from as f32 + (border - across) / slope;
@@ -212,9 +215,9 @@ impl Canvas {
         for along in first..to {
             across += slope;
             let lower = across.floor();
-            let share = across - lower;
-            blend(along, lower as i64 - 1, 1.0 - share);
-            blend(along, lower as i64, share);
+            let fraction = across - lower;
+            blend(along, lower as i64 - 1, 1.0 - fraction);
+            blend(along, lower as i64, fraction);
         }
         blend(to, to_across, 1.0);
     }

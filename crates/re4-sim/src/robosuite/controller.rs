@@ -1,8 +1,8 @@
 //! Operational-space control of the arm (`OSC_POSE`, fixed impedance), and the gripper.
 //!
 //! Formulas: O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987, as robosuite uses them
-//! (`controllers/osc.py` of 1.4.1, `controllers/parts/arm/osc.py` of 1.5.1): gains of 150 and critical damping, position and
-//! orientation decoupled from each other, gravity and Coriolis forces compensated, and a posture held in the null space.
+//! (`controllers/osc.py` of 1.4.1, `controllers/parts/arm/osc.py` of 1.5.1): stiffness 150 and critical damping, position and
+//! orientation decoupled from each other, gravity and Coriolis forces compensated, and a posture task in the null space.
 
 use nalgebra::{Matrix3, Matrix6, RowVector6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use re4_mujoco::Data;
@@ -10,7 +10,7 @@ use re4_mujoco::Data;
 use super::Profile;
 use super::model::Robot;
 
-/// Joints of the arm.
+/// Number of joints of the arm.
 pub(super) const JOINTS: usize = 7;
 
 pub(super) type Joints = SVector<f64, JOINTS>;
@@ -20,32 +20,33 @@ type Inertia = SMatrix<f64, JOINTS, JOINTS>;
 const STIFFNESS: f64 = 150.0;
 const POSTURE_STIFFNESS: f64 = 10.0;
 
-/// Metres and radians that a delta action of 1 means.
+/// Metres and radians of a delta action of 1.
 const DELTA_POSITION: f64 = 0.05;
 const DELTA_ROTATION: f64 = 0.5;
 
-/// Below this, numpy's pseudo-inverse takes a singular value for zero, relative to the maximum.
-const SINGULAR: f64 = 1e-15;
+/// Relative threshold below which numpy's pseudo-inverse treats a singular value as zero.
+const SINGULAR_VALUE_CUTOFF: f64 = 1e-15;
 
-/// What the arm is told at a control step. World frame; the grip site is what is steered.
+/// The arm's command of a control step, in the world frame; it moves the grip site.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ArmAction {
-    /// Translation and rotation vector in parts of 0.05 m and 0.5 rad, from the site's pose; cut to [-1, 1].
+    /// Translation and rotation vector in units of 0.05 m and 0.5 rad, relative to the site's pose; clipped to [-1, 1].
     Delta([f64; 6]),
     /// Goal position in metres and goal orientation as a rotation vector in radians.
     Absolute([f64; 6]),
 }
 
-/// An action of a control step.
+/// The action of a control step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobosuiteAction {
-    /// The arm's part.
+    /// The command of the arm.
     pub arm: ArmAction,
-    /// The gripper's part, of which the sign alone counts: below 0 opens, above 0 closes.
+    /// The command of the gripper, of which only the sign counts: below 0 opens, above 0 closes.
     pub gripper: f64,
 }
 
-/// The state of the arm that the controller computes with. It is a copy: the controller uses an old one after a reset.
+/// The state of the arm that the controller computes with. It is a copy, because after a reset the controller uses an older
+/// state.
 #[derive(Debug, Clone)]
 struct ArmState {
     position: Vector3<f64>,
@@ -58,7 +59,7 @@ struct ArmState {
     inertia: Inertia,
 }
 
-/// Work space of one simulation, so that control allocates nothing.
+/// Work buffers of one simulation, so that the controller does not allocate.
 #[derive(Debug, Clone)]
 struct Scratch {
     translation: Vec<f64>,
@@ -72,17 +73,17 @@ pub(super) struct Controller {
     profile: Profile,
     scratch: Scratch,
     state: ArmState,
-    /// Whether `state` has been used and must be read anew.
+    /// Whether `state` has been used, so that the next torques need a new one.
     used: bool,
     goal_position: Vector3<f64>,
     goal_rotation: Matrix3<f64>,
     posture: Joints,
-    /// The gripper's command, from open (-1, 1) to closed (1, -1) in units of the half range of its actuators.
+    /// The gripper's command, from open (-1, 1) to closed (1, -1), in units of half the range of its actuators.
     gripper: [f64; 2],
 }
 
 impl Controller {
-    /// A controller for the state that a simulation is in, which becomes the posture that it holds.
+    /// A controller for the current state of a simulation, whose joint positions become the posture to keep.
     pub(super) fn new(profile: Profile, robot: &Robot, data: &Data) -> Self {
         let freedoms = data.model().nv();
         let mut scratch = Scratch {
@@ -103,17 +104,17 @@ impl Controller {
         }
     }
 
-    /// Forgets the state that the controller was made in: the next torques are those of the simulation's state.
+    /// Replaces the state of the controller's creation: the next torques are computed from the simulation's current state.
     pub(super) fn refresh(&mut self, robot: &Robot, data: &Data) {
         self.state = ArmState::read(robot, data, &mut self.scratch);
     }
 
-    /// Whether the next torques are computed from the state of the simulation, in place of one kept since the reset.
+    /// Whether the next torques are computed from the simulation's current state instead of one kept since the reset.
     pub(super) fn reads_state(&self) -> bool {
         self.used
     }
 
-    /// Counts the state as used, where torques come from elsewhere.
+    /// Marks the state as used when torques come from elsewhere.
     pub(super) fn mark_used(&mut self) {
         self.used = true;
     }
@@ -125,7 +126,7 @@ impl Controller {
         }
     }
 
-    /// Takes the goal of a control step.
+    /// Sets the goal of a control step.
     pub(super) fn set_goal(&mut self, action: &ArmAction, robot: &Robot, data: &Data) {
         self.update(robot, data);
         match action {
@@ -134,10 +135,10 @@ impl Controller {
                     delta[i].clamp(-1.0, 1.0) * if i < 3 { DELTA_POSITION } else { DELTA_ROTATION }
                 });
                 self.goal_position = self.state.position + motion.fixed_rows::<3>(0);
-                let turn: Vector3<f64> = motion.fixed_rows::<3>(3).into_owned();
-                // 1.4 keeps the last goal where no rotation is asked for; 1.5 takes the present orientation.
-                if self.profile == Profile::V1_5 || turn != Vector3::zeros() {
-                    self.goal_rotation = single_precision_rotation(&turn) * self.state.rotation;
+                let rotation: Vector3<f64> = motion.fixed_rows::<3>(3).into_owned();
+                // Without a commanded rotation, 1.4 keeps the last goal and 1.5 uses the present orientation.
+                if self.profile == Profile::V1_5 || rotation != Vector3::zeros() {
+                    self.goal_rotation = single_precision_rotation(&rotation) * self.state.rotation;
                 }
             }
             ArmAction::Absolute(goal) => {
@@ -153,13 +154,13 @@ impl Controller {
         }
     }
 
-    /// Moves the gripper's command on. 1.4 does so every simulation step, 1.5 once a control step.
+    /// Advances the gripper's command: 1.4 does so in every simulation step, 1.5 once per control step.
     pub(super) fn move_gripper(&mut self, command: f64) {
         let speed = match self.profile {
             Profile::V1_4 => 0.01,
             Profile::V1_5 => 0.2,
         };
-        // numpy's sign is 0 at 0.
+        // `f64::signum` is 1 at 0, but numpy's sign is 0 there.
         let sign = if command > 0.0 {
             1.0
         } else if command < 0.0 {
@@ -180,7 +181,7 @@ impl Controller {
         })
     }
 
-    /// Torques of the arm's actuators, within their limits.
+    /// Torques of the arm's actuators, clipped to their limits.
     pub(super) fn torques(&mut self, robot: &Robot, data: &Data) -> [f64; JOINTS] {
         self.update(robot, data);
         self.used = true;
@@ -190,6 +191,7 @@ impl Controller {
         let torque =
             STIFFNESS * orientation_error(&self.goal_rotation, &state.rotation) - damping * state.angular_velocity;
 
+        // Task-space inertia Λ = (J M⁻¹ Jᵀ)⁻¹. Position and orientation each get their own 3 x 3 block, which decouples them.
         let inverse = state.inertia.try_inverse().unwrap_or_else(Inertia::zeros);
         let jacobian = &state.jacobian;
         let inverse_jacobian_t = inverse * jacobian.transpose();
@@ -210,7 +212,7 @@ impl Controller {
         let posture = state.inertia
             * (POSTURE_STIFFNESS * (self.posture - state.joints)
                 - 2.0 * POSTURE_STIFFNESS.sqrt() * state.joint_velocity);
-        // (I - J̄ J)ᵀ p = p - Jᵀ Λ J M⁻¹ p, without forming the projection.
+        // (I - J̄ J)ᵀ p = p - Jᵀ Λ J M⁻¹ p, without computing the projection matrix.
         let into_task: Vector6<f64> = inverse_jacobian_t.transpose() * posture;
         let held: RowVector6<f64> = (invert6(&full) * into_task).transpose();
         let torques = jacobian.transpose() * wrench + bias + posture - (held * jacobian).transpose();
@@ -255,8 +257,8 @@ impl ArmState {
     }
 }
 
-/// Half the sum of the cross products of the columns: the sine of the angle along the axis, for small angles the rotation
-/// vector from the current orientation to the desired one.
+/// Half the sum of the cross products of the columns, which is the axis times the sine of the angle: for small angles the
+/// rotation vector from the current orientation to the desired one.
 fn orientation_error(desired: &Matrix3<f64>, current: &Matrix3<f64>) -> Vector3<f64> {
     0.5 * (0..3)
         .map(|i| current.column(i).cross(&desired.column(i)))
@@ -266,22 +268,22 @@ fn orientation_error(desired: &Matrix3<f64>, current: &Matrix3<f64>) -> Vector3<
 fn invert3(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     matrix
         .try_inverse()
-        .or_else(|| matrix.pseudo_inverse(SINGULAR * matrix.norm()).ok())
+        .or_else(|| matrix.pseudo_inverse(SINGULAR_VALUE_CUTOFF * matrix.norm()).ok())
         .unwrap_or_else(Matrix3::zeros)
 }
 
 fn invert6(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     matrix
         .try_inverse()
-        .or_else(|| matrix.pseudo_inverse(SINGULAR * matrix.norm()).ok())
+        .or_else(|| matrix.pseudo_inverse(SINGULAR_VALUE_CUTOFF * matrix.norm()).ok())
         .unwrap_or_else(Matrix6::zeros)
 }
 
-/// A rotation vector as a matrix, by way of a quaternion in single precision, as robosuite's `quat2mat` does it: the
+/// Converts a rotation vector to a matrix through a single-precision quaternion, as robosuite's `quat2mat` does: the
 /// demonstrations were recorded with goals rounded like that.
 fn single_precision_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
     let angle = vector.norm();
-    // numpy's isclose to 0 with no absolute tolerance: exactly zero.
+    // robosuite tests this with numpy's `isclose` to 0 without an absolute tolerance, which means exactly zero.
     let quaternion = if angle == 0.0 {
         [1.0, 0.0, 0.0, 0.0]
     } else {
@@ -290,7 +292,7 @@ fn single_precision_rotation(vector: &Vector3<f64>) -> Matrix3<f64> {
         [(angle / 2.0).cos(), axis.x * sine, axis.y * sine, axis.z * sine]
     };
     let rounded = quaternion.map(|part| part as f32);
-    // The BLAS that numpy brings adds products of single precision up in double precision.
+    // The BLAS of numpy accumulates products of single precision in double precision.
     let squared = rounded.iter().map(|part| f64::from(part * part)).sum::<f64>() as f32;
     let scale = (2.0 / f64::from(squared)).sqrt();
     let q = rounded.map(|part| (f64::from(part) * scale) as f32);

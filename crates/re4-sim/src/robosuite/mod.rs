@@ -1,12 +1,12 @@
-//! robosuite's tasks, those that have a record in `re4-task`, over MuJoCo's own library.
+//! The robosuite tasks that have a record in `re4-task`, on MuJoCo's own library.
 //!
-//! [`Robosuite`] computes what the Python package computes, in the order of its calls: one Panda, `OSC_POSE` control at 20 Hz
-//! over simulation steps of 2 ms, delta or absolute actions, the environments' own success rules and observations. What
-//! differs between versions is a [`Profile`]. The README of this crate tells how that is tested. Metres, radians, seconds;
-//! world frame: robosuite's, z up.
+//! [`Robosuite`] computes what the Python package computes, in the same order: one Panda, `OSC_POSE` control at 20 Hz
+//! on simulation steps of 2 ms, delta or absolute actions, the environments' own success rules and observations. A
+//! [`Profile`] selects the version. The README of this crate describes the parity tests. Units are metres, radians and seconds;
+//! the world frame is robosuite's, z up.
 //!
-//! As in robosuite, poses in an observation after a step are those of 2 ms before its end: the simulation moves on after they
-//! were computed. Right after a reset they are exact.
+//! As in robosuite, the poses in an observation after a step are those of 2 ms before its end, because the simulation advances
+//! after they were computed. Right after a reset they are exact.
 
 mod controller;
 mod model;
@@ -28,43 +28,43 @@ use model::{ACTUATORS, Robot};
 use re4_robosuite::hand_to_site;
 use re4_task::{ObjectLayout, Positions};
 
-/// Simulation steps a second.
+/// Simulation steps per second.
 const SIMULATION_RATE: usize = 500;
 
-/// Simulation steps in a control step of a task.
+/// Number of simulation steps in a control step of a task.
 #[must_use]
 pub fn simulation_steps(task: RobosuiteTask) -> usize {
     SIMULATION_RATE / task.control_rate
 }
 
-/// Numbers beyond which MuJoCo takes a simulation for unstable (`mjMAXVAL`).
-const GREATEST: f64 = 1e10;
+/// Absolute value from which MuJoCo treats a simulation as unstable (`mjMAXVAL`).
+const UNSTABLE_LIMIT: f64 = 1e10;
 
-/// A state to start from.
+/// An initial state.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RobosuiteScene {
-    /// A recorded state: time, coordinates, velocities. The arm's controller was made, as robomimic's `reset_to` makes it,
-    /// with the arm in the pose that the model starts in, which is the posture it goes on holding.
+    /// A recorded state: time, coordinates, velocities. As in robomimic's `reset_to`, the arm's controller is created
+    /// with the arm in the model's initial pose, and keeps that pose as its null-space posture.
     Recorded(Vec<f64>),
-    /// Coordinates of a new episode, at rest. The controller is made there.
+    /// Coordinates of a new episode, at rest. The controller is created in this state.
     Placed(Vec<f64>),
 }
 
-/// What the controller's first torques of an episode are computed from.
+/// The state from which the controller computes the first torques of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FirstTorques {
-    /// From the state that the controller was made in, as in robosuite: after a reset to a recorded state that is a stale one,
+    /// The state in which the controller was created, as in robosuite: after a reset to a recorded state it is outdated
     /// for one simulation step.
     #[default]
     AsRobosuite,
-    /// From the state that was asked for.
+    /// The requested state.
     Fresh,
 }
 
-/// What a policy sees. World frame.
+/// The part of the state that a policy observes, in the world frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobosuiteObservation {
-    /// Pose of the grip site, which the controller steers: the position is robomimic's `robot0_eef_pos`.
+    /// Pose of the grip site, which the controller moves: the position is robomimic's `robot0_eef_pos`.
     pub grip_site: Isometry3<f64>,
     /// Rotation of the hand, robomimic's `robot0_eef_quat`.
     pub hand: UnitQuaternion<f64>,
@@ -75,10 +75,10 @@ pub struct RobosuiteObservation {
 }
 
 impl RobosuiteObservation {
-    /// robomimic's `object`, in the order of a version.
+    /// robomimic's `object` vector, in the order of a robosuite version.
     ///
-    /// robosuite 1.5 computes the part that is relative to the hand from the object's pose of the observation before; here it is
-    /// that of the same observation.
+    /// robosuite 1.5 computes the part that is relative to the hand from the object's pose of the previous observation; this
+    /// function uses the same observation.
     #[must_use]
     pub fn object_state(&self, task: RobosuiteTask, profile: Profile) -> Vec<f64> {
         let object = pose_numbers(&self.object);
@@ -94,18 +94,18 @@ impl RobosuiteObservation {
     }
 }
 
-/// Position, then quaternion in the order x, y, z, w.
+/// Position, then quaternion in the order (x, y, z, w).
 fn pose_numbers(pose: &Isometry3<f64>) -> [f64; 7] {
     let (t, q) = (pose.translation.vector, pose.rotation.coords);
     [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
 }
 
-/// What one control step led to.
+/// The result of one control step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobosuiteStep {
     /// The state after the step.
     pub observation: RobosuiteObservation,
-    /// Whether the task's success rule holds.
+    /// Whether the task's success rule is satisfied.
     pub success: bool,
 }
 
@@ -114,7 +114,7 @@ pub struct Robosuite {
     model: RobosuiteModel,
     data: Data,
     controller: Controller,
-    /// Work space.
+    /// Work buffer for the coordinates.
     coordinates: Vec<f64>,
 }
 
@@ -122,7 +122,7 @@ impl Robosuite {
     /// A simulation in the model's own initial state.
     ///
     /// # Errors
-    /// When there is no memory.
+    /// When MuJoCo cannot allocate its data.
     pub fn new(model: &RobosuiteModel) -> Result<Self, SimError> {
         let mut data = Data::new(&model.model).map_err(|source| SimError::Mujoco {
             task: model.task.environment,
@@ -137,19 +137,19 @@ impl Robosuite {
         })
     }
 
-    /// Its model.
+    /// The compiled model of the task.
     #[must_use]
     pub fn model(&self) -> &RobosuiteModel {
         &self.model
     }
 
-    /// MuJoCo's data, such as for drawing.
+    /// MuJoCo's data, for example for rendering.
     #[must_use]
     pub fn data(&self) -> &Data {
         &self.data
     }
 
-    /// Time, coordinates and velocities.
+    /// The flattened state: time, coordinates and velocities.
     #[must_use]
     pub fn state(&self) -> Vec<f64> {
         std::iter::once(self.data.time())
@@ -158,7 +158,7 @@ impl Robosuite {
             .collect()
     }
 
-    /// What a policy sees of the state.
+    /// The observation of the current state.
     #[must_use]
     pub fn observation(&self) -> RobosuiteObservation {
         let robot = &self.model.robot;
@@ -174,7 +174,7 @@ impl Robosuite {
         }
     }
 
-    /// Whether the task's success rule holds.
+    /// Whether the task's success rule is satisfied.
     #[must_use]
     pub fn success(&self) -> bool {
         let robot = &self.model.robot;
@@ -187,7 +187,7 @@ impl Robosuite {
         })
     }
 
-    /// Puts the state in place and computes what follows from it.
+    /// Sets the state and computes the quantities that depend on it.
     fn set_state(&mut self, time: f64, coordinates: &[f64], velocities: &[f64]) {
         self.data.reset();
         self.data.set_time(time);
@@ -196,14 +196,14 @@ impl Robosuite {
         self.data.forward();
     }
 
-    /// Takes recorded torques and finger targets for one control step, in place of an action: a row of nine for every
+    /// Runs one control step with recorded torques and finger targets instead of an action: one row of nine numbers per
     /// simulation step.
     ///
     /// # Errors
     /// As [`Simulator::step`].
     ///
     /// # Panics
-    /// When a row is not as long as the model has actuators.
+    /// When the length of a row is not the number of the model's actuators.
     pub fn step_with_controls(&mut self, rows: &[Vec<f64>]) -> Result<RobosuiteStep, SimError> {
         for row in rows {
             self.stages_before_controls();
@@ -215,9 +215,9 @@ impl Robosuite {
         self.finish_step()
     }
 
-    /// Takes an action as [`Simulator::step`] does. The controls of every simulation step, seven torques and two finger targets,
-    /// pass through `through`, which may look at them and replace them. It gets the simulation too, whose poses are then those
-    /// of the state that the simulation step starts from.
+    /// Runs one control step as [`Simulator::step`] does. The controls of every simulation step, seven torques and two finger
+    /// targets, are passed to `through`, which may read and replace them. It also gets the simulation, with the poses of the state
+    /// that the simulation step starts from.
     ///
     /// # Errors
     /// As [`Simulator::step`].
@@ -228,7 +228,7 @@ impl Robosuite {
     ) -> Result<RobosuiteStep, SimError> {
         let (ArmAction::Delta(arm) | ArmAction::Absolute(arm)) = &action.arm;
         let numbers = || arm.iter().chain(std::iter::once(&action.gripper));
-        if let Some(index) = numbers().position(|number| number.is_nan() || number.abs() >= GREATEST) {
+        if let Some(index) = numbers().position(|number| number.is_nan() || number.abs() >= UNSTABLE_LIMIT) {
             return Err(SimError::NotFinite {
                 operation: "step",
                 task: self.model.task.environment,
@@ -258,20 +258,20 @@ impl Robosuite {
         self.finish_step()
     }
 
-    /// Sets what the solver of constraints starts from in the next step, one acceleration for every degree of freedom. It is not
-    /// part of a recorded state, but decides the last bits of what follows from it; resets start from zeros.
+    /// Sets the warm start of the constraint solver for the next step, one acceleration per degree of freedom. It is not
+    /// part of a recorded state, but affects the last bits of the following states; a reset sets it to zeros.
     ///
     /// # Panics
-    /// When it has another length.
+    /// When the number of accelerations is not the number of degrees of freedom.
     pub fn set_solver_start(&mut self, accelerations: &[f64]) {
         self.data.qacc_warmstart_mut().copy_from_slice(accelerations);
     }
 
-    /// What is computed of a state before its controls are known.
+    /// Computes the stages of a simulation step that do not depend on its controls.
     fn stages_before_controls(&mut self) {
         self.data.motion_stages();
-        // robosuite 1.4 computes everything up to three times a step: once itself, once when its controller looks, once
-        // in the step. Every time warm-starts the solver of the next.
+        // robosuite 1.4 runs the whole computation up to three times per step: once itself, once when its controller reads
+        // the state, once in the step. Each run changes the solver's warm start for the next one.
         if self.model.solves_thrice() {
             let times = 1 + usize::from(self.controller.reads_state());
             for _ in 0..times {
@@ -281,8 +281,8 @@ impl Robosuite {
         }
     }
 
-    /// Computes the motion stages of a state again if they would not give the same bits, which is where MuJoCo 2.3.7 finds other
-    /// quaternions.
+    /// Runs the motion stages of a state again if this changes their bits: MuJoCo 2.3.7 normalises quaternions when it computes
+    /// poses, which can change already normalised ones.
     fn repeat_motion_stages(&mut self) {
         self.coordinates.copy_from_slice(self.data.qpos());
         self.data.normalize_quaternions(&mut self.coordinates);
@@ -292,8 +292,8 @@ impl Robosuite {
     }
 
     fn finish_step(&self) -> Result<RobosuiteStep, SimError> {
-        let sound = |numbers: &[f64]| numbers.iter().all(|number| number.abs() < GREATEST);
-        if sound(self.data.qpos()) && sound(self.data.qvel()) {
+        let stable = |numbers: &[f64]| numbers.iter().all(|number| number.abs() < UNSTABLE_LIMIT);
+        if stable(self.data.qpos()) && stable(self.data.qvel()) {
             Ok(RobosuiteStep {
                 observation: self.observation(),
                 success: self.success(),
@@ -320,7 +320,7 @@ impl Simulator for Robosuite {
         let (RobosuiteScene::Recorded(numbers) | RobosuiteScene::Placed(numbers)) = scene;
         if let Some(index) = numbers
             .iter()
-            .position(|number| number.is_nan() || number.abs() >= GREATEST)
+            .position(|number| number.is_nan() || number.abs() >= UNSTABLE_LIMIT)
         {
             return Err(SimError::NotFinite {
                 operation: "reset",
@@ -345,7 +345,7 @@ impl Simulator for Robosuite {
         }
         match scene {
             RobosuiteScene::Recorded(state) => {
-                // The controller is made where the arm is right after the model is loaded.
+                // robosuite creates the controller right after it loads the model, with the arm in its initial pose.
                 self.data.reset();
                 let mut start = self.data.qpos().to_vec();
                 for (at, angle) in self.model.robot.arm_coordinates.iter().zip(INITIAL_JOINTS) {
@@ -371,12 +371,12 @@ impl Simulator for Robosuite {
     }
 }
 
-/// Joint angles that robosuite's Panda starts from, before noise.
+/// Joint angles in which robosuite's Panda starts, before noise.
 pub const INITIAL_JOINTS: [f64; JOINTS] = [
     0.0,
     std::f64::consts::PI / 16.0,
     0.0,
-    // Not FRAC_PI_3, which is the number of floating point after this quotient.
+    // As robosuite computes it: FRAC_PI_3 is not this quotient, but the next floating-point number.
     -std::f64::consts::PI / 2.0 - std::f64::consts::PI / 3.0,
     0.0,
     std::f64::consts::PI - 0.2,

@@ -1,4 +1,4 @@
-//! A compiled scene, and where the robot and the object are in it.
+//! A compiled scene, with the indices of the robot and the object in it.
 
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use re4_mujoco::{Data, Kind, Library, Model, MujocoError};
@@ -9,10 +9,10 @@ use crate::SimError;
 
 /// Actuators of a Panda with its gripper: seven torque motors, two position actuators.
 pub(super) const ACTUATORS: usize = 9;
-/// Policy steps are 0.05 s, simulation steps 0.002 s.
+/// Seconds per simulation step; a control step at 20 Hz is 0.05 s.
 pub(super) const TIMESTEP: f64 = 0.002;
 
-/// Numbers and addresses of what is simulated.
+/// Indices of the bodies, sites and joints that are simulated, and the ranges of the actuators.
 #[derive(Debug, Clone)]
 pub(super) struct Robot {
     pub(super) arm_coordinates: [usize; JOINTS],
@@ -26,7 +26,7 @@ pub(super) struct Robot {
     pub(super) landmarks: Vec<usize>,
 }
 
-/// A compiled scene of a task. Cheap to clone, shared between simulations in several threads.
+/// A compiled scene of a task. It is cheap to clone and can be shared by simulations in several threads.
 #[derive(Clone)]
 pub struct RobosuiteModel {
     pub(super) task: RobosuiteTask,
@@ -37,19 +37,19 @@ pub struct RobosuiteModel {
 }
 
 impl RobosuiteModel {
-    /// The same model, to be simulated as closely to robosuite as said.
+    /// The same model with another fidelity.
     #[must_use]
     pub fn with_fidelity(self, fidelity: Fidelity) -> Self {
         Self { fidelity, ..self }
     }
 
-    /// Whether forces are computed before the controller looks, too.
+    /// Whether forces are also computed before the controller reads the state, as robosuite 1.4 does.
     pub(super) fn solves_thrice(&self) -> bool {
         self.profile == Profile::V1_4 && self.fidelity == Fidelity::Robosuite
     }
 
-    /// Compiles the scene of a task from MJCF whose files are named by absolute paths, as a demonstration's `model_file` after
-    /// its paths were rewritten.
+    /// Compiles the scene of a task from MJCF that refers to its files by absolute paths, such as a demonstration's `model_file`
+    /// after its paths were rewritten.
     ///
     /// # Errors
     /// When MuJoCo refuses the model, or it is not a scene of the task with one Panda of this profile.
@@ -80,13 +80,13 @@ impl RobosuiteModel {
         self.profile
     }
 
-    /// The compiled model, such as for drawing.
+    /// The compiled model, for example for rendering.
     #[must_use]
     pub fn mujoco(&self) -> &Model {
         &self.model
     }
 
-    /// Numbers of a flattened state: time, coordinates, velocities.
+    /// Length of a flattened state: time, coordinates, velocities.
     #[must_use]
     pub fn state_length(&self) -> usize {
         1 + self.model.nq() + self.model.nv()
@@ -117,7 +117,7 @@ impl Robot {
         if model.na() != 0 {
             return Err(SimError::Model {
                 task: task.environment,
-                reason: "the model has actuators with a state of their own".to_owned(),
+                reason: "the model has actuators with an internal state".to_owned(),
             });
         }
         let mut arm_coordinates = [0; JOINTS];
@@ -130,7 +130,7 @@ impl Robot {
         if !model.joint_is_free(&object_joint).map_err(lacks)? {
             return Err(SimError::Model {
                 task: task.environment,
-                reason: format!("the joint {object_joint} is not a free one"),
+                reason: format!("the joint {object_joint} is not a free joint"),
             });
         }
         Ok(Self {
@@ -166,7 +166,7 @@ impl Robot {
         Vector3::from_column_slice(&data.xpos()[3 * body..][..3])
     }
 
-    /// Rotation of a body, as MuJoCo holds it, sign and all.
+    /// Rotation of a body as MuJoCo stores it, including the sign of the quaternion.
     pub(super) fn body_rotation(data: &Data, body: usize) -> UnitQuaternion<f64> {
         let [w, x, y, z] = std::array::from_fn(|i| data.xquat()[4 * body + i]);
         UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z))

@@ -1,23 +1,26 @@
-//! Initial states from seeds, with the bits of robosuite's.
+//! Initial states from seeds, bit-identical to robosuite's.
 //!
-//! Seed `s` means what `np.random.seed(s); env.reset()` gives with a hard reset (robosuite's default). Both robosuite 1.4.1 and
-//! 1.5.1 draw from numpy's global generator, in the same order and with the same arithmetic, so that one function serves both:
+//! Seed `s` gives the state after `np.random.seed(s); env.reset()` with a hard reset (robosuite's default). Both robosuite 1.4.1
+//! and 1.5.1 sample from numpy's global generator, in the same order and with the same arithmetic, so one function serves both:
 //!
-//! 1. while the model is built, boxes of no fixed size (the cube of `Lift`) their three half sizes;
-//! 2. the arm its joint positions: the initial pose plus a normal number of 0.02 rad standard deviation a joint;
-//! 3. every object, one after the other, x, y (again until it keeps clear of those before it), then its yaw, uniform in a full
-//!    turn;
-//! 4. in `PickPlaceCan` the marks in the target bins: two numbers each that decide nothing, and that nothing follows.
+//! 1. while the model is built, the three half sizes of each box without a fixed size (the cube of `Lift`);
+//! 2. the joint positions of the arm: the initial pose plus normal noise with a standard deviation of 0.02 rad per joint;
+//! 3. for each object in order: x and y (again until it keeps clear of the earlier objects), then its yaw, uniform in
+//!    `[0, 2π)`;
+//! 4. in `PickPlaceCan`, two numbers for each mark in the target bins. They affect nothing and are the last numbers, so they are
+//!    not sampled here.
 //!
 //! The ranges are those of the task's record.
 //!
-//! Two objects keep clear of each other when their distance in the plane is greater than the sum of their radii. Then objects
-//! that the task does not use are put at (10, 10, 10). Nothing moves after that: robosuite computes what follows from the state
-//! (`mj_forward`) and takes no simulation step, so that objects start in the air and fall in the first steps.
+//! Two objects keep clear of each other when their horizontal distance is greater than the sum of their radii, or when the
+//! later one is above the earlier one. Afterwards, objects that the task does not use are put at (10, 10, 10). Nothing moves after
+//! that: robosuite computes the derived quantities (`mj_forward`) and takes no simulation step, so objects start in the air and
+//! fall in the first steps.
 //!
-//! The two versions differ in what is not drawn here: names of the finger joints, and the state of controller and observations
-//! after a reset; and MuJoCo 2.3.7 divides quaternions by their length when it computes the poses, which 3.2.7 does not. robomimic's rollouts begin with `reset()` and `reset_to(get_state())`: the same state, on the model as it is
-//! read back from its own MJCF with six digits a number. [`Placement::in_model`] gives that MJCF from that of any demonstration.
+//! The two versions differ only in what is not sampled here: the names of the finger joints, and the state of controller and
+//! observations after a reset. Also, MuJoCo 2.3.7 normalises quaternions when it computes the poses, and 3.2.7 does not.
+//! robomimic's rollouts begin with `reset()` and `reset_to(get_state())`: the same state, on the model as it is read back from
+//! its own MJCF with six digits per number. [`Placement::in_model`] makes that MJCF from the MJCF of any demonstration.
 
 use std::borrow::Cow;
 use std::f64::consts::PI;
@@ -32,10 +35,10 @@ use crate::random_state::RandomState;
 const ARM_NOISE: f64 = 0.02;
 /// Joint positions of the fingers.
 const FINGERS: [f64; 2] = [0.020_833, -0.020_833];
-/// Where objects go that a task does not use.
+/// Pose of objects that a task does not use: position and quaternion (w, x, y, z).
 const AWAY: ([f64; 3], [f64; 4]) = ([10.0; 3], [1.0, 0.0, 0.0, 0.0]);
 
-/// A drawn initial state, at rest.
+/// A sampled initial state, at rest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placement {
     /// The task.
@@ -48,7 +51,7 @@ pub struct Placement {
     pub objects: Vec<ObjectPlacement>,
 }
 
-/// Where an object starts.
+/// The initial pose of an object.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectPlacement {
     /// Its name in the model.
@@ -57,12 +60,12 @@ pub struct ObjectPlacement {
     pub position: [f64; 3],
     /// Rotation, in MuJoCo's order w, x, y, z.
     pub quaternion: [f64; 4],
-    /// Half sizes of a box whose size the seed draws, m: part of the model, not of the state.
+    /// Half sizes of a box whose size is sampled, m: a part of the model, not of the state.
     pub half_sizes: Option<[f64; 3]>,
 }
 
-/// How far an object reaches from its origin: down (mostly negative) and up, and its radius in the plane.
-struct Room {
+/// The extent of an object relative to its origin: down (mostly negative) and up, and its horizontal radius.
+struct Reach {
     bottom: f64,
     top: f64,
     radius: f64,
@@ -77,30 +80,30 @@ impl Placement {
         let sizes: Vec<Option<[f64; 3]>> = rules
             .iter()
             .map(|rule| match rule.extent {
-                Extent::Box([minimum, most]) => Some(std::array::from_fn(|_| generator.uniform(minimum, most))),
+                Extent::Box([minimum, maximum]) => Some(std::array::from_fn(|_| generator.uniform(minimum, maximum))),
                 Extent::Fixed { .. } => None,
             })
             .collect();
         let arm = INITIAL_JOINTS.map(|angle| angle + generator.standard_normal() * ARM_NOISE);
         let mut objects: Vec<ObjectPlacement> = Vec::with_capacity(rules.len());
-        let mut rooms: Vec<Room> = Vec::with_capacity(rules.len());
+        let mut reaches: Vec<Reach> = Vec::with_capacity(rules.len());
         for (rule, half_sizes) in rules.iter().zip(sizes) {
-            let room = Room::of(rule, half_sizes);
-            // robosuite gives up after 5,000 tries. That does not come about: whatever lies in the bin, more than half of it is
-            // free for the next object.
+            let reach = Reach::of(rule, half_sizes);
+            // robosuite gives up after 5,000 tries. That does not happen here: more than half of the bin is always free for the
+            // next object.
             let position = loop {
                 let position = [
                     generator.uniform(rule.x[0], rule.x[1]) + rule.reference[0],
                     generator.uniform(rule.y[0], rule.y[1]) + rule.reference[1],
-                    rule.height + rule.reference[2] - room.bottom,
+                    rule.height + rule.reference[2] - reach.bottom,
                 ];
-                let mut others = rooms.iter().zip(&objects);
-                if others.all(|(other, object)| room.clear_of(other, &position, &object.position)) {
+                let mut others = reaches.iter().zip(&objects);
+                if others.all(|(other, object)| reach.clear_of(other, &position, &object.position)) {
                     break position;
                 }
             };
             let half = generator.uniform(0.0, 2.0 * PI) / 2.0;
-            rooms.push(room);
+            reaches.push(reach);
             objects.push(ObjectPlacement {
                 object: rule.object,
                 position,
@@ -129,11 +132,11 @@ impl Placement {
         self.arm.into_iter().chain(self.fingers).chain(objects).collect()
     }
 
-    /// MJCF of the task with the boxes of this placement, and everything else as it is: the same text where no box is drawn.
+    /// MJCF of the task with the box sizes of this placement; everything else stays. Returns the same text if no box is sampled.
     ///
-    /// Sizes get six significant digits, as MuJoCo writes them: from the drawn sizes of a seed comes what robosuite writes for
-    /// that seed. All that hangs on the size (mass, inertia) is computed when the model is compiled. `statistic/meansize`, which
-    /// files of MuJoCo 2.3 carry, stays: it is of no effect but on the size of decorations.
+    /// Sizes get six significant digits, as MuJoCo writes them, so the sampled sizes of a seed give the text that robosuite writes
+    /// for that seed. All that depends on the size (mass, inertia) is computed when the model is compiled. `statistic/meansize`,
+    /// which files of MuJoCo 2.3 have, stays: it only affects the size of decorations.
     ///
     /// # Errors
     /// When the text is not XML, or lacks the geom of such a box.
@@ -160,7 +163,7 @@ impl Placement {
             let geom = format!("{}_g0", object.object);
             let solid = size_of(&geom).ok_or_else(|| refuse(format!("the model has no geom {geom} with a size")))?;
             let size = half_sizes.map(six_digits).join(" ");
-            // The one that is rendered is not there in a model without images.
+            // A model without images has no rendered geom.
             let rendered = size_of(&format!("{geom}_vis")).map(|range| (range, size.clone()));
             changes.extend(rendered);
             changes.push((solid, size));
@@ -174,7 +177,7 @@ impl Placement {
     }
 }
 
-impl Room {
+impl Reach {
     fn of(rule: &ObjectRule, half_sizes: Option<[f64; 3]>) -> Self {
         match (rule.extent, half_sizes) {
             (Extent::Fixed { bottom, top, radius }, _) => Self { bottom, top, radius },
@@ -197,7 +200,7 @@ impl Room {
     }
 }
 
-/// A number as C's `%g` writes it, for those that need no exponent.
+/// Formats a number as C's `%g` does, for numbers that need no exponent.
 fn six_digits(number: f64) -> String {
     let rounded = format!("{number:.5e}");
     rounded.parse::<f64>().map_or(rounded, |number| number.to_string())

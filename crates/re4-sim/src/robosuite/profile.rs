@@ -1,4 +1,4 @@
-//! What differs between robosuite's versions.
+//! Differences between robosuite's versions.
 
 use re4_mujoco::Version;
 use schemars::JsonSchema;
@@ -16,10 +16,10 @@ pub enum Profile {
 }
 
 impl Profile {
-    /// Both.
+    /// All profiles.
     pub const ALL: [Self; 2] = [Self::V1_4, Self::V1_5];
 
-    /// The profile of a version as files declare it, such as `1.4.1`.
+    /// The profile of a version as dataset files declare it, such as `1.4.1`.
     #[must_use]
     pub fn of(version: &str) -> Option<Self> {
         let mut parts = version.split('.');
@@ -30,7 +30,7 @@ impl Profile {
         }
     }
 
-    /// Its major and minor number.
+    /// The major and minor version number.
     pub(super) fn version(self) -> (u32, u32) {
         match self {
             Self::V1_4 => (1, 4),
@@ -38,7 +38,7 @@ impl Profile {
         }
     }
 
-    /// The MuJoCo that this robosuite runs on here.
+    /// The MuJoCo version that this robosuite version is simulated with.
     #[must_use]
     pub fn mujoco(self) -> Version {
         match self {
@@ -47,7 +47,7 @@ impl Profile {
         }
     }
 
-    /// The site that the controller steers.
+    /// The name of the site that the controller tracks.
     pub(super) fn grip_site(self) -> &'static str {
         match self {
             Self::V1_4 => "gripper0_grip_site",
@@ -55,7 +55,7 @@ impl Profile {
         }
     }
 
-    /// The joints of the two fingers.
+    /// The names of the joints of the two fingers.
     pub(super) fn finger_joints(self) -> [&'static str; 2] {
         match self {
             Self::V1_4 => ["gripper0_finger_joint1", "gripper0_finger_joint2"],
@@ -64,15 +64,15 @@ impl Profile {
     }
 }
 
-/// How closely robosuite is followed.
+/// How closely robosuite's computations are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fidelity {
-    /// To the bit. With the profile 1.4, forces are computed three times a simulation step, of which the last counts and the
-    /// others move the solver's starting point; and objects that a task has put away lie on top of each other and touch.
+    /// Bit-exact. With profile 1.4, forces are computed three times per simulation step: the last result counts, the
+    /// others change the solver's warm start. Objects that a task has put away overlap and touch each other.
     #[default]
     Robosuite,
-    /// The same physics at less cost: forces are computed once a simulation step, and objects that the task has put away touch
-    /// nothing. Forces are the same within the solver's tolerance; contact makes trajectories part in the end.
+    /// The same physics at lower cost: forces are computed once per simulation step, and objects that the task has put away do
+    /// not collide. Forces agree within the solver's tolerance, but trajectories eventually diverge after contact.
     Fast,
 }

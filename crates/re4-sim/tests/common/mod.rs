@@ -1,8 +1,8 @@
-//! Reads the reference trace; the layout is told in `tests/data/make_reference_trace.py`.
+//! Reads the reference trace; `tests/data/make_reference_trace.py` describes the layout.
 #![allow(
     clippy::expect_used,
     clippy::panic,
-    reason = "only tests and the throughput example read the trace, and both may end"
+    reason = "only tests and examples read the trace, and they may panic"
 )]
 
 use std::path::{Path, PathBuf};
@@ -30,7 +30,7 @@ pub(crate) struct TraceStep {
     pub(crate) contact_points: u32,
     pub(crate) coverage: f64,
     pub(crate) hash: u64,
-    /// Stored for one step in every `stride`.
+    /// Stored only for every `stride`-th step.
     pub(crate) state: Option<State>,
 }
 

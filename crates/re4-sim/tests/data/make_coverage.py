@@ -1,4 +1,4 @@
-"""Writes coverage.json: coverage and intersection over union of T poses against the Push-T goal, computed by shapely.
+"""Writes coverage.json: coverage and intersection over union of T poses with the Push-T goal, computed by shapely.
 
 Needs numpy and shapely. Run: python make_coverage.py
 Each row is [block_x, block_y, block_theta, coverage, iou]; the shapes are gym-pusht's two rectangles.

@@ -1,11 +1,11 @@
-"""Writes reference_images.json and images/*.png: frames that gym-pusht 0.1.8 drew, for byte-exact comparison.
+"""Writes reference_images.json and images/*.png: frames that gym-pusht 0.1.8 rendered, for byte-exact comparison.
 
-Needs gym-pusht 0.1.8 (which brings numpy, pymunk, pygame and opencv). Run: python make_reference_images.py
+Needs gym-pusht 0.1.8 (which installs numpy, pymunk, pygame and opencv). Run: python make_reference_images.py
 
-Every other episode follows random targets over the whole window, the rest push at the block; every fourth starts near the
-goal. Within an episode, frames are taken at set intervals and, in between, where there are contact marks. Each frame is
+Every other episode follows random targets over the whole window, the others push the block; every fourth starts near the
+goal. Within an episode, frames are taken at fixed intervals and, in between, at steps with contact marks. Each frame is
 stored as the first 16 bytes of the SHA-256 of its 512 x 512 x 3 and of its 96 x 96 x 3 bytes, rows from the top, RGB.
-`contacts` counts the contact points of the frame's step: `marked` frames differ from the same scene drawn without marks.
+`marked` frames differ from the same scene rendered without contact marks.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ import pygame
 from pymunk import SpaceDebugDrawOptions
 
 EPISODES, STEPS, INTERVAL = 24, 60, 12
-FULL_PICTURES = 6
+FULL_IMAGES = 6
 
 
 def sha(image: np.ndarray) -> str:
@@ -35,7 +35,7 @@ def canvas_of(env) -> np.ndarray:
 
 
 def unmarked_canvas_of(env) -> np.ndarray:
-    """The same with the drawing of contact points switched off."""
+    """The canvas rendered without contact marks."""
     usual = gym_pusht.envs.pusht.DrawOptions
 
     def without_contacts(surface):
@@ -54,7 +54,7 @@ def scene_for(generator, episode: int) -> np.ndarray:
     scene = np.concatenate([generator.uniform(50, 450, 2), generator.uniform(100, 400, 2), generator.uniform(-4, 4, 1)])
     if episode % 4 == 3:
         x, y, theta = np.array([256, 256, np.pi / 4]) + generator.normal(0.0, [8, 8, 0.1])
-        # The reset turns the block about (0, 45) after placing it.
+        # The reset rotates the block about (0, 45) after it sets the position.
         scene[2:] = [x - 45 * np.sin(theta), y - 45 + 45 * np.cos(theta), theta]
     return scene
 
@@ -93,7 +93,7 @@ def main() -> None:
             if marked:
                 last_marked = step
             frame = {"step": step, "marked": marked, "canvas": sha(canvas), "observation": sha(image)}
-            if marked and step > 8 and episode % (EPISODES // FULL_PICTURES) == 1 and not any("image" in f for f in frames):
+            if marked and step > 8 and episode % (EPISODES // FULL_IMAGES) == 1 and not any("image" in f for f in frames):
                 frame["image"] = f"{episode:02}_{step:02}.png"
                 cv2.imwrite(str(folder / frame["image"]), image[:, :, ::-1])
                 full += 1

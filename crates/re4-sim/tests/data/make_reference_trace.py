@@ -1,10 +1,10 @@
-"""Writes reference_trace.bin: 40 episodes of 300 steps that gym-pusht 0.1.8 ran, for bit-exact comparison.
+"""Writes reference_trace.bin: 40 episodes of 300 steps simulated by gym-pusht 0.1.8, for bit-exact comparison.
 
-Needs gym-pusht 0.1.8 (which brings numpy, pymunk and shapely). Run: python make_reference_trace.py
-Half of the episodes follow random targets, half push at the block; half of the latter start near the goal. An episode
-goes on after success.
+Needs gym-pusht 0.1.8 (which installs numpy, pymunk and shapely). Run: python make_reference_trace.py
+Half of the episodes follow random targets, half push the block; half of the latter start near the goal. An episode
+continues after success.
 
-All numbers are little-endian; E episodes, S steps, one full state in every K steps:
+All numbers are little-endian; E episodes, S steps, one full state every K steps:
   magic b"PUSHT-T1", u32 length and UTF-8 text naming the versions, u32 E, u32 S, u32 K
   f64 [E, 5]       requested scene: agent x, y, block x, y, theta
   f64 [E, 7]       state after the reset: agent x, y, agent velocity x, y, block x, y, theta in [0, 2 pi)
@@ -41,7 +41,10 @@ def fnv1a(states: np.ndarray) -> np.ndarray:
 
 
 def request_for(pose: np.ndarray) -> list[float]:
-    """What to ask of gym-pusht's reset so that the block arrives at the pose: it turns it about (0, 45) after placing it."""
+    """The pose to request of gym-pusht's reset so that the block arrives at `pose`.
+
+    The reset rotates the block about (0, 45) after it sets the position.
+    """
     x, y, theta = pose
     return [x - 45 * np.sin(theta), y - 45 + 45 * np.cos(theta), theta]
 
@@ -76,7 +79,7 @@ def main() -> None:
         first[episode] = state_of(env)
         action = np.array(env.agent.position)
         for step in range(STEPS):
-            # Stored as f32 to save space; the simulators are both given its exact value as f64.
+            # Stored as f32 to save space; both simulators get its exact value as f64.
             action = target(generator, env, pushing, action).astype(np.float32).astype(np.float64)
             _, _, _, _, info = env.step(action)
             actions[episode, step] = action

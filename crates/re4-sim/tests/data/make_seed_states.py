@@ -1,4 +1,4 @@
-"""Writes seed_states.json: the scenes that diffusion_policy and gym-pusht request for a seed, drawn by numpy.
+"""Writes seed_states.json: the scenes that diffusion_policy and gym-pusht request for a seed, sampled by numpy.
 
 Needs numpy only. Run: python make_seed_states.py
 Each scene is [agent_x, agent_y, block_x, block_y, block_theta] in pixels and radians.
@@ -22,7 +22,7 @@ def gym_pusht(seed: int) -> list[float]:
     return [float(v) for v in scene] + [float(generator.uniform(-np.pi, np.pi))]
 
 
-# Demonstrations (0 to 205), other training scenes, the benchmark's test scenes; and the last seed, for the widths.
+# Demonstrations (0 to 205), other training scenes, the benchmark's test scenes; and the largest seed, to test integer widths.
 SEEDS = {
     diffusion_policy: [*range(206), *range(500, 600), *range(100_000, 100_100), 2**32 - 1],
     gym_pusht: [*range(50), *range(100_000, 100_050), 2**32 - 1],

@@ -3,7 +3,7 @@
     dead_code,
     clippy::unwrap_used,
     clippy::panic,
-    reason = "every test uses its part; only tests and examples read the files, and both may end"
+    reason = "every test uses only a part; only tests and examples read the files, and they may panic"
 )]
 
 use std::fs::File;
@@ -32,7 +32,7 @@ impl<T> Array<T> {
     }
 }
 
-/// Names of the files of a kind, without their ending: `lift_1.4.1_absolute` of `trace_`. In order.
+/// The sorted names of the files of a kind, without prefix and extension: `lift_1.4.1_absolute` for `trace_`.
 pub(crate) fn names(kind: &str) -> Vec<String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/robosuite");
     let files = std::fs::read_dir(folder).unwrap();

@@ -1,10 +1,10 @@
-//! MuJoCo's libraries and robosuite's assets where they are at hand, and the reference traces as simulations.
+//! MuJoCo's libraries and robosuite's assets, if they are installed, and the reference traces as simulations.
 #![allow(
     dead_code,
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "every test uses its part; a test may stop where it fails"
+    reason = "every test uses only a part; a test may panic"
 )]
 
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use re4_sim::robosuite::{
 
 use crate::reference::{self, Reference};
 
-/// The folder that scripts/setup-simulators.sh made: `RE4_SIMULATORS`, else data/simulators.
+/// The folder that scripts/setup-simulators.sh created: `RE4_SIMULATORS`, else data/simulators; `None` if it does not exist.
 pub(crate) fn simulators() -> Option<PathBuf> {
     let folder = std::env::var_os("RE4_SIMULATORS").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/simulators"),
@@ -34,14 +34,14 @@ pub(crate) fn simulators() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// What is simulated of a trace's model.
+/// The part of a trace's model that is simulated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Form {
-    /// All of it.
+    /// The whole model.
     Whole,
-    /// What physics needs.
+    /// Without the parts that only rendering needs.
     Physics,
-    /// What physics needs, and nothing that lies put away touches.
+    /// As `Physics`, and objects that are put away do not collide.
     Apart,
 }
 
@@ -88,7 +88,7 @@ impl Trace {
         library(simulators, self.profile)
     }
 
-    /// MJCF with the paths of this machine.
+    /// The trace's MJCF with the paths of the assets in `simulators`.
     pub(crate) fn mjcf(&self, simulators: &Path) -> String {
         with_assets(self.file.text("xml"), &simulators.join("robosuite-1.4.1")).unwrap()
     }
@@ -114,7 +114,7 @@ impl Trace {
         RobosuiteScene::Recorded(self.file.f64s("initial_state").numbers)
     }
 
-    /// A simulation that stands where the trace starts, solver included.
+    /// A simulation in the initial state of the trace, with the solver's warm start.
     pub(crate) fn start(&self, simulators: &Path, form: Form, fidelity: Fidelity) -> Robosuite {
         let model = self.model(simulators, form).with_fidelity(fidelity);
         let mut simulation = Robosuite::new(&model).unwrap();
@@ -123,8 +123,9 @@ impl Trace {
         simulation
     }
 
-    /// Whole policy steps before a part of the robot first touches something: in the step after them MuJoCo's list of contacts,
-    /// with the recorded controls, has the first one of a body of the robot. It is the same in both versions. Newer traces say it.
+    /// Number of whole policy steps before a part of the robot first touches something: in the step after them MuJoCo's list of
+    /// contacts, under the recorded controls, first contains a body of the robot. It is the same in both versions. Newer traces
+    /// have this number in their header.
     pub(crate) fn steps_before_contact(&self) -> usize {
         match (self.task.name, self.file.text("control")) {
             ("lift", "absolute") => 45,
@@ -135,7 +136,7 @@ impl Trace {
         }
     }
 
-    /// Coordinates of the objects that the task has put away.
+    /// Indices of the coordinates of the objects that the task has put away.
     pub(crate) fn coordinates_put_away(&self, model: &RobosuiteModel) -> Vec<usize> {
         let away = self.task.placement.iter().filter(|rule| !rule.used);
         away.map(|rule| model.mujoco().joint(&rule.joint()).unwrap().0)
@@ -143,8 +144,8 @@ impl Trace {
             .collect()
     }
 
-    /// Those that push each other from the first step on, which magnifies any last bit: Can puts three objects away to one
-    /// place. The round nut of Square lies alone.
+    /// Indices of the coordinates of objects that push each other from the first step, which magnifies differences in the last
+    /// bits: Can puts three objects away to one place. The round nut of Square is alone there.
     pub(crate) fn coordinates_in_contact_from_the_start(&self, simulation: &Robosuite) -> Vec<usize> {
         match self.task.put_away().len() {
             0 | 1 => Vec::new(),
@@ -173,7 +174,7 @@ pub(crate) fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
         })
 }
 
-/// Maximum absolute difference but for some places.
+/// Maximum absolute difference, except for some indices.
 pub(crate) fn apart_without(ours: &[f64], theirs: &[f64], left_out: &[usize]) -> f64 {
     let rest = |numbers: &[f64]| -> Vec<f64> {
         let kept = numbers.iter().enumerate().filter(|(at, _)| !left_out.contains(at));
@@ -182,10 +183,10 @@ pub(crate) fn apart_without(ours: &[f64], theirs: &[f64], left_out: &[usize]) ->
     apart(&rest(ours), &rest(theirs))
 }
 
-/// Maximum absolute difference of two quaternions, of which the negative one is the same rotation.
+/// Maximum absolute difference of two quaternions; `q` and `-q` are the same rotation.
 pub(crate) fn apart_as_rotations(ours: &[f64], theirs: &[f64]) -> f64 {
-    let turned: Vec<f64> = theirs.iter().map(|part| -part).collect();
-    apart(ours, theirs).min(apart(ours, &turned))
+    let negated: Vec<f64> = theirs.iter().map(|part| -part).collect();
+    apart(ours, theirs).min(apart(ours, &negated))
 }
 
 pub(crate) fn bits(numbers: &[f64]) -> Vec<u64> {
