@@ -117,7 +117,7 @@ fn a_truncated_file_is_said_so() {
     let path = artifact.folder.join("every_kind.parquet");
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..50]).unwrap();
-    let what = format!("every_kind.parquet has 50 bytes where {} were published", bytes.len());
+    let what = format!("every_kind.parquet has 50 bytes, but {} were published", bytes.len());
     assert_eq!(artifact.complaint(), artifact.damaged(&what));
 }
 
@@ -125,9 +125,9 @@ fn a_truncated_file_is_said_so() {
 #[test]
 fn row_groups_that_are_not_as_published_are_said_so() {
     for (size, found) in [
-        (0, "30 rows in row group 0 where the manifest says 0"),
-        (7, "30 rows in row group 0 where the manifest says 7"),
-        (29, "30 rows in row group 0 where the manifest says 29"),
+        (0, "30 rows in row group 0, but the manifest implies 0"),
+        (7, "30 rows in row group 0, but the manifest implies 7"),
+        (29, "30 rows in row group 0, but the manifest implies 29"),
     ] {
         let artifact = published();
         artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["row_group_rows"] = json!(size));
@@ -157,12 +157,12 @@ fn a_missing_or_truncated_manifest_is_said_so() {
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json is not readable as JSON")
+        artifact.damaged("manifest.json is not valid JSON")
     );
     fs::write(&path, "").unwrap();
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json is not readable as JSON")
+        artifact.damaged("manifest.json is not valid JSON")
     );
     fs::write(&path, "{}").unwrap();
     assert_eq!(
@@ -174,7 +174,7 @@ fn a_missing_or_truncated_manifest_is_said_so() {
     assert_eq!(
         artifact.complaint(),
         format!(
-            "cannot read artifact {folder}: it has no manifest.json; check the path, and where an artifact should be there, move the folder away and run again"
+            "cannot read artifact {folder}: it has no manifest.json; check the path, or, if it is the folder of an artifact, move it away and run again"
         )
     );
 }
@@ -185,11 +185,11 @@ fn stray_files_and_folders_are_said_so() {
     fs::write(artifact.folder.join("notes.txt"), "hello").unwrap();
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("notes.txt does not belong to it")
+        artifact.damaged("notes.txt is not part of it")
     );
     fs::remove_file(artifact.folder.join("notes.txt")).unwrap();
     fs::create_dir(artifact.folder.join("more")).unwrap();
-    assert_eq!(artifact.complaint(), artifact.damaged("more does not belong to it"));
+    assert_eq!(artifact.complaint(), artifact.damaged("more is not part of it"));
     fs::remove_dir(artifact.folder.join("more")).unwrap();
     artifact.lookup().unwrap().unwrap();
 }
@@ -204,7 +204,7 @@ fn a_newer_manifest_is_refused_by_name() {
     assert_eq!(
         artifact.complaint(),
         format!(
-            "cannot read artifact {}: its manifest has format 3, this build reads up to 1; update re4-pipe",
+            "cannot read artifact {}: its manifest has format 3, but this build reads formats up to 1; update re4-pipe",
             artifact.folder.display()
         )
     );
@@ -227,7 +227,7 @@ fn a_newer_table_is_refused_by_name() {
     assert_eq!(
         verify(&artifact.folder, &known).unwrap_err().sentence(),
         format!(
-            "cannot read artifact {}: scales table has schema version 3, this build reads up to 1; update re4-pipe",
+            "cannot read artifact {}: table scales has schema version 3, but this build reads versions up to 1; update re4-pipe",
             artifact.folder.display()
         )
     );
@@ -241,21 +241,21 @@ fn a_forged_manifest_is_found_though_its_hash_fits() {
     artifact.rewrite_manifest(|manifest| manifest["config"]["epsilon"] = json!(0.2));
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json has a key that does not follow from its recipe")
+        artifact.damaged("manifest.json has a key that does not match its recipe")
     );
 
     let artifact = published();
     artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["file"] = json!("../x.parquet"));
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json names a file outside the artifact for table every_kind")
+        artifact.damaged("manifest.json refers to a file outside the artifact for table every_kind")
     );
 
     let artifact = published();
     artifact.rewrite_manifest(|manifest| drop(manifest.as_object_mut().unwrap().remove("tool_version")));
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json lacks something: missing field `tool_version`")
+        artifact.damaged("manifest.json is incomplete or malformed: missing field `tool_version`")
     );
 
     // Hashes fit, the row count does not: only the verification that decodes finds it.
@@ -263,7 +263,7 @@ fn a_forged_manifest_is_found_though_its_hash_fits() {
     artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["rows"] = json!(31));
     assert_eq!(
         verify(&artifact.folder, &known).unwrap_err().sentence(),
-        artifact.damaged("every_kind.parquet has 30 rows where the manifest says 31")
+        artifact.damaged("every_kind.parquet has 30 rows, but the manifest lists 31")
     );
 }
 
@@ -281,7 +281,7 @@ fn a_table_with_other_columns_than_its_version_has_is_refused() {
     let open = Artifact::open(&artifact.folder).unwrap();
     assert_eq!(
         open.table(&OTHER).unwrap_err().sentence(),
-        artifact.damaged("every_kind.parquet has 11 columns where version 1 of the every_kind table has 1")
+        artifact.damaged("every_kind.parquet has 11 columns, but version 1 of the every_kind table has 1")
     );
 }
 
@@ -310,7 +310,7 @@ fn another_keys_folder_is_not_taken_for_ours() {
 fn a_path_without_artifact_is_said_so() {
     assert_eq!(
         verify(Path::new("/nowhere/at/all"), &known).unwrap_err().sentence(),
-        "cannot read artifact /nowhere/at/all: there is no such folder; check the path, or run the stage that makes it"
+        "cannot read artifact /nowhere/at/all: the folder does not exist; check the path, or run the stage that produces the artifact"
     );
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();

@@ -249,7 +249,7 @@ fn equal_keys_with_different_bytes_are_refused() {
         refused,
         format!(
             "cannot publish {folder}: another run published the same key with different bytes in table every_kind; delete the \
-             folder {folder}, run again, and report it, for equal keys must give equal bytes"
+             folder {folder}, run again, and report a bug, because equal keys must give equal bytes"
         )
     );
     assert_eq!(artifact_names(root.path()).len(), 1);
@@ -339,7 +339,7 @@ fn a_read_only_file_system_is_said_so_and_can_be_read() {
         "{refused}"
     );
     let new = Store::open(&disk.0.path().join("new")).unwrap_err().sentence();
-    assert!(new.starts_with("cannot make the artifacts folder "), "{new}");
+    assert!(new.starts_with("cannot create the artifacts folder "), "{new}");
     disk.remount("remount,rw");
 }
 

@@ -312,7 +312,7 @@ fn older_tables_are_read_with_nulls_and_newer_ones_refused() {
     );
     let refusal = new.table(&FIRST).unwrap_err().sentence();
     assert!(
-        refusal.ends_with("grown table has schema version 3, this build reads up to 1; update re4-pipe"),
+        refusal.ends_with("table grown has schema version 3, but this build reads versions up to 1; update re4-pipe"),
         "{refusal}"
     );
 }
@@ -361,17 +361,17 @@ fn columns_that_are_not_there_are_refused_by_name() {
     let table = artifact.table(&EVERY_KIND).unwrap();
     let rows = table.read_all().unwrap();
     let said = |result: Result<&[f64], ArtifactError>| result.unwrap_err().sentence();
-    assert!(said(col_f64(&rows, "eef_z")).starts_with("table every_kind has no column eef_z; it has episode, count"));
+    assert!(said(col_f64(&rows, "eef_z")).starts_with("table every_kind has no column eef_z; use one of its columns: episode, count"));
     assert_eq!(
         said(col_f64(&rows, "episode")),
-        "column episode of table every_kind holds UInt32, not f64"
+        "column episode of table every_kind has type UInt32, not f64"
     );
     assert_eq!(
         said(col_f64(&rows, "maybe")),
-        "column maybe of table every_kind is null in row 0; read it as a column with nulls"
+        "column maybe of table every_kind is null in row 0; read it as a nullable column"
     );
     let missing = artifact.table(ImageRow::table()).unwrap_err().sentence();
-    assert!(missing.ends_with("has no table images; it has every_kind"), "{missing}");
+    assert!(missing.ends_with("has no table images; use one of its tables: every_kind"), "{missing}");
     let beyond = table.read_rows(3..9).unwrap_err().sentence();
     assert!(
         beyond.contains("cannot read rows 3..9 of ") && beyond.ends_with("the table has 5 rows"),
