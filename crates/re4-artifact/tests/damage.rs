@@ -183,10 +183,7 @@ fn a_missing_or_truncated_manifest_is_said_so() {
 fn stray_files_and_folders_are_said_so() {
     let artifact = published();
     fs::write(artifact.folder.join("notes.txt"), "hello").unwrap();
-    assert_eq!(
-        artifact.complaint(),
-        artifact.damaged("notes.txt is not part of it")
-    );
+    assert_eq!(artifact.complaint(), artifact.damaged("notes.txt is not part of it"));
     fs::remove_file(artifact.folder.join("notes.txt")).unwrap();
     fs::create_dir(artifact.folder.join("more")).unwrap();
     assert_eq!(artifact.complaint(), artifact.damaged("more is not part of it"));

@@ -92,7 +92,7 @@ fn unfinished_and_repeated_tables_are_not_published() {
     let store = Store::open(root.path()).unwrap();
     let writer = half_written(&store);
     let twice = writer.table(&EVERY_KIND).err().unwrap().sentence();
-    assert!(twice.ends_with("table every_kind was begun twice"), "{twice}");
+    assert!(twice.ends_with("table every_kind was started twice"), "{twice}");
     let refused = writer.publish(ArtifactSummary::default()).unwrap_err().sentence();
     let folder = store.folder(Stage::Segment, &recipe(1).key());
     assert_eq!(

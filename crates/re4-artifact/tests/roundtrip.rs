@@ -334,11 +334,11 @@ fn rows_that_do_not_fit_are_refused_by_name() {
     );
     assert_eq!(
         refused(scales().f64("maximum", vec![1.0, 2.0])),
-        "cannot write table scales: column maximum has 2 values where the first column has 1"
+        "cannot write table scales: column maximum has 2 values, but the first column has 1"
     );
     assert_eq!(
         refused(scales().u32("maximum", vec![1])),
-        "cannot write table scales: column maximum is of type UInt32, not f64"
+        "cannot write table scales: column maximum has type UInt32, not f64"
     );
     assert_eq!(
         refused(scales().f64_or_null("maximum", vec![None])),
@@ -346,7 +346,7 @@ fn rows_that_do_not_fit_are_refused_by_name() {
     );
     assert_eq!(
         refused(scales().f64("maximum", vec![1.0]).f64("median", vec![1.0])),
-        "cannot write table scales: it has no column median"
+        "cannot write table scales: the table has no column median"
     );
     assert_eq!(
         refused(scales().f64("minimum", vec![1.0])),
@@ -361,7 +361,10 @@ fn columns_that_are_not_there_are_refused_by_name() {
     let table = artifact.table(&EVERY_KIND).unwrap();
     let rows = table.read_all().unwrap();
     let said = |result: Result<&[f64], ArtifactError>| result.unwrap_err().sentence();
-    assert!(said(col_f64(&rows, "eef_z")).starts_with("table every_kind has no column eef_z; use one of its columns: episode, count"));
+    assert!(
+        said(col_f64(&rows, "eef_z"))
+            .starts_with("table every_kind has no column eef_z; use one of its columns: episode, count")
+    );
     assert_eq!(
         said(col_f64(&rows, "episode")),
         "column episode of table every_kind has type UInt32, not f64"
@@ -371,7 +374,10 @@ fn columns_that_are_not_there_are_refused_by_name() {
         "column maybe of table every_kind is null in row 0; read it as a nullable column"
     );
     let missing = artifact.table(ImageRow::table()).unwrap_err().sentence();
-    assert!(missing.ends_with("has no table images; use one of its tables: every_kind"), "{missing}");
+    assert!(
+        missing.ends_with("has no table images; use one of its tables: every_kind"),
+        "{missing}"
+    );
     let beyond = table.read_rows(3..9).unwrap_err().sentence();
     assert!(
         beyond.contains("cannot read rows 3..9 of ") && beyond.ends_with("the table has 5 rows"),
