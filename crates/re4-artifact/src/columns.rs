@@ -206,8 +206,8 @@ impl Columns {
     }
 }
 
-/// Returns the batch with the table's own schema after checking its columns. The schema of a batch from another source may lack the
-/// metadata of the table.
+/// Returns the batch with the table's own schema after checking its columns. The schema of a batch from another source may lack
+/// the metadata of the table.
 pub(crate) fn check_rows(
     spec: &'static TableSpec,
     schema: &SchemaRef,

@@ -3,10 +3,10 @@
 //! Planar tables (Push-T): the world frame is the 512 x 512 window in pixels, x to the right and y downwards in images, so that a
 //! growing angle is a clockwise rotation on the screen; a frame is a control step of 0.1 s.
 //!
-//! Tables of SE(3) (robosuite): the world frame is robosuite's, in metres, z upwards; a frame is a control step of 0.05 s. The end
-//! effector is the grip site, and a gripper command above 0 closes. Ingest converts datasets with other conventions. It keeps
-//! recorded values of another frame or with another sign in columns `raw_*`, which are null if the conventions agree: all artifacts
-//! have the same columns, and a column of nulls needs no space.
+//! Tables of SE(3) (robosuite): the world frame is robosuite's, in metres, z upwards; a frame is a control step of 0.05 s. The
+//! end effector is the grip site, and a gripper command above 0 closes. Ingest converts datasets with other conventions. It keeps
+//! recorded values of another frame or with another sign in columns `raw_*`, which are null if the conventions agree: all
+//! artifacts have the same columns, and a column of nulls needs no space.
 
 #![allow(
     clippy::doc_markdown,
@@ -29,9 +29,10 @@ table! {
     pub struct EpisodeRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Number of the demonstration in its source. Push-T: its index, from 0. HDF5 files, whose demonstrations have names (table
-        /// demos): the number at the end of the name; null if the name has none, the number exceeds 32 bits, or several
-        /// demonstrations have the same number. In artifacts of version 1 it is the index of the demonstration for HDF5 files, too.
+        /// Number of the demonstration in its source. Push-T: its index, from 0. HDF5 files, whose demonstrations have names
+        /// (table demos): the number at the end of the name; null if the name has none, the number exceeds 32 bits, or several
+        /// demonstrations have the same number. In artifacts of version 1 it is the index of the demonstration for HDF5 files,
+        /// too.
         pub source_episode: Option<u32>,
         /// Number of frames of the demonstration.
         pub frames: usize,
@@ -44,15 +45,15 @@ table! {
     pub struct DemoRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Name of the demonstration. HDF5 files: the name of its group in /data, such as demo_12. Push-T: the word episode and its
-        /// number.
+        /// Name of the demonstration. HDF5 files: the name of its group in /data, such as demo_12. Push-T: the word episode and
+        /// its number.
         pub demo: String,
         /// Filter keys in /mask that contain the demonstration, comma-separated; empty if there are none.
         pub filter_keys: String,
         /// Row of its MJCF in table models; null if it has none.
         pub model: Option<u32>,
-        /// Largest distance between the goal positions of the recorded absolute actions and of the absolute actions converted from
-        /// delta actions, without the first step; null if only one kind of action is known.
+        /// Largest distance between the goal positions of the recorded absolute actions and of the absolute actions converted
+        /// from delta actions, without the first step; null if only one kind of action is known.
         #[unit = "m"]
         pub goal_error_position: Option<f64>,
         /// Largest angle between the goal orientations of the recorded and of the converted absolute actions, without the first
@@ -63,8 +64,8 @@ table! {
 }
 
 table! {
-    /// One row per frame of every demonstration: the object-augmented state, the action and other recorded values. Sorted by episode
-    /// and frame.
+    /// One row per frame of every demonstration: the object-augmented state, the action and other recorded values. Sorted by
+    /// episode and frame.
     #[table("frames", version = 2, formerly = "spatial_frames")]
     pub struct FrameRow<F> {
         /// Number of the demonstration in this artifact, from 0.
@@ -89,7 +90,8 @@ columns! {
         /// Target position commanded to the pusher.
         #[frame = "world"]
         pub action: Point2,
-        /// Number of contact points between pusher and block during the control step before this frame; null if it was not recorded.
+        /// Number of contact points between pusher and block during the control step before this frame; null if it was not
+        /// recorded.
         pub contacts: Option<f64>,
         /// Recorded keypoint of the block; null if keypoints were not recorded.
         #[frame = "world"]
@@ -102,7 +104,8 @@ columns! {
     /// A frame of a demonstration in SE(3). Recorded numbers are copied bit for bit unless a column `raw_*` contains them. Row
     /// action_kind of table conventions states which kind of action was recorded; the other kind is converted from it.
     pub struct SpatialColumns {
-        /// Pose of the grip site. In artifacts of version 1 its orientation is the recorded one, even if that is of another frame.
+        /// Pose of the grip site. In artifacts of version 1 its orientation is the recorded one, even if that is of another
+        /// frame.
         #[frame = "world"]
         pub eef: Isometry3<f64>,
         /// Pose of the manipulated object; null if the dataset has none.
@@ -125,21 +128,21 @@ columns! {
         pub reward: Option<f64>,
         /// Whether the step was recorded as the last one or as a success; null if it was not recorded.
         pub done: Option<bool>,
-        /// Recorded orientation of the end effector if it is that of another frame than the grip site (row eef_orientation of table
-        /// conventions), else null.
+        /// Recorded orientation of the end effector if it is that of another frame than the grip site (row eef_orientation of
+        /// table conventions), else null.
         #[frame = "world"]
         #[since = 2]
         pub raw_eef: Option<UnitQuaternion<f64>>,
-        /// Recorded gripper command if it has another sign or range (rows gripper_sign and gripper_range of table conventions), else
-        /// null.
+        /// Recorded gripper command if it has another sign or range (rows gripper_sign and gripper_range of table conventions),
+        /// else null.
         #[since = 2]
         pub raw_gripper: Option<f64>,
     }
 }
 
 table! {
-    /// One row per image, sorted by camera, episode and frame. Images are lossless; they are recorded ones or, if the summary of the
-    /// artifact says so, rendered from the recorded states. Row groups are small, so that single images can be read.
+    /// One row per image, sorted by camera, episode and frame. Images are lossless; they are recorded ones or, if the summary of
+    /// the artifact says so, rendered from the recorded states. Row groups are small, so that single images can be read.
     #[table("images", version = 2, formerly = "camera_images")]
     pub struct ImageRow {
         /// Number of the demonstration in this artifact, from 0.
@@ -162,8 +165,8 @@ table! {
         pub convention: Label,
         /// The convention of this dataset.
         pub value: Label,
-        /// How the value was determined: proven (by the evidence in this row), setting (by an explicit setting of the pipeline), or
-        /// declared (by metadata of the file, for conventions on which nothing depends).
+        /// How the value was determined: proven (by the evidence in this row), setting (by an explicit setting of the pipeline),
+        /// or declared (by metadata of the file, for conventions on which nothing depends).
         pub basis: Label,
         /// Description of the test.
         pub evidence: String,
@@ -181,8 +184,8 @@ table! {
 }
 
 table! {
-    /// One row per requested demonstration of the source that cannot be used and is therefore not in this artifact, in the order of
-    /// the source. The table does not exist if all demonstrations can be used.
+    /// One row per requested demonstration of the source that cannot be used and is therefore not in this artifact, in the order
+    /// of the source. The table does not exist if all demonstrations can be used.
     #[table("left_out", version = 1)]
     #[derive(Eq, Serialize, Deserialize)]
     pub struct LeftOut {
@@ -207,8 +210,8 @@ table! {
 }
 
 table! {
-    /// One row per distinct MuJoCo model of the dataset, in the order of first use. Asset paths are those of the machine on which the
-    /// dataset was recorded.
+    /// One row per distinct MuJoCo model of the dataset, in the order of first use. Asset paths are those of the machine on which
+    /// the dataset was recorded.
     #[table("models", version = 1)]
     pub struct ModelRow {
         /// Number of the model, from 0.

@@ -19,8 +19,8 @@ pub const MANIFEST_NAME: &str = "manifest.json";
 
 const HASH_FIELD: &str = "manifest_blake3";
 
-/// The manifest of an artifact, `manifest.json`. Its bytes depend only on the recipe and on the content: keys are sorted, and there
-/// is no time, host or absolute path.
+/// The manifest of an artifact, `manifest.json`. Its bytes depend only on the recipe and on the content: keys are sorted, and
+/// there is no time, host or absolute path.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Manifest {
     /// Format of the manifest itself.
@@ -123,8 +123,8 @@ impl Manifest {
         Ok(canonical_text(&canonical_json(self)?))
     }
 
-    /// Reads the manifest of the artifact in `folder` and checks everything that does not need the tables: its own hash, its format,
-    /// its key and the names of its files.
+    /// Reads the manifest of the artifact in `folder` and checks everything that does not need the tables: its own hash, its
+    /// format, its key and the names of its files.
     pub(crate) fn read(folder: &Path) -> Result<Self, ArtifactError> {
         let path = folder.join(MANIFEST_NAME);
         let damaged = |damage| ArtifactError::damaged(folder, damage);

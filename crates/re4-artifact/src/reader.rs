@@ -68,8 +68,8 @@ impl Artifact {
     /// Opens a table by its description in this build: columns that the file's version lacks are read as null.
     ///
     /// # Errors
-    /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::OtherDomain`], [`ArtifactError::Damaged`] if the
-    /// file is missing or does not have the columns of its version, [`ArtifactError::Parquet`] if it cannot be decoded.
+    /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::OtherDomain`], [`ArtifactError::Damaged`] if
+    /// the file is missing or does not have the columns of its version, [`ArtifactError::Parquet`] if it cannot be decoded.
     pub fn table(&self, spec: &'static TableSpec) -> Result<Table, ArtifactError> {
         let summary = match self.under_former_name(spec) {
             Some(summary) => summary,
@@ -104,7 +104,8 @@ impl Artifact {
         Table::open(self, summary, None)
     }
 
-    /// Checks every byte: each file of the manifest must exist with its published length and hash, and there must be no other file.
+    /// Checks every byte: each file of the manifest must exist with its published length and hash, and there must be no other
+    /// file.
     ///
     /// # Errors
     /// [`ArtifactError::Damaged`], [`ArtifactError::Io`].
@@ -274,8 +275,8 @@ impl Table {
         })
     }
 
-    /// Describes the first difference between the row groups and the manifest. [`Table::read_rows`] computes the row group of a row
-    /// from `row_group_rows`, so all groups must have that length.
+    /// Describes the first difference between the row groups and the manifest. [`Table::read_rows`] computes the row group of a
+    /// row from `row_group_rows`, so all groups must have that length.
     fn row_group_disagreement(&self) -> Option<String> {
         let size = self.summary.row_group_rows;
         let groups = self.metadata.metadata().row_groups();

@@ -14,8 +14,8 @@ pub struct TableSpec {
     pub name: &'static str,
     /// Version of the schema. Raise it when a column is added, and set [`ColumnSpec::since`] of that column to the new version.
     pub version: u32,
-    /// Domain of the columns that are not common to all domains: `plane` (SE(2), Push-T) or `space` (SE(3), robosuite); "" if there
-    /// are no such columns.
+    /// Domain of the columns that are not common to all domains: `plane` (SE(2), Push-T) or `space` (SE(3), robosuite); "" if
+    /// there are no such columns.
     pub domain: &'static str,
     /// Name of the table in earlier versions; "" if it was the same.
     pub formerly: &'static str,
@@ -217,8 +217,8 @@ impl TableSpec {
         Arc::new(Schema::new_with_metadata(fields, metadata))
     }
 
-    /// Returns the key-value metadata of the Parquet file. It repeats the descriptions of the columns for readers that do not support
-    /// the metadata of Arrow fields.
+    /// Returns the key-value metadata of the Parquet file. It repeats the descriptions of the columns for readers that do not
+    /// support the metadata of Arrow fields.
     pub(crate) fn key_values(&self) -> Vec<(String, String)> {
         let columns: Vec<Value> = self
             .columns

@@ -108,7 +108,8 @@ impl Store {
         Writer::new(self, recipe)
     }
 
-    /// Writes a summary of a run that is not part of the artifact: wall time, host, date. An existing file is replaced atomically.
+    /// Writes a summary of a run that is not part of the artifact: wall time, host, date. An existing file is replaced
+    /// atomically.
     ///
     /// # Errors
     /// [`ArtifactError::Io`] if the file cannot be written.

@@ -108,8 +108,8 @@ impl Writer {
         self.table_in_groups(spec, DEFAULT_ROW_GROUP_ROWS)
     }
 
-    /// Starts a table with row groups of `row_group_rows` rows (at least one). Use few rows for large values such as images, so that
-    /// one value can be read without many others and few values are in memory at the same time.
+    /// Starts a table with row groups of `row_group_rows` rows (at least one). Use few rows for large values such as images, so
+    /// that one value can be read without many others and few values are in memory at the same time.
     ///
     /// # Errors
     /// As [`Writer::table`].
@@ -178,7 +178,8 @@ impl Writer {
 
     /// Writes the manifest, syncs all files and moves the artifact to its final folder by one rename.
     ///
-    /// If another run has published the same key in the meantime, that artifact is verified and returned, and this one is removed.
+    /// If another run has published the same key in the meantime, that artifact is verified and returned, and this one is
+    /// removed.
     ///
     /// # Errors
     /// [`ArtifactError::Unfinished`] if a table was started but not finished, [`ArtifactError::Io`] if a file cannot be written,

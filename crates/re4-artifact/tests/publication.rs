@@ -314,8 +314,8 @@ fn a_full_disk_is_reported_and_no_files_are_left() {
     drop(table);
     drop(writer);
     assert!(artifact_names(disk.0.path()).is_empty());
-    // A child process of another test that has been forked but not yet executed keeps the deleted files open, so that their space is
-    // freed later.
+    // A child process of another test that has been forked but not yet executed keeps the deleted files open, so that their space
+    // is freed later.
     let probe = disk.0.path().join("probe");
     let start = Instant::now();
     while fs::write(&probe, vec![1; 128 << 10]).is_err() {

@@ -10,8 +10,8 @@ pub type Point2 = Vector2<f64>;
 
 /// An element of SE(2): rotate by `theta` (radians, from the x axis towards the y axis), then translate by `(x, y)`.
 ///
-/// As the pose of a body it maps the body's frame to the world. In Push-T images y points downwards, so a growing `theta` rotates the
-/// block clockwise on the screen.
+/// As the pose of a body it maps the body's frame to the world. In Push-T images y points downwards, so a growing `theta` rotates
+/// the block clockwise on the screen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose2 {
     /// Translation along the world's x axis.

@@ -28,8 +28,8 @@ impl RobosuiteTask {
         Self::all().find(|task| task.name == name)
     }
 
-    /// Returns the task of an environment name. This is robosuite's name, or `MimicGen`'s name (`Square_D0`, `Square_D1`, ...), whose
-    /// environments have the same scene, object vector and success rule, but other distributions of initial poses.
+    /// Returns the task of an environment name. This is robosuite's name, or `MimicGen`'s name (`Square_D0`, `Square_D1`, ...),
+    /// whose environments have the same scene, object vector and success rule, but other distributions of initial poses.
     #[must_use]
     pub fn of_environment(name: &str) -> Option<Self> {
         let mimicgen = Self::distribution(name).and_then(|_| name.rsplit_once('_'));
@@ -39,8 +39,8 @@ impl RobosuiteTask {
         })
     }
 
-    /// Returns the number of `MimicGen`'s initial distribution in an environment name: 1 for `Square_D1`. Number 0 is robosuite's own
-    /// distribution. `None` if the name is not one of `MimicGen`'s.
+    /// Returns the number of `MimicGen`'s initial distribution in an environment name: 1 for `Square_D1`. Number 0 is robosuite's
+    /// own distribution. `None` if the name is not one of `MimicGen`'s.
     #[must_use]
     pub fn distribution(environment: &str) -> Option<u32> {
         let (_, ending) = environment.rsplit_once('_')?;
@@ -49,7 +49,8 @@ impl RobosuiteTask {
         digits.parse().ok().filter(|_| plain)
     }
 
-    /// Returns the part of an error message that lists the environments and names of the tasks with a record, and then the remedy.
+    /// Returns the part of an error message that lists the environments and names of the tasks with a record, and then the
+    /// remedy.
     #[must_use]
     pub fn known() -> String {
         let environments: Vec<_> = RECORDS.iter().map(|task| task.environment.to_owned()).collect();

@@ -1,7 +1,8 @@
 //! The records of all tasks.
 //!
-//! To add a task, add its record here and to `RECORDS`, and its parity trace to `re4-sim` as described in CONTRIBUTING.md. Numbers are
-//! those of robosuite's environments; the parity tests of `re4-sim` compare placement and success rule with robosuite itself.
+//! To add a task, add its record here and to `RECORDS`, and its parity trace to `re4-sim` as described in CONTRIBUTING.md.
+//! Numbers are those of robosuite's environments; the parity tests of `re4-sim` compare placement and success rule with robosuite
+//! itself.
 
 use re4_geometry::spatial::Symmetry;
 
@@ -254,8 +255,8 @@ const fn nut(object: &'static str, used: bool, y: [f64; 2], top: f64) -> ObjectR
     }
 }
 
-/// Whether the nut's origin is within 3 cm of the axis of the peg (the first landmark) along x and along y and less than 5 cm above the
-/// table, and the gripper has released the nut.
+/// Whether the nut's origin is within 3 cm of the axis of the peg (the first landmark) along x and along y and less than 5 cm
+/// above the table, and the gripper has released the nut.
 fn on_peg(at: &Positions<'_>) -> bool {
     at.landmarks
         .first()

@@ -24,7 +24,8 @@ pub struct TaskSpec {
     pub symmetry: Symmetry,
     /// Layouts of the observation `object`: first that of robosuite up to 1.4, then that from 1.5 on.
     pub layouts: [ObjectLayout; 2],
-    /// Rules for the initial poses of all objects of the scene, in the order in which they are placed, which is that of the model.
+    /// Rules for the initial poses of all objects of the scene, in the order in which they are placed, which is that of the
+    /// model.
     pub placement: &'static [ObjectRule],
     /// Names of the bodies whose positions the success rule needs in addition to that of the object.
     pub landmarks: &'static [&'static str],
@@ -51,8 +52,8 @@ pub struct Positions<'a> {
     pub landmarks: &'a [Vector3<f64>],
 }
 
-/// Initial pose of an object, sampled as by robosuite's `UniformRandomSampler`: x and y are uniform in the given ranges and are sampled
-/// again while the object overlaps an earlier one; the yaw is uniform in `[0, 2π)`. Lengths are in metres, world frame.
+/// Initial pose of an object, sampled as by robosuite's `UniformRandomSampler`: x and y are uniform in the given ranges and are
+/// sampled again while the object overlaps an earlier one; the yaw is uniform in `[0, 2π)`. Lengths are in metres, world frame.
 #[derive(Debug)]
 pub struct ObjectRule {
     /// Name of the object in models.
@@ -84,8 +85,8 @@ pub enum Extent {
         /// Its radius in the xy plane.
         radius: f64,
     },
-    /// A box whose three half sizes are sampled by the seed, each uniform in this range. They are part of the model. The box's geoms
-    /// are named after the object: `cube_g0` for collisions and `cube_g0_vis` for rendering.
+    /// A box whose three half sizes are sampled by the seed, each uniform in this range. They are part of the model. The box's
+    /// geoms are named after the object: `cube_g0` for collisions and `cube_g0_vis` for rendering.
     Box([f64; 2]),
 }
 

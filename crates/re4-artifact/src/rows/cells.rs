@@ -19,8 +19,8 @@ use crate::columns::{first_null, table_name};
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, ColumnSpec};
 
-/// Implements [`Cell`] for types that are stored in one Arrow array. The arguments of each type are its Arrow builder, its array, the
-/// kind of the column, and the conversions of a value for the builder and from the array.
+/// Implements [`Cell`] for types that are stored in one Arrow array. The arguments of each type are its Arrow builder, its array,
+/// the kind of the column, and the conversions of a value for the builder and from the array.
 macro_rules! cells {
     ($($(#[doc = $doc:literal])* $type:ty: $builder:ty, $array:ty, $kind:ident, $into:expr, $out:expr;)*) => {$(
         $(#[doc = $doc])*

@@ -1,9 +1,9 @@
 //! Typed rows: a table is declared once, as a struct. Its schema, its writer and its readers are derived from the declaration.
 //!
-//! The type of a field is a [`Cell`], which is stored as one column (a number, a flag, a word) or as several columns (a pose). Names
-//! of columns are derived from names of fields: `object: Pose2` is stored as `object_x`, `object_y` and `object_theta`. The doc
-//! comments of the struct and of its fields are the descriptions of the table and of its columns in files and schemas, so they are
-//! written for users of the data.
+//! The type of a field is a [`Cell`], which is stored as one column (a number, a flag, a word) or as several columns (a pose).
+//! Names of columns are derived from names of fields: `object: Pose2` is stored as `object_x`, `object_y` and `object_theta`. The
+//! doc comments of the struct and of its fields are the descriptions of the table and of its columns in files and schemas, so
+//! they are written for users of the data.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -75,8 +75,9 @@ pub use write::RowWriter;
 
 /// A value that is stored in one or more columns of a row.
 ///
-/// Implemented for numbers, flags, text, bytes, lists, [`Word`]s, [`Label`]s, poses and points; for `Option` of any of these, whose
-/// columns are nullable; for arrays, whose columns are numbered; and for structs declared with [`columns!`](crate::columns!).
+/// Implemented for numbers, flags, text, bytes, lists, [`Word`]s, [`Label`]s, poses and points; for `Option` of any of these,
+/// whose columns are nullable; for arrays, whose columns are numbered; and for structs declared with
+/// [`columns!`](crate::columns!).
 pub trait Cell: Sized + 'static {
     /// Builders of the columns.
     type Buffers: Default;
@@ -98,8 +99,8 @@ pub trait Cell: Sized + 'static {
     /// Takes the columns from a batch.
     ///
     /// # Errors
-    /// [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], [`ArtifactError::UnknownWord`], and, if the value is `required`
-    /// but null in some row, [`ArtifactError::Null`].
+    /// [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], [`ArtifactError::UnknownWord`], and, if the value is
+    /// `required` but null in some row, [`ArtifactError::Null`].
     fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError>;
 
     /// Returns the value of a row, `None` if it is null.
@@ -186,7 +187,8 @@ pub struct Place {
 }
 
 impl Place {
-    /// Returns the position of a field of the struct at this position. With an empty name, the columns of the field get no prefix.
+    /// Returns the position of a field of the struct at this position. With an empty name, the columns of the field get no
+    /// prefix.
     #[must_use]
     pub fn field(&self, name: &str, description: &str) -> Self {
         Self {
@@ -201,8 +203,8 @@ impl Place {
         }
     }
 
-    /// Returns the position of a part of the value at this position. The description is that of the whole value followed by `words`,
-    /// as in "Pose of the object: quaternion w."
+    /// Returns the position of a part of the value at this position. The description is that of the whole value followed by
+    /// `words`, as in "Pose of the object: quaternion w."
     #[must_use]
     pub fn part(&self, name: &str, words: &str) -> Self {
         let whole = self.description.strip_suffix('.').unwrap_or(&self.description);
@@ -276,7 +278,8 @@ impl<'a> ColumnSource<'a> {
 
     /// Returns the next column, as an array of any type.
     fn any(&mut self, required: bool) -> Result<(&'a ArrayRef, ColumnSpec), ArtifactError> {
-        // A correct `Cell` takes as many columns as it describes. The fallback makes an incorrect one fail with a `NoColumn` error.
+        // A correct `Cell` takes as many columns as it describes. The fallback makes an incorrect one fail with a `NoColumn`
+        // error.
         let spec = self.columns.next().copied();
         let spec = spec.unwrap_or(ColumnSpec::new("", ColumnKind::F64, ""));
         let array = column(self.batch, spec.name)?;
@@ -299,11 +302,11 @@ impl<'a> ColumnSource<'a> {
 /// * `#[since = 2]`: first version of the table with this field. The type must be an `Option`; it is `None` in rows of older
 ///   versions.
 /// * `#[formerly = "name"]`: name of the field in earlier versions of the table.
-/// * `#[prefix = "name"]`: prefix of the names of its columns, instead of the name of the field. With `""` the columns of a nested
-///   struct keep their own names.
+/// * `#[prefix = "name"]`: prefix of the names of its columns, instead of the name of the field. With `""` the columns of a
+///   nested struct keep their own names.
 ///
-/// The struct may have `#[domain = "plane"]` or `#[domain = "space"]` and then `#[derive(...)]` below its doc comment. A domain is
-/// needed only if no field determines it; poses and points do. `Debug`, `Clone` and `PartialEq` are always derived.
+/// The struct may have `#[domain = "plane"]` or `#[domain = "space"]` and then `#[derive(...)]` below its doc comment. A domain
+/// is needed only if no field determines it; poses and points do. `Debug`, `Clone` and `PartialEq` are always derived.
 #[macro_export]
 macro_rules! columns {
     (
@@ -395,9 +398,9 @@ macro_rules! columns {
 
 /// Declares a table: a struct as for [`columns!`], with `#[table("name", version = 1)]` directly below its doc comment.
 ///
-/// The struct implements [`Row`](crate::Row). Raise `version` when a field is added or renamed. `formerly = "name"` after the version
-/// is the name of the table in earlier versions, if it was another one; for a row type of both domains it is that of the table of
-/// the domain `space`.
+/// The struct implements [`Row`](crate::Row). Raise `version` when a field is added or renamed. `formerly = "name"` after the
+/// version is the name of the table in earlier versions, if it was another one; for a row type of both domains it is that of the
+/// table of the domain `space`.
 #[macro_export]
 macro_rules! table {
     (

@@ -34,8 +34,8 @@ impl From<SixAxis> for Isometry3<f64> {
     }
 }
 
-/// Implements [`Cell`] for a type that is stored as `$count` floats. `$domain` is the domain of the type; `$parts` are the name suffix,
-/// description and unit of each float; `$to` and `$from` convert to and from the floats.
+/// Implements [`Cell`] for a type that is stored as `$count` floats. `$domain` is the domain of the type; `$parts` are the name
+/// suffix, description and unit of each float; `$to` and `$from` convert to and from the floats.
 macro_rules! floats {
     ($type:ty, $domain:literal, $count:literal, $parts:expr, $to:expr, $from:expr) => {
         impl Cell for $type {

@@ -14,7 +14,8 @@ use crate::reader::{Artifact, Batches, Table};
 fn rows_of<C: Cell>(batch: &RecordBatch) -> Result<Vec<C>, ArtifactError> {
     let view = C::view(&mut ColumnSource::new::<C>(batch), true)?;
     let rows = (0..batch.num_rows()).map(|row| C::get(&view, row));
-    // `view` has checked that required columns have no nulls, so only an implementation of `Cell` that skips the check fails here.
+    // `view` has checked that required columns have no nulls, so only an implementation of `Cell` that skips the check fails
+    // here.
     rows.collect::<Option<Vec<C>>>().ok_or_else(|| {
         let (column, row) = missing(batch);
         ArtifactError::Null {

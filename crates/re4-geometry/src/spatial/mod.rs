@@ -1,7 +1,7 @@
 //! Rigid motions in SE(3): distances, interpolation, limited steps, and symmetries of objects.
 //!
-//! Poses are `nalgebra::Isometry3<f64>`: a translation in metres and a unit quaternion. A quaternion and its negative represent the
-//! same rotation; all functions in this module treat them alike.
+//! Poses are `nalgebra::Isometry3<f64>`: a translation in metres and a unit quaternion. A quaternion and its negative represent
+//! the same rotation; all functions in this module treat them alike.
 
 mod symmetry;
 
@@ -11,8 +11,8 @@ pub use symmetry::{LARGEST_FOLD, Symmetry, SymmetryError, SymmetryGroup};
 
 /// Geodesic distance between two rotations: the angle, in `[0, π]` rad, of the relative rotation.
 ///
-/// It is computed as `2 atan2(|v|, |w|)` from the quaternion `(w, v)` of the relative rotation. This is accurate near π and near 0,
-/// where the arc cosine of a scalar product loses half of its digits.
+/// It is computed as `2 atan2(|v|, |w|)` from the quaternion `(w, v)` of the relative rotation. This is accurate near π and near
+/// 0, where the arc cosine of a scalar product loses half of its digits.
 pub fn rotation_angle(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>) -> f64 {
     let relative = a.rotation_to(b);
     2.0 * relative.imag().norm().atan2(relative.scalar().abs())
@@ -46,8 +46,8 @@ pub fn rotation_between(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, pa
     rotation_from_vector(rotation_vector(&from.rotation_to(to)) * part) * from
 }
 
-/// Interpolates between two poses, from `from` (`part` 0) to `to` (`part` 1): the translation along the straight line, the rotation
-/// along the geodesic. For `part` 1 the result is bit-identical to `to`.
+/// Interpolates between two poses, from `from` (`part` 0) to `to` (`part` 1): the translation along the straight line, the
+/// rotation along the geodesic. For `part` 1 the result is bit-identical to `to`.
 pub fn pose_between(from: &Isometry3<f64>, to: &Isometry3<f64>, part: f64) -> Isometry3<f64> {
     let line = to.translation.vector - from.translation.vector;
     Isometry3::from_parts(
@@ -70,8 +70,8 @@ pub fn pose_distance(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
 
 /// Moves a pose from `from` towards `to` by at most `length` metres and `angle` rad.
 ///
-/// The limits apply separately: translation and rotation each reach their target if it is within their limit. A limit of 0 or less
-/// keeps the translation or rotation of `from`, unless it already equals that of `to`.
+/// The limits apply separately: translation and rotation each reach their target if it is within their limit. A limit of 0 or
+/// less keeps the translation or rotation of `from`, unless it already equals that of `to`.
 pub fn step_toward(from: &Isometry3<f64>, to: &Isometry3<f64>, length: f64, angle: f64) -> Isometry3<f64> {
     let (distance, rotation) = pose_distance(from, to);
     // A part of exactly 1 returns the target bit for bit, so that repeated steps arrive. The check for 0 avoids a division by 0.

@@ -145,17 +145,18 @@ impl Symmetry {
 
 /// The group of rotations S of a [`Symmetry`]: the object at the pose `o` looks like the object at the pose `o S`.
 ///
-/// For two rotations `q` and `j` of the object, [`SymmetryGroup::nearest_rotation`] finds the S for which `q S` is nearest to `j` by the
-/// geodesic angle, and that angle. The angle is a metric on classes of symmetry-equivalent orientations: it is 0 exactly for orientations
-/// that look the same, it is symmetric, and it satisfies the triangle inequality.
+/// For two rotations `q` and `j` of the object, [`SymmetryGroup::nearest_rotation`] finds the S for which `q S` is nearest to `j`
+/// by the geodesic angle, and that angle. The angle is a metric on classes of symmetry-equivalent orientations: it is 0 exactly
+/// for orientations that look the same, it is symmetric, and it satisfies the triangle inequality.
 ///
-/// Method: let `a` be the axis, `(w, v)` the quaternion of `j⁻¹ q`, and `p = v·a`. S rotates the pair `(w, p)` by half the angle of S and
-/// keeps the length of `v - p a`. With `(w', p')` the rotated pair, the remaining angle is `2 atan2(√(|v - p a|² + p'²), |w'|)`. It is
-/// smallest for the largest `|w'|`:
+/// Method: let `a` be the axis, `(w, v)` the quaternion of `j⁻¹ q`, and `p = v·a`. S rotates the pair `(w, p)` by half the angle
+/// of S and keeps the length of `v - p a`. With `(w', p')` the rotated pair, the remaining angle is `2 atan2(√(|v - p a|² + p'²),
+/// |w'|)`. It is smallest for the largest `|w'|`:
 ///
-/// * [`Symmetry::None`] and [`Symmetry::Fold`]: each rotation is tried. The first one wins ties, in the order `0, 2π/n, 4π/n, ...`.
-/// * [`Symmetry::Full`]: `p' = 0` can be reached, so the remaining angle is that between the axes `j a` and `q a`. If these are opposite
-///   (`w = p = 0`), it is π for every S, and S is defined as 0.
+/// * [`Symmetry::None`] and [`Symmetry::Fold`]: each rotation is tried. The first one wins ties, in the order `0, 2π/n, 4π/n,
+///   ...`.
+/// * [`Symmetry::Full`]: `p' = 0` can be reached, so the remaining angle is that between the axes `j a` and `q a`. If these are
+///   opposite (`w = p = 0`), it is π for every S, and S is defined as 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SymmetryGroup {
     axis: Unit<Vector3<f64>>,
@@ -188,8 +189,8 @@ impl AxisRotation {
 }
 
 impl SymmetryGroup {
-    /// Returns the rotation S for which `query S` is nearest to `demo`, as an angle in `(-π, π]` rad about the axis, and the angle in
-    /// `[0, π]` rad that remains between `query S` and `demo`.
+    /// Returns the rotation S for which `query S` is nearest to `demo`, as an angle in `(-π, π]` rad about the axis, and the
+    /// angle in `[0, π]` rad that remains between `query S` and `demo`.
     pub fn nearest_rotation(&self, query: &UnitQuaternion<f64>, demo: &UnitQuaternion<f64>) -> (f64, f64) {
         let relative = demo.inverse() * query;
         let (w, v) = (relative.scalar(), relative.imag());
@@ -233,8 +234,8 @@ impl SymmetryGroup {
         self.nearest_rotation(a, b).1
     }
 
-    /// Returns the pose that is symmetry-equivalent to `query` and whose rotation is nearest to that of `demo`, and the angle in rad of
-    /// the rotation S between the two: the pose is `query S`.
+    /// Returns the pose that is symmetry-equivalent to `query` and whose rotation is nearest to that of `demo`, and the angle in
+    /// rad of the rotation S between the two: the pose is `query S`.
     pub fn align(&self, query: &Isometry3<f64>, demo: &Isometry3<f64>) -> (Isometry3<f64>, f64) {
         let (angle, _) = self.nearest_rotation(&query.rotation, &demo.rotation);
         (self.turned(query, angle), angle)
