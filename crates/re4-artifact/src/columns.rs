@@ -124,7 +124,8 @@ impl Columns {
         self.array(name, Arc::new(list))
     }
 
-    /// Adds a column of lists of `columns` floats each; `values` contains the lists one after the other.
+    /// Adds a column of lists of `columns` floats each; `values` contains the lists one after the other. Values after the last
+    /// complete list are ignored.
     #[must_use]
     pub fn f64_rows(self, name: &str, values: Vec<f64>, columns: usize) -> Self {
         let field = Arc::new(Field::new("element", DataType::Float64, false));
@@ -134,7 +135,8 @@ impl Columns {
         self.array(name, Arc::new(ListArray::new(field, offsets, Arc::new(values), None)))
     }
 
-    /// Adds a column of lists of `columns` single precision floats each; `values` contains the lists one after the other.
+    /// Adds a column of lists of `columns` single precision floats each; `values` contains the lists one after the other. Values
+    /// after the last complete list are ignored.
     #[must_use]
     pub fn f32_rows(self, name: &str, values: Vec<f32>, columns: usize) -> Self {
         let field = Arc::new(Field::new("element", DataType::Float32, false));

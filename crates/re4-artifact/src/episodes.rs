@@ -149,7 +149,7 @@ table! {
         pub episode: u32,
         /// Number of the frame in its episode, from 0.
         pub frame: u32,
-        /// Name of the camera: agentview, robot0_eye_in_hand, ..., or img for Push-T; null in artifacts of Push-T of version 1.
+        /// Name of the camera: agentview, robot0_eye_in_hand and others; img for Push-T, but null in its tables of version 1.
         #[since = 2]
         pub camera: Option<Label>,
         /// The bytes of a PNG file, 8 bits per channel, RGB, first row at the top.
@@ -161,7 +161,7 @@ table! {
     /// One row per convention that the meaning of the dataset's values depends on, with the evidence for it.
     #[table("conventions", version = 1)]
     pub struct Convention {
-        /// Name of the convention: object_layout, eef_orientation, eef_quaternion, action_kind, gripper_sign, ....
+        /// Name of the convention: object_layout, eef_orientation, eef_quaternion, action_kind, gripper_sign and others.
         pub convention: Label,
         /// The convention of this dataset.
         pub value: Label,

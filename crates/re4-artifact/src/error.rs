@@ -56,7 +56,7 @@ pub enum ArtifactError {
         /// The requested folder.
         folder: PathBuf,
     },
-    /// The folder has no manifest: either the path is wrong or the manifest was lost. The remedy does not suggest to delete the
+    /// The folder has no manifest: either the path is wrong or the manifest was lost. The remedy does not suggest deleting the
     /// folder, because it may not be an artifact.
     #[error("cannot read artifact {folder}: it has no manifest.json", folder = .folder.display())]
     #[remedy("check the path, or, if it is the folder of an artifact, move it away and run again")]

@@ -166,6 +166,7 @@ impl Manifest {
         if manifest.key != manifest.recomputed_key() {
             return Err(broken("has a key that does not match its recipe"));
         }
+        // Names are joined to the path of the folder, so they must not contain separators.
         if let Some((name, _)) = manifest
             .tables
             .iter()

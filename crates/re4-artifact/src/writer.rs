@@ -224,6 +224,7 @@ impl Writer {
         if let Some(parent) = self.folder.parent() {
             sync_folder(parent)?;
         }
+        // Both locks are held until the folder has its final name.
         drop(guard);
         drop(self.lock);
         Artifact::open(&self.folder)
@@ -245,7 +246,7 @@ fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactErr
             .tables
             .iter()
             .find(|(name, summary)| theirs.manifest().tables.get(*name) != Some(summary));
-        format!("table {}", differing.map_or("list", |(name, _)| name))
+        differing.map_or_else(|| "the list of tables".to_owned(), |(name, _)| format!("table {name}"))
     } else if theirs.manifest().files != ours.files {
         "a file that is not a table".to_owned()
     } else if theirs.manifest().summary != ours.summary || theirs.manifest().warnings != ours.warnings {
@@ -263,7 +264,7 @@ fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactErr
 ///
 /// These tables contain double precision numbers of the simulator. zstd reduces them by only 20 to 40 %, with or without
 /// byte-stream splitting, and takes several times as long as the rest of the ingest stage.
-fn is_plain(spec: &TableSpec) -> bool {
+fn is_uncompressed(spec: &TableSpec) -> bool {
     matches!((spec.name, spec.domain), ("frames", "space") | ("states", _))
 }
 
@@ -279,19 +280,20 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
         .set_writer_version(WriterVersion::PARQUET_1_0)
         .set_key_value_metadata(Some(metadata))
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(ZSTD_LEVEL).unwrap_or_default()))
+        // Limited only by the number of rows, because readers compute the row group of a row from that number.
         .set_max_row_group_row_count(Some(row_group_rows))
         .set_max_row_group_bytes(None)
         .set_statistics_enabled(EnabledStatistics::Page);
     for column in spec.columns {
         let path = ColumnPath::from(column.name);
         match column.kind {
-            ColumnKind::F64 if is_plain(spec) => {
+            ColumnKind::F64 if is_uncompressed(spec) => {
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)
                     .set_column_compression(path.clone(), Compression::UNCOMPRESSED)
                     .set_column_statistics_enabled(path, EnabledStatistics::Chunk);
             }
-            ColumnKind::F64List if is_plain(spec) => {
+            ColumnKind::F64List if is_uncompressed(spec) => {
                 let path = ColumnPath::new(vec![column.name.to_owned(), "list".to_owned(), "element".to_owned()]);
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)

@@ -209,9 +209,9 @@ fn processes_that_publish_the_same_key_at_once_all_succeed() {
         .map(|process| {
             let output = process.wait_with_output().unwrap();
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-            let said = String::from_utf8(output.stdout).unwrap();
-            let line = said.lines().find_map(|line| line.split("published ").nth(1));
-            line.unwrap_or_else(|| panic!("{said}")).to_owned()
+            let stdout = String::from_utf8(output.stdout).unwrap();
+            let line = stdout.lines().find_map(|line| line.split("published ").nth(1));
+            line.unwrap_or_else(|| panic!("{stdout}")).to_owned()
         })
         .collect();
     hashes.dedup();
@@ -362,16 +362,16 @@ fn missing_permission_is_reported() {
             return;
         }
     };
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(
         output.status.success(),
-        "{said}{}",
+        "{stdout}{}",
         String::from_utf8_lossy(&output.stderr)
     );
     let sentence = format!(
         "refused: cannot write {}: permission denied; give yourself write permission there or choose another artifacts folder",
         root.path().join(".lock").display()
     );
-    assert!(said.contains(&sentence), "{said}");
+    assert!(stdout.contains(&sentence), "{stdout}");
     assert!(fs::read_dir(root.path()).unwrap().next().is_none());
 }

@@ -274,6 +274,7 @@ fn header_text(headers: &HeaderMap, name: &str) -> Option<String> {
 
 fn agent(url: &str) -> Agent {
     let mut config = Agent::config_builder()
+        // `Download::request` handles the statuses.
         .http_status_as_error(false)
         .user_agent(concat!("re4-pipe/", env!("CARGO_PKG_VERSION")))
         .timeout_connect(Some(TIMEOUT))

@@ -44,7 +44,7 @@ pub fn nearest_rank(sorted: &[f64], fraction: f64) -> Option<f64> {
     sorted.get(rank.max(1) - 1).copied()
 }
 
-/// Tukey's upper outer fence, Q3 + 3 (Q3 - Q1).
+/// Tukey's upper outer fence, Q3 + 3 (Q3 - Q1), of values in any order. `None` if there are no values or one is NaN.
 pub fn outer_fence(values: &[f64]) -> Option<f64> {
     let values = sorted(values.iter().copied());
     let (low, high) = (quantile(&values, 0.25)?, quantile(&values, 0.75)?);
@@ -52,7 +52,7 @@ pub fn outer_fence(values: &[f64]) -> Option<f64> {
 }
 
 /// Robust estimate of the standard deviation: 1.4826 times the median absolute deviation, which is correct for normal
-/// distributions.
+/// distributions. `None` if there are no values or one is NaN.
 pub fn robust_deviation(values: &[f64]) -> Option<f64> {
     let middle = median(values)?;
     let distances: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();

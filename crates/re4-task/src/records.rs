@@ -16,7 +16,7 @@ pub(crate) static RECORDS: [TaskSpec; 4] = [LIFT, CAN, SQUARE, ROUND];
 pub(crate) const PUSHT: Summary = Summary {
     name: "pusht",
     environment: "Push-T",
-    about: "Push-T: a disc pushes a T-shaped block onto a goal pose in the plane.",
+    about: "Push-T: a disc pushes a T-shaped block to a planar goal pose.",
     cameras: &[Camera::Image],
     control_rate: 10,
 };

@@ -139,7 +139,8 @@ pub trait Row: Cell {
 /// Cache of one value per type. A map is needed because a static inside a generic function is shared by all its instances.
 type Known<T> = Mutex<BTreeMap<TypeId, T>>;
 
-/// Returns the cached value of type `C`, which is created by the first call and kept until the process exits.
+/// Returns the cached value of type `C`. The first call creates it, and it is kept until the process exits. If several threads
+/// create it at the same time, all get the value of the first one.
 fn once<C: 'static, T: Copy>(known: &Known<T>, make: impl FnOnce() -> T) -> T {
     let id = TypeId::of::<C>();
     let found = known.lock().unwrap_or_else(PoisonError::into_inner).get(&id).copied();
