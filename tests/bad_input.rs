@@ -229,7 +229,7 @@ fn a_flipped_byte_in_any_file_is_found() {
     // What exactly is wrong with a manifest depends on where the byte lies.
     let mut masks = filters();
     masks.push((
-        "manifest.json (is not readable as JSON|does not match its own hash)",
+        "manifest.json (is not valid JSON|does not match its own hash)",
         "manifest.json [reason]",
     ));
     with_settings!({filters => masks}, { assert_snapshot!(sentences.join("\n")) });

@@ -1,29 +1,29 @@
-//! Canonical JSON: one text per value, whatever order its fields were written in.
+//! Canonical JSON: one text per value, independent of the order in which its fields were written.
 
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::error::ArtifactError;
 
-/// The value with the keys of every object in ascending byte order.
+/// Converts a value to JSON with the keys of every object in ascending byte order.
 ///
-/// Numbers are printed by `serde_json`: integers as integers, floats as the shortest text that reads back to the same
-/// bits. JSON has no NaN and no infinity, they become null; a configuration refuses them before it gets here.
+/// Numbers are printed by `serde_json`: integers as integers, floats as the shortest text that parses to the same bits. JSON has
+/// no NaN and no infinity, so both become null; configurations are checked for them before they are converted.
 ///
 /// # Errors
-/// [`ArtifactError::Json`] when the value has no JSON form, for instance a map whose keys are not text.
+/// [`ArtifactError::Json`] if the value cannot be represented in JSON, for example a map whose keys are not strings.
 pub fn canonical_json(value: &impl Serialize) -> Result<Value, ArtifactError> {
     let value = serde_json::to_value(value).map_err(|source| ArtifactError::Json { source })?;
     Ok(sorted(value))
 }
 
-/// The canonical text of a value: sorted keys, two-space indentation, a newline at the end.
+/// Returns the canonical text of a value: sorted keys, two-space indentation, a final newline.
 pub fn canonical_text(value: &Value) -> String {
-    // The alternate form of `Value` is the pretty printer's, and cannot fail.
+    // The alternate format of `Value` is that of the pretty printer; unlike the latter it cannot fail.
     format!("{:#}\n", sorted(value.clone()))
 }
 
-/// The canonical text without white space, which is what gets hashed.
+/// Returns the canonical text without white space, which is the input of all hashes.
 pub(crate) fn canonical_compact(value: &Value) -> String {
     sorted(value.clone()).to_string()
 }

@@ -1,4 +1,4 @@
-//! Rows to and from plain vectors and slices, checked against the table's description.
+//! Conversion between record batches and plain vectors and slices, checked against the table's description.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use arrow_schema::{DataType, Field, SchemaRef};
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, TABLE_KEY, TableSpec};
 
-/// Rows given column by column, in any order; [`Columns::finish`] checks them against the table's description.
+/// Builder of a record batch from columns, in any order. [`Columns::finish`] checks them against the table's description.
 #[derive(Debug)]
 pub struct Columns {
     spec: &'static TableSpec,
@@ -22,7 +22,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// No columns yet.
+    /// Creates a builder without columns.
     pub fn new(spec: &'static TableSpec) -> Self {
         Self {
             spec,
@@ -30,61 +30,61 @@ impl Columns {
         }
     }
 
-    /// A column of unsigned 32-bit integers.
+    /// Adds a column of unsigned 32-bit integers.
     #[must_use]
     pub fn u32(self, name: &str, values: Vec<u32>) -> Self {
         self.array(name, Arc::new(UInt32Array::from(values)))
     }
 
-    /// A column of unsigned 32-bit integers, some of them absent.
+    /// Adds a nullable column of unsigned 32-bit integers.
     #[must_use]
     pub fn u32_or_null(self, name: &str, values: Vec<Option<u32>>) -> Self {
         self.array(name, Arc::new(UInt32Array::from(values)))
     }
 
-    /// A column of unsigned 64-bit integers.
+    /// Adds a column of unsigned 64-bit integers.
     #[must_use]
     pub fn u64(self, name: &str, values: Vec<u64>) -> Self {
         self.array(name, Arc::new(UInt64Array::from(values)))
     }
 
-    /// A column of signed 64-bit integers.
+    /// Adds a column of signed 64-bit integers.
     #[must_use]
     pub fn i64(self, name: &str, values: Vec<i64>) -> Self {
         self.array(name, Arc::new(Int64Array::from(values)))
     }
 
-    /// A column of floats.
+    /// Adds a column of floats.
     #[must_use]
     pub fn f64(self, name: &str, values: Vec<f64>) -> Self {
         self.array(name, Arc::new(Float64Array::from(values)))
     }
 
-    /// A column of floats, some of them absent.
+    /// Adds a nullable column of floats.
     #[must_use]
     pub fn f64_or_null(self, name: &str, values: Vec<Option<f64>>) -> Self {
         self.array(name, Arc::new(Float64Array::from(values)))
     }
 
-    /// A column of truth values.
+    /// Adds a column of booleans.
     #[must_use]
     pub fn bool(self, name: &str, values: Vec<bool>) -> Self {
         self.array(name, Arc::new(BooleanArray::from(values)))
     }
 
-    /// A column of truth values, some of them absent.
+    /// Adds a nullable column of booleans.
     #[must_use]
     pub fn bool_or_null(self, name: &str, values: Vec<Option<bool>>) -> Self {
         self.array(name, Arc::new(BooleanArray::from(values)))
     }
 
-    /// A column of text or of categories, as the description has it.
+    /// Adds a column of text or of categories, depending on the description.
     #[must_use]
     pub fn text<T: AsRef<str>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
         self.text_or_null(name, values.into_iter().map(Some))
     }
 
-    /// A column of text or of categories, as the description has it, some values absent.
+    /// Adds a nullable column of text or of categories, depending on the description.
     #[must_use]
     pub fn text_or_null<T: AsRef<str>>(self, name: &str, values: impl IntoIterator<Item = Option<T>>) -> Self {
         let values: StringArray = values.into_iter().collect();
@@ -97,14 +97,14 @@ impl Columns {
         }
     }
 
-    /// A column of byte strings, for instance PNG images.
+    /// Adds a column of byte strings, for example PNG images.
     #[must_use]
     pub fn binary<T: AsRef<[u8]>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
         let values = BinaryArray::from_iter_values(values);
         self.array(name, Arc::new(values))
     }
 
-    /// A column of lists of floats.
+    /// Adds a column of lists of floats.
     #[must_use]
     pub fn f64_list<T: AsRef<[f64]>>(self, name: &str, values: impl IntoIterator<Item = T>) -> Self {
         let mut flat = Vec::new();
@@ -124,7 +124,8 @@ impl Columns {
         self.array(name, Arc::new(list))
     }
 
-    /// A column of lists of floats, all of the same length, given one after the other.
+    /// Adds a column of lists of `columns` floats each; `values` contains the lists one after the other. Values after the last
+    /// complete list are ignored.
     #[must_use]
     pub fn f64_rows(self, name: &str, values: Vec<f64>, columns: usize) -> Self {
         let field = Arc::new(Field::new("element", DataType::Float64, false));
@@ -134,7 +135,8 @@ impl Columns {
         self.array(name, Arc::new(ListArray::new(field, offsets, Arc::new(values), None)))
     }
 
-    /// A column of lists of single precision floats, all of the same length, given one after the other.
+    /// Adds a column of lists of `columns` single precision floats each; `values` contains the lists one after the other. Values
+    /// after the last complete list are ignored.
     #[must_use]
     pub fn f32_rows(self, name: &str, values: Vec<f32>, columns: usize) -> Self {
         let field = Arc::new(Field::new("element", DataType::Float32, false));
@@ -144,18 +146,18 @@ impl Columns {
         self.array(name, Arc::new(ListArray::new(field, offsets, Arc::new(values), None)))
     }
 
-    /// A column that is an Arrow array already.
+    /// Adds a column from an Arrow array.
     #[must_use]
     pub fn array(mut self, name: &str, values: ArrayRef) -> Self {
         self.arrays.push((name.to_owned(), values));
         self
     }
 
-    /// The rows.
+    /// Returns the columns as a record batch, in the order of the description.
     ///
     /// # Errors
-    /// [`ArtifactError::Rows`] when a column is missing, unknown, given twice, of another kind or length, or null where
-    /// the description forbids it.
+    /// [`ArtifactError::Rows`] if a column is missing, unknown, given twice, of another type or length, or null although the
+    /// description forbids it.
     pub fn finish(self) -> Result<RecordBatch, ArtifactError> {
         let spec = self.spec;
         let refuse = |reason: String| ArtifactError::Rows {
@@ -169,7 +171,7 @@ impl Columns {
                 .iter()
                 .position(|column| column.name == name)
                 .and_then(|i| given.get_mut(i))
-                .ok_or_else(|| refuse(format!("it has no column {name}")))?;
+                .ok_or_else(|| refuse(format!("the table has no column {name}")))?;
             if place.replace(array).is_some() {
                 return Err(refuse(format!("column {name} is given twice")));
             }
@@ -179,7 +181,7 @@ impl Columns {
             let array = array.ok_or_else(|| refuse(format!("column {} is not given", column.name)))?;
             if array.data_type() != &column.kind.data_type() {
                 return Err(refuse(format!(
-                    "column {} is of type {}, not {}",
+                    "column {} has type {}, not {}",
                     column.name,
                     array.data_type(),
                     column.kind
@@ -189,7 +191,7 @@ impl Columns {
                 && first.len() != array.len()
             {
                 return Err(refuse(format!(
-                    "column {} has {} values where the first column has {}",
+                    "column {} has {} values, but the first column has {}",
                     column.name,
                     array.len(),
                     first.len()
@@ -206,7 +208,8 @@ impl Columns {
     }
 }
 
-/// The batch under the table's own schema, if its columns are the table's.
+/// Returns the batch with the table's own schema after checking its columns. The schema of a batch from another source may lack
+/// the metadata of the table.
 pub(crate) fn check_rows(
     spec: &'static TableSpec,
     schema: &SchemaRef,
@@ -236,7 +239,7 @@ pub(crate) fn table_name(batch: &RecordBatch) -> String {
         .to_owned()
 }
 
-/// The column of this name, of whatever kind.
+/// Returns the column with this name, of any type.
 pub(crate) fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, ArtifactError> {
     batch.column_by_name(name).ok_or_else(|| {
         let known: Vec<&str> = batch.schema_ref().fields().iter().map(|f| f.name().as_str()).collect();
@@ -288,16 +291,16 @@ fn values<'a, T: ArrowPrimitiveType>(
     Ok(array.values())
 }
 
-/// The values of a column of unsigned 32-bit integers.
+/// Returns the values of a column of unsigned 32-bit integers.
 ///
 /// # Errors
-/// As all of these getters: [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], and [`ArtifactError::Null`] where
-/// the column has to be complete.
+/// As for all functions of this kind: [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], and, if the function does not
+/// return options, [`ArtifactError::Null`].
 pub fn col_u32<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [u32], ArtifactError> {
     values::<UInt32Type>(batch, name, ColumnKind::U32)
 }
 
-/// The values of a column of unsigned 64-bit integers.
+/// Returns the values of a column of unsigned 64-bit integers.
 ///
 /// # Errors
 /// As [`col_u32`].
@@ -305,7 +308,7 @@ pub fn col_u64<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [u64], Arti
     values::<UInt64Type>(batch, name, ColumnKind::U64)
 }
 
-/// The values of a column of signed 64-bit integers.
+/// Returns the values of a column of signed 64-bit integers.
 ///
 /// # Errors
 /// As [`col_u32`].
@@ -313,7 +316,7 @@ pub fn col_i64<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [i64], Arti
     values::<Int64Type>(batch, name, ColumnKind::I64)
 }
 
-/// The values of a column of floats.
+/// Returns the values of a column of floats.
 ///
 /// # Errors
 /// As [`col_u32`].
@@ -321,7 +324,7 @@ pub fn col_f64<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a [f64], Arti
     values::<Float64Type>(batch, name, ColumnKind::F64)
 }
 
-/// The values of a column of floats that may be absent.
+/// Returns the values of a nullable column of floats.
 ///
 /// # Errors
 /// As [`col_u32`].
@@ -329,7 +332,7 @@ pub fn col_f64_or_null(batch: &RecordBatch, name: &str) -> Result<Vec<Option<f64
     Ok(primitive::<Float64Type>(batch, name, ColumnKind::F64)?.iter().collect())
 }
 
-/// The values of a column of unsigned 32-bit integers that may be absent.
+/// Returns the values of a nullable column of unsigned 32-bit integers.
 ///
 /// # Errors
 /// As [`col_u32`].
@@ -337,10 +340,10 @@ pub fn col_u32_or_null(batch: &RecordBatch, name: &str) -> Result<Vec<Option<u32
     Ok(primitive::<UInt32Type>(batch, name, ColumnKind::U32)?.iter().collect())
 }
 
-/// The values of a column of truth values; absent ones are told by the array.
+/// Returns a column of booleans as an array, which may contain nulls.
 ///
 /// # Errors
-/// As [`col_u32`].
+/// As [`col_u32`], except for [`ArtifactError::Null`].
 pub fn col_bool<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a BooleanArray, ArtifactError> {
     let array = column(batch, name)?;
     array
@@ -348,7 +351,7 @@ pub fn col_bool<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a BooleanArr
         .ok_or_else(|| wrong_kind(batch, name, array, ColumnKind::Bool))
 }
 
-/// The values of a column of text or of categories, `None` where absent.
+/// Returns the values of a column of text or of categories, `None` for null.
 ///
 /// # Errors
 /// As [`col_u32`].
@@ -367,10 +370,10 @@ pub fn col_text<'a>(batch: &'a RecordBatch, name: &str) -> Result<Vec<Option<&'a
         .collect())
 }
 
-/// The values of a column of byte strings.
+/// Returns a column of byte strings as an array, which may contain nulls.
 ///
 /// # Errors
-/// As [`col_u32`].
+/// As [`col_u32`], except for [`ArtifactError::Null`].
 pub fn col_binary<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a BinaryArray, ArtifactError> {
     let array = column(batch, name)?;
     array
@@ -378,7 +381,7 @@ pub fn col_binary<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a BinaryAr
         .ok_or_else(|| wrong_kind(batch, name, array, ColumnKind::Binary))
 }
 
-/// The values of a column of lists of floats.
+/// Returns the values of a column of lists of floats.
 ///
 /// # Errors
 /// As [`col_u32`].

@@ -1,9 +1,9 @@
-//! The Parquet decoder, kept from ending the program.
+//! Conversion of panics in the Parquet decoder to errors.
 //!
-//! Every command compares a table's bytes with their published hash before it decodes them, so that damage never gets here.
-//! A table forged together with its hash does, and there the decoder of the library panics in places; the panic is turned
-//! into the error that the library should have given. Of a page that claims a length or a count the library reserves up to
-//! 2 GiB and counts to 2^32; that is not prevented.
+//! Every command compares a table's bytes with their published hash before it decodes them, so damaged files do not reach the
+//! decoder. A table that was forged together with its hash does, and the decoder of the `parquet` crate panics on some of them.
+//! This module converts such a panic to the error that the crate should have returned. One thing is not prevented: for a page
+//! header with a wrong length or count, the crate allocates up to 2 GiB and loops up to 2^32 times.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
@@ -15,14 +15,17 @@ thread_local! {
     static CONTAINED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Decodes; a panic is an error too, and not printed. What was being read may be in any state afterwards: drop it.
+/// Runs `decode` and returns a panic as an error, without printing it.
+///
+/// After an error the reader may be in an inconsistent state and must be dropped.
 pub(crate) fn contained<T>(decode: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, ParquetError> {
-    static HUSHED: Once = Once::new();
-    HUSHED.call_once(|| {
-        let loud = take_hook();
+    // The panic hook is global. It is replaced once, by one that is silent only on threads that are inside this function.
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let previous = take_hook();
         set_hook(Box::new(move |panic| {
             if !CONTAINED.get() {
-                loud(panic);
+                previous(panic);
             }
         }));
     });
@@ -36,7 +39,7 @@ pub(crate) fn contained<T>(decode: impl FnOnce() -> Result<T, ParquetError>) -> 
             .or_else(|| panic.downcast_ref::<&str>().copied())
             .unwrap_or("no reason given");
         let why = why.split('\n').next().unwrap_or(why);
-        Err(ParquetError::General(format!("it is no valid Parquet file ({why})")))
+        Err(ParquetError::General(format!("it is not a valid Parquet file ({why})")))
     })
 }
 
@@ -45,9 +48,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_is_an_error_and_the_next_one_is_not_hushed() {
+    fn a_panic_becomes_an_error_and_later_panics_are_printed() {
         assert!(matches!(contained(|| Ok(1)), Ok(1)));
-        let said = |decode: fn()| {
+        let message = |decode: fn()| {
             contained(|| {
                 decode();
                 Ok(())
@@ -56,12 +59,12 @@ mod tests {
             .to_string()
         };
         assert_eq!(
-            said(|| panic!("a\nb")),
-            "Parquet error: it is no valid Parquet file (a)"
+            message(|| panic!("a\nb")),
+            "Parquet error: it is not a valid Parquet file (a)"
         );
         assert_eq!(
-            said(|| assert!(std::hint::black_box(false), "{}", 7)),
-            "Parquet error: it is no valid Parquet file (7)"
+            message(|| assert!(std::hint::black_box(false), "{}", 7)),
+            "Parquet error: it is not a valid Parquet file (7)"
         );
         assert!(!CONTAINED.get());
     }

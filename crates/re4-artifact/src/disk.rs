@@ -1,4 +1,4 @@
-//! Files on disk: hashing, syncing, and the lock that tells a live temporary from a dead writer's.
+//! Files on disk: hashing, syncing, and the lock that distinguishes the folder of a running writer from a leftover.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read as _};
@@ -13,8 +13,8 @@ pub(crate) const LOCK_NAME: &str = ".lock";
 /// Prefix of the name of temporary files and folders.
 pub(crate) const TEMPORARY_PREFIX: &str = ".tmp-";
 
-/// Opens a lock file, made if need be, and waits until the lock is ours. It is released when the file is dropped, or when
-/// the process ends in whatever way.
+/// Opens a lock file, creates it if necessary, and waits until the lock is acquired. The lock is released when the file is
+/// dropped and when the process ends, even if it is killed.
 pub(crate) fn lock(path: &Path) -> Result<File, ArtifactError> {
     let file = OpenOptions::new()
         .create(true)
@@ -26,29 +26,29 @@ pub(crate) fn lock(path: &Path) -> Result<File, ArtifactError> {
     Ok(file)
 }
 
-/// Whether a living process holds the lock file in this temporary folder.
+/// Whether a running process holds the lock file in this temporary folder. The caller must hold the lock of the store.
 pub(crate) fn is_alive(temporary: &Path) -> bool {
-    // A folder without lock file is one whose writer died between making the one and the other, or while publishing:
-    // both happen under the store's lock, which the caller holds.
+    // A writer creates its lock file right after its folder and removes it right before publication, both under the lock of the
+    // store. The caller holds that lock, so a folder without a lock file belongs to a writer that died in between.
     let Ok(file) = File::open(temporary.join(LOCK_NAME)) else {
         return false;
     };
-    // A file system that knows no locks cannot tell; what may be alive stays.
+    // On file systems without locks this fails as well; a folder whose writer may be running is kept.
     file.try_lock().is_err()
 }
 
-/// Makes the entries of a folder durable.
+/// Syncs the entries of a folder to disk.
 pub(crate) fn sync_folder(folder: &Path) -> Result<(), ArtifactError> {
     File::open(folder)
         .and_then(|file| file.sync_all())
         .map_err(ArtifactError::io("sync", folder))
 }
 
-/// Bytes that are hashed at once: enough for all cores.
+/// Bytes that are hashed at once: large enough to use all cores.
 const BLOCK: usize = 4 << 20;
 
-/// BLAKE3 of a file, read block by block and hashed on all cores. It is not memory-mapped: a file that is cut off while it is
-/// mapped ends the process.
+/// Computes the BLAKE3 hash of a file, block by block, on all cores. The file is not memory-mapped, because the process would be
+/// killed if another one truncated it meanwhile.
 pub(crate) fn hash_file(path: &Path) -> io::Result<Key> {
     let mut file = File::open(path)?;
     let length = usize::try_from(file.metadata()?.len()).unwrap_or(BLOCK);

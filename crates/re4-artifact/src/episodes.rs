@@ -1,10 +1,12 @@
 //! The tables of an `episodes` artifact, which all stages after ingest read.
 //!
-//! In the plane, the world frame is the 512 x 512 window of Push-T: pixels, x to the right and y downwards in images, so that a
-//! growing angle turns clockwise on the screen; a frame is a control step of 0.1 s. In space it is robosuite's: metres, z
-//! upwards; a frame is a control step of 0.05 s. The end effector is the grip site there, and a gripper command above 0
-//! closes, whatever the dataset has. What it has in another frame or with another sign is kept in columns `raw_*`, which are
-//! null where it does not differ: every artifact has the same columns, and one of nulls takes no room.
+//! Planar tables (Push-T): the world frame is the 512 x 512 window in pixels, x to the right and y downwards in images, so that a
+//! growing angle is a clockwise rotation on the screen; a frame is a control step of 0.1 s.
+//!
+//! Tables of SE(3) (robosuite): the world frame is robosuite's, in metres, z upwards; a frame is a control step of 0.05 s. The
+//! end effector is the grip site, and a gripper command above 0 closes. Ingest converts datasets with other conventions. It keeps
+//! recorded values of another frame or with another sign in columns `raw_*`, which are null if the conventions agree: all
+//! artifacts have the same columns, and a column of nulls needs no space.
 
 #![allow(
     clippy::doc_markdown,
@@ -22,73 +24,76 @@ use crate::{Label, SixAxis, columns, table};
 pub const KEYPOINTS: usize = 9;
 
 table! {
-    /// One row a demonstration, in the order of the artifact.
+    /// One row per demonstration, in the order of the artifact.
     #[table("episodes", version = 2)]
     pub struct EpisodeRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Number of the demonstration in its source: of Push-T its place there, from 0; of an HDF5 file, whose demonstrations have
-        /// names (table demos), the number that the name ends in, null where there is none, it exceeds 32 bits, or several have
-        /// it. In artifacts of version 1 a place stands in for those numbers.
+        /// Number of the demonstration in its source. Push-T: its index, from 0. HDF5 files, whose demonstrations have names
+        /// (table demos): the number at the end of the name; null if the name has none, the number exceeds 32 bits, or several
+        /// demonstrations have the same number. In artifacts of version 1 it is the index of the demonstration for HDF5 files,
+        /// too.
         pub source_episode: Option<u32>,
-        /// Frames of the demonstration.
+        /// Number of frames of the demonstration.
         pub frames: usize,
     }
 }
 
 table! {
-    /// One row a demonstration: what it is called in its source and what was measured on it. Sorted by episode.
+    /// One row per demonstration: its name in the source and measurements on it. Sorted by episode.
     #[table("demos", version = 1)]
     pub struct DemoRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Its name: that of its group below /data of an HDF5 file, such as demo_12; of Push-T the word episode and its number.
+        /// Name of the demonstration. HDF5 files: the name of its group in /data, such as demo_12. Push-T: the word episode and
+        /// its number.
         pub demo: String,
-        /// Filter keys of /mask that list it, comma-separated; empty where none does.
+        /// Filter keys in /mask that contain the demonstration, comma-separated; empty if there are none.
         pub filter_keys: String,
-        /// Row of table models that holds its MJCF; null where it has none.
+        /// Row of its MJCF in table models; null if it has none.
         pub model: Option<u32>,
-        /// Largest distance between the goal positions of the recorded absolute actions and those converted from delta actions,
-        /// beyond the first step; null where only one kind is known.
+        /// Largest distance between the goal positions of the recorded absolute actions and of the absolute actions converted
+        /// from delta actions, without the first step; null if only one kind of action is known.
         #[unit = "m"]
         pub goal_error_position: Option<f64>,
-        /// Largest angle between the goal orientations, likewise.
+        /// Largest angle between the goal orientations of the recorded and of the converted absolute actions, without the first
+        /// step; null if only one kind of action is known.
         #[unit = "rad"]
         pub goal_error_rotation: Option<f64>,
     }
 }
 
 table! {
-    /// One row a frame of every demonstration: the object-augmented state, the action and what was recorded beside it. Sorted by
+    /// One row per frame of every demonstration: the object-augmented state, the action and other recorded values. Sorted by
     /// episode and frame.
     #[table("frames", version = 2, formerly = "spatial_frames")]
     pub struct FrameRow<F> {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Number of the frame in its episode, from 0; one control step each.
+        /// Number of the frame in its episode, from 0. A frame is one control step.
         pub frame: u32,
-        /// What was recorded.
+        /// The recorded values.
         #[prefix = ""]
         pub recorded: F,
     }
 }
 
 columns! {
-    /// A frame in the plane.
+    /// A frame of a planar demonstration.
     pub struct PlanarColumns {
         /// Position of the pusher's centre.
         #[frame = "world"]
         pub eef: Point2,
-        /// Pose of the block; null where the dataset has none.
+        /// Pose of the block; null if the dataset has none.
         #[frame = "world"]
         pub object: Option<Pose2>,
         /// Target position commanded to the pusher.
         #[frame = "world"]
         pub action: Point2,
-        /// Contact points between pusher and block counted during the control step that led to this frame; null where they were not
+        /// Number of contact points between pusher and block during the control step before this frame; null if it was not
         /// recorded.
         pub contacts: Option<f64>,
-        /// Recorded keypoint of the block; null where none were.
+        /// Recorded keypoint of the block; null if keypoints were not recorded.
         #[frame = "world"]
         #[prefix = "keypoint"]
         pub keypoints: Option<[Point2; KEYPOINTS]>,
@@ -96,16 +101,17 @@ columns! {
 }
 
 columns! {
-    /// A frame in space. Numbers that the dataset has are copied bit for bit unless a column `raw_*` beside them says otherwise;
-    /// which of the two kinds of actions it has says row action_kind of table conventions, the other one is converted.
+    /// A frame of a demonstration in SE(3). Recorded numbers are copied bit for bit unless a column `raw_*` contains them. Row
+    /// action_kind of table conventions states which kind of action was recorded; the other kind is converted from it.
     pub struct SpatialColumns {
-        /// Pose of the grip site. In artifacts of version 1 its orientation is the recorded one.
+        /// Pose of the grip site. In artifacts of version 1 its orientation is the recorded one, even if that is of another
+        /// frame.
         #[frame = "world"]
         pub eef: Isometry3<f64>,
-        /// Pose of the manipulated object; null where the dataset has none.
+        /// Pose of the manipulated object; null if the dataset has none.
         #[frame = "world"]
         pub object: Option<Isometry3<f64>>,
-        /// Joint position of a finger, from 0 closed to 0.04 open, of the second with the opposite sign.
+        /// Joint position of a finger, from 0 (closed) to 0.04 (open); that of the second finger has the opposite sign.
         #[unit = "m"]
         #[prefix = "finger"]
         pub fingers: [f64; 2],
@@ -118,83 +124,85 @@ columns! {
         pub goal: SixAxis,
         /// Gripper command: below 0 opens, above 0 closes. In artifacts of version 1 its sign is the recorded one.
         pub gripper: f64,
-        /// Reward of the step; null where it was not recorded.
+        /// Reward of the step; null if it was not recorded.
         pub reward: Option<f64>,
-        /// Whether the step was recorded as the last or as a success; null where it was not recorded.
+        /// Whether the step was recorded as the last one or as a success; null if it was not recorded.
         pub done: Option<bool>,
-        /// Recorded orientation of the end effector, where it is that of another frame (row eef_orientation of table conventions).
+        /// Recorded orientation of the end effector if it is that of another frame than the grip site (row eef_orientation of
+        /// table conventions), else null.
         #[frame = "world"]
         #[since = 2]
         pub raw_eef: Option<UnitQuaternion<f64>>,
-        /// Recorded gripper command, where its sign or range is another (rows gripper_sign and gripper_range of table conventions).
+        /// Recorded gripper command if it has another sign or range (rows gripper_sign and gripper_range of table conventions),
+        /// else null.
         #[since = 2]
         pub raw_gripper: Option<f64>,
     }
 }
 
 table! {
-    /// One row an image, sorted by camera, episode and frame: the recorded one, or the one rendered from the recorded state where the
-    /// summary of the artifact says so, lossless. Row groups are small, so that an image can be read alone.
+    /// One row per image, sorted by camera, episode and frame. Images are lossless; they are recorded ones or, if the summary of
+    /// the artifact says so, rendered from the recorded states. Row groups are small, so that single images can be read.
     #[table("images", version = 2, formerly = "camera_images")]
     pub struct ImageRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
         /// Number of the frame in its episode, from 0.
         pub frame: u32,
-        /// Name of the camera: agentview, robot0_eye_in_hand, ..., or img, the one of Push-T; null in old artifacts of Push-T.
+        /// Name of the camera: agentview, robot0_eye_in_hand and others; img for Push-T, but null in its tables of version 1.
         #[since = 2]
         pub camera: Option<Label>,
-        /// The bytes of a PNG file, 8 bits a channel, RGB, first row at the top.
+        /// The bytes of a PNG file, 8 bits per channel, RGB, first row at the top.
         pub image: Vec<u8>,
     }
 }
 
 table! {
-    /// One row a convention of the dataset that its values depend on, with the evidence that it holds.
+    /// One row per convention that the meaning of the dataset's values depends on, with the evidence for it.
     #[table("conventions", version = 1)]
     pub struct Convention {
-        /// What it is about: object_layout, eef_orientation, eef_quaternion, action_kind, gripper_sign, ....
+        /// Name of the convention: object_layout, eef_orientation, eef_quaternion, action_kind, gripper_sign and others.
         pub convention: Label,
-        /// How it is in this dataset.
+        /// The convention of this dataset.
         pub value: Label,
-        /// Why that is believed: proven, by the evidence of this row; setting, by an explicit setting of the pipeline; declared, by the
-        /// file's own words where nothing depends on it.
+        /// How the value was determined: proven (by the evidence in this row), setting (by an explicit setting of the pipeline),
+        /// or declared (by metadata of the file, for conventions on which nothing depends).
         pub basis: Label,
-        /// The test that was made, in words.
+        /// Description of the test.
         pub evidence: String,
-        /// What the test measured for this value; null where nothing was measured.
+        /// Residual of the test for this value; null if nothing was measured.
         pub residual: Option<f64>,
-        /// What it measured for the next best value; null where there is none.
+        /// Residual of the test for the second best value; null if there is none.
         pub runner_up: Option<f64>,
-        /// What the residual has to be below; null where nothing was measured.
+        /// Upper limit of the residual; null if nothing was measured.
         pub threshold: Option<f64>,
-        /// Unit of the three; empty for none.
+        /// Unit of residual, runner_up and threshold; empty for none.
         pub unit: Label,
-        /// Frames that the test was made on.
+        /// Number of frames that were tested.
         pub frames: usize,
     }
 }
 
 table! {
-    /// One row a demonstration of the source that was asked for and cannot be used, and so is not in this artifact. There is no such
-    /// table where all can. In the order of the source.
+    /// One row per requested demonstration of the source that cannot be used and is therefore not in this artifact, in the order
+    /// of the source. The table does not exist if all demonstrations can be used.
     #[table("left_out", version = 1)]
     #[derive(Eq, Serialize, Deserialize)]
     pub struct LeftOut {
-        /// Its name in the source: a group such as demo_12, or episode 12 of Push-T.
+        /// Name of the demonstration in the source: a group such as demo_12, or episode 12 for Push-T.
         pub demo: String,
-        /// What is wrong with it, one sentence with the remedy, without the path of the dataset.
+        /// Why it cannot be used: one sentence with the remedy, without the path of the dataset.
         pub why: String,
     }
 }
 
 table! {
-    /// One row a frame, in the order of table frames: the recorded state of the simulator before the action.
+    /// One row per frame, in the order of table frames: the recorded state of the simulator before the action.
     #[table("states", version = 1)]
     pub struct StateRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Number of the frame in its episode, from 0; one control step each.
+        /// Number of the frame in its episode, from 0. A frame is one control step.
         pub frame: u32,
         /// Flattened MuJoCo state: time, qpos, qvel.
         pub state: Vec<f64>,
@@ -202,19 +210,19 @@ table! {
 }
 
 table! {
-    /// One row a distinct MuJoCo model of the dataset, in the order of first use. Asset paths are those of the machine that
-    /// recorded.
+    /// One row per distinct MuJoCo model of the dataset, in the order of first use. Asset paths are those of the machine on which
+    /// the dataset was recorded.
     #[table("models", version = 1)]
     pub struct ModelRow {
         /// Number of the model, from 0.
         pub model: u32,
-        /// The model as MJCF.
+        /// The model in MJCF.
         pub mjcf: String,
     }
 }
 
 impl SpatialColumns {
-    /// The frame in the vocabulary of the pipeline; none without the pose of the object.
+    /// Converts the row to the frame type of the pipeline; `None` if the pose of the object is null.
     pub fn frame(&self) -> Option<SpatialFrame> {
         Some(SpatialFrame {
             eef: self.eef,

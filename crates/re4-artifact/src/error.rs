@@ -1,4 +1,4 @@
-//! What can go wrong with artifacts, and how each is fixed.
+//! Errors of artifacts, with remedies.
 
 use re4_fault::Remedy;
 use std::borrow::Cow;
@@ -9,38 +9,38 @@ use std::path::{Path, PathBuf};
 
 use crate::spec::ColumnKind;
 
-/// Why an artifact could not be written, found or read.
+/// An error while writing, finding or reading an artifact.
 #[derive(Debug, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum ArtifactError {
-    /// The operating system refused an operation on a file or folder.
+    /// An operation on a file or folder failed.
     #[error("cannot {operation} {path}: {}", explain(.source).0, path = .path.display())]
     #[remedy(explain(source).1.map(Cow::Borrowed))]
     Io {
-        /// What was tried, as a verb phrase.
+        /// The operation, as a verb phrase.
         operation: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// The operating system's answer.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A Parquet file could not be encoded or decoded though the operating system did its part.
+    /// A Parquet file could not be encoded or decoded, and the reason is not an I/O error.
     #[error("cannot {operation} {path}: {source}", path = .path.display())]
     Parquet {
-        /// What was tried, as a verb phrase.
+        /// The operation, as a verb phrase.
         operation: &'static str,
         /// The file.
         path: PathBuf,
-        /// The encoder's or decoder's answer.
+        /// The error of the encoder or decoder.
         source: parquet::errors::ParquetError,
     },
-    /// A value has no JSON form.
-    #[error("cannot describe a value as JSON: {source}")]
+    /// A value cannot be represented in JSON.
+    #[error("cannot convert a value to JSON: {source}")]
     Json {
-        /// What the serializer said.
+        /// The error of the serializer.
         source: serde_json::Error,
     },
-    /// The bytes of a published artifact are not those that were published.
+    /// The files of an artifact differ from what was published.
     #[error("artifact {folder} is damaged: {damage}", folder = .folder.display())]
     #[remedy("delete the folder {folder} and run again", folder = folder.display())]
     Damaged {
@@ -49,23 +49,24 @@ pub enum ArtifactError {
         /// What is wrong with which file.
         damage: Damage,
     },
-    /// There is no folder to verify or open.
-    #[error("cannot read artifact {folder}: there is no such folder", folder = .folder.display())]
-    #[remedy("check the path, or run the stage that makes it")]
+    /// The folder of the artifact does not exist.
+    #[error("cannot read artifact {folder}: the folder does not exist", folder = .folder.display())]
+    #[remedy("check the path, or run the stage that produces the artifact")]
     NoFolder {
-        /// The folder asked for.
+        /// The requested folder.
         folder: PathBuf,
     },
-    /// The folder has no manifest: another folder was named, or the manifest was lost. Nobody is told to delete it.
+    /// The folder has no manifest: either the path is wrong or the manifest was lost. The remedy does not suggest deleting the
+    /// folder, because it may not be an artifact.
     #[error("cannot read artifact {folder}: it has no manifest.json", folder = .folder.display())]
-    #[remedy("check the path, and where an artifact should be there, move the folder away and run again")]
+    #[remedy("check the path, or, if it is the folder of an artifact, move it away and run again")]
     NoManifest {
-        /// The folder asked for.
+        /// The requested folder.
         folder: PathBuf,
     },
     /// The manifest was written by a newer build.
     #[error(
-        "cannot read artifact {folder}: its manifest has format {found}, this build reads up to {supported}",
+        "cannot read artifact {folder}: its manifest has format {found}, but this build reads formats up to {supported}",
         folder = .folder.display()
     )]
     #[remedy("update re4-pipe")]
@@ -79,7 +80,7 @@ pub enum ArtifactError {
     },
     /// A table was written by a newer build.
     #[error(
-        "cannot read artifact {folder}: {table} table has schema version {found}, this build reads up to {supported}",
+        "cannot read artifact {folder}: table {table} has schema version {found}, but this build reads versions up to {supported}",
         folder = .folder.display()
     )]
     #[remedy("update re4-pipe")]
@@ -93,65 +94,65 @@ pub enum ArtifactError {
         /// Newest version that this build reads.
         supported: u32,
     },
-    /// Two keys share the first 16 digits, or a folder was renamed by hand.
+    /// The folder belongs to another key: two keys have the same first 16 digits, or a folder was renamed by hand.
     #[error("artifact {folder} belongs to key {found}, not to {expected}", folder = .folder.display())]
     #[remedy("move that folder away and run again")]
     OtherKey {
         /// Folder of the artifact.
         folder: PathBuf,
-        /// Key looked for.
+        /// The requested key.
         expected: String,
         /// Key in the manifest.
         found: String,
     },
-    /// An artifact holds no table of this name.
+    /// An artifact has no table with this name.
     #[error("artifact {folder} has no table {table}", folder = .folder.display())]
-    #[remedy("it has {known}")]
+    #[remedy("use one of its tables: {known}")]
     NoTable {
         /// Folder of the artifact.
         folder: PathBuf,
-        /// The table asked for.
+        /// Name of the requested table.
         table: String,
-        /// The tables there are, separated by commas.
+        /// Names of the tables of the artifact, separated by commas.
         known: String,
     },
-    /// Rows offered to a table do not fit its description.
+    /// The columns given to a table do not match its description.
     #[error("cannot write table {table}: {reason}")]
     Rows {
         /// Name of the table.
         table: String,
-        /// What does not fit.
+        /// The difference.
         reason: String,
     },
-    /// Rows asked for lie outside the table.
+    /// Requested rows are outside the table.
     #[error("cannot read rows {first}..{end} of {path}: the table has {rows} rows", path = .path.display())]
     OutOfRange {
         /// File of the table.
         path: PathBuf,
-        /// First row asked for.
+        /// First requested row.
         first: u64,
-        /// End of the rows asked for, exclusive.
+        /// End of the requested rows, exclusive.
         end: u64,
-        /// Rows there are.
+        /// Number of rows of the table.
         rows: u64,
     },
-    /// A table was begun and not finished, or begun twice, before publication.
+    /// A table was not finished before publication, or was started twice.
     #[error("cannot publish {folder}: table {table} {reason}", folder = .folder.display())]
     Unfinished {
-        /// The folder that was to be published.
+        /// The final folder of the artifact.
         folder: PathBuf,
         /// Name of the table.
         table: String,
         /// What is wrong with it.
         reason: &'static str,
     },
-    /// Another run published the same key with other bytes: some stage is not deterministic.
+    /// Another run published the same key with other bytes: a stage is not deterministic.
     #[error(
         "cannot publish {folder}: another run published the same key with different bytes in {what}",
         folder = .folder.display()
     )]
     #[remedy(
-        "delete the folder {folder}, run again, and report it, for equal keys must give equal bytes",
+        "delete the folder {folder}, run again, and report a bug, because equal keys must give equal bytes",
         folder = folder.display()
     )]
     NotReproducible {
@@ -160,65 +161,65 @@ pub enum ArtifactError {
         /// What differs.
         what: String,
     },
-    /// A batch lacks a column.
+    /// A table or batch lacks a column.
     #[error("table {table} has no column {column}")]
-    #[remedy("it has {known}")]
+    #[remedy("use one of its columns: {known}")]
     NoColumn {
-        /// Name of the table, `?` when the rows do not say.
+        /// Name of the table, `?` if the batch does not contain it.
         table: String,
-        /// The column asked for.
+        /// Name of the requested column.
         column: String,
-        /// The columns there are, separated by commas.
+        /// Names of the columns of the table, separated by commas.
         known: String,
     },
-    /// A column is of another kind than asked for.
-    #[error("column {column} of table {table} holds {found}, not {expected}")]
+    /// A column has another type than requested.
+    #[error("column {column} of table {table} has type {found}, not {expected}")]
     ColumnKind {
-        /// Name of the table, `?` when the rows do not say.
+        /// Name of the table, `?` if the batch does not contain it.
         table: String,
         /// Name of the column.
         column: String,
-        /// The kind asked for.
+        /// The requested type.
         expected: ColumnKind,
-        /// The Arrow type found.
+        /// The Arrow type of the column.
         found: String,
     },
-    /// A column that was asked for as complete has nulls.
+    /// A column that was requested without nulls has nulls.
     #[error("column {column} of table {table} is null in row {row}")]
-    #[remedy("read it as a column with nulls")]
+    #[remedy("read it as a nullable column")]
     Null {
-        /// Name of the table, `?` when the rows do not say.
+        /// Name of the table, `?` if the batch does not contain it.
         table: String,
         /// Name of the column.
         column: String,
-        /// First row, of the rows at hand, that is null.
+        /// First row that is null, counted from the first row of the batch.
         row: usize,
     },
-    /// A word of a column is none of those that it may have.
-    #[error("column {column} of table {table} has the word {word:?}, which is none of {known}")]
+    /// A column has a word that its type does not define.
+    #[error("column {column} of table {table} has the unknown value {word:?} (known are {known})")]
     #[remedy("build the artifact again")]
     UnknownWord {
-        /// Name of the table, `?` when the rows do not say.
+        /// Name of the table, `?` if the batch does not contain it.
         table: String,
         /// Name of the column.
         column: String,
         /// The word.
         word: String,
-        /// Words that it may have, comma-separated.
+        /// The words of the column's type, separated by commas.
         known: String,
     },
-    /// A table holds the columns of another domain.
+    /// A table has the columns of another domain.
     #[error(
-        "cannot read table {table} of {folder} as one of the domain {expected}: it is of the domain {found}",
+        "cannot read table {table} of {folder} as a table of the domain {expected}: it belongs to the domain {found}",
         folder = .folder.display()
     )]
-    #[remedy("name an artifact of a task in that domain")]
+    #[remedy("give an artifact of a task in the domain {expected}")]
     OtherDomain {
         /// Folder of the artifact.
         folder: PathBuf,
         /// Name of the table.
         table: String,
-        /// Domain asked for.
+        /// The requested domain.
         expected: &'static str,
         /// Domain of the file.
         found: String,
@@ -235,7 +236,8 @@ impl ArtifactError {
         }
     }
 
-    /// Tells the operating system's refusals, which the user can fix, from the encoder's.
+    /// Converts an error of the encoder or decoder. If an error of the operating system caused it, which the user can often fix,
+    /// the result is [`ArtifactError::Io`].
     pub(crate) fn parquet(operation: &'static str, path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.to_path_buf();
         move |source| {
@@ -270,7 +272,7 @@ impl ArtifactError {
     }
 }
 
-/// What an answer of the operating system means, and how to fix it.
+/// Returns a description of an error of the operating system and, if there is one, its remedy.
 fn explain(error: &io::Error) -> (String, Option<&'static str>) {
     let (what, remedy) = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => (
@@ -296,11 +298,11 @@ fn explain(error: &io::Error) -> (String, Option<&'static str>) {
     (what.to_owned(), Some(remedy))
 }
 
-/// What is wrong with the bytes of an artifact. Files are named relative to its folder.
+/// How the files of an artifact differ from what was published. Paths are relative to its folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Damage {
-    /// A file is not there.
+    /// A file does not exist.
     Missing {
         /// The file.
         file: String,
@@ -309,31 +311,31 @@ pub enum Damage {
     Length {
         /// The file.
         file: String,
-        /// Bytes published.
+        /// Published length in bytes.
         expected: u64,
-        /// Bytes found.
+        /// Present length in bytes.
         found: u64,
     },
-    /// A file has the right length and other bytes.
+    /// A file has the published length, but other bytes.
     Content {
         /// The file.
         file: String,
     },
-    /// Something is there that was not published.
+    /// The folder contains something that was not published.
     Stray {
         /// The file or folder.
         file: String,
     },
-    /// The manifest is no manifest.
+    /// The manifest is invalid.
     Manifest {
-        /// What is wrong with it.
+        /// The reason, as a verb phrase.
         reason: String,
     },
-    /// A table says something else about itself than the manifest does.
+    /// The metadata of a table differ from the manifest or from the table's description.
     Table {
         /// The file.
         file: String,
-        /// What disagrees.
+        /// The difference, as a verb phrase.
         reason: String,
     },
 }
@@ -343,10 +345,10 @@ impl fmt::Display for Damage {
         match self {
             Self::Missing { file } => write!(f, "{file} is missing"),
             Self::Length { file, expected, found } => {
-                write!(f, "{file} has {found} bytes where {expected} were published")
+                write!(f, "{file} has {found} bytes, but {expected} were published")
             }
             Self::Content { file } => write!(f, "the content of {file} does not match its published hash"),
-            Self::Stray { file } => write!(f, "{file} does not belong to it"),
+            Self::Stray { file } => write!(f, "{file} is not part of it"),
             Self::Manifest { reason } => write!(f, "manifest.json {reason}"),
             Self::Table { file, reason } => write!(f, "{file} {reason}"),
         }
@@ -359,12 +361,12 @@ mod tests {
     use parquet::errors::ParquetError;
 
     #[test]
-    fn a_full_disk_is_told_from_a_broken_encoder() {
+    fn a_full_disk_is_distinguished_from_an_encoder_error() {
         let full = io::Error::from(io::ErrorKind::StorageFull);
         let path = Path::new("a/frames.parquet");
-        let said = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).sentence();
+        let message = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).sentence();
         assert_eq!(
-            said,
+            message,
             "cannot write a/frames.parquet: the disk is full; free space there or choose another artifacts folder"
         );
         let broken = ArtifactError::parquet("read", path)(ParquetError::General("odd page".to_owned()));

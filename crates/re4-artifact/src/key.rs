@@ -1,4 +1,4 @@
-//! Stages, keys, and the recipe that a key is the hash of.
+//! Stages, keys, and recipes, whose hashes are the keys.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,24 +10,24 @@ use serde_json::Value;
 use crate::canonical::{canonical_compact, canonical_json};
 use crate::error::ArtifactError;
 
-/// A stage of the pipeline that leaves an artifact.
+/// A stage of the pipeline. Every stage produces one kind of artifact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
-    /// Raw dataset to `episodes`.
+    /// Reads a raw dataset and produces `episodes`.
     Ingest,
-    /// `episodes` to `modes`.
+    /// Reads `episodes` and produces `modes`.
     Segment,
-    /// `episodes` and `modes` to the findings of an `audit`.
+    /// Reads `episodes` and `modes` and produces `audit`, a table of findings.
     Audit,
-    /// `episodes` and `modes` to `poses`.
+    /// Reads `episodes` and `modes` and produces `poses`.
     TrainPose,
-    /// `episodes`, `modes` and perhaps `poses` to `index`.
+    /// Reads `episodes`, `modes` and, in image variants, `poses`, and produces `index`.
     Index,
-    /// `episodes` to `scenes`.
+    /// Reads `episodes` and produces `scenes`.
     Scenes,
-    /// `index` and perhaps `scenes` to `rollouts`.
+    /// Reads `index` and, if the pipeline has a table `[scenes]`, `scenes`, and produces `rollouts`.
     Rollout,
-    /// `episodes`, replayed open-loop in the simulator, to `replays`.
+    /// Replays `episodes` open-loop in the simulator and produces `replays`.
     Replay,
 }
 
@@ -58,7 +58,7 @@ impl Stage {
         }
     }
 
-    /// Name of what it makes, which is also the folder under the store's root.
+    /// Name of the artifact that the stage produces, which is also the name of the folder under the store's root.
     pub fn artifact(self) -> &'static str {
         match self {
             Self::Ingest => "episodes",
@@ -72,7 +72,7 @@ impl Stage {
         }
     }
 
-    /// The stage that [`Stage::as_str`] names.
+    /// Returns the stage with this name, as returned by [`Stage::as_str`].
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|stage| stage.as_str() == name)
     }
@@ -84,7 +84,7 @@ impl fmt::Display for Stage {
     }
 }
 
-/// A 256-bit BLAKE3 hash: the key of an artifact, or the hash of its raw source. Shown as 64 hexadecimal digits.
+/// A 256-bit BLAKE3 hash: the key of an artifact, or the hash of its raw source. Displayed as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Key([u8; 32]);
 
@@ -123,7 +123,7 @@ impl FromStr for Key {
     fn from_str(text: &str) -> Result<Self, String> {
         blake3::Hash::from_hex(text)
             .map(|hash| Self(*hash.as_bytes()))
-            .map_err(|_| format!("{text:?} is not a key: 64 hexadecimal digits are needed"))
+            .map_err(|_| format!("{text:?} is not a key: a key has 64 hexadecimal digits"))
     }
 }
 
@@ -147,17 +147,17 @@ impl<'de> Deserialize<'de> for Key {
     }
 }
 
-/// The raw data that an artifact was made from.
+/// The raw data from which an artifact was made.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
-    /// BLAKE3 of its bytes; part of the key.
+    /// BLAKE3 hash of its bytes; part of the key.
     pub hash: Key,
-    /// What is worth knowing about it (format, sizes, names); recorded in the manifest, not part of the key. No absolute
-    /// path and no time may be in it, or equal keys would give different bytes.
+    /// Description of the data (format, sizes, names); recorded in the manifest, not part of the key. It must not contain
+    /// absolute paths or times, because equal keys must give equal bytes.
     pub summary: Value,
 }
 
-/// Everything that decides the bytes of an artifact; its hash is the artifact's [`Key`].
+/// Everything that determines the bytes of an artifact. Its hash is the artifact's [`Key`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     stage: Stage,
@@ -168,8 +168,9 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// The recipe of a stage whose code is at this version. Raise the version when the same configuration and inputs
-    /// give other bytes than before.
+    /// Creates the recipe of a stage whose code has this version, without configuration, inputs and source.
+    ///
+    /// Raise the version whenever the same configuration and inputs give other bytes than before.
     pub fn new(stage: Stage, code_version: u32) -> Self {
         Self {
             stage,
@@ -180,23 +181,23 @@ impl Recipe {
         }
     }
 
-    /// With this configuration, stored as canonical JSON: the order of its fields does not matter.
+    /// Sets the configuration, which is stored as canonical JSON: the order of its fields does not matter.
     ///
     /// # Errors
-    /// [`ArtifactError::Json`] when the configuration has no JSON form.
+    /// [`ArtifactError::Json`] if the configuration cannot be represented in JSON.
     pub fn config(mut self, config: &impl Serialize) -> Result<Self, ArtifactError> {
         self.config = canonical_json(config)?;
         Ok(self)
     }
 
-    /// With this artifact as an input; the order of inputs does not matter, their names do.
+    /// Adds an artifact as an input. The names of inputs are part of the key, the order in which they are added is not.
     #[must_use]
     pub fn input(mut self, name: &str, key: &Key) -> Self {
         self.inputs.insert(name.to_owned(), *key);
         self
     }
 
-    /// With raw data whose bytes have this BLAKE3 hash. The summary go into the manifest and not into the key.
+    /// Sets the raw data by the BLAKE3 hash of its bytes. The summary is recorded in the manifest and is not part of the key.
     #[must_use]
     pub fn source(mut self, hash: &[u8; 32], summary: Value) -> Self {
         self.source = Some(Source {
@@ -216,7 +217,7 @@ impl Recipe {
         self.code_version
     }
 
-    /// The configuration in canonical JSON.
+    /// The configuration as canonical JSON.
     pub fn config_json(&self) -> &Value {
         &self.config
     }
@@ -226,12 +227,12 @@ impl Recipe {
         &self.inputs
     }
 
-    /// The raw data, where the stage reads any.
+    /// The raw data, if the stage reads any.
     pub fn raw_source(&self) -> Option<&Source> {
         self.source.as_ref()
     }
 
-    /// BLAKE3 over stage, code version, canonical configuration, inputs and source hash.
+    /// Computes the key: BLAKE3 over stage, code version, canonical configuration, inputs and source hash.
     pub fn key(&self) -> Key {
         key_of(
             self.stage.as_str(),
@@ -243,7 +244,7 @@ impl Recipe {
     }
 }
 
-/// Every part is preceded by its length, so that no two recipes give the hasher the same bytes.
+/// Hashes the parts of a recipe. Every part is preceded by its length, so that different recipes are different hasher inputs.
 pub(crate) fn key_of(
     stage: &str,
     code_version: u32,
@@ -283,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_of_fields_and_inputs_and_the_summary_do_not_matter() {
+    fn the_key_depends_neither_on_the_order_of_fields_and_inputs_nor_on_the_summary() {
         let other = Recipe::new(Stage::Index, 1)
             .source(&[3; 32], json!({"format": "zip"}))
             .input("modes", &Key::from_bytes([2; 32]))
@@ -294,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn every_part_matters() {
+    fn the_key_depends_on_every_part() {
         let configured = |epsilon: f64| {
             let config = json!({"angle": "periodic", "epsilon": epsilon});
             recipe().config(&config).unwrap().key()
@@ -330,7 +331,7 @@ mod tests {
 
     #[test]
     fn keys_are_stable_between_builds() {
-        // A change here makes every cached artifact stale: raise the derivation string on purpose, never by accident.
+        // A change of this value invalidates every cached artifact. Change the derivation string only on purpose.
         assert_eq!(
             recipe().key().to_string(),
             "3bc88d3901293faf8528297513df187f8e0ccd42cd746b6b96e5cddfad18ec01"
@@ -338,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn text_and_back() {
+    fn keys_and_stages_are_parsed_from_their_text() {
         let key = recipe().key();
         assert_eq!(key.to_string().parse::<Key>(), Ok(key));
         assert_eq!(key.short().len(), 16);

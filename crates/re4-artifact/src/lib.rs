@@ -1,15 +1,19 @@
 //! Content-addressed artifacts: Parquet tables, manifests, hashes, atomic publication and the stage cache.
 //!
-//! An artifact is a folder `<root>/<artifact>/<first 16 digits of its key>` that holds one `manifest.json` and one
-//! `<table>.parquet` per table. Its [`Key`] is the hash of everything that decides its bytes (see [`Recipe`]); it is
-//! written in a temporary folder and renamed into place, so that it is there whole or not at all.
+//! An artifact is a folder `<root>/<artifact>/<first 16 digits of its key>` that contains `manifest.json`, one
+//! `<table>.parquet` per table and, for some stages, other files such as weights. Its [`Key`] is the hash of everything that
+//! determines its bytes (see [`Recipe`]). It is written to a temporary folder and renamed, so that it is either complete or
+//! absent.
+//!
+//! To add a table, declare its rows with [`table!`]. To read a subset of the columns of a table, declare a struct with
+//! [`columns!`].
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use re4_artifact::{ArtifactSummary, Recipe, Stage, Store, table};
 //!
 //! table! {
-//!     /// One row a dimension.
+//!     /// One row per dimension.
 //!     #[table("scales", version = 1)]
 //!     pub struct ScaleRow {
 //!         /// Name of the dimension.

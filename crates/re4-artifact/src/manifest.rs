@@ -1,4 +1,4 @@
-//! The manifest: what an artifact is, what made it, and the hashes of its files.
+//! The manifest: what an artifact is, how it was made, and the hashes of its files.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,7 +11,7 @@ use crate::canonical::{canonical_compact, canonical_json, canonical_text};
 use crate::error::{ArtifactError, Damage};
 use crate::key::{Key, Recipe, key_of};
 
-/// Newest manifest format that this build reads, and the one it writes.
+/// The manifest format that this build writes, and the newest one that it reads.
 pub const MANIFEST_FORMAT: u32 = 1;
 
 /// Name of the manifest in the folder of an artifact.
@@ -19,57 +19,57 @@ pub const MANIFEST_NAME: &str = "manifest.json";
 
 const HASH_FIELD: &str = "manifest_blake3";
 
-/// The manifest of an artifact, `manifest.json`. Its bytes follow from the recipe and the tables alone: sorted keys, no
-/// time, no host, no absolute path.
+/// The manifest of an artifact, `manifest.json`. Its bytes depend only on the recipe and on the content: keys are sorted, and
+/// there is no time, host or absolute path.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Manifest {
     /// Format of the manifest itself.
     pub format: u32,
     /// Stage that made the artifact.
     pub stage: String,
-    /// What it made: `episodes`, `modes`, ...
+    /// Kind of artifact: `episodes`, `modes`, ...
     pub artifact: String,
     /// BLAKE3 over stage, code version, configuration, inputs and source hash; 64 hexadecimal digits.
     #[schemars(with = "String")]
     pub key: Key,
     /// Version of the stage's code.
     pub code_version: u32,
-    /// Version of the program.
+    /// Version of the program that wrote the artifact.
     pub tool_version: String,
     /// Configuration of the stage.
     pub config: Value,
-    /// Keys of the artifacts that went in, by name.
+    /// Keys of the artifacts that the stage read, by name.
     #[schemars(with = "BTreeMap<String, String>")]
     pub inputs: BTreeMap<String, Key>,
-    /// BLAKE3 of the raw data that went in; null where there was none.
+    /// BLAKE3 of the raw data that the stage read; null if it read none.
     #[schemars(with = "Option<String>")]
     pub source_blake3: Option<Key>,
-    /// What is worth knowing about the raw data; null where there was none.
+    /// Description of the raw data (format, sizes, names); null if the stage read none.
     pub source: Value,
     /// The tables, by name.
     pub tables: BTreeMap<String, TableSummary>,
-    /// Files that are not tables, such as weights, by name; left out where there are none.
+    /// Files that are not tables, such as weights, by name; omitted if there are none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, FileSummary>,
-    /// Figures that sum up the content.
+    /// Figures that summarize the content.
     pub summary: Value,
-    /// Warnings of the stage, structured.
+    /// Structured warnings of the stage.
     pub warnings: Vec<Value>,
     /// BLAKE3 of this manifest in compact canonical JSON without this field; 64 hexadecimal digits.
     #[schemars(with = "String")]
     pub manifest_blake3: Key,
 }
 
-/// What the manifest says of a table.
+/// The manifest's entry for a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TableSummary {
     /// File, relative to the folder of the artifact.
     pub file: String,
     /// Version of the table's schema.
     pub schema_version: u32,
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Rows in every row group but the last, which may have fewer.
+    /// Number of rows in each row group except the last, which may have fewer.
     pub row_group_rows: u64,
     /// Length of the file in bytes.
     pub bytes: u64,
@@ -78,7 +78,7 @@ pub struct TableSummary {
     pub blake3: Key,
 }
 
-/// What the manifest says of a file that is not a table.
+/// The manifest's entry for a file that is not a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FileSummary {
     /// Length of the file in bytes.
@@ -123,8 +123,8 @@ impl Manifest {
         Ok(canonical_text(&canonical_json(self)?))
     }
 
-    /// Reads the manifest of the artifact in `folder` and checks all that can be checked without its tables: its own
-    /// hash, its format, its key.
+    /// Reads the manifest of the artifact in `folder` and checks everything that does not need the tables: its own hash, its
+    /// format, its key and the names of its files.
     pub(crate) fn read(folder: &Path) -> Result<Self, ArtifactError> {
         let path = folder.join(MANIFEST_NAME);
         let damaged = |damage| ArtifactError::damaged(folder, damage);
@@ -142,10 +142,11 @@ impl Manifest {
             }
             Err(error) => return Err(ArtifactError::io("read", &path)(error)),
         };
-        let value: Value = serde_json::from_slice(&bytes).map_err(|_| broken("is not readable as JSON"))?;
-        // Compared as text: a capital letter among its digits is a flipped bit too.
+        let value: Value = serde_json::from_slice(&bytes).map_err(|_| broken("is not valid JSON"))?;
+        // Compared as text, because a flipped bit can also change the case of a hexadecimal digit.
         let stored = value.get(HASH_FIELD).and_then(Value::as_str);
-        // The hash comes before the format, so that a flipped digit in the format is not taken for a newer build.
+        // The hash is checked before the format, so that a damaged format number is not reported as a newer build. The bytes are
+        // compared as well, because the hash is computed from the parsed value and does not cover white space.
         if stored != Some(hash_of(&value).to_string().as_str()) || canonical_text(&value).as_bytes() != bytes {
             return Err(broken("does not match its own hash"));
         }
@@ -159,24 +160,25 @@ impl Manifest {
         }
         let manifest: Self = serde_json::from_value(value).map_err(|error| {
             damaged(Damage::Manifest {
-                reason: format!("lacks something: {error}"),
+                reason: format!("is incomplete or malformed: {error}"),
             })
         })?;
         if manifest.key != manifest.recomputed_key() {
-            return Err(broken("has a key that does not follow from its recipe"));
+            return Err(broken("has a key that does not match its recipe"));
         }
+        // Names are joined to the path of the folder, so they must not contain separators.
         if let Some((name, _)) = manifest
             .tables
             .iter()
             .find(|(name, summary)| summary.file != format!("{name}.parquet") || name.contains(['/', '\\']))
         {
             return Err(damaged(Damage::Manifest {
-                reason: format!("names a file outside the artifact for table {name}"),
+                reason: format!("refers to a file outside the artifact for table {name}"),
             }));
         }
         if let Some(name) = manifest.files.keys().find(|name| name.contains(['/', '\\'])) {
             return Err(damaged(Damage::Manifest {
-                reason: format!("names a file outside the artifact, {name}"),
+                reason: format!("refers to a file outside the artifact, {name}"),
             }));
         }
         Ok(manifest)
@@ -193,8 +195,8 @@ impl Manifest {
     }
 }
 
-/// BLAKE3 of a manifest without its own hash. This stays as it is in every format, so that any build can tell damage
-/// from a newer format.
+/// Computes the BLAKE3 hash of a manifest without the field of the hash itself. It must stay the same in every future format, so
+/// that any build can distinguish damage from a newer format.
 fn hash_of(manifest: &Value) -> Key {
     let mut rest = manifest.clone();
     if let Value::Object(map) = &mut rest {

@@ -1,4 +1,4 @@
-//! Reading artifacts: manifests, tables whole, in batches, by row group or by rows.
+//! Reading artifacts: manifests, and tables as a whole, in batches, by row group or by rows.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -25,7 +25,7 @@ use crate::spec::{DOMAIN_KEY, TableSpec};
 
 const ROWS_PER_BATCH: usize = 65_536;
 
-/// A published artifact.
+/// An artifact that has been published.
 #[derive(Debug, Clone)]
 pub struct Artifact {
     path: PathBuf,
@@ -33,8 +33,8 @@ pub struct Artifact {
 }
 
 impl Artifact {
-    /// Opens the artifact in this folder. Its manifest is checked; its tables are only checked by
-    /// [`Artifact::verify_bytes`], by [`crate::verify`] and by [`crate::Store::lookup`].
+    /// Opens the artifact in this folder and checks its manifest. The tables are not checked; use [`Artifact::verify_bytes`],
+    /// [`crate::verify`] or [`crate::Store::lookup`] for that.
     ///
     /// # Errors
     /// [`ArtifactError::NoFolder`], [`ArtifactError::Damaged`], [`ArtifactError::NewerManifest`].
@@ -55,23 +55,23 @@ impl Artifact {
         &self.path
     }
 
-    /// What it is and what made it.
+    /// The manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
 
-    /// The hash of everything that decided its bytes.
+    /// The key: the hash of everything that determined the bytes of the artifact.
     pub fn key(&self) -> &Key {
         &self.manifest.key
     }
 
-    /// A table, read as this build describes it: columns that an older version lacks are null.
+    /// Opens a table by its description in this build: columns that the file's version lacks are read as null.
     ///
     /// # Errors
-    /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::Damaged`] when the file is missing or
-    /// does not have the columns that its version has, [`ArtifactError::Parquet`] when it cannot be decoded.
+    /// [`ArtifactError::NoTable`], [`ArtifactError::NewerTable`], [`ArtifactError::OtherDomain`], [`ArtifactError::Damaged`] if
+    /// the file is missing or does not have the columns of its version, [`ArtifactError::Parquet`] if it cannot be decoded.
     pub fn table(&self, spec: &'static TableSpec) -> Result<Table, ArtifactError> {
-        let summary = match self.formerly(spec) {
+        let summary = match self.under_former_name(spec) {
             Some(summary) => summary,
             None => self.summary(spec.name)?,
         };
@@ -81,29 +81,31 @@ impl Artifact {
         Table::open(self, summary, Some(spec))
     }
 
-    /// Whether it has a table, by today's name or by that of older versions.
+    /// Whether the artifact has a table, under its present or its former name.
     pub fn has_table(&self, spec: &'static TableSpec) -> bool {
-        self.manifest.tables.contains_key(spec.name) || self.formerly(spec).is_some()
+        self.manifest.tables.contains_key(spec.name) || self.under_former_name(spec).is_some()
     }
 
-    /// The table by the name that older versions had.
-    fn formerly(&self, spec: &'static TableSpec) -> Option<&TableSummary> {
-        // A row of both domains states the name that its table had in space; in the plane it has kept its own.
-        let kept = spec.domain == "plane" && spec.formerly.starts_with("spatial_");
-        let summary = self.manifest.tables.get(spec.formerly).filter(|_| !kept)?;
+    /// The table under the name that it had in older versions.
+    fn under_former_name(&self, spec: &'static TableSpec) -> Option<&TableSummary> {
+        // A row type that both domains use declares the former name of the table of SE(3), such as `spatial_frames`. The planar
+        // table always had its present name.
+        let unchanged = spec.domain == "plane" && spec.formerly.starts_with("spatial_");
+        let summary = self.manifest.tables.get(spec.formerly).filter(|_| !unchanged)?;
         (summary.schema_version < spec.version).then_some(summary)
     }
 
-    /// A table by its name, as it is in the file; for programs that show any artifact.
+    /// Opens a table by its name, with the columns of its file; for programs that display arbitrary artifacts.
     ///
     /// # Errors
-    /// As [`Artifact::table`], but for the version, which may be any.
+    /// As [`Artifact::table`], except that any version and any domain is accepted.
     pub fn table_named(&self, name: &str) -> Result<Table, ArtifactError> {
         let summary = self.summary(name)?;
         Table::open(self, summary, None)
     }
 
-    /// Checks every byte: that each file of the manifest is there with its published length and hash, and no other.
+    /// Checks every byte: each file of the manifest must exist with its published length and hash, and there must be no other
+    /// file.
     ///
     /// # Errors
     /// [`ArtifactError::Damaged`], [`ArtifactError::Io`].
@@ -171,7 +173,7 @@ impl Artifact {
     }
 }
 
-/// A table of an artifact. Cheap to clone; the footer of the file is read once.
+/// A table of an artifact. It is cheap to clone; the footer of the file is read once.
 #[derive(Debug, Clone)]
 pub struct Table {
     path: PathBuf,
@@ -211,7 +213,7 @@ impl Table {
         Ok(table)
     }
 
-    /// Refuses a table that has the columns of another domain.
+    /// Returns an error if the table has the columns of another domain.
     fn refuse_other_domain(&self, artifact: &Artifact) -> Result<(), ArtifactError> {
         let Some(spec) = self.spec else { return Ok(()) };
         match self.domain().filter(|found| found != spec.domain) {
@@ -225,23 +227,23 @@ impl Table {
         }
     }
 
-    /// How the file disagrees with the manifest and the table's description, if it does.
+    /// Describes the first difference between the file and the manifest or the table's description.
     fn disagreement(&self) -> Option<String> {
         let rows = self.metadata.metadata().file_metadata().num_rows();
         if u64::try_from(rows) != Ok(self.summary.rows) {
-            return Some(format!("has {rows} rows where the manifest says {}", self.summary.rows));
+            return Some(format!("has {rows} rows, but the manifest lists {}", self.summary.rows));
         }
-        if let Some(reason) = self.other_groups() {
+        if let Some(reason) = self.row_group_disagreement() {
             return Some(reason);
         }
         let spec = self.spec?;
         let version = self.summary.schema_version;
         let fields = self.metadata.schema().fields();
         let current = version == spec.version;
-        // An older version may have had columns that are gone.
+        // An older version may have columns that were removed later, so they are not counted, and found by name.
         if current && fields.len() != spec.columns.len() {
             return Some(format!(
-                "has {} columns where version {version} of the {} table has {}",
+                "has {} columns, but version {version} of the {} table has {}",
                 fields.len(),
                 spec.name,
                 spec.columns.len()
@@ -258,7 +260,7 @@ impl Table {
             match field {
                 Some(field) if same(field) => None,
                 Some(field) => Some(format!(
-                    "has a column {} of type {} where version {version} of the {} table has {name} of kind {}",
+                    "has a column {} of type {}, but version {version} of the {} table has {name} of type {}",
                     field.name(),
                     field.data_type(),
                     spec.name,
@@ -273,8 +275,9 @@ impl Table {
         })
     }
 
-    /// How the row groups disagree with the manifest: reading some rows counts on their lengths.
-    fn other_groups(&self) -> Option<String> {
+    /// Describes the first difference between the row groups and the manifest. [`Table::read_rows`] computes the row group of a
+    /// row from `row_group_rows`, so all groups must have that length.
+    fn row_group_disagreement(&self) -> Option<String> {
         let size = self.summary.row_group_rows;
         let groups = self.metadata.metadata().row_groups();
         let mut left = self.summary.rows;
@@ -282,12 +285,12 @@ impl Table {
             let (rows, expected) = (group.num_rows(), left.min(size));
             if expected == 0 || u64::try_from(rows) != Ok(expected) {
                 return Some(format!(
-                    "has {rows} rows in row group {number} where the manifest says {expected}"
+                    "has {rows} rows in row group {number}, but the manifest implies {expected}"
                 ));
             }
             left -= expected;
         }
-        (left > 0).then(|| format!("has row groups for all but {left} of its {} rows", self.summary.rows))
+        (left > 0).then(|| format!("lacks row groups for {left} of its {} rows", self.summary.rows))
     }
 
     /// File of the table.
@@ -295,7 +298,7 @@ impl Table {
         &self.path
     }
 
-    /// What the manifest says of it.
+    /// The manifest's entry for the table.
     pub fn summary(&self) -> &TableSummary {
         &self.summary
     }
@@ -310,29 +313,30 @@ impl Table {
         self.metadata.metadata().num_row_groups()
     }
 
-    /// Domain that the file says it is of; none of a table of all domains, or of an old one.
+    /// Domain of the columns, according to the file; `None` if the table is common to all domains or was written before files
+    /// recorded their domain.
     pub fn domain(&self) -> Option<String> {
         self.metadata.schema().metadata.get(DOMAIN_KEY).cloned()
     }
 
-    /// Schema of the batches that it gives: names, types, units and frames of reference.
+    /// Schema of the batches that are read from the table: names, types, units and frames of reference.
     pub fn schema(&self) -> SchemaRef {
         self.spec
             .map_or_else(|| Arc::clone(self.metadata.schema()), TableSpec::schema)
     }
 
-    /// All rows as one batch.
+    /// Reads all rows as one batch.
     ///
     /// # Errors
-    /// As all reads: [`ArtifactError::Io`] and [`ArtifactError::Parquet`].
+    /// [`ArtifactError::Io`] and [`ArtifactError::Parquet`], as for all reads.
     pub fn read_all(&self) -> Result<RecordBatch, ArtifactError> {
         self.collect(self.reader(None)?, &self.schema(), None)
     }
 
-    /// All rows of some columns, as one batch with the columns in the order asked for.
+    /// Reads all rows of some columns, as one batch with the columns in the given order.
     ///
     /// # Errors
-    /// As [`Table::read_all`]; [`ArtifactError::NoColumn`].
+    /// As [`Table::read_all`], and [`ArtifactError::NoColumn`].
     pub fn read_columns(&self, columns: &[&str]) -> Result<RecordBatch, ArtifactError> {
         let full = self.schema();
         let mut fields = Vec::with_capacity(columns.len());
@@ -357,10 +361,10 @@ impl Table {
         self.collect(self.reader(None)?.with_projection(mask), &schema, None)
     }
 
-    /// The rows of one row group.
+    /// Reads the rows of one row group.
     ///
     /// # Errors
-    /// As [`Table::read_all`]; [`ArtifactError::OutOfRange`].
+    /// As [`Table::read_all`], and [`ArtifactError::OutOfRange`].
     pub fn read_row_group(&self, group: usize) -> Result<RecordBatch, ArtifactError> {
         if group >= self.row_groups() {
             let size = self.summary.row_group_rows;
@@ -370,10 +374,10 @@ impl Table {
         self.collect(self.reader(Some(vec![group]))?, &self.schema(), None)
     }
 
-    /// Some rows; only the row groups that hold them are touched.
+    /// Reads a range of rows. Only the row groups that contain them are decoded.
     ///
     /// # Errors
-    /// As [`Table::read_all`]; [`ArtifactError::OutOfRange`].
+    /// As [`Table::read_all`], and [`ArtifactError::OutOfRange`].
     pub fn read_rows(&self, rows: Range<u64>) -> Result<RecordBatch, ArtifactError> {
         if rows.start > rows.end || rows.end > self.rows() {
             return Err(self.out_of_range(&rows));
@@ -387,13 +391,13 @@ impl Table {
             .collect();
         let before = (rows.start % size) as usize;
         let wanted = before..before + (rows.end - rows.start) as usize;
-        // No larger than needed: a few rows at the start of many images are a few images.
+        // The decoder fills whole batches. A smaller size keeps it from decoding images behind the requested ones.
         let size = wanted.end.min(ROWS_PER_BATCH);
         let reader = self.reader(Some(groups))?.with_batch_size(size);
         self.collect(reader, &self.schema(), Some(wanted))
     }
 
-    /// The rows in order, in batches of bounded size, so that a table need not fit in memory.
+    /// Reads the rows in order, in batches of bounded size, so that the table does not have to fit in memory.
     ///
     /// # Errors
     /// As [`Table::read_all`].
@@ -417,7 +421,7 @@ impl Table {
         }
     }
 
-    /// A new handle on the file each time: handles share their position with their clones, and reads may run in parallel.
+    /// Opens the file anew for each read, because clones of a handle share their position and reads may run in parallel.
     fn reader(&self, groups: Option<Vec<usize>>) -> Result<ParquetRecordBatchReaderBuilder<File>, ArtifactError> {
         let file = File::open(&self.path).map_err(ArtifactError::io("read", &self.path))?;
         let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
@@ -445,13 +449,13 @@ impl Table {
         concat_batches(schema, &batches).map_err(|e| refuse(e.into()))
     }
 
-    /// The name of a column in the file, which may be of an older version.
+    /// Returns the name of a column in the file, which may have an older version.
     fn name_in_file<'a>(&self, column: &'a str) -> &'a str {
         let known = self.spec.and_then(|spec| Some((spec, spec.column(column)?)));
         known.map_or(column, |(spec, known)| spec.name_at(known, self.summary.schema_version))
     }
 
-    /// The batch with the columns of `schema`; those that its version of the table lacks are null.
+    /// Returns the batch with the columns of `schema`. Columns that the file's version lacks are null.
     fn upgrade(&self, batch: &RecordBatch, schema: &SchemaRef) -> Result<RecordBatch, ArtifactError> {
         let columns: Vec<ArrayRef> = schema
             .fields()
@@ -467,8 +471,10 @@ impl Table {
     }
 }
 
-/// These rows of those that a reader gives, or all. Batches are decoded and cut: the decoder's own way to skip rows does not
-/// come to an end on some pages that are no valid Parquet.
+/// Reads all batches, or the parts of them that contain a range of rows.
+///
+/// Rows in front of the range are decoded and dropped. The decoder's own row selection is not used, because it does not terminate
+/// on some invalid pages.
 fn cut(reader: ParquetRecordBatchReader, rows: Option<Range<usize>>) -> Result<Vec<RecordBatch>, ParquetError> {
     let Some(rows) = rows else {
         return Ok(reader.collect::<Result<_, _>>()?);
@@ -494,11 +500,11 @@ fn cut(reader: ParquetRecordBatchReader, rows: Option<Range<usize>>) -> Result<V
     Ok(batches)
 }
 
-/// The rows of a table in order, batch by batch.
+/// Iterator over the rows of a table in order, batch by batch. It ends after the first error.
 pub struct Batches {
     table: Table,
     schema: SchemaRef,
-    /// None after the first error.
+    /// `None` after the first error.
     reader: Option<ParquetRecordBatchReader>,
 }
 

@@ -1,4 +1,4 @@
-//! Descriptions of tables, declared once as constants, from which schemas, checks and documentation follow.
+//! Descriptions of tables. Schemas, checks and the reference documentation are derived from them.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,17 +10,18 @@ use serde_json::{Value, json};
 /// Description of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TableSpec {
-    /// Name, also of the file: `<name>.parquet`.
+    /// Name of the table. Its file is `<name>.parquet`.
     pub name: &'static str,
-    /// Version of the schema. It grows when a column is added, and then the new column says so by [`ColumnSpec::since`].
+    /// Version of the schema. Raise it when a column is added, and set [`ColumnSpec::since`] of that column to the new version.
     pub version: u32,
-    /// Domain whose columns it has beside those that all domains share: `plane`, `space`; "" for a table of all domains.
+    /// Domain of the columns that are not common to all domains: `plane` (SE(2), Push-T) or `space` (SE(3), robosuite); "" if
+    /// there are no such columns.
     pub domain: &'static str,
-    /// Name of the table before this version; "" where it always had its own.
+    /// Name of the table in earlier versions; "" if it was the same.
     pub formerly: &'static str,
     /// What one row is, and what the table is for.
     pub description: &'static str,
-    /// The columns, in their order in the file.
+    /// The columns, in the order of the file.
     pub columns: &'static [ColumnSpec],
 }
 
@@ -29,24 +30,24 @@ pub struct TableSpec {
 pub struct ColumnSpec {
     /// Name.
     pub name: &'static str,
-    /// What its values are.
+    /// Type of its values.
     pub kind: ColumnKind,
-    /// Whether a value may be absent.
+    /// Whether values may be null.
     pub nullable: bool,
     /// Unit of its values, "" for none: `px`, `rad`, `1/256 px`, ...
     pub unit: &'static str,
     /// Frame of reference of its values, "" for none: `world`, `object`, ...
     pub frame: &'static str,
-    /// What it means.
+    /// Meaning of its values.
     pub description: &'static str,
-    /// Schema version of the table that first had this column. Tables of older versions are read with nulls in its
-    /// place, so a column added later has to be nullable.
+    /// First schema version of the table with this column. In tables of older versions the column is read as null, so a column
+    /// that is added later must be nullable.
     pub since: u32,
-    /// Its name in versions before; "" where it is the same.
+    /// Name of the column in earlier versions; "" if it was the same.
     pub formerly: &'static str,
 }
 
-/// What the values of a column are.
+/// Type of the values of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ColumnKind {
     /// Unsigned 32-bit integers: ids, counts.
@@ -57,13 +58,13 @@ pub enum ColumnKind {
     I64,
     /// Double precision floats, stored bit for bit.
     F64,
-    /// True or false.
+    /// Booleans.
     Bool,
     /// UTF-8 text.
     Text,
-    /// UTF-8 text of few distinct values, stored as a dictionary.
+    /// UTF-8 text with few distinct values, stored as a dictionary.
     Category,
-    /// Bytes, for instance of a PNG image; stored uncompressed.
+    /// Bytes, for example of a PNG image; stored without further compression.
     Binary,
     /// A list of double precision floats.
     F64List,
@@ -72,7 +73,7 @@ pub enum ColumnKind {
 }
 
 impl ColumnKind {
-    /// The word used in descriptions and messages.
+    /// Name of the type in descriptions and messages.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::U32 => "u32",
@@ -88,7 +89,7 @@ impl ColumnKind {
         }
     }
 
-    /// The Arrow type that stores it.
+    /// The Arrow type of such a column.
     pub fn data_type(self) -> DataType {
         match self {
             Self::U32 => DataType::UInt32,
@@ -112,7 +113,7 @@ impl fmt::Display for ColumnKind {
 }
 
 impl ColumnSpec {
-    /// A column without unit and frame of reference that is never null.
+    /// Creates a column without unit and frame of reference that is never null.
     pub const fn new(name: &'static str, kind: ColumnKind, description: &'static str) -> Self {
         Self {
             name,
@@ -126,28 +127,28 @@ impl ColumnSpec {
         }
     }
 
-    /// The same column, with values that may be absent.
+    /// The same column, with values that may be null.
     #[must_use]
     pub const fn nullable(mut self) -> Self {
         self.nullable = true;
         self
     }
 
-    /// The same column, in this unit.
+    /// The same column, with this unit.
     #[must_use]
     pub const fn unit(mut self, unit: &'static str) -> Self {
         self.unit = unit;
         self
     }
 
-    /// The same column, in this frame of reference.
+    /// The same column, with this frame of reference.
     #[must_use]
     pub const fn frame(mut self, frame: &'static str) -> Self {
         self.frame = frame;
         self
     }
 
-    /// The same column, added in this version of the table.
+    /// The same column, first present in this version of the table.
     #[must_use]
     pub const fn since(mut self, version: u32) -> Self {
         self.since = version;
@@ -177,12 +178,12 @@ const DESCRIPTION_KEY: &str = "re4.description";
 const COLUMNS_KEY: &str = "re4.columns";
 
 impl TableSpec {
-    /// Name of the file that holds the table.
+    /// Name of the table's file.
     pub fn file(&self) -> String {
         format!("{}.parquet", self.name)
     }
 
-    /// Name of the table, with its domain where it is of one: `modes-space`.
+    /// Name of the table, followed by its domain if it has one: `modes-space`.
     pub fn title(&self) -> String {
         match self.domain {
             "" => self.name.to_owned(),
@@ -190,17 +191,17 @@ impl TableSpec {
         }
     }
 
-    /// The column of this name.
+    /// Returns the column with this name.
     pub fn column(&self, name: &str) -> Option<&'static ColumnSpec> {
         self.columns.iter().find(|column| column.name == name)
     }
 
-    /// Columns that a table of this schema version has.
+    /// Returns the columns of this schema version.
     pub fn columns_at(&self, version: u32) -> impl Iterator<Item = &'static ColumnSpec> {
         self.columns.iter().filter(move |column| column.since <= version)
     }
 
-    /// The name of a column in the files of a schema version.
+    /// Returns the name of a column in files of a schema version.
     pub fn name_at(&self, column: &ColumnSpec, version: u32) -> &'static str {
         if version < self.version && !column.formerly.is_empty() {
             column.formerly
@@ -209,14 +210,15 @@ impl TableSpec {
         }
     }
 
-    /// The Arrow schema: fields with unit, frame of reference and description in their metadata.
+    /// Returns the Arrow schema, with unit, frame of reference and description in the metadata of the fields.
     pub fn schema(&self) -> SchemaRef {
         let fields: Vec<Field> = self.columns.iter().map(ColumnSpec::field).collect();
         let metadata: BTreeMap<String, String> = self.key_values().into_iter().collect();
         Arc::new(Schema::new_with_metadata(fields, metadata))
     }
 
-    /// Key-value metadata of the Parquet file, for readers that do not know Arrow's field metadata.
+    /// Returns the key-value metadata of the Parquet file. It repeats the descriptions of the columns for readers that do not
+    /// support the metadata of Arrow fields.
     pub(crate) fn key_values(&self) -> Vec<(String, String)> {
         let columns: Vec<Value> = self
             .columns
@@ -235,7 +237,7 @@ impl TableSpec {
     }
 }
 
-/// The description of a table as JSON, for people and for programs that do not use this crate.
+/// Returns the description of a table as JSON, for documentation and for programs that do not use this crate.
 pub fn json_description(spec: &TableSpec) -> Value {
     let columns: Vec<Value> = spec
         .columns

@@ -1,4 +1,4 @@
-//! The store: a folder of artifacts by stage and key.
+//! The store: a folder that contains artifacts by stage and key.
 
 use std::fs;
 use std::io::{self, Write};
@@ -15,21 +15,24 @@ use crate::writer::{Writer, remove_own};
 
 const RUNS: &str = "runs";
 
-/// A folder of artifacts: `<root>/<artifact>/<first 16 digits of the key>/`, and beside them, outside of every hash,
-/// `<root>/runs/<stage>-<first 16 digits of the key>.json` with summary of the run such as its wall time.
+/// A folder of artifacts.
+///
+/// Artifacts are in `<root>/<artifact>/<first 16 digits of the key>/`. Records of runs, such as their wall time, are in
+/// `<root>/runs/<stage>-<first 16 digits of the key>.json` and are not part of any hash.
 #[derive(Debug, Clone)]
 pub struct Store {
     root: PathBuf,
 }
 
 impl Store {
-    /// Opens the store at `root`, made if need be, and removes what dead writers left behind. Temporaries of writers that
-    /// still live are left alone. A store that may not be written is opened for reading.
+    /// Opens the store at `root`, creates the folder if necessary, and removes the temporary files of writers that no longer run.
+    ///
+    /// Temporary folders of running writers are kept. If the store cannot be written to, it is opened for reading.
     ///
     /// # Errors
-    /// [`ArtifactError::Io`] when the root cannot be made, or a left-over cannot be removed.
+    /// [`ArtifactError::Io`] if the root cannot be created or a leftover cannot be removed.
     pub fn open(root: &Path) -> Result<Self, ArtifactError> {
-        fs::create_dir_all(root).map_err(ArtifactError::io("make the artifacts folder", root))?;
+        fs::create_dir_all(root).map_err(ArtifactError::io("create the artifacts folder", root))?;
         let store = Self {
             root: root.to_path_buf(),
         };
@@ -38,7 +41,7 @@ impl Store {
                 store.remove_leftovers()?;
                 drop(guard);
             }
-            // What is there can still be read and verified; the first write says what is wrong.
+            // Existing artifacts can still be read and verified. The first write returns this error again.
             Err(ArtifactError::Io { source, .. })
                 if matches!(
                     source.kind(),
@@ -49,37 +52,39 @@ impl Store {
         Ok(store)
     }
 
-    /// Removes what this process and dead ones have begun to write. For a process that ends in the next moment, whatever its
-    /// threads are doing: until it has ended, nothing can be published, as the lock that is returned is held.
+    /// Removes all unpublished files of this process and of processes that no longer run.
+    ///
+    /// To be called right before the process exits, while its other threads may still be writing. The returned value holds the
+    /// lock of the store; keep it until the exit, so that no thread publishes an artifact. `None` if the lock is unavailable.
     pub fn abandon(&self) -> Option<impl Sized> {
         let guard = self.lock().ok()?;
         remove_own();
-        // What cannot be removed now is removed when the store is opened next.
+        // Leftovers that cannot be removed now are removed when the store is opened the next time.
         let _ = self.remove_leftovers();
         Some(guard)
     }
 
-    /// The root of the store.
+    /// The root folder of the store.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Where the artifact of this stage and key is, or would be.
+    /// The folder of the artifact with this stage and key, whether it exists or not.
     pub fn folder(&self, stage: Stage, key: &Key) -> PathBuf {
         self.root.join(stage.artifact()).join(key.short())
     }
 
-    /// The artifact of this stage and key, if it has been published; every byte of it is verified.
+    /// Returns the artifact with this stage and key if it has been published, after verifying every byte of it.
     ///
     /// # Errors
-    /// [`ArtifactError::Damaged`] when a byte of it is not as published: nothing is rebuilt behind the user's back.
-    /// [`ArtifactError::NewerManifest`] when a newer build wrote it,
-    /// [`ArtifactError::OtherKey`] when the folder is another key's.
+    /// [`ArtifactError::Damaged`] if a file differs from what was published; a damaged artifact is never rebuilt silently.
+    /// [`ArtifactError::NewerManifest`] if a newer build wrote the artifact, [`ArtifactError::OtherKey`] if the folder belongs to
+    /// another key.
     pub fn lookup(&self, stage: Stage, key: &Key) -> Result<Option<Artifact>, ArtifactError> {
         let folder = self.folder(stage, key);
         match fs::symlink_metadata(&folder) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(ArtifactError::io("look for", &folder)(error)),
+            Err(error) => Err(ArtifactError::io("access", &folder)(error)),
             Ok(_) => {
                 let artifact = Artifact::open(&folder)?;
                 if artifact.key() != key {
@@ -95,25 +100,26 @@ impl Store {
         }
     }
 
-    /// Begins to write the artifact of this recipe, in a temporary folder beside its place.
+    /// Starts writing the artifact of this recipe, in a temporary folder next to the final one.
     ///
     /// # Errors
-    /// [`ArtifactError::Io`] when the folder cannot be made.
+    /// [`ArtifactError::Io`] if the folder cannot be created.
     pub fn begin(&self, recipe: &Recipe) -> Result<Writer, ArtifactError> {
         Writer::new(self, recipe)
     }
 
-    /// Writes summary of a run that do not belong into the artifact: wall time, host, date. The file is replaced whole.
+    /// Writes a summary of a run that is not part of the artifact: wall time, host, date. An existing file is replaced
+    /// atomically.
     ///
     /// # Errors
-    /// [`ArtifactError::Io`] when it cannot be written.
+    /// [`ArtifactError::Io`] if the file cannot be written.
     pub fn record_run(&self, stage: Stage, key: &Key, summary: &impl Serialize) -> Result<PathBuf, ArtifactError> {
         let text = canonical_text(&canonical_json(summary)?);
         let folder = self.root.join(RUNS);
         let path = folder.join(format!("{stage}-{}.json", key.short()));
-        // Left-overs in this folder are removed under the same lock, so that nobody takes ours for one.
+        // `remove_leftovers` deletes temporary files in this folder under the same lock, so it cannot delete this one.
         let guard = self.lock()?;
-        fs::create_dir_all(&folder).map_err(ArtifactError::io("make the folder", &folder))?;
+        fs::create_dir_all(&folder).map_err(ArtifactError::io("create the folder", &folder))?;
         let mut file = tempfile::Builder::new()
             .prefix(TEMPORARY_PREFIX)
             .tempfile_in(&folder)
@@ -126,7 +132,7 @@ impl Store {
         Ok(path)
     }
 
-    /// The lock of the whole store, held for moments: while a temporary is made, published or removed.
+    /// Acquires the lock of the whole store. It is held only while a temporary folder is created, published or removed.
     pub(crate) fn lock(&self) -> Result<fs::File, ArtifactError> {
         lock(&self.root.join(LOCK_NAME))
     }
@@ -134,12 +140,12 @@ impl Store {
     fn remove_leftovers(&self) -> Result<(), ArtifactError> {
         let runs = entries(&self.root.join(RUNS))?;
         for path in runs.into_iter().filter(|path| is_temporary(path)) {
-            fs::remove_file(&path).map_err(ArtifactError::io("remove the left-over", &path))?;
+            fs::remove_file(&path).map_err(ArtifactError::io("remove the leftover", &path))?;
         }
         for stage in Stage::ALL {
             for path in entries(&self.root.join(stage.artifact()))? {
                 if is_temporary(&path) && !is_alive(&path) {
-                    fs::remove_dir_all(&path).map_err(ArtifactError::io("remove the left-over", &path))?;
+                    fs::remove_dir_all(&path).map_err(ArtifactError::io("remove the leftover", &path))?;
                 }
             }
         }

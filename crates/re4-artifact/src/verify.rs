@@ -1,4 +1,4 @@
-//! Verification of an artifact from end to end.
+//! Complete verification of an artifact.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use crate::manifest::{MANIFEST_NAME, Manifest};
 use crate::reader::Artifact;
 use crate::spec::TableSpec;
 
-/// What a verification looked at, all of it found as published.
+/// The files that a successful verification checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VerifyReport {
     /// Folder of the artifact.
@@ -19,24 +19,26 @@ pub struct VerifyReport {
     pub files: Vec<VerifiedFile>,
 }
 
-/// A file found as published.
+/// A file that matches its published hash.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VerifiedFile {
     /// Name relative to the folder.
     pub file: String,
     /// Length in bytes.
     pub bytes: u64,
-    /// Rows, for a table.
+    /// Number of rows if the file is a table.
     pub rows: Option<u64>,
-    /// BLAKE3 of the file; of the manifest, the hash that it carries of itself.
+    /// BLAKE3 hash of the file; for the manifest, the hash that it contains of itself.
     pub blake3: Key,
 }
 
-/// The description of a table of an artifact, by its name there; none of a table that is not known.
+/// Looks up the description of a table of an artifact by its name; `None` if the table is unknown.
 pub type Described<'a> = &'a dyn Fn(&Artifact, &str) -> Option<&'static TableSpec>;
 
-/// Verifies an artifact: the manifest's own hash, format and key, every file's length and hash, no stray file, and that
-/// every table decodes to the rows and columns that the manifest and the descriptions of tables say.
+/// Verifies an artifact completely.
+///
+/// Checks the hash, format and key of the manifest, the length and hash of every file, and that there are no other files. Decodes
+/// every table and compares its rows and columns with the manifest and with the table's description.
 ///
 /// # Errors
 /// [`ArtifactError::NoFolder`], [`ArtifactError::Damaged`] naming the file, [`ArtifactError::NewerManifest`],

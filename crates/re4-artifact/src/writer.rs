@@ -1,4 +1,4 @@
-//! Writing an artifact: tables into a temporary folder, then publication in one rename.
+//! Writing an artifact: its files go to a temporary folder, which is published by one rename.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -27,23 +27,23 @@ use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
 use crate::store::Store;
 
-/// Rows of a row group unless the caller says otherwise.
+/// Default number of rows of a row group.
 pub const DEFAULT_ROW_GROUP_ROWS: usize = 65_536;
 
-/// The same on every machine and in every build, so that equal rows give equal bytes.
+/// Contains no version and no host, so that equal rows give equal bytes on every machine and in every build.
 const CREATED_BY: &str = "re4-pipe";
 const ZSTD_LEVEL: i32 = 3;
 
-/// What a stage says about what it made.
+/// A stage's summary of the artifact that it wrote; part of the manifest.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ArtifactSummary {
-    /// Figures that sum up the content. No time, host or absolute path may be in it.
+    /// Figures that summarize the content. They must not contain times, hosts or absolute paths.
     pub summary: Value,
-    /// Warnings, structured.
+    /// Structured warnings.
     pub warnings: Vec<Value>,
 }
 
-/// An artifact being written. Dropped without [`Writer::publish`], it leaves nothing behind.
+/// Writes an artifact. If it is dropped before [`Writer::publish`], all its files are removed.
 #[derive(Debug)]
 pub struct Writer {
     store: Store,
@@ -55,14 +55,16 @@ pub struct Writer {
     files: Mutex<BTreeMap<String, FileSummary>>,
 }
 
-/// Temporaries of this process's writers; some of them may be gone.
+/// Temporary folders that writers of this process created. Some of them may have been published or removed.
 static OWN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// Removes what this process has begun to write. Only for a process that is about to end, with the store's lock held until it
-/// has: a writer that is still at work then fails, and publishes nothing.
+/// Removes the temporary folders of this process.
+///
+/// Only for a process that is about to exit. The caller must hold the store's lock until the exit: a writer that is still running
+/// then fails and cannot publish.
 pub(crate) fn remove_own() {
     for path in std::mem::take(&mut *locked(&OWN)) {
-        // A thread may add a file while the folder is emptied.
+        // Removal fails if another thread creates a file in the folder at the same time, so it is repeated.
         for _ in 0..100 {
             match fs::remove_dir_all(&path) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => {}
@@ -78,11 +80,11 @@ impl Writer {
         let folder = store.folder(recipe.stage(), &key);
         let parent = store.root().join(recipe.stage().artifact());
         let guard = store.lock()?;
-        fs::create_dir_all(&parent).map_err(ArtifactError::io("make the folder", &parent))?;
+        fs::create_dir_all(&parent).map_err(ArtifactError::io("create the folder", &parent))?;
         let temporary = tempfile::Builder::new()
             .prefix(&format!("{TEMPORARY_PREFIX}{}-", key.short()))
             .tempdir_in(&parent)
-            .map_err(ArtifactError::io("make a temporary folder in", &parent))?;
+            .map_err(ArtifactError::io("create a temporary folder in", &parent))?;
         let own_lock = lock(&temporary.path().join(LOCK_NAME))?;
         locked(&OWN).insert(temporary.path().to_path_buf());
         drop(guard);
@@ -97,17 +99,17 @@ impl Writer {
         })
     }
 
-    /// Begins a table with row groups of [`DEFAULT_ROW_GROUP_ROWS`] rows. Several tables can be open at once, also in
+    /// Starts a table with row groups of [`DEFAULT_ROW_GROUP_ROWS`] rows. Several tables can be written at the same time, also by
     /// several threads.
     ///
     /// # Errors
-    /// [`ArtifactError::Io`] when the file cannot be made, [`ArtifactError::Unfinished`] when the table was begun before.
+    /// [`ArtifactError::Io`] if the file cannot be created, [`ArtifactError::Unfinished`] if the table was already started.
     pub fn table(&self, spec: &'static TableSpec) -> Result<TableWriter, ArtifactError> {
         self.table_in_groups(spec, DEFAULT_ROW_GROUP_ROWS)
     }
 
-    /// Begins a table with row groups of this many rows (at least one): few for large values such as images, so that
-    /// one of them can be read without the others, and so that few are in memory at once.
+    /// Starts a table with row groups of `row_group_rows` rows (at least one). Use few rows for large values such as images, so
+    /// that one value can be read without many others and few values are in memory at the same time.
     ///
     /// # Errors
     /// As [`Writer::table`].
@@ -117,7 +119,7 @@ impl Writer {
         row_group_rows: usize,
     ) -> Result<TableWriter, ArtifactError> {
         if locked(&self.tables).insert(spec.name, None).is_some() {
-            return Err(self.unfinished(spec.name, "was begun twice"));
+            return Err(self.unfinished(spec.name, "was started twice"));
         }
         let path = self.temporary.path().join(spec.file());
         let file = File::create_new(&path).map_err(ArtifactError::io("write", &path))?;
@@ -147,7 +149,7 @@ impl Writer {
     /// Writes a file that is not a table, such as weights.
     ///
     /// # Errors
-    /// [`ArtifactError::Io`] when it cannot be written, or was written before.
+    /// [`ArtifactError::Io`] if the file cannot be written or already exists.
     pub fn file(&self, name: &str, contents: &[u8]) -> Result<(), ArtifactError> {
         let path = self.temporary.path().join(name);
         File::create_new(&path)
@@ -164,22 +166,24 @@ impl Writer {
         Ok(())
     }
 
-    /// A folder for files that are gone when the artifact is published.
+    /// The temporary folder, for scratch files. They must be deleted before the artifact is published.
     pub fn scratch(&self) -> &Path {
         self.temporary.path()
     }
 
-    /// Where the artifact will be.
+    /// The final folder of the artifact.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Writes the manifest, makes everything durable and puts the artifact into its place by one rename. When another run
-    /// has published the same key meanwhile, that artifact is verified and returned, and ours is dropped.
+    /// Writes the manifest, syncs all files and moves the artifact to its final folder by one rename.
+    ///
+    /// If another run has published the same key in the meantime, that artifact is verified and returned, and this one is
+    /// removed.
     ///
     /// # Errors
-    /// [`ArtifactError::Unfinished`] when a table was begun and not finished, [`ArtifactError::Io`] when the disk refuses,
-    /// [`ArtifactError::NotReproducible`] when another run published other bytes under the same key.
+    /// [`ArtifactError::Unfinished`] if a table was started but not finished, [`ArtifactError::Io`] if a file cannot be written,
+    /// [`ArtifactError::NotReproducible`] if another run published other bytes under the same key.
     pub fn publish(self, summary: ArtifactSummary) -> Result<Artifact, ArtifactError> {
         let mut tables = BTreeMap::new();
         for (&name, table) in &*locked(&self.tables) {
@@ -200,25 +204,27 @@ impl Writer {
                 file.sync_all()
             })
             .map_err(ArtifactError::io("write", &path))?;
-        self.put_into_place(&manifest)
+        self.move_to_final_folder(&manifest)
     }
 
-    fn put_into_place(self, ours: &Manifest) -> Result<Artifact, ArtifactError> {
+    fn move_to_final_folder(self, ours: &Manifest) -> Result<Artifact, ArtifactError> {
         let guard = self.store.lock()?;
         let key = self.recipe.key();
         if let Some(theirs) = self.store.lookup(self.recipe.stage(), &key)? {
             return same_bytes(theirs, ours);
         }
-        // Without its lock file the temporary looks dead; the store's lock keeps others from removing it.
+        // The lock file is not part of the artifact. Without it the temporary folder looks like a leftover, but other processes
+        // cannot remove it while this one holds the store's lock.
         let lock_path = self.temporary.path().join(LOCK_NAME);
         fs::remove_file(&lock_path).map_err(ArtifactError::io("remove", &lock_path))?;
         sync_folder(self.temporary.path())?;
         fs::rename(self.temporary.path(), &self.folder).map_err(ArtifactError::io("publish", &self.folder))?;
-        // It is no longer at its temporary path, so there is nothing left to remove there.
+        // The folder was renamed, so there is nothing to remove at the temporary path.
         let _ = self.temporary.keep();
         if let Some(parent) = self.folder.parent() {
             sync_folder(parent)?;
         }
+        // Both locks are held until the folder has its final name.
         drop(guard);
         drop(self.lock);
         Artifact::open(&self.folder)
@@ -233,13 +239,14 @@ impl Writer {
     }
 }
 
+/// Returns the artifact that another run published if it equals the one that this run wrote.
 fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactError> {
     let what = if theirs.manifest().tables != ours.tables {
         let differing = ours
             .tables
             .iter()
             .find(|(name, summary)| theirs.manifest().tables.get(*name) != Some(summary));
-        format!("table {}", differing.map_or("list", |(name, _)| name))
+        differing.map_or_else(|| "the list of tables".to_owned(), |(name, _)| format!("table {name}"))
     } else if theirs.manifest().files != ours.files {
         "a file that is not a table".to_owned()
     } else if theirs.manifest().summary != ours.summary || theirs.manifest().warnings != ours.warnings {
@@ -253,13 +260,15 @@ fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactErr
     })
 }
 
-/// Tables whose numbers are stored as they are: double precision of the simulator, of which zstd saves a fifth to two fifths
-/// at several times the cost of all other work of ingest (with or without byte-stream splitting).
-fn is_plain(spec: &TableSpec) -> bool {
+/// Whether the floats of a table are stored without compression.
+///
+/// These tables contain double precision numbers of the simulator. zstd reduces them by only 20 to 40 %, with or without
+/// byte-stream splitting, and takes several times as long as the rest of the ingest stage.
+fn is_uncompressed(spec: &TableSpec) -> bool {
     matches!((spec.name, spec.domain), ("frames", "space") | ("states", _))
 }
 
-/// Everything that decides the bytes of a Parquet file besides its rows.
+/// Returns the settings that, together with the rows, determine the bytes of a Parquet file.
 fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
     let metadata = spec
         .key_values()
@@ -271,19 +280,20 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
         .set_writer_version(WriterVersion::PARQUET_1_0)
         .set_key_value_metadata(Some(metadata))
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(ZSTD_LEVEL).unwrap_or_default()))
+        // Limited only by the number of rows, because readers compute the row group of a row from that number.
         .set_max_row_group_row_count(Some(row_group_rows))
         .set_max_row_group_bytes(None)
         .set_statistics_enabled(EnabledStatistics::Page);
     for column in spec.columns {
         let path = ColumnPath::from(column.name);
         match column.kind {
-            ColumnKind::F64 if is_plain(spec) => {
+            ColumnKind::F64 if is_uncompressed(spec) => {
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)
                     .set_column_compression(path.clone(), Compression::UNCOMPRESSED)
                     .set_column_statistics_enabled(path, EnabledStatistics::Chunk);
             }
-            ColumnKind::F64List if is_plain(spec) => {
+            ColumnKind::F64List if is_uncompressed(spec) => {
                 let path = ColumnPath::new(vec![column.name.to_owned(), "list".to_owned(), "element".to_owned()]);
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)
@@ -296,9 +306,9 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
                     .set_column_dictionary_enabled(path.clone(), false)
                     .set_column_statistics_enabled(path, EnabledStatistics::None);
             }
-            // Continuous values repeat too rarely for a dictionary to pay.
+            // Continuous values repeat too rarely for a dictionary to be useful.
             ColumnKind::F64 => builder = builder.set_column_dictionary_enabled(path, false),
-            // Images are compressed already, and have no order worth a statistic.
+            // PNG images are already compressed, and minima and maxima of images are meaningless.
             ColumnKind::Binary => {
                 builder = builder
                     .set_column_dictionary_enabled(path.clone(), false)
@@ -311,8 +321,7 @@ fn properties(spec: &TableSpec, row_group_rows: usize) -> WriterProperties {
     builder.build()
 }
 
-/// A table being written, row group by row group. The bytes depend on the rows alone, not on how they are cut into
-/// batches.
+/// Writes a table, row group by row group. The bytes depend only on the rows, not on how they are split into batches.
 pub struct TableWriter {
     spec: &'static TableSpec,
     path: PathBuf,
@@ -326,10 +335,10 @@ pub struct TableWriter {
 }
 
 impl TableWriter {
-    /// Adds rows. Their columns have to be those of the table's description, in its order.
+    /// Adds rows. Their columns must match the table's description.
     ///
     /// # Errors
-    /// [`ArtifactError::Rows`] when they are not, [`ArtifactError::Io`] when the disk refuses.
+    /// [`ArtifactError::Rows`] if the columns do not match, [`ArtifactError::Io`] if the file cannot be written.
     pub fn write(&mut self, batch: RecordBatch) -> Result<(), ArtifactError> {
         let batch = check_rows(self.spec, &self.schema, batch)?;
         self.pending_rows += batch.num_rows();
@@ -346,7 +355,7 @@ impl TableWriter {
         Ok(())
     }
 
-    /// Adds rows given column by column.
+    /// Adds rows from a builder of columns.
     ///
     /// # Errors
     /// As [`TableWriter::write`].
@@ -359,15 +368,15 @@ impl TableWriter {
         Arc::clone(&self.schema)
     }
 
-    /// Rows so far.
+    /// Number of rows added so far.
     pub fn rows(&self) -> u64 {
         self.rows + self.pending_rows as u64
     }
 
-    /// Writes what is left and the footer, and makes the file durable.
+    /// Writes the remaining rows and the footer, and syncs the file.
     ///
     /// # Errors
-    /// [`ArtifactError::Io`] when the disk refuses.
+    /// [`ArtifactError::Io`] if the file cannot be written.
     pub fn finish(mut self) -> Result<TableSummary, ArtifactError> {
         if self.pending_rows > 0 {
             let rows = concat_batches(&self.schema, &self.pending)
@@ -375,7 +384,7 @@ impl TableWriter {
                 .map_err(ArtifactError::parquet("write", &self.path))?;
             self.write_group(&rows)?;
         }
-        // `ArrowWriter::into_inner` would put a refusal of the operating system into words; `finish` hands it on.
+        // `ArrowWriter::into_inner` would convert an I/O error to text; `finish` keeps it as the source of its error.
         self.parquet
             .finish()
             .map_err(ArtifactError::parquet("write", &self.path))?;
@@ -405,7 +414,7 @@ impl TableWriter {
     }
 }
 
-/// Counts and hashes what goes to the file.
+/// Counts and hashes the bytes that are written to the file.
 struct Sink {
     file: io::BufWriter<File>,
     hasher: blake3::Hasher,
@@ -425,7 +434,7 @@ impl Write for Sink {
     }
 }
 
-/// A thread that panicked while it held the list left it whole: entries are inserted in one step.
+/// Locks a mutex and ignores poisoning: entries are inserted in one step, so a panic cannot leave the map inconsistent.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! Whatever happens to a published artifact is found, and said in one sentence.
+//! Every kind of damage to a published artifact is detected and reported in one sentence.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -22,7 +22,7 @@ struct Published {
     folder: PathBuf,
 }
 
-/// The descriptions of the tables here.
+/// Looks up the descriptions of the tables in this file.
 fn known(_: &Artifact, name: &str) -> Option<&'static re4_artifact::TableSpec> {
     [&SCALES, &EVERY_KIND].into_iter().find(|spec| spec.name == name)
 }
@@ -44,7 +44,7 @@ impl Published {
         self.store.lookup(Stage::Segment, &recipe(1).key())
     }
 
-    /// What verification and lookup say; both find every damage, and say the same of it.
+    /// The error message of verification, which must equal that of lookup.
     fn complaint(&self) -> String {
         let verified = verify(&self.folder, &known).unwrap_err().sentence();
         assert_eq!(self.lookup().unwrap_err().sentence(), verified);
@@ -57,7 +57,7 @@ impl Published {
         format!("artifact {folder} is damaged: {what}; delete the folder {folder} and run again")
     }
 
-    /// Changes the manifest the way a program would: with a hash that fits.
+    /// Changes the manifest as a program would: with a matching hash.
     fn rewrite_manifest(&self, change: impl FnOnce(&mut Value)) {
         let path = self.folder.join("manifest.json");
         let mut manifest: Value = serde_json::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
@@ -70,12 +70,12 @@ impl Published {
 }
 
 #[test]
-fn a_flip_of_any_byte_of_any_file_is_found() {
+fn every_flipped_byte_is_detected() {
     let artifact = published();
     let mut flips = 0;
     for (name, bytes) in files(&artifact.folder) {
         let path = artifact.folder.join(&name);
-        // Every byte of the manifest, and of the tables every byte at both ends and every seventh between.
+        // Every byte of the manifest; of the tables the first and last 64 bytes, and every seventh byte in between to save time.
         let whole = name.extension().is_some_and(|extension| extension == "json");
         let ends = |position| position < 64 || position + 64 >= bytes.len();
         for position in (0..bytes.len()).filter(|&position| whole || ends(position) || position % 7 == 0) {
@@ -99,7 +99,7 @@ fn a_flip_of_any_byte_of_any_file_is_found() {
 }
 
 #[test]
-fn a_flipped_byte_is_said_so() {
+fn a_flipped_byte_is_reported() {
     let artifact = published();
     let path = artifact.folder.join("every_kind.parquet");
     let mut bytes = fs::read(&path).unwrap();
@@ -112,35 +112,35 @@ fn a_flipped_byte_is_said_so() {
 }
 
 #[test]
-fn a_truncated_file_is_said_so() {
+fn a_truncated_file_is_reported() {
     let artifact = published();
     let path = artifact.folder.join("every_kind.parquet");
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..50]).unwrap();
-    let what = format!("every_kind.parquet has 50 bytes where {} were published", bytes.len());
+    let what = format!("every_kind.parquet has 50 bytes, but {} were published", bytes.len());
     assert_eq!(artifact.complaint(), artifact.damaged(&what));
 }
 
-/// Reading some rows goes by the lengths of row groups, so they are not taken from the manifest unseen.
+/// The reader computes the row group of a row from the length in the manifest, so that length must be checked against the file.
 #[test]
-fn row_groups_that_are_not_as_published_are_said_so() {
+fn row_groups_that_are_not_as_published_are_reported() {
     for (size, found) in [
-        (0, "30 rows in row group 0 where the manifest says 0"),
-        (7, "30 rows in row group 0 where the manifest says 7"),
-        (29, "30 rows in row group 0 where the manifest says 29"),
+        (0, "30 rows in row group 0, but the manifest implies 0"),
+        (7, "30 rows in row group 0, but the manifest implies 7"),
+        (29, "30 rows in row group 0, but the manifest implies 29"),
     ] {
         let artifact = published();
         artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["row_group_rows"] = json!(size));
         let what = format!("every_kind.parquet has {found}");
-        let said = verify(&artifact.folder, &known).unwrap_err().sentence();
-        assert_eq!(said, artifact.damaged(&what));
+        let message = verify(&artifact.folder, &known).unwrap_err().sentence();
+        assert_eq!(message, artifact.damaged(&what));
         let open = Artifact::open(&artifact.folder).unwrap();
-        assert_eq!(open.table(&EVERY_KIND).unwrap_err().sentence(), said);
+        assert_eq!(open.table(&EVERY_KIND).unwrap_err().sentence(), message);
     }
 }
 
 #[test]
-fn a_missing_file_is_said_so() {
+fn a_missing_file_is_reported() {
     let artifact = published();
     let open = Artifact::open(&artifact.folder).unwrap();
     fs::remove_file(artifact.folder.join("every_kind.parquet")).unwrap();
@@ -150,19 +150,19 @@ fn a_missing_file_is_said_so() {
 }
 
 #[test]
-fn a_missing_or_truncated_manifest_is_said_so() {
+fn a_missing_or_truncated_manifest_is_reported() {
     let artifact = published();
     let path = artifact.folder.join("manifest.json");
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json is not readable as JSON")
+        artifact.damaged("manifest.json is not valid JSON")
     );
     fs::write(&path, "").unwrap();
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json is not readable as JSON")
+        artifact.damaged("manifest.json is not valid JSON")
     );
     fs::write(&path, "{}").unwrap();
     assert_eq!(
@@ -174,28 +174,25 @@ fn a_missing_or_truncated_manifest_is_said_so() {
     assert_eq!(
         artifact.complaint(),
         format!(
-            "cannot read artifact {folder}: it has no manifest.json; check the path, and where an artifact should be there, move the folder away and run again"
+            "cannot read artifact {folder}: it has no manifest.json; check the path, or, if it is the folder of an artifact, move it away and run again"
         )
     );
 }
 
 #[test]
-fn stray_files_and_folders_are_said_so() {
+fn stray_files_and_folders_are_reported() {
     let artifact = published();
     fs::write(artifact.folder.join("notes.txt"), "hello").unwrap();
-    assert_eq!(
-        artifact.complaint(),
-        artifact.damaged("notes.txt does not belong to it")
-    );
+    assert_eq!(artifact.complaint(), artifact.damaged("notes.txt is not part of it"));
     fs::remove_file(artifact.folder.join("notes.txt")).unwrap();
     fs::create_dir(artifact.folder.join("more")).unwrap();
-    assert_eq!(artifact.complaint(), artifact.damaged("more does not belong to it"));
+    assert_eq!(artifact.complaint(), artifact.damaged("more is not part of it"));
     fs::remove_dir(artifact.folder.join("more")).unwrap();
     artifact.lookup().unwrap().unwrap();
 }
 
 #[test]
-fn a_newer_manifest_is_refused_by_name() {
+fn a_newer_manifest_is_refused() {
     let artifact = published();
     artifact.rewrite_manifest(|manifest| {
         manifest["format"] = json!(3);
@@ -204,14 +201,14 @@ fn a_newer_manifest_is_refused_by_name() {
     assert_eq!(
         artifact.complaint(),
         format!(
-            "cannot read artifact {}: its manifest has format 3, this build reads up to 1; update re4-pipe",
+            "cannot read artifact {}: its manifest has format 3, but this build reads formats up to 1; update re4-pipe",
             artifact.folder.display()
         )
     );
 }
 
 #[test]
-fn a_newer_table_is_refused_by_name() {
+fn a_newer_table_is_refused() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = store.begin(&recipe(1)).unwrap();
@@ -227,7 +224,7 @@ fn a_newer_table_is_refused_by_name() {
     assert_eq!(
         verify(&artifact.folder, &known).unwrap_err().sentence(),
         format!(
-            "cannot read artifact {}: scales table has schema version 3, this build reads up to 1; update re4-pipe",
+            "cannot read artifact {}: table scales has schema version 3, but this build reads versions up to 1; update re4-pipe",
             artifact.folder.display()
         )
     );
@@ -236,39 +233,39 @@ fn a_newer_table_is_refused_by_name() {
 }
 
 #[test]
-fn a_forged_manifest_is_found_though_its_hash_fits() {
+fn a_forged_manifest_with_a_matching_hash_is_detected() {
     let artifact = published();
     artifact.rewrite_manifest(|manifest| manifest["config"]["epsilon"] = json!(0.2));
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json has a key that does not follow from its recipe")
+        artifact.damaged("manifest.json has a key that does not match its recipe")
     );
 
     let artifact = published();
     artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["file"] = json!("../x.parquet"));
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json names a file outside the artifact for table every_kind")
+        artifact.damaged("manifest.json refers to a file outside the artifact for table every_kind")
     );
 
     let artifact = published();
     artifact.rewrite_manifest(|manifest| drop(manifest.as_object_mut().unwrap().remove("tool_version")));
     assert_eq!(
         artifact.complaint(),
-        artifact.damaged("manifest.json lacks something: missing field `tool_version`")
+        artifact.damaged("manifest.json is incomplete or malformed: missing field `tool_version`")
     );
 
-    // Hashes fit, the row count does not: only the verification that decodes finds it.
+    // The hashes match and the row count does not: only `verify`, which opens the tables, detects this.
     let artifact = published();
     artifact.rewrite_manifest(|manifest| manifest["tables"]["every_kind"]["rows"] = json!(31));
     assert_eq!(
         verify(&artifact.folder, &known).unwrap_err().sentence(),
-        artifact.damaged("every_kind.parquet has 30 rows where the manifest says 31")
+        artifact.damaged("every_kind.parquet has 30 rows, but the manifest lists 31")
     );
 }
 
 #[test]
-fn a_table_with_other_columns_than_its_version_has_is_refused() {
+fn a_table_whose_columns_do_not_match_its_version_is_refused() {
     const OTHER: re4_artifact::TableSpec = re4_artifact::TableSpec {
         columns: &[re4_artifact::ColumnSpec::new(
             "episode",
@@ -281,12 +278,12 @@ fn a_table_with_other_columns_than_its_version_has_is_refused() {
     let open = Artifact::open(&artifact.folder).unwrap();
     assert_eq!(
         open.table(&OTHER).unwrap_err().sentence(),
-        artifact.damaged("every_kind.parquet has 11 columns where version 1 of the every_kind table has 1")
+        artifact.damaged("every_kind.parquet has 11 columns, but version 1 of the every_kind table has 1")
     );
 }
 
 #[test]
-fn another_keys_folder_is_not_taken_for_ours() {
+fn a_folder_of_another_key_is_refused() {
     let artifact = published();
     let other = artifact.store.folder(Stage::Segment, &recipe(2).key());
     fs::rename(&artifact.folder, &other).unwrap();
@@ -307,10 +304,10 @@ fn another_keys_folder_is_not_taken_for_ours() {
 }
 
 #[test]
-fn a_path_without_artifact_is_said_so() {
+fn a_path_without_an_artifact_is_reported() {
     assert_eq!(
         verify(Path::new("/nowhere/at/all"), &known).unwrap_err().sentence(),
-        "cannot read artifact /nowhere/at/all: there is no such folder; check the path, or run the stage that makes it"
+        "cannot read artifact /nowhere/at/all: the folder does not exist; check the path, or run the stage that produces the artifact"
     );
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
@@ -318,7 +315,7 @@ fn a_path_without_artifact_is_said_so() {
 }
 
 #[test]
-fn a_report_names_every_file() {
+fn the_verification_report_lists_every_file() {
     let artifact = published();
     let report = verify(&artifact.folder, &known).unwrap();
     let names: Vec<(&str, Option<u64>)> = report.files.iter().map(|f| (f.file.as_str(), f.rows)).collect();

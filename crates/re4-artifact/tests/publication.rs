@@ -1,4 +1,4 @@
-//! An artifact is there whole or not at all, whatever happens to its writer.
+//! An artifact is either complete or absent, whatever happens to its writer.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -20,13 +20,13 @@ use re4_artifact::{ArtifactSummary, Key, Stage, Store, Writer, verify};
 use re4_fault::Remedy as _;
 use serde_json::json;
 
-/// Longest that anything is waited for that has to happen.
+/// Timeout for events that must happen; long, because the machine may be busy.
 const LONGEST: Duration = Duration::from_mins(5);
 
 const ROOT: &str = "RE4_TEST_ROOT";
 const TASK: &str = "RE4_TEST_TASK";
 
-/// Runs this test binary again, as a process of its own that does [`child`]'s work.
+/// Prepares a child process that runs the test [`child`] of this binary with a task.
 fn spawn(task: &str, root: &Path) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
@@ -38,7 +38,7 @@ fn spawn(task: &str, root: &Path) -> Command {
     command
 }
 
-/// The work of child processes; as a test of its own it has nothing to do.
+/// The entry point of child processes. Without a task, as in a normal test run, it does nothing.
 #[test]
 fn child() {
     let (Ok(task), Ok(root)) = (std::env::var(TASK), std::env::var(ROOT)) else {
@@ -46,7 +46,7 @@ fn child() {
     };
     let root = PathBuf::from(root);
     match task.as_str() {
-        "publish for ever" => {
+        "publish forever" => {
             let store = Store::open(&root).unwrap();
             for number in 0.. {
                 publish_sample(&store, number, 2_000);
@@ -59,7 +59,7 @@ fn child() {
             let artifact = publish_sample(&Store::open(&root).unwrap(), 1, 20_000);
             println!("published {}", artifact.manifest().manifest_blake3);
         }
-        "be refused" => {
+        "begin without permission" => {
             let store = Store::open(&root).unwrap();
             println!("refused: {}", store.begin(&recipe(1)).unwrap_err().sentence());
         }
@@ -76,7 +76,7 @@ fn half_written(store: &Store) -> Writer {
 }
 
 #[test]
-fn a_writer_that_is_dropped_leaves_nothing() {
+fn a_dropped_writer_leaves_no_files() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = half_written(&store);
@@ -92,7 +92,7 @@ fn unfinished_and_repeated_tables_are_not_published() {
     let store = Store::open(root.path()).unwrap();
     let writer = half_written(&store);
     let twice = writer.table(&EVERY_KIND).err().unwrap().sentence();
-    assert!(twice.ends_with("table every_kind was begun twice"), "{twice}");
+    assert!(twice.ends_with("table every_kind was started twice"), "{twice}");
     let refused = writer.publish(ArtifactSummary::default()).unwrap_err().sentence();
     let folder = store.folder(Stage::Segment, &recipe(1).key());
     assert_eq!(
@@ -103,7 +103,7 @@ fn unfinished_and_repeated_tables_are_not_published() {
 }
 
 #[test]
-fn a_living_writer_is_left_alone_and_a_dead_ones_files_are_removed() {
+fn opening_a_store_removes_leftovers_but_not_the_files_of_a_running_writer() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = half_written(&store);
@@ -124,7 +124,7 @@ fn a_living_writer_is_left_alone_and_a_dead_ones_files_are_removed() {
 }
 
 #[test]
-fn what_is_published_is_found_again() {
+fn a_published_artifact_is_found() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(&root.path().join("new/folder")).unwrap();
     let artifact = publish_sample(&store, 1, 100);
@@ -154,8 +154,8 @@ fn what_is_published_is_found_again() {
     verify(found.path(), &|_, _| None).unwrap();
 }
 
-/// Whether some process has begun to write an artifact, and has not published it.
-fn begun(root: &Path) -> bool {
+/// Whether a process has started to write an artifact and has not yet published it.
+fn is_writing(root: &Path) -> bool {
     let Ok(entries) = fs::read_dir(root.join("modes")) else {
         return false;
     };
@@ -165,14 +165,14 @@ fn begun(root: &Path) -> bool {
 }
 
 #[test]
-fn killed_processes_leave_nothing_that_a_later_run_trusts() {
+fn files_of_killed_processes_are_never_taken_for_artifacts() {
     let root = tempfile::tempdir().unwrap();
     let mut interrupted = 0;
     for moment in 0..25u64 {
-        let mut process: Child = spawn("publish for ever", root.path()).spawn().unwrap();
-        // From its first artifact on, which a busy machine takes its time for.
+        let mut process: Child = spawn("publish forever", root.path()).spawn().unwrap();
+        // Wait for its first artifact, which can take long on a busy machine.
         let start = Instant::now();
-        while !begun(root.path()) {
+        while !is_writing(root.path()) {
             assert!(start.elapsed() < LONGEST, "the process writes nothing");
             thread::sleep(Duration::from_millis(1));
         }
@@ -187,15 +187,15 @@ fn killed_processes_leave_nothing_that_a_later_run_trusts() {
             let report = verify(&root.path().join("modes").join(&name), &|_, _| None).unwrap();
             assert_eq!(report.files[1].rows, Some(2_000));
         }
-        // What was interrupted can be done now, with the bytes of an undisturbed run.
+        // After all interruptions the store still works, and gives the same bytes as an empty store.
         if moment == 24 {
-            let fixed = publish_sample(&store, 1_000_000, 2_000);
+            let after = publish_sample(&store, 1_000_000, 2_000);
             let elsewhere = tempfile::tempdir().unwrap();
             let undisturbed = publish_sample(&Store::open(elsewhere.path()).unwrap(), 1_000_000, 2_000);
-            assert_eq!(files(fixed.path()), files(undisturbed.path()));
+            assert_eq!(files(after.path()), files(undisturbed.path()));
         }
     }
-    assert!(interrupted > 0, "no process was killed in mid-write");
+    assert!(interrupted > 0, "no process was killed while it was writing");
 }
 
 #[test]
@@ -209,9 +209,9 @@ fn processes_that_publish_the_same_key_at_once_all_succeed() {
         .map(|process| {
             let output = process.wait_with_output().unwrap();
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-            let said = String::from_utf8(output.stdout).unwrap();
-            let line = said.lines().find_map(|line| line.split("published ").nth(1));
-            line.unwrap_or_else(|| panic!("{said}")).to_owned()
+            let stdout = String::from_utf8(output.stdout).unwrap();
+            let line = stdout.lines().find_map(|line| line.split("published ").nth(1));
+            line.unwrap_or_else(|| panic!("{stdout}")).to_owned()
         })
         .collect();
     hashes.dedup();
@@ -249,13 +249,13 @@ fn equal_keys_with_different_bytes_are_refused() {
         refused,
         format!(
             "cannot publish {folder}: another run published the same key with different bytes in table every_kind; delete the \
-             folder {folder}, run again, and report it, for equal keys must give equal bytes"
+             folder {folder}, run again, and report a bug, because equal keys must give equal bytes"
         )
     );
     assert_eq!(artifact_names(root.path()).len(), 1);
 }
 
-/// A file system of its own in a temporary folder, where this machine lets us mount one.
+/// A tmpfs that is mounted on a temporary folder; `None` if the test may not mount file systems.
 struct Mounted(tempfile::TempDir);
 
 impl Mounted {
@@ -267,7 +267,7 @@ impl Mounted {
             .output()
             .is_ok_and(|output| output.status.success());
         if !mounted {
-            println!("skipped: this machine does not let us mount a file system");
+            println!("skipped: this process may not mount a file system");
         }
         mounted.then(|| Self(folder))
     }
@@ -289,7 +289,7 @@ impl Drop for Mounted {
 }
 
 #[test]
-fn a_full_disk_is_said_so_and_leaves_nothing() {
+fn a_full_disk_is_reported_and_no_files_are_left() {
     let Some(disk) = Mounted::new("size=256k") else { return };
     let store = Store::open(disk.0.path()).unwrap();
     let writer = store.begin(&recipe(1)).unwrap();
@@ -314,11 +314,12 @@ fn a_full_disk_is_said_so_and_leaves_nothing() {
     drop(table);
     drop(writer);
     assert!(artifact_names(disk.0.path()).is_empty());
-    // A process that another test starts at this moment holds our open files until it runs its own program.
+    // A child process of another test that has been forked but not yet executed keeps the deleted files open, so that their space
+    // is freed later.
     let probe = disk.0.path().join("probe");
     let start = Instant::now();
     while fs::write(&probe, vec![1; 128 << 10]).is_err() {
-        assert!(start.elapsed() < LONGEST, "what was begun still takes its space");
+        assert!(start.elapsed() < LONGEST, "the space of the deleted files is not freed");
         thread::sleep(Duration::from_millis(10));
     }
     fs::remove_file(&probe).unwrap();
@@ -326,7 +327,7 @@ fn a_full_disk_is_said_so_and_leaves_nothing() {
 }
 
 #[test]
-fn a_read_only_file_system_is_said_so_and_can_be_read() {
+fn a_read_only_file_system_is_reported_and_can_be_read() {
     let Some(disk) = Mounted::new("size=1m") else { return };
     let artifact = publish_sample(&Store::open(disk.0.path()).unwrap(), 1, 10);
     disk.remount("remount,ro");
@@ -339,38 +340,38 @@ fn a_read_only_file_system_is_said_so_and_can_be_read() {
         "{refused}"
     );
     let new = Store::open(&disk.0.path().join("new")).unwrap_err().sentence();
-    assert!(new.starts_with("cannot make the artifacts folder "), "{new}");
+    assert!(new.starts_with("cannot create the artifacts folder "), "{new}");
     disk.remount("remount,rw");
 }
 
 #[test]
-fn a_folder_without_permission_is_said_so() {
+fn missing_permission_is_reported() {
     use std::os::unix::fs::PermissionsExt;
     let root = tempfile::tempdir().unwrap();
     fs::set_permissions(root.path(), fs::Permissions::from_mode(0o555)).unwrap();
-    let mut command = spawn("be refused", root.path());
+    let mut command = spawn("begin without permission", root.path());
     if fs::write(root.path().join("probe"), "").is_ok() {
-        // The superuser may do anything: let a child without privileges try.
+        // Permissions do not apply to root, so the child runs as an unprivileged user.
         fs::remove_file(root.path().join("probe")).unwrap();
         command.uid(65_534);
     }
     let output = match command.output() {
         Ok(output) => output,
         Err(error) => {
-            println!("skipped: no unprivileged process can be started here: {error}");
+            println!("skipped: cannot start an unprivileged process: {error}");
             return;
         }
     };
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(
         output.status.success(),
-        "{said}{}",
+        "{stdout}{}",
         String::from_utf8_lossy(&output.stderr)
     );
     let sentence = format!(
         "refused: cannot write {}: permission denied; give yourself write permission there or choose another artifacts folder",
         root.path().join(".lock").display()
     );
-    assert!(said.contains(&sentence), "{said}");
+    assert!(stdout.contains(&sentence), "{stdout}");
     assert!(fs::read_dir(root.path()).unwrap().next().is_none());
 }

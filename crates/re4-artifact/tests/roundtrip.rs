@@ -1,4 +1,4 @@
-//! What is written is read back bit for bit, and equal rows give equal bytes.
+//! Rows are read back bit for bit, and equal rows give equal bytes.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -62,7 +62,7 @@ fn row() -> impl Strategy<Value = Row> {
         )
 }
 
-/// Writes the rows cut at these places, in row groups of this size.
+/// Writes the rows in several batches, split at `cuts`, with row groups of `group` rows.
 fn write(store: &Store, rows: &[Row], cuts: &[usize], group: usize) -> Artifact {
     let writer = store.begin(&recipe(0)).unwrap();
     let mut table = writer.table_in_groups(&EVERY_KIND, group).unwrap();
@@ -117,7 +117,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
     #[test]
-    fn rows_come_back_bit_for_bit_and_cuts_leave_no_trace(
+    fn rows_are_read_back_bit_for_bit_and_batches_do_not_change_the_file(
         rows in proptest::collection::vec(row(), 0..120),
         mut cuts in proptest::collection::vec(0usize..120, 0..6),
         group in 1usize..50,
@@ -151,7 +151,7 @@ proptest! {
 }
 
 #[test]
-fn the_same_input_twice_gives_the_same_bytes_also_from_many_threads() {
+fn the_same_input_gives_the_same_bytes_in_all_threads() {
     let trees: Vec<_> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..4)
             .map(|_| {
@@ -170,7 +170,7 @@ fn the_same_input_twice_gives_the_same_bytes_also_from_many_threads() {
 }
 
 #[test]
-fn several_tables_are_open_at_once() {
+fn several_tables_can_be_written_at_the_same_time() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = store.begin(&Recipe::new(Stage::Ingest, 1)).unwrap();
@@ -225,7 +225,7 @@ table! {
 }
 
 #[test]
-fn units_and_frames_of_reference_are_in_the_file() {
+fn files_contain_units_and_frames_of_reference() {
     let root = tempfile::tempdir().unwrap();
     let artifact = publish_sample(&Store::open(root.path()).unwrap(), 1, 5);
     let table = artifact.table_named("every_kind").unwrap();
@@ -242,7 +242,7 @@ fn units_and_frames_of_reference_are_in_the_file() {
 }
 
 #[test]
-fn descriptions_name_everything() {
+fn json_descriptions_are_complete() {
     let description = json_description(&EVERY_KIND);
     assert_eq!(description["file"], "every_kind.parquet");
     assert_eq!(
@@ -254,13 +254,13 @@ fn descriptions_name_everything() {
     );
 }
 
-/// A later version of [`EVERY_KIND`]'s `mode` column alone.
+/// The first version of a table of which [`THIRD`] is a later version.
 const FIRST: TableSpec = TableSpec {
     name: "grown",
     version: 1,
     domain: "",
     formerly: "",
-    description: "One row an example.",
+    description: "One row per example.",
     columns: &[ColumnSpec::new("frame", ColumnKind::U32, "A frame.")],
 };
 const THIRD: TableSpec = TableSpec {
@@ -278,7 +278,7 @@ const THIRD: TableSpec = TableSpec {
 };
 
 #[test]
-fn older_tables_are_read_with_nulls_and_newer_ones_refused() {
+fn columns_missing_in_older_tables_are_null_and_newer_tables_are_refused() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let publish = |number, spec: &'static TableSpec, rows: Columns| {
@@ -312,13 +312,13 @@ fn older_tables_are_read_with_nulls_and_newer_ones_refused() {
     );
     let refusal = new.table(&FIRST).unwrap_err().sentence();
     assert!(
-        refusal.ends_with("grown table has schema version 3, this build reads up to 1; update re4-pipe"),
+        refusal.ends_with("table grown has schema version 3, but this build reads versions up to 1; update re4-pipe"),
         "{refusal}"
     );
 }
 
 #[test]
-fn rows_that_do_not_fit_are_refused_by_name() {
+fn columns_that_do_not_match_the_description_are_refused() {
     let refused = |columns: Columns| match columns.finish().unwrap_err() {
         error @ ArtifactError::Rows { .. } => error.sentence(),
         other => panic!("{other}"),
@@ -334,11 +334,11 @@ fn rows_that_do_not_fit_are_refused_by_name() {
     );
     assert_eq!(
         refused(scales().f64("maximum", vec![1.0, 2.0])),
-        "cannot write table scales: column maximum has 2 values where the first column has 1"
+        "cannot write table scales: column maximum has 2 values, but the first column has 1"
     );
     assert_eq!(
         refused(scales().u32("maximum", vec![1])),
-        "cannot write table scales: column maximum is of type UInt32, not f64"
+        "cannot write table scales: column maximum has type UInt32, not f64"
     );
     assert_eq!(
         refused(scales().f64_or_null("maximum", vec![None])),
@@ -346,7 +346,7 @@ fn rows_that_do_not_fit_are_refused_by_name() {
     );
     assert_eq!(
         refused(scales().f64("maximum", vec![1.0]).f64("median", vec![1.0])),
-        "cannot write table scales: it has no column median"
+        "cannot write table scales: the table has no column median"
     );
     assert_eq!(
         refused(scales().f64("minimum", vec![1.0])),
@@ -355,23 +355,29 @@ fn rows_that_do_not_fit_are_refused_by_name() {
 }
 
 #[test]
-fn columns_that_are_not_there_are_refused_by_name() {
+fn missing_columns_tables_and_rows_are_reported() {
     let root = tempfile::tempdir().unwrap();
     let artifact = publish_sample(&Store::open(root.path()).unwrap(), 1, 5);
     let table = artifact.table(&EVERY_KIND).unwrap();
     let rows = table.read_all().unwrap();
-    let said = |result: Result<&[f64], ArtifactError>| result.unwrap_err().sentence();
-    assert!(said(col_f64(&rows, "eef_z")).starts_with("table every_kind has no column eef_z; it has episode, count"));
-    assert_eq!(
-        said(col_f64(&rows, "episode")),
-        "column episode of table every_kind holds UInt32, not f64"
+    let message = |result: Result<&[f64], ArtifactError>| result.unwrap_err().sentence();
+    assert!(
+        message(col_f64(&rows, "eef_z"))
+            .starts_with("table every_kind has no column eef_z; use one of its columns: episode, count")
     );
     assert_eq!(
-        said(col_f64(&rows, "maybe")),
-        "column maybe of table every_kind is null in row 0; read it as a column with nulls"
+        message(col_f64(&rows, "episode")),
+        "column episode of table every_kind has type UInt32, not f64"
+    );
+    assert_eq!(
+        message(col_f64(&rows, "maybe")),
+        "column maybe of table every_kind is null in row 0; read it as a nullable column"
     );
     let missing = artifact.table(ImageRow::table()).unwrap_err().sentence();
-    assert!(missing.ends_with("has no table images; it has every_kind"), "{missing}");
+    assert!(
+        missing.ends_with("has no table images; use one of its tables: every_kind"),
+        "{missing}"
+    );
     let beyond = table.read_rows(3..9).unwrap_err().sentence();
     assert!(
         beyond.contains("cannot read rows 3..9 of ") && beyond.ends_with("the table has 5 rows"),

@@ -1,10 +1,5 @@
-//! Typed rows: what is written is read back, by the whole row, by some of its columns, and from older versions of a table.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    missing_docs,
-    reason = "a test may stop where it fails"
-)]
+//! Typed rows are read back: whole rows, some of their columns, and rows of older versions of a table.
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail by panicking")]
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_artifact::{
@@ -15,7 +10,7 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 
 table! {
-    /// One row a measurement, described
+    /// One row per measurement, described
     /// over two lines.
     #[table("measurements", version = 1)]
     pub struct OldRow {
@@ -42,7 +37,7 @@ columns! {
 }
 
 table! {
-    /// One row a measurement of everything.
+    /// One row per measurement of everything.
     #[table("figures", version = 2, formerly = "measurements")]
     pub struct NewRow<D> {
         /// Which one.
@@ -135,9 +130,9 @@ fn made(folder: &tempfile::TempDir, write: impl FnOnce(&Writer)) -> Artifact {
 }
 
 #[test]
-fn every_type_of_cell_comes_back_as_it_was() {
+fn every_type_of_cell_is_read_back_unchanged() {
     let folder = tempfile::tempdir().unwrap();
-    // More than one batch that is gathered, and more than one row group.
+    // Enough rows for several buffered batches and several row groups.
     let rows: Vec<Everything> = (0..9000)
         .map(|i| Everything {
             a: i,
@@ -159,7 +154,7 @@ fn every_type_of_cell_comes_back_as_it_was() {
 }
 
 #[test]
-fn fields_expand_to_columns_with_unit_frame_and_words() {
+fn fields_expand_to_columns_with_unit_frame_and_description() {
     let spec = Everything::table();
     let names: Vec<&str> = spec.columns.iter().map(|column| column.name).collect();
     let tail = [
@@ -182,7 +177,7 @@ fn fields_expand_to_columns_with_unit_frame_and_words() {
     assert_eq!(column("j").kind, ColumnKind::Category);
     assert_eq!(
         OldRow::table().description,
-        "One row a measurement, described over two lines."
+        "One row per measurement, described over two lines."
     );
     assert!(std::ptr::eq(NewRow::<f64>::table(), NewRow::<f64>::table()));
     assert_eq!(NewRow::<f64>::table().columns.len(), 7);
@@ -215,7 +210,7 @@ fn some_columns_are_read_by_name() {
 }
 
 #[test]
-fn tables_of_older_versions_are_read_under_their_old_names() {
+fn tables_and_columns_of_older_versions_are_read_under_their_former_names() {
     let folder = tempfile::tempdir().unwrap();
     let row = |word: &'static str| OldRow {
         episode: 3,
@@ -262,7 +257,7 @@ table! {
 }
 
 table! {
-    /// The same table in the plane, as its pose says.
+    /// The same table in the domain of its pose, `plane`.
     #[table("measurements", version = 1)]
     pub struct OfPlane {
         /// Where it was.
@@ -271,7 +266,7 @@ table! {
 }
 
 table! {
-    /// A part of the older table that has become a table of its own.
+    /// A part of the older table that is now a separate table.
     #[table("details", version = 2, formerly = "measurements")]
     pub struct DetailOfPlane {
         /// Where it was.
@@ -280,7 +275,7 @@ table! {
 }
 
 #[test]
-fn a_table_of_the_plane_may_have_had_another_name() {
+fn a_planar_table_is_read_under_its_former_name() {
     let folder = tempfile::tempdir().unwrap();
     let place = Some(Pose2::new(1.0, 2.0, 0.5));
     let artifact = made(&folder, |writer| {
@@ -290,7 +285,7 @@ fn a_table_of_the_plane_may_have_had_another_name() {
 }
 
 #[test]
-fn a_table_of_another_domain_is_refused_by_name() {
+fn a_table_of_another_domain_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let artifact = made(&folder, |writer| {
         writer.write_rows([OfSpace { episode: 0 }]).unwrap();
@@ -303,6 +298,6 @@ fn a_table_of_another_domain_is_refused_by_name() {
 }
 
 #[test]
-fn words_are_those_of_their_type() {
+fn a_word_type_lists_its_words() {
     assert_eq!(Mode::ALL.map(Word::word), ["transit", "transfer"]);
 }

@@ -1,4 +1,4 @@
-//! The vocabulary: tasks, modes, frames, episodes and segments. No input or output.
+//! Basic types that all stages share: modes, frames, episodes and segments. This crate does no input or output.
 
 mod names;
 mod spatial;
@@ -27,7 +27,7 @@ impl Mode {
     /// Every mode, in the order of their codes.
     pub const ALL: [Self; 2] = [Self::Transit, Self::Transfer];
 
-    /// The word used in tables and messages.
+    /// Name of the mode in tables and messages.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Transit => "transit",
@@ -35,7 +35,7 @@ impl Mode {
         }
     }
 
-    /// The mode that [`Mode::as_str`] names.
+    /// Returns the mode with this name, as returned by [`Mode::as_str`].
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|mode| mode.as_str() == name)
     }
@@ -47,16 +47,17 @@ impl fmt::Display for Mode {
     }
 }
 
-/// A frame of a planar demonstration: the object-augmented state and what is recorded beside it. World frame, pixels.
+/// A frame of a planar demonstration: the object-augmented state, the action and other recorded values. World frame, pixels and
+/// radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlanarFrame {
-    /// Pusher (end effector) position.
+    /// Position of the pusher's centre (the end effector).
     pub eef: Point2,
     /// Pose of the manipulated object.
     pub object: Pose2,
     /// Absolute target position commanded to the pusher at this frame.
     pub action: Point2,
-    /// Contact points counted by the simulator during the control step that led to this frame.
+    /// Number of contact points between pusher and block during the control step before this frame, as counted by the simulator.
     pub contacts: f64,
 }
 
@@ -65,32 +66,32 @@ pub struct PlanarFrame {
 pub struct PlanarEpisode {
     /// Number of the demonstration in its source dataset.
     pub source: u32,
-    /// Frames in the order of time.
+    /// Frames in temporal order.
     pub frames: Vec<PlanarFrame>,
 }
 
 impl PlanarEpisode {
-    /// What the demonstration is called in tables, pages and sentences: `episode 12`.
+    /// Returns the name of the demonstration in tables, pages and messages: `episode 12`.
     pub fn name(&self) -> String {
         episode_name(self.source)
     }
 }
 
-/// What an episode of a dataset whose episodes have numbers, and no names, is called in tables, pages and sentences.
+/// Returns the name, in tables, pages and messages, of an episode of a dataset that numbers its episodes and does not name them.
 pub fn episode_name(source: u32) -> String {
     format!("episode {source}")
 }
 
-/// A maximal run of frames of one mode.
+/// A maximal range of consecutive frames of one mode.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// Mode of every frame in the run.
+    /// Mode of every frame in the range.
     pub mode: Mode,
-    /// Frames of the run, end exclusive.
+    /// The frames, end exclusive.
     pub frames: Range<usize>,
 }
 
-/// Splits a sequence of modes into maximal runs.
+/// Splits a sequence of modes into segments.
 pub fn segments(modes: &[Mode]) -> Vec<Segment> {
     let mut runs: Vec<Segment> = Vec::new();
     for (i, &mode) in modes.iter().enumerate() {
@@ -107,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_maximal_and_cover_everything() {
+    fn segments_are_maximal_and_cover_all_frames() {
         use Mode::{Transfer as G, Transit as T};
         let runs = segments(&[T, T, G, T, T, T]);
         assert_eq!(
@@ -118,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn names_round_trip() {
+    fn modes_are_parsed_from_their_names() {
         for mode in Mode::ALL {
             assert_eq!(Mode::from_name(mode.as_str()), Some(mode));
         }

@@ -1,14 +1,14 @@
-//! `#[derive(Remedy)]` for errors: see `re4_fault::Remedy`.
+//! The derive macro of `re4_fault::Remedy`.
 
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use quote::{format_ident, quote};
 use syn::{Attribute, Data, DeriveInput, Fields, Meta, parse_macro_input};
 
-/// Implements `re4_fault::Remedy`: each variant (or the struct) says how to fix it by an attribute beside its `#[error]`.
+/// Implements `re4_fault::Remedy`. The remedy of each variant (or of the struct) is given by an attribute below its `#[error]`.
 ///
-/// `#[remedy("remove {} and run again", path.display())]` is a text as `format!` takes it; fields are known by their names, those
-/// of tuples as `_0`, `_1`. Anything but a text is an expression of type `Option<Cow<str>>`, as in `#[remedy(fault.remedy())]`.
-/// Without the attribute there is nothing to advise.
+/// `#[remedy("remove {} and run again", path.display())]` takes the arguments of `format!`. Fields are available by their names,
+/// those of tuples as `_0`, `_1`. If the first argument is not a string literal, it is an expression of type `Option<Cow<str>>`,
+/// as in `#[remedy(fault.remedy())]`. Without the attribute there is no remedy.
 #[proc_macro_derive(Remedy, attributes(remedy))]
 pub fn derive_remedy(input: proc_macro::TokenStream) -> proc_macro::TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
@@ -22,7 +22,10 @@ pub fn derive_remedy(input: proc_macro::TokenStream) -> proc_macro::TokenStream 
             })
             .collect(),
         Data::Struct(data) => arm(&quote!(Self), &data.fields, &input.attrs).map(|arm| vec![arm]),
-        Data::Union(_) => Err(syn::Error::new_spanned(&input.ident, "a union is no error")),
+        Data::Union(_) => Err(syn::Error::new_spanned(
+            &input.ident,
+            "Remedy cannot be derived for unions",
+        )),
     };
     let arms = match arms {
         Ok(arms) => arms,
@@ -41,7 +44,7 @@ pub fn derive_remedy(input: proc_macro::TokenStream) -> proc_macro::TokenStream 
     .into()
 }
 
-/// One variant: its pattern, and what to do about it.
+/// Returns the match arm of a variant: its pattern and its remedy.
 fn arm(name: &TokenStream, fields: &Fields, attributes: &[Attribute]) -> Result<TokenStream, syn::Error> {
     let pattern = match fields {
         Fields::Unit => name.clone(),
@@ -64,12 +67,13 @@ fn arm(name: &TokenStream, fields: &Fields, attributes: &[Attribute]) -> Result<
             )))
         }
         Some(Meta::List(list)) => list.tokens.clone(),
-        Some(other) => return Err(syn::Error::new_spanned(other, "write #[remedy(\"text\")]")),
+        Some(other) => return Err(syn::Error::new_spanned(other, "expected #[remedy(\"text\")]")),
     };
     Ok(quote!(#pattern => { #remedy }))
 }
 
-/// Whether the first token is a text, seen through the groups without delimiters that macros leave.
+/// Whether the first token is a literal. A literal that was passed through a `macro_rules` macro is in a group without
+/// delimiters.
 fn begins_with_text(tokens: &TokenStream) -> bool {
     match tokens.clone().into_iter().next() {
         Some(TokenTree::Literal(_)) => true,

@@ -1,8 +1,18 @@
-//! What is wrong, and apart from it how to fix it.
+//! Errors with remedies.
 //!
-//! The text of an error ([`Display`](fmt::Display)) says what is wrong and with what; its [`Remedy`] says what to do about it.
-//! Whoever prints an error joins the two, or keeps them apart. Library crates derive [`Remedy`] for their enums of errors;
-//! the code above them makes a [`Fault`] with [`fault!`], [`bail!`] and [`ensure!`].
+//! The text of an error ([`Display`](fmt::Display)) says what is wrong, in which file and with which object. Its [`Remedy`] says
+//! how to fix it. They are separate, so that text output can join them and JSON output can keep them in two fields.
+//!
+//! Library crates derive [`Remedy`] for their error enums. The crates above them create a [`Fault`] with [`fault!`], [`bail!`]
+//! and [`ensure!`].
+//!
+//! ```
+//! use re4_fault::{Fault, Remedy as _, fault};
+//!
+//! let error: Fault = fault!("there is no file {}", "a.zarr"; "check the path");
+//! assert_eq!(error.to_string(), "there is no file a.zarr");
+//! assert_eq!(error.sentence(), "there is no file a.zarr; check the path");
+//! ```
 
 use std::borrow::Cow;
 use std::error::Error;
@@ -12,12 +22,12 @@ use std::fmt;
 pub use anyhow;
 pub use re4_fault_derive::Remedy;
 
-/// An error that may know how to fix it.
+/// An error that may have a remedy.
 pub trait Remedy: fmt::Display {
-    /// What to do about it, in the imperative and without an end: `give a smaller --jobs`.
+    /// How to fix the error, in the imperative, in lower case and without a full stop: `give a smaller --jobs`.
     fn remedy(&self) -> Option<Cow<'_, str>>;
 
-    /// What is wrong and how to fix it in one sentence.
+    /// What is wrong and how to fix it, joined by a semicolon.
     fn sentence(&self) -> String {
         join(&self.to_string(), self.remedy().as_deref())
     }
@@ -29,7 +39,7 @@ impl<T: Remedy + ?Sized> Remedy for Box<T> {
     }
 }
 
-/// What and remedy as one sentence.
+/// Joins the text of an error and its remedy by a semicolon.
 pub fn join(what: &str, remedy: Option<&str>) -> String {
     match remedy {
         Some(remedy) if !remedy.is_empty() => [what, "; ", remedy].concat(),
@@ -37,7 +47,7 @@ pub fn join(what: &str, remedy: Option<&str>) -> String {
     }
 }
 
-/// What is wrong, how to fix it, and why.
+/// An error made of what is wrong, a remedy and a cause.
 #[derive(Debug)]
 pub struct Fault {
     what: String,
@@ -46,7 +56,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// What is wrong, and what to do about it where that is known.
+    /// Creates a fault from what is wrong and, if there is one, the remedy.
     pub fn new(what: impl Into<String>, remedy: Option<impl Into<String>>) -> Self {
         Self {
             what: what.into(),
@@ -55,12 +65,12 @@ impl Fault {
         }
     }
 
-    /// What another error says.
+    /// Creates a fault with the text and remedy of another error.
     pub fn of(error: &impl Remedy) -> Self {
         Self::new(error.to_string(), error.remedy())
     }
 
-    /// The same, with words before it that say where: `{place}{what}`.
+    /// Puts the place of the fault in front of its text: `{place}{what}`.
     #[must_use]
     pub fn at(self, place: impl fmt::Display) -> Self {
         Self {
@@ -69,7 +79,8 @@ impl Fault {
         }
     }
 
-    /// From a sentence as [`Remedy::sentence`] makes it, for what passed through a foreign parser, which knows texts alone.
+    /// Splits a sentence of [`Remedy::sentence`] at its first semicolon. For errors that passed through the parser of another
+    /// crate, which keeps only their text.
     pub fn from_sentence(sentence: &str) -> Self {
         match sentence.split_once("; ") {
             Some((what, remedy)) => Self::new(what, Some(remedy)),
@@ -77,7 +88,7 @@ impl Fault {
         }
     }
 
-    /// With the error that led to it.
+    /// Sets the error that caused the fault.
     #[must_use]
     pub fn because(self, source: impl Into<anyhow::Error>) -> Self {
         Self {
@@ -105,12 +116,12 @@ impl Remedy for Fault {
     }
 }
 
-/// Says of an error, or of nothing where there should be something, what it means.
+/// Converts an error or a missing value to a [`Fault`].
 pub trait OrFault<T> {
-    /// The value, or the fault, which keeps the error as its source.
+    /// Returns the value, or `fault()` with the original error as its source.
     ///
     /// # Errors
-    /// Where there was one.
+    /// If the result is an error or the option is `None`.
     fn or_fault(self, fault: impl FnOnce() -> Fault) -> anyhow::Result<T>;
 }
 
@@ -126,8 +137,8 @@ impl<T> OrFault<T> for Option<T> {
     }
 }
 
-/// A [`Fault`]: `fault!("there is no file {}", path.display(); "give the path of one")`. The part after the semicolon is the
-/// remedy, and may be left out.
+/// Creates a [`Fault`]: `fault!("there is no file {}", path.display(); "check the path")`. The part after the semicolon is the
+/// remedy and is optional.
 #[macro_export]
 macro_rules! fault {
     ($what:literal $(, $part:expr)* $(,)?) => {
@@ -149,17 +160,17 @@ macro_rules! bail {
     };
 }
 
-/// Returns a [`fault!`] unless a condition holds.
+/// Returns a [`fault!`] as an [`anyhow::Error`] if a condition is false.
 #[macro_export]
 macro_rules! ensure {
-    ($holds:expr, $($fault:tt)*) => {
-        if !$holds {
+    ($condition:expr, $($fault:tt)*) => {
+        if !$condition {
             $crate::bail!($($fault)*);
         }
     };
 }
 
-// What the derive writes is `::re4_fault::Remedy`.
+// The derive macro generates the path `::re4_fault::Remedy`, which must also resolve in the tests of this crate.
 #[cfg(test)]
 extern crate self as re4_fault;
 
@@ -170,8 +181,12 @@ mod tests {
     #[derive(Debug, thiserror::Error, Remedy)]
     enum Broken {
         #[error("{name} is {size} px")]
-        #[remedy("give {} to {most}", 1)]
-        Size { name: &'static str, size: u32, most: u32 },
+        #[remedy("give {} to {maximum}", 1)]
+        Size {
+            name: &'static str,
+            size: u32,
+            maximum: u32,
+        },
         #[error("no disk: {0}")]
         #[remedy(_0.remedy())]
         Disk(Box<Broken>),
@@ -180,11 +195,11 @@ mod tests {
     }
 
     #[test]
-    fn each_variant_says_how_to_fix_it() {
+    fn each_variant_has_its_remedy() {
         let size = || Broken::Size {
             name: "width",
             size: 9,
-            most: 4,
+            maximum: 4,
         };
         assert_eq!(size().sentence(), "width is 9 px; give 1 to 4");
         assert_eq!(
@@ -204,11 +219,11 @@ mod tests {
 
     #[test]
     fn a_fault_keeps_its_cause() {
-        let said = |error: &anyhow::Error| error.downcast_ref::<Fault>().map(Remedy::sentence);
+        let sentence = |error: &anyhow::Error| error.downcast_ref::<Fault>().map(Remedy::sentence);
         let error = checked(0).unwrap_err();
-        assert_eq!(said(&error).as_deref(), Some("0 jobs; give 1 or more"));
+        assert_eq!(sentence(&error).as_deref(), Some("0 jobs; give 1 or more"));
         let error = checked(1).unwrap_err();
-        assert_eq!(said(&error).as_deref(), Some("cannot start; run again"));
+        assert_eq!(sentence(&error).as_deref(), Some("cannot start; run again"));
         let cause = error.chain().nth(1).and_then(|cause| cause.downcast_ref::<Broken>());
         assert!(matches!(cause, Some(Broken::Late)));
     }

@@ -1,45 +1,45 @@
-//! The datasets and weights that are known by name.
+//! The catalogue of datasets and weights that can be downloaded by name.
 
 use serde::Deserialize;
 
 use crate::error::{Fault, FetchError};
 
-/// What a downloaded file is.
+/// How a downloaded file is installed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Form {
-    /// A zip file, to be unpacked.
+    /// The file is a zip file that is unpacked.
     #[default]
     Zip,
-    /// What is wanted itself. Weights of PyTorch are zip files inside, and are used as they are.
+    /// The file is used as it is. This includes weights of PyTorch, although their format is zip.
     File,
 }
 
-/// A dataset that can be downloaded, or weights.
+/// A dataset or a file of weights that can be downloaded.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dataset {
     /// Name, as given on the command line.
     pub name: String,
-    /// One sentence about it.
+    /// One sentence about the dataset.
     pub description: String,
-    /// Address of a file.
+    /// URL of the file.
     pub url: String,
-    /// Size of the file, where it is known.
+    /// Size of the file in bytes, if known.
     pub bytes: Option<u64>,
-    /// SHA-256 of the file in hexadecimal, where it is known.
+    /// SHA-256 of the file in hexadecimal, if known.
     pub sha256: Option<String>,
-    /// Licence and holder of the rights.
+    /// Licence and copyright holder.
     pub licence: String,
-    /// What the file is.
+    /// How the file is installed.
     #[serde(default)]
     pub form: Form,
-    /// Path below the destination at which the dataset will lie. In a zip file it is at this path or at its last part.
+    /// Path of the installed dataset, relative to the destination. In a zip file the dataset has this path or its last component.
     pub provides: String,
 }
 
 impl Dataset {
-    /// The same dataset from another address, such as a mirror.
+    /// Returns the same dataset with another URL, such as that of a mirror.
     #[must_use]
     pub fn with_url(self, url: impl Into<String>) -> Self {
         Self {
@@ -55,10 +55,10 @@ struct Catalogue {
     dataset: Vec<Dataset>,
 }
 
-/// All known datasets, in the order of `data/datasets.toml`, which is part of the program.
+/// Returns all datasets in the order of `data/datasets.toml`, which is compiled into the program.
 ///
 /// # Errors
-/// None in a program whose tests pass: the catalogue is fixed when it is built.
+/// [`Fault::Catalogue`] if the file is invalid. The catalogue is fixed at compile time, so the tests exclude this.
 pub fn catalogue() -> Result<Vec<Dataset>, FetchError> {
     toml::from_str::<Catalogue>(include_str!("../../../data/datasets.toml"))
         .map(|catalogue| catalogue.dataset)
@@ -71,10 +71,10 @@ pub fn catalogue() -> Result<Vec<Dataset>, FetchError> {
         })
 }
 
-/// The known dataset of a name.
+/// Returns the dataset with this name.
 ///
 /// # Errors
-/// A name that is not in the catalogue; the error lists those that are.
+/// [`Fault::UnknownDataset`], which lists the known names.
 pub fn find(name: &str) -> Result<Dataset, FetchError> {
     let known = catalogue()?;
     let names: Vec<String> = known.iter().map(|dataset| dataset.name.clone()).collect();
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_catalogue_is_sound() {
+    fn the_catalogue_is_valid() {
         let known = catalogue().unwrap();
         assert_eq!(
             known.iter().map(|dataset| &dataset.name).collect::<Vec<_>>(),
@@ -109,7 +109,7 @@ mod tests {
             assert!(!dataset.licence.is_empty() && !dataset.description.is_empty());
             let folder = match dataset.form {
                 Form::Zip => dataset.name.as_str(),
-                // Only its hash tells whether it is whole.
+                // Unlike a zip file, which contains checksums, it can only be checked by its hash.
                 Form::File => {
                     assert!(dataset.sha256.is_some() && dataset.bytes.is_some());
                     "weights"
@@ -124,11 +124,11 @@ mod tests {
     }
 
     #[test]
-    fn unknown_names_get_the_known_ones() {
+    fn the_error_of_an_unknown_name_lists_the_known_names() {
         let sentence = find("push-t").unwrap_err().sentence();
         assert_eq!(
             sentence,
-            "cannot fetch push-t from the catalogue: there is no such dataset; known are: pusht, resnet18"
+            "cannot fetch push-t from the catalogue: there is no such dataset; use one of: pusht, resnet18"
         );
     }
 }

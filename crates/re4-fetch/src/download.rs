@@ -1,4 +1,4 @@
-//! The download of one file into a part file that an interrupted fetch leaves and the next one continues.
+//! Download of one file to a part file. An interrupted fetch leaves the part file, and the next fetch continues it.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -12,16 +12,16 @@ use ureq::{Agent, Body};
 use crate::catalogue::Dataset;
 use crate::error::Fault;
 
-/// Longest silence of a server before the download counts as broken.
-const SILENCE: Duration = Duration::from_mins(1);
+/// Timeout for a connection, an answer, and each read.
+const TIMEOUT: Duration = Duration::from_mins(1);
 const BUFFER: usize = 256 << 10;
 
-/// A file being downloaded.
+/// The download of a file.
 pub(crate) struct Download<'a> {
     url: &'a str,
-    /// The bytes so far.
+    /// File with the bytes downloaded so far.
     pub(crate) part: PathBuf,
-    /// Beside them: the address and the server's mark of the version they are from.
+    /// File with the URL of these bytes and the server's validator (`ETag` or `Last-Modified`) of the version they belong to.
     origin: PathBuf,
 }
 
@@ -35,8 +35,8 @@ impl<'a> Download<'a> {
         }
     }
 
-    /// Downloads the file. Returns the number of bytes that were there before, and the part file: as long as it is open,
-    /// no other fetch touches it.
+    /// Downloads the file. Returns the number of bytes that were on disk before, and the locked part file: other fetches do not
+    /// write to it as long as it is open.
     pub(crate) fn run(&self, progress: &mut dyn FnMut(u64, Option<u64>)) -> Result<(u64, File), Fault> {
         let cannot_write = |error| Fault::io("write", &self.part, error);
         let mut file = OpenOptions::new()
@@ -55,15 +55,15 @@ impl<'a> Download<'a> {
             Err(TryLockError::Error(error)) => return Err(Fault::io("lock", &self.part, error)),
         }
         let same_address = self.read_origin().is_some_and(|(url, _)| url == self.url);
-        let there = if same_address {
+        let present = if same_address {
             file.metadata().map_err(cannot_write)?.len()
         } else {
             0
         };
-        let start = match self.request(there)? {
+        let start = match self.request(present)? {
             Answer::Complete => {
-                progress(there, Some(there));
-                there
+                progress(present, Some(present));
+                present
             }
             Answer::From(start, response) => {
                 let length = header_text(response.headers(), header::CONTENT_LENGTH.as_str())
@@ -91,36 +91,38 @@ impl<'a> Download<'a> {
     }
 
     fn remember_origin(&self, headers: &HeaderMap) -> Result<(), Fault> {
-        // A weak mark does not promise equal bytes.
-        let mark = header_text(headers, header::ETAG.as_str())
-            .filter(|mark| !mark.starts_with("W/"))
+        // A weak ETag does not guarantee equal bytes, so it must not be used for `If-Range`.
+        let validator = header_text(headers, header::ETAG.as_str())
+            .filter(|etag| !etag.starts_with("W/"))
             .or_else(|| header_text(headers, header::LAST_MODIFIED.as_str()));
         let text = format!(
             "{}\n{}",
             self.url,
-            mark.map_or(String::new(), |mark| format!("{mark}\n"))
+            validator.map_or(String::new(), |validator| format!("{validator}\n"))
         );
         fs::write(&self.origin, text).map_err(|error| Fault::io("write", &self.origin, error))
     }
 
-    /// Asks for the file from byte `there` on.
-    fn request(&self, there: u64) -> Result<Answer, Fault> {
+    /// Requests the file from byte `present` on.
+    fn request(&self, present: u64) -> Result<Answer, Fault> {
         let agent = agent(self.url);
         let mut request = agent.get(self.url);
-        if there > 0 {
-            request = request.header(header::RANGE, format!("bytes={there}-"));
-            if let Some((_, Some(mark))) = self.read_origin() {
-                request = request.header(header::IF_RANGE, mark);
+        if present > 0 {
+            request = request.header(header::RANGE, format!("bytes={present}-"));
+            // The server sends the whole file if its version differs from that of the part file.
+            if let Some((_, Some(validator))) = self.read_origin() {
+                request = request.header(header::IF_RANGE, validator);
             }
         }
         let response = request.call().map_err(|error| no_answer(&error))?;
         match response.status() {
             StatusCode::OK => Ok(Answer::From(0, response)),
-            StatusCode::PARTIAL_CONTENT if there > 0 => Ok(Answer::From(there, response)),
-            StatusCode::RANGE_NOT_SATISFIABLE if there > 0 => {
+            StatusCode::PARTIAL_CONTENT if present > 0 => Ok(Answer::From(present, response)),
+            // There are no bytes after the present ones. The part file is complete if it has the size of the server's file.
+            StatusCode::RANGE_NOT_SATISFIABLE if present > 0 => {
                 let range = header_text(response.headers(), header::CONTENT_RANGE.as_str());
                 let total = range.and_then(|range| range.strip_prefix("bytes */")?.parse().ok());
-                if total == Some(there) {
+                if total == Some(present) {
                     Ok(Answer::Complete)
                 } else {
                     self.request(0)
@@ -146,7 +148,7 @@ impl<'a> Download<'a> {
         let mut buffer = vec![0; BUFFER];
         let mut received = start;
         progress(received, total);
-        let broken = loop {
+        let error = loop {
             match reader.read(&mut buffer) {
                 Ok(0) => break None,
                 Ok(count) => {
@@ -158,14 +160,14 @@ impl<'a> Download<'a> {
                 Err(error) => break Some(error.to_string()),
             }
         };
-        // Whatever arrived is kept for the next fetch.
+        // Also after an error, so that the next fetch can continue from the received bytes.
         writer.flush().map_err(cannot_write)?;
-        match broken {
+        match error {
             Some(why) => Err(Fault::Interrupted { received, total, why }),
             None if total.is_some_and(|total| received < total) => Err(Fault::Interrupted {
                 received,
                 total,
-                why: "the server closed it".to_owned(),
+                why: "the server closed the connection".to_owned(),
             }),
             None => Ok(()),
         }
@@ -202,7 +204,7 @@ impl<'a> Download<'a> {
         }
     }
 
-    /// Removes what a fetch leaves that got nothing.
+    /// Removes the part file and its origin file if no bytes were received.
     pub(crate) fn discard_if_empty(&self) -> Result<(), Fault> {
         if fs::metadata(&self.part).is_ok_and(|metadata| metadata.len() == 0) {
             self.discard()
@@ -211,7 +213,7 @@ impl<'a> Download<'a> {
         }
     }
 
-    /// Removes the part file and what lies beside it.
+    /// Removes the part file and its origin file.
     pub(crate) fn discard(&self) -> Result<(), Fault> {
         for path in [&self.part, &self.origin] {
             match fs::remove_file(path) {
@@ -223,7 +225,7 @@ impl<'a> Download<'a> {
     }
 }
 
-/// Why there is no answer.
+/// Converts the error of a request without an answer.
 fn no_answer(error: &ureq::Error) -> Fault {
     let why = error.to_string();
     match error {
@@ -235,33 +237,33 @@ fn no_answer(error: &ureq::Error) -> Fault {
     }
 }
 
-/// What a server gives.
+/// The answer of a server.
 enum Answer {
-    /// The file from this byte on.
+    /// The bytes of the file from this position on.
     From(u64, Response<Body>),
-    /// Nothing: the part file is the whole file.
+    /// No bytes: the part file is already complete.
     Complete,
 }
 
-/// Checks that a partial answer continues at `start`; the size of the whole file if the answer says it.
+/// Checks that a partial answer starts at `start`. Returns the size of the whole file if the answer contains it.
 fn total_of_range(response: &Response<Body>, start: u64) -> Result<Option<u64>, Fault> {
     if start == 0 {
         return Ok(None);
     }
     let range = header_text(response.headers(), header::CONTENT_RANGE.as_str());
-    let misfit = || Fault::BadAnswer {
+    let mismatch = || Fault::BadAnswer {
         why: format!(
-            "asked for bytes from {start}, got the range {}",
-            range.as_deref().unwrap_or("of no bytes")
+            "requested bytes from {start} on, received {}",
+            range.as_deref().unwrap_or("no Content-Range header")
         ),
     };
     let (span, total) = range
         .as_deref()
         .and_then(|range| range.strip_prefix("bytes "))
         .and_then(|range| range.split_once('/'))
-        .ok_or_else(misfit)?;
+        .ok_or_else(mismatch)?;
     if span.split_once('-').and_then(|(first, _)| first.parse().ok()) != Some(start) {
-        return Err(misfit());
+        return Err(mismatch());
     }
     Ok(total.parse().ok())
 }
@@ -272,12 +274,13 @@ fn header_text(headers: &HeaderMap, name: &str) -> Option<String> {
 
 fn agent(url: &str) -> Agent {
     let mut config = Agent::config_builder()
+        // `Download::request` handles the statuses.
         .http_status_as_error(false)
         .user_agent(concat!("re4-pipe/", env!("CARGO_PKG_VERSION")))
-        .timeout_connect(Some(SILENCE))
-        .timeout_recv_response(Some(SILENCE))
-        .timeout_per_read(Some(SILENCE));
-    // A proxy of the environment cannot reach this machine's own servers.
+        .timeout_connect(Some(TIMEOUT))
+        .timeout_recv_response(Some(TIMEOUT))
+        .timeout_per_read(Some(TIMEOUT));
+    // A proxy that is configured in the environment cannot reach servers on the loopback interface.
     if ["http://127.0.0.1", "http://localhost", "http://[::1]"]
         .iter()
         .any(|local| url.starts_with(local))

@@ -1,4 +1,4 @@
-//! Why a fetch stops.
+//! Errors of a fetch, with remedies.
 
 use re4_fault::Remedy;
 use std::io;
@@ -6,140 +6,142 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// A dataset that cannot be fetched.
+/// The error of a fetch: which dataset, from which URL, and what went wrong.
 #[derive(Debug, Error, Remedy)]
 #[error("cannot fetch {dataset} from {url}: {fault}")]
 #[remedy(fault.remedy())]
 pub struct FetchError {
     /// Name of the dataset.
     pub dataset: String,
-    /// Where it was to come from.
+    /// URL of the file.
     pub url: String,
     /// What went wrong.
     #[source]
     pub fault: Fault,
 }
 
-/// What went wrong with a fetch.
+/// What went wrong in a fetch.
 #[derive(Debug, Error, Remedy)]
 pub enum Fault {
-    /// The built-in catalogue is broken.
+    /// The built-in catalogue is invalid.
     #[error("data/datasets.toml is not valid ({why})")]
-    #[remedy("repair it and build again")]
+    #[remedy("correct the file and build again")]
     Catalogue {
-        /// The parser's words.
+        /// Message of the parser.
         why: String,
     },
-    /// A name that is not in the catalogue.
+    /// The name is not in the catalogue.
     #[error("there is no such dataset")]
-    #[remedy("known are: {known}")]
+    #[remedy("use one of: {known}")]
     UnknownDataset {
-        /// Names of the known datasets.
+        /// Names of the known datasets, separated by commas.
         known: String,
     },
-    /// No connection, or none that works.
+    /// No connection to the server could be established.
     #[error("the server cannot be reached ({why})")]
-    #[remedy("check the network, or run this on another machine and copy what it fetches")]
+    #[remedy("check the network, or run the command on another machine and copy the dataset")]
     Unreachable {
-        /// The network's words.
+        /// Message of the network library.
         why: String,
     },
-    /// An address that is none.
-    #[error("that is no address of a file on the web ({why})")]
-    #[remedy("give one that starts with https://")]
+    /// The URL is not valid.
+    #[error("the URL is not valid ({why})")]
+    #[remedy("give a URL that starts with https://")]
     BadAddress {
-        /// The parser's words.
+        /// Message of the parser.
         why: String,
     },
-    /// The server refused.
+    /// The server answered with an error status.
     #[error("the server answered {status}")]
-    #[remedy("{}", status_fix(*status))]
+    #[remedy("{}", status_remedy(*status))]
     Status {
         /// HTTP status.
         status: u16,
     },
-    /// An answer that does not fit the request.
-    #[error("the server's answer does not fit the request ({why})")]
-    #[remedy("try again later, or give another address")]
+    /// The server's answer does not match the request.
+    #[error("the server's answer does not match the request ({why})")]
+    #[remedy("try again later, or give another URL")]
     BadAnswer {
-        /// What does not fit.
+        /// The mismatch.
         why: String,
     },
-    /// The connection ended early.
+    /// The connection was lost before the end of the file.
     #[error(
-        "the connection broke after {received} of {} bytes ({why})",
+        "the connection was lost after {received} of {} bytes ({why})",
         total.map_or("an unknown number of".to_owned(), |total| total.to_string())
     )]
-    #[remedy("run the command again, it continues from there")]
+    #[remedy("run the command again to continue the download")]
     Interrupted {
-        /// Bytes on disk.
+        /// Number of bytes on disk.
         received: u64,
-        /// Size of the file, if known.
+        /// Size of the file in bytes, if known.
         total: Option<u64>,
-        /// The network's words.
+        /// Message of the network library.
         why: String,
     },
-    /// A complete file of the wrong size.
+    /// The downloaded file has the wrong size.
     #[error("the file has {found} bytes and should have {expected}, so it was deleted")]
-    #[remedy("run the command again, and if it stays so, give another address")]
+    #[remedy("run the command again; if the error persists, give another URL")]
     WrongSize {
         /// Size of the file.
         found: u64,
         /// Size in the catalogue.
         expected: u64,
     },
-    /// A complete file of the wrong content.
+    /// The downloaded file has the wrong content.
     #[error("the file has SHA-256 {found} and should have {expected}, so it was deleted")]
-    #[remedy("run the command again, and if it stays so, give another address")]
+    #[remedy("run the command again; if the error persists, give another URL")]
     WrongHash {
         /// Hash of the file.
         found: String,
         /// Hash in the catalogue.
         expected: String,
     },
-    /// A file that is no zip, or a damaged one.
+    /// The downloaded file is not a zip file or is damaged.
     #[error("the file is not a readable zip file ({why}), so it was deleted")]
-    #[remedy("run the command again, and if it stays so, give another address")]
+    #[remedy("run the command again; if the error persists, give another URL")]
     UnreadableZip {
-        /// The unpacker's words.
+        /// Message of the unpacker.
         why: String,
     },
-    /// An entry that would be unpacked outside of the destination.
-    #[error("entry {entry} of the zip file is a link or leads outside of it, so the file was deleted")]
-    #[remedy("give another address")]
+    /// An entry of the zip file is a link, or its path is outside of the destination.
+    #[error(
+        "entry {entry} of the zip file is a link or its path is outside of the destination, so the file was deleted"
+    )]
+    #[remedy("give another URL")]
     UnsafeZipEntry {
         /// Name of the entry.
         entry: String,
     },
-    /// A zip without the dataset.
-    #[error("the zip file holds no {expected}, so it was deleted")]
-    #[remedy("give the address of the right file")]
+    /// The zip file does not contain the dataset.
+    #[error("the zip file does not contain {expected}, so it was deleted")]
+    #[remedy("give the URL of the right file")]
     Incomplete {
-        /// What should be in it.
+        /// Expected path in the zip file.
         expected: String,
     },
     /// Another fetch of the same dataset is running.
     #[error("another fetch is writing {}", part.display())]
-    #[remedy("wait for it to end")]
+    #[remedy("wait until it has finished")]
     Busy {
         /// The part file.
         part: PathBuf,
     },
-    /// The operating system refused something.
+    /// An operation on a file or folder failed.
     #[error("cannot {action} {}: {source}", path.display())]
-    #[remedy("{}", io_fix(source))]
+    #[remedy("{}", io_remedy(source))]
     Io {
-        /// What was tried, such as "write".
+        /// The operation, such as "write".
         action: &'static str,
-        /// On which path.
+        /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
 
 impl Fault {
-    /// An error of the operating system.
+    /// Creates a [`Fault::Io`].
     pub(crate) fn io(action: &'static str, path: &Path, source: io::Error) -> Self {
         Self::Io {
             action,
@@ -149,23 +151,23 @@ impl Fault {
     }
 }
 
-fn status_fix(status: u16) -> &'static str {
+fn status_remedy(status: u16) -> &'static str {
     match status {
-        401 | 403 => "the file is not public, so give another address",
-        404 | 410 => "the file has moved, so give its new address",
+        401 | 403 => "the file is not public, so give another URL",
+        404 | 410 => "the file has moved, so give its new URL",
         429 | 500.. => "try again later",
-        _ => "give another address",
+        _ => "give another URL",
     }
 }
 
-fn io_fix(error: &io::Error) -> &'static str {
+fn io_remedy(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "free some space and run the command again, it continues"
+            "free some space and run the command again to continue the download"
         }
-        io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
+        io::ErrorKind::ReadOnlyFilesystem => "choose a writable folder",
         io::ErrorKind::PermissionDenied => "change its permissions or choose another folder",
-        io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => "choose a folder as destination",
+        io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => "give a folder as the destination",
         _ => "check the disk and run the command again",
     }
 }
@@ -175,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_of_the_system_name_the_path_and_the_fix() {
+    fn io_errors_name_the_path_and_the_remedy() {
         let kinds = [
             io::ErrorKind::StorageFull,
             io::ErrorKind::ReadOnlyFilesystem,
@@ -188,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn statuses_have_their_fixes() {
+    fn statuses_have_remedies() {
         insta::assert_snapshot!(
             [400, 403, 404, 429, 503]
                 .map(|status| Fault::Status { status }.sentence())

@@ -1,4 +1,4 @@
-//! Download of datasets and weights: resumable, size and hash checked, put in place whole or not at all.
+//! Download of datasets and weights. Downloads can be resumed, size and hash are checked, and files are installed atomically.
 
 mod catalogue;
 mod download;
@@ -14,44 +14,44 @@ pub use error::{Fault, FetchError};
 
 use download::Download;
 
-/// What a fetch did.
+/// Result of a fetch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FetchReport {
     /// Name of the dataset.
     pub dataset: String,
-    /// Where the dataset lies.
+    /// Path of the dataset.
     pub path: PathBuf,
-    /// What happened.
+    /// Whether it was downloaded.
     pub outcome: Outcome,
 }
 
-/// How a dataset came to be where it is.
+/// Whether a dataset was downloaded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
-    /// It was there already; nothing was downloaded.
+    /// The dataset already existed; nothing was downloaded.
     AlreadyThere,
-    /// It was downloaded and put in place.
+    /// The dataset was downloaded and installed.
     Fetched {
-        /// Bytes of the downloaded file.
+        /// Size of the downloaded file in bytes.
         bytes: u64,
-        /// Bytes of it that an earlier, interrupted fetch had left.
+        /// Number of bytes that an earlier, interrupted fetch had already downloaded.
         resumed_from: u64,
         /// SHA-256 of the downloaded file, in hexadecimal.
         sha256: String,
-        /// Whether the catalogue holds a SHA-256, which then was equal.
+        /// Whether the SHA-256 was compared with one in the catalogue.
         verified: bool,
     },
 }
 
-/// Downloads a dataset to `<destination>/<name>.part`, checks it, unpacks it if it is a zip file, and puts
-/// it at `<destination>/<provides>`.
+/// Downloads a dataset to `<destination>/<name>.part`, checks it, unpacks it if it is a zip file, and moves it to
+/// `<destination>/<provides>`.
 ///
-/// A part file of an interrupted fetch is continued if the server allows it and its file has not changed, else the
-/// download starts again. A dataset that is there already is left as it is. `progress` is called with the bytes on disk
-/// and the size of the file, if the server tells it.
+/// The part file of an interrupted fetch is continued if the server supports it and the remote file has not changed; otherwise
+/// the download starts again. An existing dataset is not changed. `progress` is called with the number of bytes on disk and the
+/// size of the file, if the server reports it.
 ///
 /// # Errors
-/// See [`Fault`]. The destination never holds half a dataset; what is left is at most a part file, which the next fetch
+/// See [`Fault`]. An incomplete dataset is never left at its final path. At most a part file is left, which the next fetch
 /// continues.
 pub fn fetch(
     dataset: &Dataset,
@@ -79,13 +79,15 @@ fn fetch_checked(
     match fs::symlink_metadata(&path) {
         Ok(_) => return Ok(report(Outcome::AlreadyThere)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-        Err(error) => return Err(Fault::io("look at", &path, error)),
+        Err(error) => return Err(Fault::io("access", &path, error)),
     }
     fs::create_dir_all(destination).map_err(|error| Fault::io("create", destination, error))?;
 
     let download = Download::new(dataset, destination);
+    // `_part` keeps the lock of the part file until the dataset is installed.
     let (resumed_from, _part) = match download.run(progress) {
         Ok(done) => done,
+        // The part file belongs to the other fetch.
         Err(fault @ Fault::Busy { .. }) => return Err(fault),
         Err(fault) => {
             download.discard_if_empty()?;
@@ -105,7 +107,8 @@ fn fetch_checked(
         }))
     });
     match &checked {
-        // A file that is wrong must not be continued by the next fetch; a full disk says nothing about the file.
+        // The part file is deleted after success, and if its content is wrong, so that the next fetch does not continue it. After
+        // other errors, such as a full disk, the content may be right and is kept.
         Ok(_)
         | Err(
             Fault::WrongSize { .. }

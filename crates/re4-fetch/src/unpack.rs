@@ -1,4 +1,4 @@
-//! What becomes of a whole, checked download: a zip file is unpacked, whole or not at all; another file is moved.
+//! Installation of a complete, checked download: a zip file is unpacked, any other file is moved. Both are atomic.
 
 use std::fs::{self, File};
 use std::io;
@@ -9,13 +9,13 @@ use zip::result::ZipError;
 
 use crate::error::Fault;
 
-/// Unpacks `archive` to a temporary folder in `destination` and moves the dataset in it to `destination/provides`. In the
-/// archive it lies at `provides` or at its last part.
+/// Unpacks `archive` to a temporary folder in `destination` and moves the dataset to `destination/provides`. In the archive the
+/// dataset has the path `provides` or the last component of it.
 pub(crate) fn unpack(archive: &Path, destination: &Path, provides: &Path) -> Result<(), Fault> {
     let temporary = tempfile::Builder::new()
         .prefix(".re4-fetch-")
         .tempdir_in(destination)
-        // The kind alone: tempfile's own words repeat the path and add a random name.
+        // Only the kind of the error, because tempfile's message repeats the path and contains a random name.
         .map_err(|error| Fault::io("create a folder in", destination, error.kind().into()))?;
     unpack_all(archive, temporary.path())?;
     let last = provides.file_name().map_or(provides, Path::new);
@@ -29,7 +29,7 @@ pub(crate) fn unpack(archive: &Path, destination: &Path, provides: &Path) -> Res
     move_to(&unpacked, &destination.join(provides), "move the unpacked dataset to")
 }
 
-/// Moves a downloaded file to its place.
+/// Moves a downloaded file to its final path.
 pub(crate) fn put(file: &Path, target: &Path) -> Result<(), Fault> {
     move_to(file, target, "move the downloaded file to")
 }
@@ -53,6 +53,7 @@ fn unpack_all(archive: &Path, target: &Path) -> Result<(), Fault> {
         let name = entry
             .name()
             .map_or_else(|_| format!("number {index}"), std::borrow::Cow::into_owned);
+        // Entries with links or with paths outside of the target could overwrite other files of the user.
         let path = match entry.enclosed_name() {
             Some(inside) if !entry.is_symlink() => target.join(inside),
             _ => return Err(Fault::UnsafeZipEntry { entry: name }),
@@ -67,7 +68,7 @@ fn unpack_all(archive: &Path, target: &Path) -> Result<(), Fault> {
         let mut output = File::create(&path).map_err(|error| Fault::io("write", &path, error))?;
         let expected = entry.size();
         let written = io::copy(&mut entry, &mut output).map_err(|error| match error.kind() {
-            // The disk's faults; everything else comes from the archive.
+            // These errors are caused by the disk, all others by the archive.
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::ReadOnlyFilesystem => {
                 Fault::io("write", &path, error)
             }

@@ -1,8 +1,8 @@
-//! Fetching from a small server on this machine that can misbehave.
+//! Fetches from a small server on the loopback interface whose faults can be configured.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
-    reason = "helpers of tests may fail like tests"
+    reason = "helpers of tests fail by panicking"
 )]
 
 use std::fs;
@@ -21,16 +21,16 @@ use tempfile::TempDir;
 #[derive(Debug, Clone)]
 struct Behaviour {
     file: Vec<u8>,
-    /// Whether `Range` is honoured.
+    /// Whether `Range` is supported.
     ranges: bool,
-    /// Whether the size is told.
+    /// Whether the answer has a `Content-Length`.
     length: bool,
     etag: Option<&'static str>,
-    /// The connection is cut after so many bytes of the body.
+    /// Number of bytes of the body after which the connection is closed.
     cut_after: Option<usize>,
-    /// Answer with this status instead.
+    /// Status of an answer without a body.
     status: Option<u16>,
-    /// Honour ranges wrongly, from the start of the file.
+    /// Whether the answer to a range starts at the start of the file.
     wrong_range: bool,
 }
 
@@ -49,13 +49,13 @@ impl Behaviour {
     }
 }
 
-/// A request as the server saw it: its `Range` and `If-Range`.
-type Seen = (Option<String>, Option<String>);
+/// The headers `Range` and `If-Range` of a request.
+type Ranges = (Option<String>, Option<String>);
 
 struct Server {
     address: String,
     behaviour: Arc<Mutex<Behaviour>>,
-    seen: Arc<Mutex<Vec<Seen>>>,
+    requests: Arc<Mutex<Vec<Ranges>>>,
 }
 
 impl Server {
@@ -63,19 +63,19 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = format!("http://{}/pusht.zip", listener.local_addr().unwrap());
         let behaviour = Arc::new(Mutex::new(behaviour));
-        let seen = Arc::new(Mutex::new(Vec::new()));
-        let (shared, record) = (Arc::clone(&behaviour), Arc::clone(&seen));
+        let requests = Arc::new(Mutex::new(Vec::new()));
+        let (shared, record) = (Arc::clone(&behaviour), Arc::clone(&requests));
         thread::spawn(move || {
             for stream in listener.incoming() {
                 let behaviour = shared.lock().unwrap().clone();
-                // A client that goes away early is part of the tests.
+                // Some tests close the connection early, which is an error here.
                 let _ = answer(stream.unwrap(), &behaviour, &record);
             }
         });
         Self {
             address,
             behaviour,
-            seen,
+            requests,
         }
     }
 
@@ -83,12 +83,12 @@ impl Server {
         change(&mut self.behaviour.lock().unwrap());
     }
 
-    fn seen(&self) -> Vec<Seen> {
-        self.seen.lock().unwrap().clone()
+    fn requests(&self) -> Vec<Ranges> {
+        self.requests.lock().unwrap().clone()
     }
 }
 
-fn answer(mut stream: TcpStream, behaviour: &Behaviour, seen: &Mutex<Vec<Seen>>) -> std::io::Result<()> {
+fn answer(mut stream: TcpStream, behaviour: &Behaviour, requests: &Mutex<Vec<Ranges>>) -> std::io::Result<()> {
     let (mut range, mut if_range) = (None, None);
     for line in BufReader::new(stream.try_clone()?).lines() {
         let line = line?;
@@ -104,7 +104,7 @@ fn answer(mut stream: TcpStream, behaviour: &Behaviour, seen: &Mutex<Vec<Seen>>)
             _ => {}
         }
     }
-    seen.lock().unwrap().push((range.clone(), if_range.clone()));
+    requests.lock().unwrap().push((range.clone(), if_range.clone()));
     if let Some(status) = behaviour.status {
         return write!(
             stream,
@@ -148,12 +148,12 @@ fn answer(mut stream: TcpStream, behaviour: &Behaviour, seen: &Mutex<Vec<Seen>>)
     write!(stream, "{head}Connection: close\r\n\r\n")?;
     stream.write_all(&body[..behaviour.cut_after.unwrap_or(body.len()).min(body.len())])?;
     stream.flush()?;
-    // Waits for the client's side, so that closing does not discard what it has not read yet.
+    // Waits until the client closes the connection, because closing it first can discard bytes that the client has not read.
     stream.shutdown(std::net::Shutdown::Write)?;
     stream.read_to_end(&mut Vec::new()).map(|_| ())
 }
 
-/// A zip of a few hundred kB that does not compress, holding a dataset below `prefix`.
+/// A zip file of about 400 kB of incompressible data with a dataset below `prefix`.
 fn archive(prefix: &str) -> Vec<u8> {
     let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     let options = zip::write::SimpleFileOptions::default();
@@ -203,7 +203,7 @@ fn get(dataset: &Dataset, destination: &Path) -> Result<FetchReport, FetchError>
     fetch(dataset, destination, &mut |_, _| {})
 }
 
-/// The error's sentence without the port and folder of this run.
+/// The error message with placeholders for the port and the folder of this run.
 fn sentence(result: Result<FetchReport, FetchError>, server: &str, folder: &Path) -> String {
     result
         .expect_err("the fetch should fail")
@@ -222,7 +222,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 fn check_unpacked(folder: &Path) {
-    assert_eq!(names(folder), ["pusht"], "nothing but the dataset is left");
+    assert_eq!(names(folder), ["pusht"], "other files than the dataset are left");
     assert_eq!(fs::read(folder.join("pusht/pusht.zarr/data/chunk")).unwrap(), content());
     assert!(folder.join("pusht/pusht.zarr/.zgroup").is_file());
 }
@@ -261,13 +261,13 @@ fn a_dataset_is_fetched_once() {
         assert!(calls.is_sorted());
 
         assert_eq!(get(&dataset, &destination).unwrap().outcome, Outcome::AlreadyThere);
-        assert_eq!(server.seen().len(), 1);
+        assert_eq!(server.requests().len(), 1);
     }
 }
 
 #[test]
-fn weights_are_put_in_place_as_they_are() {
-    // PyTorch's files are zip files themselves, and must not be unpacked.
+fn weights_are_installed_without_unpacking() {
+    // PyTorch's files have the format zip, but must not be unpacked.
     let file = archive("");
     let server = Server::start(Behaviour {
         cut_after: Some(100_000),
@@ -287,7 +287,7 @@ fn weights_are_put_in_place_as_they_are() {
     assert_eq!(
         names(folder.path()),
         ["resnet18.part", "resnet18.part.origin"],
-        "nothing is in place before it is whole"
+        "an incomplete file was installed"
     );
     server.set(|behaviour| behaviour.cut_after = None);
     let report = get(&whole, folder.path()).unwrap();
@@ -305,7 +305,7 @@ fn weights_are_put_in_place_as_they_are() {
     assert_eq!(names(folder.path()), ["weights"]);
     assert_eq!(get(&whole, folder.path()).unwrap().outcome, Outcome::AlreadyThere);
 
-    // Of the right size, but another file.
+    // A file of the right size with wrong content.
     let mut other = file.clone();
     other[1000] ^= 1;
     let folder = TempDir::new().unwrap();
@@ -322,7 +322,7 @@ fn weights_are_put_in_place_as_they_are() {
 }
 
 #[test]
-fn a_cut_download_continues_where_it_stopped() {
+fn an_interrupted_download_is_continued() {
     let zip = archive("");
     let server = Server::start(Behaviour {
         cut_after: Some(100_000),
@@ -353,13 +353,13 @@ fn a_cut_download_continues_where_it_stopped() {
         }
     );
     check_unpacked(folder.path());
-    let mark = || Some("\"one\"".to_owned());
+    let etag = || Some("\"one\"".to_owned());
     assert_eq!(
-        server.seen(),
+        server.requests(),
         [
             (None, None),
-            (Some("bytes=100000-".to_owned()), mark()),
-            (Some("bytes=150000-".to_owned()), mark())
+            (Some("bytes=100000-".to_owned()), etag()),
+            (Some("bytes=150000-".to_owned()), etag())
         ]
     );
 }
@@ -368,7 +368,7 @@ fn a_cut_download_continues_where_it_stopped() {
 type Change = fn(&mut Behaviour);
 
 #[test]
-fn a_download_starts_again_where_it_cannot_continue() {
+fn a_download_starts_again_if_it_cannot_be_continued() {
     let changes: [(&str, Change); 3] = [
         ("no ranges", |behaviour| behaviour.ranges = false),
         ("another version", |behaviour| behaviour.etag = Some("\"two\"")),
@@ -379,7 +379,7 @@ fn a_download_starts_again_where_it_cannot_continue() {
     ];
     for (name, change) in changes {
         let zip = archive("");
-        // What was downloaded first is of an older version: continuing it would give a broken file.
+        // The first part belongs to an older version of the file, so continuing it would give a damaged file.
         let old = vec![7; zip.len()];
         let server = Server::start(Behaviour {
             cut_after: Some(100_000),
@@ -401,7 +401,7 @@ fn a_download_starts_again_where_it_cannot_continue() {
 }
 
 #[test]
-fn parts_of_another_address_are_not_continued() {
+fn part_files_of_another_url_are_not_continued() {
     let zip = archive("");
     let first = Server::start(Behaviour {
         cut_after: Some(1000),
@@ -415,12 +415,12 @@ fn parts_of_another_address_are_not_continued() {
         folder.path(),
     )
     .unwrap();
-    assert_eq!(second.seen(), [(None, None)]);
+    assert_eq!(second.requests(), [(None, None)]);
     check_unpacked(folder.path());
 }
 
 #[test]
-fn a_whole_part_file_is_unpacked_without_another_download() {
+fn a_complete_part_file_is_not_downloaded_again() {
     let zip = archive("");
     let server = Server::start(Behaviour {
         cut_after: Some(zip.len() - 1),
@@ -433,7 +433,7 @@ fn a_whole_part_file_is_unpacked_without_another_download() {
     let report = get(&dataset(&server.address), folder.path()).unwrap();
     assert!(matches!(report.outcome, Outcome::Fetched { resumed_from, .. } if resumed_from == zip.len() as u64));
     check_unpacked(folder.path());
-    // One byte too many: nothing to continue, so it starts again.
+    // A part file with one byte too many cannot be continued, so the download starts again.
     fs::remove_dir_all(folder.path().join("pusht")).unwrap();
     fs::write(folder.path().join("pusht.part"), [zip.as_slice(), b"x"].concat()).unwrap();
     fs::write(
@@ -447,7 +447,7 @@ fn a_whole_part_file_is_unpacked_without_another_download() {
 }
 
 #[test]
-fn a_server_without_lengths_is_enough() {
+fn servers_without_content_length_are_supported() {
     let zip = archive("");
     let server = Server::start(Behaviour {
         length: false,
@@ -457,7 +457,7 @@ fn a_server_without_lengths_is_enough() {
     let folder = TempDir::new().unwrap();
     get(&dataset(&server.address), folder.path()).unwrap();
     check_unpacked(folder.path());
-    // Cut without a length, it looks whole; the zip file's own structure tells.
+    // Without a length, an interrupted download looks complete. The error is detected when the zip file is read.
     server.set(|behaviour| behaviour.cut_after = Some(200_000));
     let other = TempDir::new().unwrap();
     let failed = sentence(
@@ -470,44 +470,45 @@ fn a_server_without_lengths_is_enough() {
 }
 
 #[test]
-fn refusals_are_named_and_leave_nothing() {
+fn errors_are_reported_and_leave_no_files() {
     let zip = archive("");
     let server = Server::start(Behaviour::good(&zip));
     let folder = TempDir::new().unwrap();
     let mut sentences = Vec::new();
-    let mut refuse = |dataset: &Dataset| {
+    let mut fails = |dataset: &Dataset| {
         sentences.push(sentence(get(dataset, folder.path()), &server.address, folder.path()));
         assert!(names(folder.path()).is_empty(), "{sentences:?}");
     };
     for status in [404, 403, 503, 302] {
         server.set(|behaviour| behaviour.status = Some(status));
-        refuse(&dataset(&server.address));
+        fails(&dataset(&server.address));
     }
     server.set(|behaviour| behaviour.status = None);
-    refuse(&Dataset {
+    fails(&Dataset {
         bytes: Some(12),
         ..dataset(&server.address)
     });
-    refuse(&Dataset {
+    fails(&Dataset {
         sha256: Some("0".repeat(64)),
         ..dataset(&server.address)
     });
-    refuse(&Dataset {
+    fails(&Dataset {
         provides: "pusht/other.zarr".to_owned(),
         ..dataset(&server.address)
     });
     server.set(|behaviour| behaviour.file = b"<html>moved</html>".to_vec());
-    refuse(&dataset(&server.address));
+    fails(&dataset(&server.address));
     let mut damaged = zip.clone();
     damaged[200_000] ^= 1;
     server.set(|behaviour| behaviour.file = damaged);
-    refuse(&dataset(&server.address));
-    let mut slip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    slip.start_file("../outside", zip::write::SimpleFileOptions::default())
+    fails(&dataset(&server.address));
+    let mut traversal = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    traversal
+        .start_file("../outside", zip::write::SimpleFileOptions::default())
         .unwrap();
-    slip.write_all(b"x").unwrap();
-    server.set(|behaviour| behaviour.file = slip.finish().unwrap().into_inner());
-    refuse(&dataset(&server.address));
+    traversal.write_all(b"x").unwrap();
+    server.set(|behaviour| behaviour.file = traversal.finish().unwrap().into_inner());
+    fails(&dataset(&server.address));
     assert!(!folder.path().parent().unwrap().join("outside").exists());
     insta::assert_snapshot!(sentences.join("\n").replace(&sha256(&zip), "[hash]"));
 }
@@ -535,13 +536,13 @@ fn a_wrong_range_is_not_appended() {
 }
 
 #[test]
-fn no_server_and_no_address() {
+fn unreachable_servers_and_invalid_urls_are_reported() {
     let folder = TempDir::new().unwrap();
-    // A port that no other test is given.
+    // Port 1 is never assigned to the server of another test.
     let address = "http://127.0.0.1:1/pusht.zip".to_owned();
     let sentences = [
         sentence(get(&dataset(&address), folder.path()), &address, folder.path()),
-        sentence(get(&dataset("no address"), folder.path()), "-", folder.path()),
+        sentence(get(&dataset("not a url"), folder.path()), "-", folder.path()),
         sentence(get(&dataset("pusht.zip"), folder.path()), "-", folder.path()),
         sentence(
             get(&dataset("ftp://localhost/pusht.zip"), folder.path()),
@@ -554,7 +555,7 @@ fn no_server_and_no_address() {
 }
 
 #[test]
-fn destinations_that_cannot_be_used() {
+fn a_file_as_destination_is_refused() {
     let zip = archive("");
     let server = Server::start(Behaviour::good(&zip));
     let folder = TempDir::new().unwrap();
@@ -569,7 +570,7 @@ fn destinations_that_cannot_be_used() {
 }
 
 #[test]
-fn two_fetches_do_not_mix() {
+fn two_fetches_do_not_write_to_the_same_part_file() {
     let zip = archive("");
     let server = Server::start(Behaviour::good(&zip));
     let folder = TempDir::new().unwrap();
@@ -580,7 +581,7 @@ fn two_fetches_do_not_mix() {
         &server.address,
         folder.path(),
     );
-    insta::assert_snapshot!(failed, @"cannot fetch pusht from [server]: another fetch is writing [folder]/pusht.part; wait for it to end");
+    insta::assert_snapshot!(failed, @"cannot fetch pusht from [server]: another fetch is writing [folder]/pusht.part; wait until it has finished");
     drop(part);
     get(&dataset(&server.address), folder.path()).unwrap();
     check_unpacked(folder.path());

@@ -14,12 +14,12 @@ pub fn wrap_to_pi(angle: f64) -> f64 {
     wrap_to_two_pi(angle + PI) - PI
 }
 
-/// The rotation in `[-π, π)` that leads from `from` to `to` the short way round.
+/// Returns the signed angle in `[-π, π)` of the shortest rotation from `from` to `to`.
 pub fn signed_difference(from: f64, to: f64) -> f64 {
     wrap_to_pi(to - from)
 }
 
-/// Distance between two values on a circle of circumference `period`; never more than half of it.
+/// Distance between two values on a circle of circumference `period`; at most half the circumference.
 pub fn periodic_distance(a: f64, b: f64, period: f64) -> f64 {
     let d = (a - b).rem_euclid(period);
     d.min(period - d)
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn the_seam_is_short() {
+    fn angles_on_both_sides_of_zero_are_close() {
         assert!(periodic_distance(0.01, TAU - 0.01, TAU) < 0.0201);
         assert_eq!(wrap_to_two_pi(-1e-300), 0.0);
     }

@@ -1,6 +1,6 @@
-//! Planar and spatial rigid motions, angles, and the metrics over them. No input or output.
+//! Rigid motions in SE(2) and SE(3), angles, convex polygons, and distances between them. This crate does no input or output.
 //!
-//! Units are those of the caller's world: pixels for Push-T, metres for robosuite; angles are radians everywhere.
+//! Lengths are in the unit of the caller's world: pixels for Push-T, metres for robosuite. Angles are in radians.
 
 mod angle;
 mod planar;

@@ -1,16 +1,16 @@
-//! Rigid motions of the plane, SE(2).
+//! Planar rigid motions, SE(2).
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use crate::angle::wrap_to_two_pi;
 
-/// A point or displacement of the plane.
+/// A point or displacement in the plane.
 pub type Point2 = Vector2<f64>;
 
 /// An element of SE(2): rotate by `theta` (radians, from the x axis towards the y axis), then translate by `(x, y)`.
 ///
-/// Read as a pose it is the frame of a body in its world; in Push-T images y points down, so a growing `theta` turns
+/// As the pose of a body it maps the body's frame to the world. In Push-T images y points downwards, so a growing `theta` rotates
 /// the block clockwise on the screen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose2 {
@@ -18,7 +18,7 @@ pub struct Pose2 {
     pub x: f64,
     /// Translation along the world's y axis.
     pub y: f64,
-    /// Rotation in radians; not normalised by the group operations.
+    /// Rotation in radians. The group operations do not wrap it.
     pub theta: f64,
 }
 
@@ -30,12 +30,12 @@ impl Pose2 {
         theta: 0.0,
     };
 
-    /// A pose from its coordinates.
+    /// Creates a pose from its coordinates.
     pub const fn new(x: f64, y: f64, theta: f64) -> Self {
         Self { x, y, theta }
     }
 
-    /// The origin of the frame, in the world.
+    /// Returns the origin of the body's frame in the world.
     pub fn translation(self) -> Point2 {
         Point2::new(self.x, self.y)
     }
@@ -62,7 +62,7 @@ impl Pose2 {
         }
     }
 
-    /// The same frame with its angle in `[0, 2π)`.
+    /// Returns the same pose with its angle in `[0, 2π)`.
     #[must_use]
     pub fn normalized(self) -> Self {
         Self {
@@ -71,20 +71,20 @@ impl Pose2 {
         }
     }
 
-    /// A point of this frame, expressed in the world.
+    /// Transforms a point from the body's frame to the world.
     pub fn transform_point(self, p: Point2) -> Point2 {
         let (s, c) = self.theta.sin_cos();
         Point2::new(self.x + c * p.x - s * p.y, self.y + s * p.x + c * p.y)
     }
 
-    /// A point of the world, expressed in this frame.
+    /// Transforms a point from the world to the body's frame.
     pub fn inverse_transform_point(self, p: Point2) -> Point2 {
         let (s, c) = self.theta.sin_cos();
         let d = p - self.translation();
         Point2::new(c * d.x + s * d.y, -s * d.x + c * d.y)
     }
 
-    /// `self · other⁻¹`: the world-frame motion that carries `other` onto `self`, the paper's δ.
+    /// Returns `self · other⁻¹`: the motion in the world frame that moves `other` to `self`, the paper's δ.
     #[must_use]
     pub fn delta_from(self, other: Self) -> Self {
         self.compose(other.inverse())
@@ -116,7 +116,7 @@ mod tests {
         }
 
         #[test]
-        fn points_go_there_and_back(a in pose(), x in -500.0..500.0f64, y in -500.0..500.0f64) {
+        fn the_inverse_transform_undoes_the_transform(a in pose(), x in -500.0..500.0f64, y in -500.0..500.0f64) {
             let p = Point2::new(x, y);
             prop_assert!((a.inverse_transform_point(a.transform_point(p)) - p).norm() < 1e-8);
             prop_assert!((a.inverse().transform_point(p) - a.inverse_transform_point(p)).norm() < 1e-8);

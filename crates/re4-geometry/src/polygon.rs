@@ -6,13 +6,13 @@ fn cross(a: Point2, b: Point2) -> f64 {
     a.x * b.y - a.y * b.x
 }
 
-/// Area of a simple polygon by the shoelace formula, positive for either orientation.
+/// Area of a simple polygon by the shoelace formula; positive for both orientations.
 pub fn polygon_area(polygon: &[Point2]) -> f64 {
     let n = polygon.len();
     if n < 3 {
         return 0.0;
     }
-    // Relative to the first vertex, so that far-away polygons lose no digits.
+    // Coordinates relative to the first vertex avoid cancellation for polygons far from the origin.
     let origin = polygon[0];
     let twice: f64 = (1..n - 1)
         .map(|i| cross(polygon[i] - origin, polygon[i + 1] - origin))
@@ -20,9 +20,9 @@ pub fn polygon_area(polygon: &[Point2]) -> f64 {
     0.5 * twice.abs()
 }
 
-/// Intersection of a polygon with a convex one, by Sutherland and Hodgman's clipping. Both may be of either orientation.
+/// Intersection of a polygon with a convex polygon, by the Sutherland-Hodgman algorithm. Both may have either orientation.
 ///
-/// The result is empty when they do not meet.
+/// The result is empty if they do not intersect.
 pub fn clip_convex(subject: &[Point2], convex: &[Point2]) -> Vec<Point2> {
     let orientation: f64 = (0..convex.len())
         .map(|i| cross(convex[i], convex[(i + 1) % convex.len()]))
@@ -61,6 +61,7 @@ fn distance_point_to_segment(p: Point2, a: Point2, b: Point2) -> f64 {
     (p - (a + ab * t)).norm()
 }
 
+/// Whether a point is inside a convex polygon of either orientation, or on its boundary.
 fn contains(convex: &[Point2], p: Point2) -> bool {
     let n = convex.len();
     let mut positive = false;
@@ -84,7 +85,7 @@ pub fn distance_point_to_convex(p: Point2, convex: &[Point2]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Distance between two segments `a b` and `c d`; zero when they cross.
+/// Distance between two segments `a b` and `c d`; zero if they cross.
 pub fn distance_segment_to_segment(a: Point2, b: Point2, c: Point2, d: Point2) -> f64 {
     let (ab, cd) = (b - a, d - c);
     let (c_side, d_side) = (cross(ab, c - a), cross(ab, d - a));
@@ -98,7 +99,7 @@ pub fn distance_segment_to_segment(a: Point2, b: Point2, c: Point2, d: Point2) -
         .min(distance_point_to_segment(d, a, b))
 }
 
-/// Distance from the segment `a b` to a filled convex polygon; zero when they meet.
+/// Distance from the segment `a b` to a filled convex polygon; zero if they intersect.
 pub fn distance_segment_to_convex(a: Point2, b: Point2, convex: &[Point2]) -> f64 {
     if contains(convex, a) || contains(convex, b) {
         return 0.0;
@@ -124,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn clipping_squares() {
+    fn squares_are_clipped() {
         let overlap = clip_convex(&square(0.0, 0.0, 2.0), &square(1.0, 1.0, 2.0));
         assert!((polygon_area(&overlap) - 1.0).abs() < 1e-12);
         assert!(clip_convex(&square(0.0, 0.0, 1.0), &square(5.0, 5.0, 1.0)).is_empty());
@@ -134,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_to_a_square() {
+    fn distances_to_a_square_are_exact() {
         let s = square(0.0, 0.0, 2.0);
         assert_eq!(distance_point_to_convex(Point2::new(1.0, 1.0), &s), 0.0);
         assert!((distance_point_to_convex(Point2::new(5.0, 6.0), &s) - 5.0).abs() < 1e-12);
@@ -161,7 +162,7 @@ mod tests {
         }
 
         #[test]
-        fn clipping_is_symmetric_in_area(dx in -3.0..3.0f64, dy in -3.0..3.0f64, t in 0.0..6.3f64) {
+        fn the_clipped_area_does_not_depend_on_the_order(dx in -3.0..3.0f64, dy in -3.0..3.0f64, t in 0.0..6.3f64) {
             let pose = crate::Pose2::new(dx, dy, t);
             let a = square(-1.0, -1.0, 2.0);
             let b: Vec<_> = square(-1.0, -0.5, 1.5).into_iter().map(|p| pose.transform_point(p)).collect();

@@ -1,9 +1,9 @@
-//! What rollouts would have reached with fewer steps.
+//! Results of rollouts under smaller step budgets.
 
-/// Control steps between two budgets of the paper's curve (figure "Sparse Observations": 50, 100, ..., 500).
+/// Number of control steps between two budgets in the paper's curve (figure "Sparse Observations": 50, 100, ..., 500).
 const BUDGET_SPACING: u32 = 50;
 
-/// Step budgets at which rollouts of at most `max_steps` are compared: 50, 100, ... and last `max_steps` itself.
+/// Returns the step budgets at which rollouts of at most `max_steps` steps are compared: 50, 100, ... and finally `max_steps`.
 pub fn budgets(max_steps: u32) -> Vec<u32> {
     let mut budgets: Vec<u32> = (1..=max_steps / BUDGET_SPACING).map(|i| i * BUDGET_SPACING).collect();
     if budgets.last() != Some(&max_steps) {
@@ -12,16 +12,17 @@ pub fn budgets(max_steps: u32) -> Vec<u32> {
     budgets
 }
 
-/// Maximum value within each of the budgets, for the values after each step of one rollout; 0 before the first step.
+/// Returns the maximum of the first `budget` values for each budget, at least 0. `values` are the values after each step of one
+/// rollout.
 ///
-/// A rollout that ended early, because it succeeded, keeps its maximum. Budgets may come in any order.
+/// A rollout that ended before the budget, because it succeeded, keeps its maximum. Budgets may have any order.
 pub fn running_maxima(values: &[f64], budgets: &[u32]) -> Vec<f64> {
-    let mut most = 0.0;
+    let mut maximum = 0.0;
     let running: Vec<f64> = values
         .iter()
         .map(|&value| {
-            most = f64::max(most, value);
-            most
+            maximum = f64::max(maximum, value);
+            maximum
         })
         .collect();
     budgets
@@ -39,7 +40,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn budgets_go_in_fifties_to_the_last_step() {
+    fn budgets_are_multiples_of_50_and_the_last_step() {
         assert_eq!(budgets(200), [50, 100, 150, 200]);
         assert_eq!(budgets(120), [50, 100, 120]);
         assert_eq!(budgets(50), [50]);
@@ -47,7 +48,7 @@ mod tests {
     }
 
     #[test]
-    fn the_maximum_grows_with_the_budget_and_stays_after_an_early_end() {
+    fn the_maximum_grows_with_the_budget_and_is_kept_after_an_early_end() {
         let values = [0.1, 0.5, 0.3, 0.9, 0.2];
         assert_eq!(running_maxima(&values, &[1, 2, 3, 4, 5]), [0.1, 0.5, 0.5, 0.9, 0.9]);
         assert_eq!(running_maxima(&values, &[50, 3, 0]), [0.9, 0.5, 0.0]);

@@ -1,4 +1,4 @@
-//! Means and shares with 95 % intervals.
+//! Means and proportions with 95 % confidence intervals.
 
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng;
@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::{quantile, sorted};
 
-/// Resamples behind [`mean_interval`].
+/// Number of bootstrap resamples of [`mean_interval`].
 pub const RESAMPLES: usize = 10_000;
 
 /// The 97.5 % quantile of the standard normal distribution (scipy 1.17.1, `norm.ppf(0.975)`).
 const NORMAL_QUANTILE: f64 = 1.959_963_984_540_054;
 
-/// An estimate with its 95 % interval, all in the unit of the data.
+/// An estimate with its 95 % confidence interval, all in the unit of the data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// The estimate.
@@ -23,7 +23,7 @@ pub struct Interval {
     pub high: f64,
 }
 
-/// Arithmetic mean; NaN of nothing.
+/// Arithmetic mean; NaN if there are no values.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
@@ -31,9 +31,10 @@ pub fn mean(values: &[f64]) -> f64 {
 /// Mean with its percentile bootstrap interval: the 2.5 % and 97.5 % quantiles of the means of [`RESAMPLES`] resamples
 /// (Efron and Tibshirani 1993, section 13.3).
 ///
-/// The same values in the same order and the same seed give the same bits on every machine. All three numbers are NaN for
-/// no values or for data with a NaN, and equal for a single value: an interval of no width is then no sign of certainty.
-/// The interval speaks of other draws of the episodes; repeated runs of the same episode must be averaged first.
+/// The same values in the same order and the same seed give the same bits on every machine. All three numbers are NaN if there
+/// are no values or one is NaN. For a single value all three are equal, which does not mean that the mean is certain.
+///
+/// The interval describes the variation between samples of episodes, so repeated runs of the same episode must be averaged first.
 pub fn mean_interval(values: &[f64], seed: u64) -> Interval {
     let value = mean(values);
     if value.is_nan() {
@@ -43,15 +44,15 @@ pub fn mean_interval(values: &[f64], seed: u64) -> Interval {
             high: f64::NAN,
         };
     }
-    // The stream number only has to be fixed; seeds choose the place on it.
+    // Any fixed stream number is suitable, because the seed selects the state.
     let mut generator = Pcg64::new(u128::from(seed), 0x5245_3452_4550_4f52);
     let n = values.len();
     let means = sorted((0..RESAMPLES).map(|_| {
         // The upper half of a 64 x 64 bit product is an index below n, uniform to within n / 2^64.
-        let drawn = (0..n).map(|_| values[((u128::from(generator.next_u64()) * n as u128) >> 64) as usize]);
-        drawn.sum::<f64>() / n as f64
+        let resample = (0..n).map(|_| values[((u128::from(generator.next_u64()) * n as u128) >> 64) as usize]);
+        resample.sum::<f64>() / n as f64
     }));
-    let end = |share| quantile(&means, share).unwrap_or(f64::NAN);
+    let end = |probability| quantile(&means, probability).unwrap_or(f64::NAN);
     Interval {
         value,
         low: end(0.025),
@@ -59,9 +60,9 @@ pub fn mean_interval(values: &[f64], seed: u64) -> Interval {
     }
 }
 
-/// Fraction of successes with its Wilson score interval, without continuity correction (Wilson 1927).
+/// Fraction of successes in `n` trials with its Wilson score interval, without continuity correction (Wilson 1927).
 ///
-/// Of no trials the fraction is NaN and the interval `[0, 1]`. More successes than trials count as all trials.
+/// Without trials the fraction is NaN and the interval is `[0, 1]`. `successes` is clamped to `n`.
 pub fn wilson_interval(successes: u64, n: u64) -> Interval {
     if n == 0 {
         return Interval {
@@ -71,14 +72,14 @@ pub fn wilson_interval(successes: u64, n: u64) -> Interval {
         };
     }
     let trials = n as f64;
-    let share = successes.min(n) as f64 / trials;
+    let fraction = successes.min(n) as f64 / trials;
     let z2 = NORMAL_QUANTILE * NORMAL_QUANTILE;
-    let centre = share + z2 / (2.0 * trials);
-    let spread = NORMAL_QUANTILE * (share * (1.0 - share) / trials + z2 / (4.0 * trials * trials)).sqrt();
+    let centre = fraction + z2 / (2.0 * trials);
+    let spread = NORMAL_QUANTILE * (fraction * (1.0 - fraction) / trials + z2 / (4.0 * trials * trials)).sqrt();
     let scale = 1.0 + z2 / trials;
     Interval {
-        value: share,
-        // Exactly 0 and 1 at the ends, where rounding would leave some 1e-17.
+        value: fraction,
+        // The formulas give exactly 0 and 1 here, but with rounding errors of about 1e-17.
         low: if successes == 0 { 0.0 } else { (centre - spread) / scale },
         high: if successes >= n { 1.0 } else { (centre + spread) / scale },
     }
@@ -95,7 +96,7 @@ mod tests {
     ];
 
     #[test]
-    fn the_wilson_interval_is_that_of_scipy() {
+    fn wilson_intervals_are_those_of_scipy() {
         // scipy 1.17.1: binomtest(k, n).proportion_ci(0.95, method="wilson")
         for (k, n, low, high) in [
             (0, 10, 0.0, 0.277_532_799_862_889_26),
@@ -117,26 +118,26 @@ mod tests {
     }
 
     #[test]
-    fn the_bootstrap_interval_is_that_of_scipy() {
+    fn bootstrap_intervals_are_close_to_those_of_scipy() {
         // scipy 1.17.1: bootstrap((SCORES,), np.mean, n_resamples=2_000_000, method="percentile") gives 0.542 and 0.793; with
         // 10,000 resamples, five seeds gave 0.5410 to 0.5445 and 0.7915 to 0.7965.
-        let mut seen = Vec::new();
+        let mut lower_ends = Vec::new();
         for seed in 0..5 {
             let interval = mean_interval(&SCORES, seed);
             assert!((interval.value - 0.6735).abs() < 1e-15);
             assert!((interval.low - 0.542).abs() < 0.005, "{interval:?}");
             assert!((interval.high - 0.793).abs() < 0.005, "{interval:?}");
             assert_eq!(interval, mean_interval(&SCORES, seed));
-            seen.push(interval.low.to_bits());
+            lower_ends.push(interval.low.to_bits());
         }
-        seen.dedup();
-        assert!(seen.len() > 1, "the seed changes nothing");
+        lower_ends.dedup();
+        assert!(lower_ends.len() > 1, "the seed has no effect");
     }
 
     #[test]
     fn the_bootstrap_of_coin_flips_is_binomial() {
         // scipy 1.17.1: binom.ppf([0.025, 0.975], 100, 0.5) = 40, 60 and binom.ppf([0.025, 0.975], 20, 0.8) = 12, 19;
-        // the probabilities on either side are far enough from 2.5 % for 10,000 resamples to tell.
+        // the probabilities next to these values differ enough from 2.5 % that 10,000 resamples give the same result.
         for (k, n, low, high) in [(50, 100, 0.40, 0.60), (16, 20, 0.60, 0.95)] {
             let flips: Vec<f64> = (0..n).map(|i| f64::from(u8::from(i < k))).collect();
             let interval = mean_interval(&flips, 1);
@@ -145,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn small_and_broken_data() {
+    fn single_values_and_nans_are_handled() {
         let one = mean_interval(&[0.3], 7);
         assert_eq!((one.value, one.low, one.high), (0.3, 0.3, 0.3));
         for values in [&[][..], &[0.1, f64::NAN]] {
@@ -161,7 +162,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(24))]
 
         #[test]
-        fn intervals_move_and_scale_with_the_data(
+        fn intervals_are_equivariant_under_shift_and_scale(
             values in prop::collection::vec(-5.0..5.0f64, 2..40), shift in -3.0..3.0f64, scale in 0.1..4.0f64, seed: u64,
         ) {
             let moved: Vec<f64> = values.iter().map(|v| scale * v + shift).collect();
@@ -175,7 +176,7 @@ mod tests {
         }
 
         #[test]
-        fn the_wilson_interval_holds_the_share(n in 1..500u64, k in 0..500u64) {
+        fn the_wilson_interval_contains_the_fraction(n in 1..500u64, k in 0..500u64) {
             let k = k.min(n);
             let i = wilson_interval(k, n);
             prop_assert!(0.0 <= i.low && i.low <= i.value && i.value <= i.high && i.high <= 1.0);

@@ -1,6 +1,6 @@
-//! Statistics of results, each implemented once: quantiles, intervals, step budgets.
+//! Statistics of results: quantiles, confidence intervals, step budgets. No other crate implements them.
 //!
-//! The same values in the same order give the same bits on every machine. Sums go in the order of their input.
+//! The same values in the same order give the same bits on every machine. Values are summed in the order of the input.
 
 mod budget;
 mod intervals;

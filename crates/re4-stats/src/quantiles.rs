@@ -2,71 +2,76 @@
 
 use serde_json::{Map, Value, json};
 
-/// The values in ascending order.
+/// Sorts values in ascending order.
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     values.sort_unstable_by(f64::total_cmp);
     values
 }
 
-/// Quantile of values in ascending order, linear between neighbours, as numpy's default; none of nothing and of data with a NaN.
+/// Quantile of values in ascending order, with linear interpolation between neighbours, as numpy's default. `None` if there are
+/// no values or one is NaN.
 ///
-/// `share` is taken to the nearest number in `[0, 1]`.
-pub fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    // NaNs are at the ends of the order.
-    if share.is_nan() || sorted.first()?.is_nan() || sorted.last()?.is_nan() {
+/// `probability` is clamped to `[0, 1]`.
+pub fn quantile(sorted: &[f64], probability: f64) -> Option<f64> {
+    // The total order of `sorted` puts negative NaNs first and positive NaNs last.
+    if probability.is_nan() || sorted.first()?.is_nan() || sorted.last()?.is_nan() {
         return None;
     }
-    let at = share.clamp(0.0, 1.0) * (sorted.len() - 1) as f64;
+    let at = probability.clamp(0.0, 1.0) * (sorted.len() - 1) as f64;
     let below = at.floor();
     let (low, high) = (sorted[below as usize], sorted[at.ceil() as usize]);
     Some(low + (high - low) * (at - below))
 }
 
-/// Middle value, or the mean of the two middle values, of values in any order; none of nothing and of data with a NaN.
+/// Median of values in any order: the middle value, or the mean of the two middle values. `None` if there are no values or one is
+/// NaN.
 pub fn median(values: &[f64]) -> Option<f64> {
     quantile(&sorted(values.iter().copied()), 0.5)
 }
 
-/// The upper one of the two middle values, or the middle one: a value that occurs.
+/// The middle value, or the larger of the two middle values, so the result is always one of the values. `None` if there are no
+/// values.
 pub fn upper_median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let values = sorted(values);
     values.get(values.len() / 2).copied()
 }
 
-/// Minimum value that at least this fraction of the values, in ascending order, does not exceed: a value that occurs.
-pub fn nearest_rank(sorted: &[f64], share: f64) -> Option<f64> {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
+/// Quantile by nearest rank: the smallest of the values, given in ascending order, such that at least this fraction of the values
+/// does not exceed it. The result is always one of the values; `None` if there are no values.
+pub fn nearest_rank(sorted: &[f64], fraction: f64) -> Option<f64> {
+    let rank = (fraction * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.max(1) - 1).copied()
 }
 
-/// Tukey's upper outer fence, Q3 + 3 (Q3 - Q1).
+/// Tukey's upper outer fence, Q3 + 3 (Q3 - Q1), of values in any order. `None` if there are no values or one is NaN.
 pub fn outer_fence(values: &[f64]) -> Option<f64> {
     let values = sorted(values.iter().copied());
     let (low, high) = (quantile(&values, 0.25)?, quantile(&values, 0.75)?);
     Some(high + 3.0 * (high - low))
 }
 
-/// Standard deviation as estimated from the median absolute deviation: 1.4826 of it, which is right for a normal distribution.
+/// Robust estimate of the standard deviation: 1.4826 times the median absolute deviation, which is correct for normal
+/// distributions. `None` if there are no values or one is NaN.
 pub fn robust_deviation(values: &[f64]) -> Option<f64> {
     let middle = median(values)?;
     let distances: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
     Some(1.4826 * median(&distances)?)
 }
 
-/// Quantiles by name, as summaries state them: `min`, `p50`, `p99`, `max`. Null of nothing.
-pub fn spread(values: impl IntoIterator<Item = f64>, shares: &[f64]) -> Value {
+/// Returns quantiles by name, as in summaries of artifacts: `min`, `p50`, `p99`, `max`. Null if there are no values.
+pub fn spread(values: impl IntoIterator<Item = f64>, probabilities: &[f64]) -> Value {
     let values = sorted(values);
     if values.is_empty() {
         return Value::Null;
     }
-    let named = shares.iter().map(|&share| {
-        let name = match share {
+    let named = probabilities.iter().map(|&probability| {
+        let name = match probability {
             0.0 => "min".to_owned(),
             1.0 => "max".to_owned(),
-            share => format!("p{:.0}", 100.0 * share),
+            probability => format!("p{:.0}", 100.0 * probability),
         };
-        (name, json!(quantile(&values, share)))
+        (name, json!(quantile(&values, probability)))
     });
     Value::Object(named.collect::<Map<_, _>>())
 }
@@ -81,7 +86,7 @@ mod tests {
     ];
 
     #[test]
-    fn medians() {
+    fn medians_are_exact() {
         assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), Some(2.5));
         assert!((median(&SCORES).unwrap() - 0.745).abs() < 1e-15);
@@ -91,9 +96,9 @@ mod tests {
     }
 
     #[test]
-    fn quantiles() {
+    fn quantiles_are_those_of_numpy() {
         // numpy 2.4.6: quantile([1, 2, 4, 8], [0, 0.1, 0.5, 0.9, 1]) = 1, 1.3, 3, 6.8, 8.
-        for (share, expected) in [
+        for (probability, expected) in [
             (0.0, 1.0),
             (0.1, 1.3),
             (0.5, 3.0),
@@ -102,21 +107,21 @@ mod tests {
             (-1.0, 1.0),
             (9.0, 8.0),
         ] {
-            assert!((quantile(&[1.0, 2.0, 4.0, 8.0], share).unwrap() - expected).abs() < 1e-14);
+            assert!((quantile(&[1.0, 2.0, 4.0, 8.0], probability).unwrap() - expected).abs() < 1e-14);
         }
         assert_eq!((quantile(&[], 0.5), quantile(&[1.0], f64::NAN)), (None, None));
     }
 
     #[test]
-    fn nearest_ranks_are_values_that_occur() {
+    fn nearest_ranks_are_existing_values() {
         let values = [1.0, 2.0, 3.0, 4.0];
-        let found = [0.0, 0.25, 0.5, 0.51, 1.0].map(|share| nearest_rank(&values, share));
+        let found = [0.0, 0.25, 0.5, 0.51, 1.0].map(|fraction| nearest_rank(&values, fraction));
         assert_eq!(found, [1.0, 1.0, 2.0, 3.0, 4.0].map(Some));
         assert_eq!(nearest_rank(&[], 0.5), None);
     }
 
     #[test]
-    fn fences_and_deviations_are_those_of_the_textbook() {
+    fn fences_and_deviations_match_their_formulas() {
         let values = [4.0, 1.0, 3.0, 2.0, 5.0];
         assert_eq!(outer_fence(&values), Some(4.0 + 3.0 * 2.0));
         assert_eq!(robust_deviation(&values), Some(1.4826));
@@ -124,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn spreads_have_names() {
+    fn quantiles_of_spreads_are_named() {
         let found = spread([3.0, 1.0, 2.0], &[0.0, 0.5, 0.99, 1.0]);
         assert_eq!(found.to_string(), r#"{"min":1.0,"p50":2.0,"p99":2.98,"max":3.0}"#);
         assert!(spread([], &[0.5]).is_null());

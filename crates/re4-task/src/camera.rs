@@ -7,17 +7,17 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Camera {
-    /// Push-T's only one: the window from above, 96 x 96.
+    /// Push-T's only camera: the window from above, 96 x 96.
     Image,
-    /// robosuite's camera that looks at robot and table from the front, 84 x 84.
+    /// robosuite's camera in front of the robot and the table, 84 x 84.
     Agentview,
-    /// robosuite's camera on the hand, 84 x 84.
+    /// robosuite's camera on the robot's hand, 84 x 84.
     #[serde(rename = "robot0_eye_in_hand")]
     EyeInHand,
 }
 
 impl Camera {
-    /// Its name in files and tables.
+    /// Name of the camera in files and tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -27,7 +27,7 @@ impl Camera {
         }
     }
 
-    /// Side of its square images, in pixels: what the datasets hold.
+    /// Side of its square images in pixels, as in the datasets.
     #[must_use]
     pub const fn side(self) -> usize {
         match self {

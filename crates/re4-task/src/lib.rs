@@ -1,8 +1,10 @@
-//! Tasks: one record says all that the workspace knows of one.
+//! Tasks. One record contains everything that the workspace knows about a task.
 //!
-//! [`TaskSpec`] is the record of a robosuite task; all records stand in `records.rs`, and nothing outside of that file tells
-//! tasks apart by name. [`RobosuiteTask`] is a task that has a record, [`Task`] what a pipeline file may name: such a task,
-//! Push-T, or any other robosuite environment. Metres and radians; world frame: robosuite's, z up.
+//! [`TaskSpec`] is the record of a robosuite task. All records are in `records.rs`; code outside of that file does not
+//! distinguish tasks by name. [`RobosuiteTask`] is a task with a record. [`Task`] is the value of `task` in a pipeline file: a
+//! task with a record, Push-T, or any other robosuite environment.
+//!
+//! Lengths are in metres and angles in radians. The world frame is robosuite's, z upwards.
 
 mod camera;
 mod layout;

@@ -17,19 +17,19 @@ use crate::{Camera, TaskSpec};
 pub struct RobosuiteTask(&'static TaskSpec);
 
 impl RobosuiteTask {
-    /// All of them.
+    /// Returns all tasks with a record.
     pub fn all() -> impl Iterator<Item = Self> {
         RECORDS.iter().map(Self)
     }
 
-    /// The task that a pipeline file calls by this name.
+    /// Returns the task with this name in pipeline files.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::all().find(|task| task.name == name)
     }
 
-    /// The task of an environment's name: robosuite's, or `MimicGen`'s for the same scene, object vector and success rule with
-    /// one of its initial distributions (`Square_D0`, `Square_D1`, ...).
+    /// Returns the task of an environment name. This is robosuite's name, or `MimicGen`'s name (`Square_D0`, `Square_D1`, ...),
+    /// whose environments have the same scene, object vector and success rule, but other distributions of initial poses.
     #[must_use]
     pub fn of_environment(name: &str) -> Option<Self> {
         let mimicgen = Self::distribution(name).and_then(|_| name.rsplit_once('_'));
@@ -39,8 +39,8 @@ impl RobosuiteTask {
         })
     }
 
-    /// Number of `MimicGen`'s initial distribution in an environment's name, 0 for robosuite's own: that of `Square_D1` is 1.
-    /// None in robosuite's names.
+    /// Returns the number of `MimicGen`'s initial distribution in an environment name: 1 for `Square_D1`. Number 0 is robosuite's
+    /// own distribution. `None` if the name is not one of `MimicGen`'s.
     #[must_use]
     pub fn distribution(environment: &str) -> Option<u32> {
         let (_, ending) = environment.rsplit_once('_')?;
@@ -49,20 +49,21 @@ impl RobosuiteTask {
         digits.parse().ok().filter(|_| plain)
     }
 
-    /// What a user reads who named a task without a record: which environments have one, and how the tasks are called.
+    /// Returns the part of an error message that lists the environments and names of the tasks with a record, and then the
+    /// remedy.
     #[must_use]
     pub fn known() -> String {
         let environments: Vec<_> = RECORDS.iter().map(|task| task.environment.to_owned()).collect();
         let names: Vec<_> = RECORDS.iter().map(|task| format!("{:?}", task.name)).collect();
         format!(
-            "of robosuite's environments, those simulated here are {}; set task to {}",
+            "of robosuite's environments only {} can be simulated; set task to {}",
             enumerated(&environments, "and"),
             enumerated(&names, "or")
         )
     }
 }
 
-/// "a, b and c".
+/// Formats a list as "a, b and c".
 fn enumerated(words: &[String], last: &str) -> String {
     match words {
         [first @ .., end] if !first.is_empty() => format!("{} {last} {end}", first.join(", ")),
@@ -106,7 +107,7 @@ impl<'de> Deserialize<'de> for RobosuiteTask {
     }
 }
 
-/// What is known of every task.
+/// The properties that every task has, with or without a record.
 pub(crate) struct Summary {
     pub(crate) name: &'static str,
     pub(crate) environment: &'static str,
@@ -115,19 +116,19 @@ pub(crate) struct Summary {
     pub(crate) control_rate: usize,
 }
 
-/// What a pipeline file may name as its task.
+/// The task of a pipeline file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
-    /// Push-T: the only one in the plane.
+    /// Push-T, the only planar task.
     PushT,
     /// A robosuite task that has a record.
     Known(RobosuiteTask),
-    /// Any other robosuite environment of one arm with a two-finger gripper.
+    /// Any other robosuite environment of one arm with a two-finger gripper. It is not simulated.
     Robosuite,
 }
 
 impl Task {
-    /// All of them, in the order in which they are listed.
+    /// Returns all tasks, in the order in which they are listed.
     pub fn all() -> impl Iterator<Item = Self> {
         let known = RobosuiteTask::all().map(Self::Known);
         std::iter::once(Self::PushT).chain(known).chain([Self::Robosuite])
@@ -153,7 +154,7 @@ impl Task {
         self.summary().name
     }
 
-    /// Name of the environment for readers.
+    /// Name of the environment in texts for users.
     #[must_use]
     pub fn environment(self) -> &'static str {
         self.summary().environment
@@ -165,19 +166,19 @@ impl Task {
         self.summary().cameras
     }
 
-    /// Control steps a second.
+    /// Number of control steps per second.
     #[must_use]
     pub fn control_rate(self) -> usize {
         self.summary().control_rate
     }
 
-    /// Whether it takes place in the plane.
+    /// Whether the task is planar.
     #[must_use]
     pub fn is_planar(self) -> bool {
         self == Self::PushT
     }
 
-    /// The robosuite task that has a record, and can be simulated.
+    /// Returns the robosuite task if it has a record and can therefore be simulated.
     #[must_use]
     pub fn robosuite(self) -> Option<RobosuiteTask> {
         match self {
@@ -220,6 +221,6 @@ impl JsonSchema for Task {
             json_schema!({ "description": about, "type": "string", "const": name })
         };
         let variants: Vec<Schema> = Self::all().map(variant).collect();
-        json_schema!({ "description": "Tasks that this version knows.", "oneOf": variants })
+        json_schema!({ "description": "Tasks that this version supports.", "oneOf": variants })
     }
 }

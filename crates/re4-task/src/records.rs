@@ -1,18 +1,22 @@
-//! The records. A task is added here, and its parity trace beside those in `re4-sim` (CONTRIBUTING.md tells how).
+//! The records of all tasks.
+//!
+//! To add a task, add its record here and to `RECORDS`, and its parity trace to `re4-sim` as described in CONTRIBUTING.md.
+//! Numbers are those of robosuite's environments; the parity tests of `re4-sim` compare placement and success rule with robosuite
+//! itself.
 
 use re4_geometry::spatial::Symmetry;
 
 use crate::names::Summary;
 use crate::{Camera, Extent, ObjectLayout, ObjectRule, Positions, Solid, TaskSpec};
 
-/// All tasks of robosuite that this version knows.
+/// The robosuite tasks with a record.
 pub(crate) static RECORDS: [TaskSpec; 4] = [LIFT, CAN, SQUARE, ROUND];
 
-/// The task in the plane.
+/// The planar task.
 pub(crate) const PUSHT: Summary = Summary {
     name: "pusht",
     environment: "Push-T",
-    about: "Push-T: a disc pushes a T-shaped block onto a goal pose in the plane.",
+    about: "Push-T: a disc pushes a T-shaped block to a planar goal pose.",
     cameras: &[Camera::Image],
     control_rate: 10,
 };
@@ -27,12 +31,13 @@ pub(crate) const ROBOSUITE: Summary = Summary {
 };
 
 const ARM_CAMERAS: &[Camera] = &[Camera::Agentview, Camera::EyeInHand];
-/// Control steps a second in robosuite's and robomimic's demonstrations.
+/// Control steps per second in robosuite's and robomimic's demonstrations.
 const ARM_RATE: usize = 20;
+/// The vertical axis of an object that stands or lies on a table.
 const UPRIGHT: [f64; 3] = [0.0, 0.0, 1.0];
-/// Layouts of tasks whose observation relates positions alone.
+/// Layouts of tasks whose observation contains the offset between gripper and object.
 const OFFSET: [ObjectLayout; 2] = [ObjectLayout::LiftEefMinusCube, ObjectLayout::LiftCubeMinusEef];
-/// Layouts of tasks whose observation has the object's pose in the hand's frame.
+/// Layouts of tasks whose observation contains the object's pose in the hand's frame.
 const RELATIVE_POSE: [ObjectLayout; 2] = [ObjectLayout::PoseFirst, ObjectLayout::RelativeFirst];
 
 /// A table whose top is 25 mm above `z`.
@@ -40,7 +45,9 @@ const fn table(z: f64) -> Solid {
     Solid::cuboid("table", [0.0, 0.0, z], [0.4, 0.4, 0.025])
 }
 
-/// Whether the gripper has let go and gone, by some 42 mm: robosuite writes the rule as `1 - tanh(10 d) < 0.6`.
+/// Whether the gripper has released the object and is more than about 42 mm away from it.
+///
+/// robosuite writes this condition as `1 - tanh(10 d) < 0.6`; the same expression gives the same result at the limit.
 fn released(at: &Positions<'_>) -> bool {
     1.0 - (10.0 * (at.grip_site - at.object).norm()).tanh() < 0.6
 }
@@ -75,8 +82,9 @@ const LIFT: TaskSpec = TaskSpec {
 
 /// Height of the table's top.
 const LIFT_TABLE: f64 = 0.8;
-/// Range of the cube's half sizes, and its middle.
+/// Range of the cube's half sizes.
 const CUBE: [f64; 2] = [0.020, 0.022];
+/// Middle of the range, which HTML pages show for all seeds.
 const CUBE_MIDDLE: f64 = 0.021;
 
 // ------------------------------------------------------------------------------------------------------------------- Can
@@ -90,6 +98,7 @@ const CAN: TaskSpec = TaskSpec {
     object: "Can",
     symmetry: Symmetry::Full { axis: UPRIGHT },
     layouts: RELATIVE_POSE,
+    // All four objects are placed one after the other, the can last, so its position depends on the others'.
     placement: &[
         in_bin("Milk", false, 0.025, -0.085, 0.075),
         in_bin("Bread", false, 0.03, -0.045, 0.03),
@@ -101,7 +110,7 @@ const CAN: TaskSpec = TaskSpec {
     cameras: ARM_CAMERAS,
     control_rate: ARM_RATE,
     fixtures: &[
-        // Where the success rule wants the can: a quarter of the second bin.
+        // The region of the success rule: a quarter of the second bin.
         Solid::cuboid("goal", [0.1975, 0.4025, 0.85], [0.0975, 0.1225, 0.05]),
         FIRST_BIN[0],
         FIRST_BIN[1],
@@ -117,12 +126,12 @@ const CAN: TaskSpec = TaskSpec {
     shape: &[Solid::cylinder("object", [0.0; 3], 0.025, 0.04)],
 };
 
-/// Inner sizes of a bin.
+/// Inner sizes of a bin along x and y.
 const BIN: [f64; 2] = [0.39, 0.49];
 const FIRST_BIN: [Solid; 5] = bin(-0.25);
 const SECOND_BIN: [Solid; 5] = bin(0.28);
 
-/// Objects keep off the bin's walls by 5 cm and their radius.
+/// The rule for an object in the first bin, at least 5 cm plus its radius away from the walls.
 const fn in_bin(object: &'static str, used: bool, radius: f64, bottom: f64, top: f64) -> ObjectRule {
     let half = [BIN[0] / 2.0 - 0.05, BIN[1] / 2.0 - 0.05];
     ObjectRule {
@@ -136,12 +145,14 @@ const fn in_bin(object: &'static str, used: bool, radius: f64, bottom: f64, top:
     }
 }
 
+/// Whether the can is in its quarter of the second bin, below the upper edge, and the gripper has released it.
 fn in_second_bin(at: &Positions<'_>) -> bool {
     let corner = [0.1, 0.28, 0.8];
     let within = |i: usize, size: f64| corner[i] < at.object[i] && at.object[i] < corner[i] + size;
     within(0, BIN[0] / 2.0) && within(1, BIN[1] / 2.0) && within(2, 0.1) && released(at)
 }
 
+/// The shapes of the bin with its centre at `y`: floor and four walls.
 const fn bin(y: f64) -> [Solid; 5] {
     let [x, z] = [0.1, 0.8];
     [
@@ -207,7 +218,7 @@ const ROUND: TaskSpec = TaskSpec {
         Solid::cuboid("object", [0.042_45, 0.0, 0.0], [0.011_25, 0.0225, 0.01]),
         Solid::cuboid("object", [0.0, -0.042_45, 0.0], [0.0225, 0.011_25, 0.01]),
         Solid::cuboid("object", [0.0, 0.042_45, 0.0], [0.0225, 0.011_25, 0.01]),
-        // In place of boxes at 45 degrees.
+        // The model has boxes at 45 degrees here, which a `Solid` cannot represent.
         Solid::cylinder("object", [-0.03, -0.03, 0.0], 0.016, 0.01),
         Solid::cylinder("object", [-0.03, 0.03, 0.0], 0.016, 0.01),
         Solid::cylinder("object", [0.03, -0.03, 0.0], 0.016, 0.01),
@@ -216,7 +227,7 @@ const ROUND: TaskSpec = TaskSpec {
     ],
 };
 
-/// Height of the table's top.
+/// Height of the table's top in both nut tasks.
 const NUT_TABLE: f64 = 0.82;
 
 const fn square_nut(used: bool) -> ObjectRule {
@@ -227,6 +238,7 @@ const fn round_nut(used: bool) -> ObjectRule {
     nut("RoundNut", used, [-0.225, -0.11], 0.025)
 }
 
+/// The rule for a nut. Both nuts are in the scene of both tasks.
 const fn nut(object: &'static str, used: bool, y: [f64; 2], top: f64) -> ObjectRule {
     ObjectRule {
         object,
@@ -243,7 +255,8 @@ const fn nut(object: &'static str, used: bool, y: [f64; 2], top: f64) -> ObjectR
     }
 }
 
-/// Whether the nut's origin is within 3 cm of the axis of the peg, the first landmark, along x and y, and low.
+/// Whether the nut's origin is within 3 cm of the axis of the peg (the first landmark) along x and along y and less than 5 cm
+/// above the table, and the gripper has released the nut.
 fn on_peg(at: &Positions<'_>) -> bool {
     at.landmarks
         .first()

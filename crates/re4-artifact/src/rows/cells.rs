@@ -1,4 +1,4 @@
-//! Values of one column each, those that may be null, and numbered ones.
+//! Cells of one column, nullable cells, and arrays of cells.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -22,7 +22,8 @@ use crate::columns::{first_null, table_name};
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, ColumnSpec};
 
-/// Cells of one Arrow array: of each the builder, the array, the kind of column, and how a value goes in and comes out.
+/// Implements [`Cell`] for types that are stored in one Arrow array. The arguments of each type are its Arrow builder, its array,
+/// the kind of the column, and the conversions of a value for the builder and from the array.
 macro_rules! cells {
     ($($(#[doc = $doc:literal])* $type:ty: $builder:ty, $array:ty, $kind:ident, $into:expr, $out:expr;)*) => {$(
         $(#[doc = $doc])*
@@ -59,13 +60,13 @@ cells! {
     i64: PrimitiveBuilder<Int64Type>, PrimitiveArray<Int64Type>, I64, |value| *value, |value| value;
     f64: PrimitiveBuilder<Float64Type>, PrimitiveArray<Float64Type>, F64, |value| *value, |value| value;
     bool: BooleanBuilder, BooleanArray, Bool, |value| *value, |value| value;
-    /// Text of many distinct values.
+    /// Text with many distinct values; see [`Label`] for few.
     String: StringBuilder, StringArray, Text, |value| value, str::to_owned;
-    /// Bytes, such as those of an image file.
+    /// Bytes, for example of an image file.
     Vec<u8>: BinaryBuilder, BinaryArray, Binary, |value| value, <[u8]>::to_vec;
 }
 
-/// Cells that are stored as another type.
+/// Implements [`Cell`] for a type that is stored as another type, with the conversions to and from it.
 macro_rules! stored_as {
     ($type:ty, $stored:ty, $to:expr, $from:expr) => {
         impl Cell for $type {
@@ -97,7 +98,7 @@ macro_rules! stored_as {
     };
 }
 
-// Numbers of frames, rows and demonstrations; none comes near the maximum number of 32 bits.
+// Used for numbers of frames, rows and demonstrations, which are far below 2^32.
 stored_as!(
     usize,
     u32,
@@ -136,7 +137,7 @@ stored_as!(
 );
 
 columns! {
-    /// A run of frames.
+    /// A range of frames.
     pub struct Frames {
         /// First frame.
         pub first_frame: usize,
@@ -146,11 +147,11 @@ columns! {
 }
 
 columns! {
-    /// A run of frames of one mode.
+    /// A range of frames of one mode.
     pub struct ModeAndFrames {
         /// Manipulation mode: transit or transfer.
         pub mode: Mode,
-        /// Its frames.
+        /// Frames of the range.
         #[prefix = ""]
         pub frames: Range<usize>,
     }
@@ -158,7 +159,7 @@ columns! {
 
 macro_rules! lists {
     ($($type:ty: $builder:ident, $buffers:ident, $arrow:ty, $data:ident, $kind:ident;)*) => {$(
-        /// The values of lists, whose elements are never null.
+        /// Builder of a column of lists, whose elements are never null.
         pub struct $buffers(ListBuilder<$builder>);
 
         impl Default for $buffers {
@@ -211,12 +212,12 @@ lists! {
     f32: Float32Builder, F32Lists, Float32Type, Float32, F32List;
 }
 
-/// A value of a fixed set, stored as a word.
+/// A value of a fixed set, stored as a word in a dictionary column. See [`Label`] for words that are not of a fixed set.
 pub trait Word: Copy + PartialEq + 'static {
-    /// Every value.
+    /// All values.
     const ALL: &'static [Self];
 
-    /// The word used in tables.
+    /// The word of the value in tables.
     fn word(self) -> &'static str;
 }
 
@@ -228,13 +229,13 @@ impl Word for Mode {
     }
 }
 
-/// A column of words: each row's place in a list of few.
+/// A dictionary column: a list of distinct words, and the index of each row's word in that list.
 pub struct Words<W> {
     keys: PrimitiveArray<Int32Type>,
     words: Vec<W>,
 }
 
-/// Rows and words of a column of categories. Files of old versions, or of foreign writers, may have plain text.
+/// Reads a column of words. In files of old versions and of other writers it may be a plain text column.
 fn categories(source: &mut ColumnSource<'_>, required: bool) -> Result<(Words<String>, ColumnSpec), ArtifactError> {
     let (array, spec) = source.any(required)?;
     let wrong = || crate::columns::wrong_kind(source.batch, spec.name, array, ColumnKind::Category);
@@ -281,7 +282,7 @@ impl<W: Word> Cell for W {
         let (Words { keys, words }, spec) = categories(source, required)?;
         let of = |text: &String| W::ALL.iter().copied().find(|word| word.word() == text);
         let known: Vec<Option<W>> = words.iter().map(of).collect();
-        // A dictionary may hold words that no row uses.
+        // A dictionary may contain words that no row uses; only words of rows are checked.
         let unknown = |key: &i32| matches!(known.get(*key as usize), Some(None));
         if let Some(key) = keys.iter().flatten().find(unknown) {
             return Err(ArtifactError::UnknownWord {
@@ -300,7 +301,7 @@ impl<W: Word> Cell for W {
     }
 }
 
-/// A word of few, stored as a dictionary, where the set is not fixed.
+/// Text with few distinct values that are not of a fixed set, stored in a dictionary column. See [`Word`] for a fixed set.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Label(pub Cow<'static, str>);
 
@@ -395,7 +396,7 @@ impl<T: Cell> Cell for Option<T> {
     }
 }
 
-/// The values of numbered columns.
+/// Builders of numbered columns.
 pub struct Numbered<B, const N: usize>([B; N]);
 
 impl<B: Default, const N: usize> Default for Numbered<B, N> {
@@ -438,7 +439,7 @@ impl<T: Cell, const N: usize> Cell for [T; N] {
     }
 }
 
-/// Where a value is null that has to be there; the row as counted from the first of the batch.
+/// Returns the name of the first column of a batch that has a null, and the row of the null, counted from the start of the batch.
 pub(super) fn missing(batch: &arrow_array::RecordBatch) -> (String, usize) {
     let found = batch
         .schema_ref()

@@ -1,8 +1,9 @@
-//! Typed rows: a table is declared once, as a struct, from which its schema, its writer and its readers follow.
+//! Typed rows: a table is declared once, as a struct. Its schema, its writer and its readers are derived from the declaration.
 //!
-//! A field of a row is a [`Cell`]: one column (a number, a flag, a word), or several that belong together, such as a pose. Field
-//! names give column names: `object: Pose2` is stored as `object_x`, `object_y` and `object_theta`. The documentation of struct
-//! and fields describes table and columns in files and schemas.
+//! The type of a field is a [`Cell`], which is stored as one column (a number, a flag, a word) or as several columns (a pose).
+//! Names of columns are derived from names of fields: `object: Pose2` is stored as `object_x`, `object_y` and `object_theta`. The
+//! doc comments of the struct and of its fields are the descriptions of the table and of its columns in files and schemas, so
+//! they are written for users of the data.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -10,7 +11,7 @@
 //! use re4_geometry::Pose2;
 //!
 //! table! {
-//!     /// One row a frame of a demonstration.
+//!     /// One row per frame of a demonstration.
 //!     #[table("example", version = 2)]
 //!     pub struct ExampleRow {
 //!         /// Number of the demonstration, from 0.
@@ -18,7 +19,7 @@
 //!         /// Pose of the object.
 //!         #[frame = "world"]
 //!         pub object: Pose2,
-//!         /// Speed of the end effector; null where it was not recorded.
+//!         /// Speed of the end effector; null if it was not recorded.
 //!         #[unit = "px/s"]
 //!         #[since = 2]
 //!         pub speed: Option<f64>,
@@ -26,8 +27,8 @@
 //! }
 //!
 //! columns! {
-//!     /// Columns that some reader needs, by the names that the table gives them.
-//!     pub struct Where {
+//!     /// A subset of the columns, for a reader that does not need the others. Names and types are those of the table.
+//!     pub struct ObjectPose {
 //!         /// Demonstration.
 //!         pub episode: u32,
 //!         /// Pose of the object.
@@ -44,8 +45,8 @@
 //! rows.push(&ExampleRow { episode: 0, object: Pose2::new(1.0, 2.0, 0.5), speed: None })?;
 //! rows.finish()?;
 //! let artifact = writer.publish(ArtifactSummary::default())?;
-//! let places: Vec<Where> = artifact.table(ExampleRow::table())?.read()?;
-//! assert_eq!(places[0].object.theta, 0.5);
+//! let poses: Vec<ObjectPose> = artifact.table(ExampleRow::table())?.read()?;
+//! assert_eq!(poses[0].object.theta, 0.5);
 //! let rows: Vec<ExampleRow> = artifact.read()?;
 //! assert_eq!(rows[0].speed, None);
 //! # Ok(())
@@ -72,56 +73,57 @@ pub use poses::{QUATERNION_PARTS, SixAxis};
 pub use read::RowsOf;
 pub use write::RowWriter;
 
-/// A value of one or more columns.
+/// A value that is stored in one or more columns of a row.
 ///
 /// Implemented for numbers, flags, text, bytes, lists, [`Word`]s, [`Label`]s, poses and points; for `Option` of any of these,
-/// which may be null; for arrays, whose columns are numbered; and for structs declared by [`columns!`](crate::columns!).
+/// whose columns are nullable; for arrays, whose columns are numbered; and for structs declared with
+/// [`columns!`](crate::columns!).
 pub trait Cell: Sized + 'static {
-    /// Values on their way to columns.
+    /// Builders of the columns.
     type Buffers: Default;
-    /// Columns of a batch.
+    /// The columns of a batch, converted for access by row.
     type View;
 
-    /// Domain whose columns these are: `plane` or `space`; "" for those that all domains share.
+    /// Domain of the columns: `plane` (SE(2)) or `space` (SE(3)); "" if they are common to all domains.
     const DOMAIN: &'static str = "";
 
-    /// Adds the descriptions of the columns.
+    /// Appends the descriptions of the columns. `at` is the position of the value in the table.
     fn describe(at: &Place, columns: &mut Vec<ColumnSpec>);
 
-    /// Adds a value, or nulls.
+    /// Appends a value to the builders, or nulls for `None`.
     fn push(value: Option<&Self>, buffers: &mut Self::Buffers);
 
-    /// Moves what was pushed into columns, in the order of their descriptions.
+    /// Converts the builders to arrays, in the order of the descriptions, and empties them.
     fn finish(buffers: &mut Self::Buffers, arrays: &mut Vec<ArrayRef>);
 
     /// Takes the columns from a batch.
     ///
     /// # Errors
-    /// [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`]; [`ArtifactError::Null`] where a value is `required` and
-    /// absent; [`ArtifactError::UnknownWord`].
+    /// [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], [`ArtifactError::UnknownWord`], and, if the value is
+    /// `required` but null in some row, [`ArtifactError::Null`].
     fn view(source: &mut ColumnSource<'_>, required: bool) -> Result<Self::View, ArtifactError>;
 
-    /// The value of a row; `None` where it is null.
+    /// Returns the value of a row, `None` if it is null.
     fn get(view: &Self::View, row: usize) -> Option<Self>;
 }
 
-/// The rows of a table.
+/// The row type of a table, declared with [`table!`](crate::table!).
 pub trait Row: Cell {
     /// Name of the table.
     const NAME: &'static str;
     /// Version of its schema.
     const VERSION: u32;
-    /// Name of the table before this version; "" where it always had its own.
+    /// Name of the table in earlier versions; "" if it was the same.
     const FORMERLY: &'static str;
 
-    /// What one row is.
+    /// Description of the table: the doc comment of the row type.
     fn description() -> String;
 
-    /// Description of the table.
+    /// Returns the description of the table and its columns.
     fn table() -> &'static TableSpec {
         static KNOWN: Known<&'static TableSpec> = Mutex::new(BTreeMap::new());
         once::<Self, _>(&KNOWN, || {
-            // One description a type for the life of the process.
+            // Leaked only once per row type, as `once` caches the result.
             Box::leak(Box::new(TableSpec {
                 name: Self::NAME,
                 version: Self::VERSION,
@@ -134,10 +136,11 @@ pub trait Row: Cell {
     }
 }
 
-/// What is known of types. Row types are generic, and a static inside of a generic function is one for all of them.
+/// Cache of one value per type. A map is needed because a static inside a generic function is shared by all its instances.
 type Known<T> = Mutex<BTreeMap<TypeId, T>>;
 
-/// What is known of a type, made when it is asked for first: descriptions stay for the life of the process, one a type.
+/// Returns the cached value of type `C`. The first call creates it, and it is kept until the process exits. If several threads
+/// create it at the same time, all get the value of the first one.
 fn once<C: 'static, T: Copy>(known: &Known<T>, make: impl FnOnce() -> T) -> T {
     let id = TypeId::of::<C>();
     let found = known.lock().unwrap_or_else(PoisonError::into_inner).get(&id).copied();
@@ -151,7 +154,7 @@ fn once<C: 'static, T: Copy>(known: &Known<T>, make: impl FnOnce() -> T) -> T {
     })
 }
 
-/// Descriptions of the columns of a struct.
+/// Returns the descriptions of the columns of a type.
 fn columns_of<C: Cell>() -> &'static [ColumnSpec] {
     static KNOWN: Known<&'static [ColumnSpec]> = Mutex::new(BTreeMap::new());
     once::<C, _>(&KNOWN, || {
@@ -165,27 +168,28 @@ fn leak(text: String) -> &'static str {
     if text.is_empty() { "" } else { String::leak(text) }
 }
 
-/// Where a cell stands in a table, and what is said of it there.
+/// The position of a cell in a table: the name and description of its column, or the prefix of the names of its columns.
 #[derive(Debug, Clone, Default)]
 pub struct Place {
-    /// Name of the column, or what the names of its columns begin with; empty for those of the row itself.
+    /// Name of the column, or prefix of the names of the columns; empty for the row itself.
     pub name: String,
-    /// Sentences that describe it.
+    /// Description of the value.
     pub description: String,
-    /// Unit; "" where the type says it, or there is none.
+    /// Unit; "" if there is none or the type determines it.
     pub unit: &'static str,
     /// Frame of reference; "" for none.
     pub frame: &'static str,
-    /// Whether it may be null.
+    /// Whether the value may be null.
     pub nullable: bool,
-    /// Version of the table that first had it; 0 for the first.
+    /// First version of the table with this value; 0 means 1.
     pub since: u32,
-    /// The name that it had in versions before; empty where it is the same.
+    /// Name or prefix in earlier versions; empty if it was the same.
     pub formerly: String,
 }
 
 impl Place {
-    /// A field below this place. Empty names are those of flattened structs.
+    /// Returns the position of a field of the struct at this position. With an empty name, the columns of the field get no
+    /// prefix.
     #[must_use]
     pub fn field(&self, name: &str, description: &str) -> Self {
         Self {
@@ -200,7 +204,8 @@ impl Place {
         }
     }
 
-    /// A part of a value: a column whose description goes on from that of the whole.
+    /// Returns the position of a part of the value at this position. The description is that of the whole value followed by
+    /// `words`, as in "Pose of the object: quaternion w."
     #[must_use]
     pub fn part(&self, name: &str, words: &str) -> Self {
         let whole = self.description.strip_suffix('.').unwrap_or(&self.description);
@@ -210,7 +215,7 @@ impl Place {
         }
     }
 
-    /// The column here.
+    /// Returns the description of the column at this position.
     #[must_use]
     pub fn column(&self, kind: ColumnKind) -> ColumnSpec {
         ColumnSpec {
@@ -234,26 +239,27 @@ fn below(prefix: &str, name: &str) -> String {
     }
 }
 
-/// The domain of columns that may be of one.
+/// Returns `domain`, or `other` if `domain` is empty. [`columns!`](crate::columns!) uses it to derive the domain of a struct from
+/// its fields.
 #[must_use]
 pub const fn either(domain: &'static str, other: &'static str) -> &'static str {
     if domain.is_empty() { other } else { domain }
 }
 
-/// The text of documentation comments, one line after the other.
+/// Joins the lines of a doc comment: white space is collapsed and removed at both ends.
 #[must_use]
 pub fn trimmed(lines: &str) -> String {
     lines.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Columns of a batch, by the names that a struct gives them, one after the other.
+/// Iterates over the columns of a batch in the order in which a type describes them.
 pub struct ColumnSource<'a> {
     batch: &'a RecordBatch,
     columns: std::slice::Iter<'static, ColumnSpec>,
 }
 
 impl<'a> ColumnSource<'a> {
-    /// Those of `C` in a batch.
+    /// Creates a source of the columns of `C`.
     #[must_use]
     pub fn new<C: Cell>(batch: &'a RecordBatch) -> Self {
         Self {
@@ -262,7 +268,7 @@ impl<'a> ColumnSource<'a> {
         }
     }
 
-    /// The next column, as an array of type `A`.
+    /// Returns the next column, as an array of type `A`.
     fn next<A: Clone + 'static>(&mut self, required: bool) -> Result<(A, ColumnSpec), ArtifactError> {
         let (array, spec) = self.any(required)?;
         let typed = array.as_any().downcast_ref::<A>().cloned();
@@ -271,8 +277,10 @@ impl<'a> ColumnSource<'a> {
             .ok_or_else(|| crate::columns::wrong_kind(self.batch, spec.name, array, spec.kind))
     }
 
+    /// Returns the next column, as an array of any type.
     fn any(&mut self, required: bool) -> Result<(&'a ArrayRef, ColumnSpec), ArtifactError> {
-        // A cell takes as many columns as it describes.
+        // A correct `Cell` takes as many columns as it describes. The fallback makes an incorrect one fail with a `NoColumn`
+        // error.
         let spec = self.columns.next().copied();
         let spec = spec.unwrap_or(ColumnSpec::new("", ColumnKind::F64, ""));
         let array = column(self.batch, spec.name)?;
@@ -283,11 +291,23 @@ impl<'a> ColumnSource<'a> {
     }
 }
 
-/// Declares a struct whose fields are columns. Poses and points say whether the columns are those of the plane or of space; a
-/// struct without any may say so by `#[domain = "plane"]` below its documentation. Between documentation and name, a field may have, in this order,
-/// `#[unit = "m"]`, `#[frame = "world"]`, `#[since = 2]` (version of the table that first had it, whose older rows are null),
-/// `#[formerly = "name"]` (its name in versions before), `#[prefix = "name"]` (what the names of its columns begin with in
-/// place of its own; "" for a struct whose columns have their own names).
+/// Declares a struct whose fields are columns of a table.
+///
+/// Use it for a group of columns that several tables share, and for a reader that needs a subset of the columns of a table. Every
+/// field must be `pub` and its type must implement [`Cell`](crate::Cell).
+///
+/// Each field may have these attributes, in this order, between its doc comment and its name:
+///
+/// * `#[unit = "m"]`: unit. Poses and points have a default unit.
+/// * `#[frame = "world"]`: frame of reference.
+/// * `#[since = 2]`: first version of the table with this field. The type must be an `Option`; it is `None` in rows of older
+///   versions.
+/// * `#[formerly = "name"]`: name of the field in earlier versions of the table.
+/// * `#[prefix = "name"]`: prefix of the names of its columns, instead of the name of the field. With `""` the columns of a
+///   nested struct keep their own names.
+///
+/// The struct may have `#[domain = "plane"]` or `#[domain = "space"]` and then `#[derive(...)]` below its doc comment. A domain
+/// is needed only if no field determines it; poses and points do. `Debug`, `Clone` and `PartialEq` are always derived.
 #[macro_export]
 macro_rules! columns {
     (
@@ -377,8 +397,11 @@ macro_rules! columns {
     };
 }
 
-/// Declares a table: a struct as [`columns!`] does, after its documentation `#[table("name", version = 1)]`, with
-/// `formerly = "name"` where the table of a domain had another name in versions before.
+/// Declares a table: a struct as for [`columns!`], with `#[table("name", version = 1)]` directly below its doc comment.
+///
+/// The struct implements [`Row`](crate::Row). Raise `version` when a field is added or renamed. `formerly = "name"` after the
+/// version is the name of the table in earlier versions, if it was another one; for a row type of both domains it is that of the
+/// table of the domain `space`.
 #[macro_export]
 macro_rules! table {
     (
@@ -412,8 +435,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_type_is_described_once() {
-        // Descriptions are never freed: each batch that is read may not make them again.
+    fn descriptions_are_cached_by_type() {
+        // Descriptions are leaked, so reading another batch must not create them again.
         assert!(std::ptr::eq(columns_of::<Vec<f64>>(), columns_of::<Vec<f64>>()));
         assert!(!std::ptr::eq(columns_of::<u32>(), columns_of::<bool>()));
     }

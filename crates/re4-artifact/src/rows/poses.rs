@@ -1,7 +1,7 @@
-//! Points and poses: one field of a row, a column a number.
+//! Points and poses: one field of a row is stored as one column per number.
 //!
-//! Units follow from the type, since the plane is Push-T's, in pixels, and space is robosuite's, in metres. Quaternions have the
-//! order x, y, z, w.
+//! The type determines the unit: planar types are Push-T's and in pixels, types of SE(3) are robosuite's and in metres.
+//! Quaternions have the order x, y, z, w.
 
 use arrow_array::ArrayRef;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -11,10 +11,10 @@ use super::{Cell, ColumnSource, Place};
 use crate::error::ArtifactError;
 use crate::spec::ColumnSpec;
 
-/// What the names of the columns of a pose in space end in, in their order.
+/// Suffixes of the names of the columns of a pose in SE(3), in the order of the columns.
 pub const QUATERNION_PARTS: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 
-/// An action of six numbers: a translation and a rotation vector. In metres and radians, unless its field gives a unit.
+/// An action of six numbers: translation, then rotation vector. In metres and radians unless the field has another unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SixAxis(pub [f64; 6]);
 
@@ -34,7 +34,8 @@ impl From<SixAxis> for Isometry3<f64> {
     }
 }
 
-/// Cells that are stored as a fixed number of floats. `$domain` is where such a value lies; `$parts` are name, description and unit of each.
+/// Implements [`Cell`] for a type that is stored as `$count` floats. `$domain` is the domain of the type; `$parts` are the name
+/// suffix, description and unit of each float; `$to` and `$from` convert to and from the floats.
 macro_rules! floats {
     ($type:ty, $domain:literal, $count:literal, $parts:expr, $to:expr, $from:expr) => {
         impl Cell for $type {
@@ -130,7 +131,7 @@ floats!(
     Self
 );
 
-// The quaternion is stored and taken as it is, sign and all.
+// Quaternions are neither normalized nor given a canonical sign, so that they are stored and read bit for bit.
 floats!(
     Isometry3<f64>,
     "space",

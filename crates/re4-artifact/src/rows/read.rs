@@ -10,11 +10,12 @@ use crate::columns::table_name;
 use crate::error::ArtifactError;
 use crate::reader::{Artifact, Batches, Table};
 
-/// The rows of a batch, one after the other.
+/// Converts a batch to rows.
 fn rows_of<C: Cell>(batch: &RecordBatch) -> Result<Vec<C>, ArtifactError> {
     let view = C::view(&mut ColumnSource::new::<C>(batch), true)?;
     let rows = (0..batch.num_rows()).map(|row| C::get(&view, row));
-    // Required columns were checked to be complete, so that this does not come about but for a cell that tells it otherwise.
+    // `view` has checked that required columns have no nulls, so only an implementation of `Cell` that skips the check fails
+    // here.
     rows.collect::<Option<Vec<C>>>().ok_or_else(|| {
         let (column, row) = missing(batch);
         ArtifactError::Null {
@@ -30,7 +31,7 @@ fn names<C: Cell>() -> Vec<&'static str> {
 }
 
 impl Artifact {
-    /// All rows of a table.
+    /// Reads all rows of the table of row type `R`.
     ///
     /// # Errors
     /// As [`Artifact::table`] and [`Table::read`].
@@ -38,31 +39,31 @@ impl Artifact {
         self.table(R::table())?.read()
     }
 
-    /// Whether it has the table of these rows.
+    /// Whether the artifact has the table of row type `R`.
     pub fn has<R: Row>(&self) -> bool {
         self.has_table(R::table())
     }
 }
 
 impl Table {
-    /// All rows, as far as `C` has their columns. No other columns are decoded.
+    /// Reads all rows with the columns of `C`. Other columns of the table are not decoded.
     ///
     /// # Errors
-    /// As [`Table::read_all`]; [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], [`ArtifactError::Null`] and
-    /// [`ArtifactError::UnknownWord`] where the columns are not those of `C`.
+    /// As [`Table::read_all`], and [`ArtifactError::NoColumn`], [`ArtifactError::ColumnKind`], [`ArtifactError::Null`] or
+    /// [`ArtifactError::UnknownWord`] if the table's columns do not match those of `C`.
     pub fn read<C: Cell>(&self) -> Result<Vec<C>, ArtifactError> {
         rows_of(&self.read_columns(&names::<C>())?)
     }
 
-    /// Some rows; only the row groups that hold them are touched.
+    /// Reads a range of rows. Only the row groups that contain them are decoded.
     ///
     /// # Errors
-    /// As [`Table::read`]; [`ArtifactError::OutOfRange`].
+    /// As [`Table::read`], and [`ArtifactError::OutOfRange`].
     pub fn read_range<C: Cell>(&self, rows: Range<u64>) -> Result<Vec<C>, ArtifactError> {
         rows_of(&self.read_rows(rows)?)
     }
 
-    /// The rows in order, of which a bounded number is in memory.
+    /// Reads the rows in order, with a bounded number of them in memory.
     ///
     /// # Errors
     /// As [`Table::read`].
@@ -74,7 +75,7 @@ impl Table {
     }
 }
 
-/// The rows of a table in order.
+/// Iterator over the rows of a table in order.
 pub struct RowsOf<C> {
     batches: Batches,
     rows: std::vec::IntoIter<C>,

@@ -7,19 +7,19 @@ use crate::error::ArtifactError;
 use crate::manifest::TableSummary;
 use crate::writer::{DEFAULT_ROW_GROUP_ROWS, TableWriter, Writer};
 
-/// Rows that are gathered before they are handed on. The bytes of a table do not depend on it.
-const GATHERED: usize = 4096;
+/// Maximum number of rows that are buffered before they are converted to a batch. The bytes of a table do not depend on it.
+const BUFFERED_ROWS: usize = 4096;
 
-/// A table being written, row by row.
+/// Writes a table row by row.
 pub struct RowWriter<R: Row> {
     table: TableWriter,
     buffers: R::Buffers,
-    gathered: usize,
-    most: usize,
+    buffered: usize,
+    capacity: usize,
 }
 
 impl Writer {
-    /// Begins the table of these rows.
+    /// Starts the table of row type `R`.
     ///
     /// # Errors
     /// As [`Writer::table`].
@@ -27,7 +27,7 @@ impl Writer {
         self.rows_in_groups(DEFAULT_ROW_GROUP_ROWS)
     }
 
-    /// Begins the table of these rows with row groups of so many rows; few for large values such as images.
+    /// Starts the table of row type `R` with row groups of `row_group_rows` rows. Use few rows for large values such as images.
     ///
     /// # Errors
     /// As [`Writer::table`].
@@ -35,8 +35,8 @@ impl Writer {
         Ok(RowWriter {
             table: self.table_in_groups(R::table(), row_group_rows)?,
             buffers: R::Buffers::default(),
-            gathered: 0,
-            most: row_group_rows.clamp(1, GATHERED),
+            buffered: 0,
+            capacity: row_group_rows.clamp(1, BUFFERED_ROWS),
         })
     }
 
@@ -58,9 +58,9 @@ impl<R: Row> RowWriter<R> {
     /// As [`TableWriter::write`].
     pub fn push(&mut self, row: &R) -> Result<(), ArtifactError> {
         R::push(Some(row), &mut self.buffers);
-        self.gathered += 1;
-        if self.gathered == self.most {
-            self.hand_on()?;
+        self.buffered += 1;
+        if self.buffered == self.capacity {
+            self.flush()?;
         }
         Ok(())
     }
@@ -73,25 +73,26 @@ impl<R: Row> RowWriter<R> {
         rows.into_iter().try_for_each(|row| self.push(&row))
     }
 
-    /// Rows so far.
+    /// Number of rows added so far.
     pub fn rows(&self) -> u64 {
-        self.table.rows() + self.gathered as u64
+        self.table.rows() + self.buffered as u64
     }
 
-    /// Writes what is left and the footer, and makes the file durable.
+    /// Writes the remaining rows and the footer, and syncs the file.
     ///
     /// # Errors
     /// As [`TableWriter::finish`].
     pub fn finish(mut self) -> Result<TableSummary, ArtifactError> {
-        self.hand_on()?;
+        self.flush()?;
         self.table.finish()
     }
 
-    fn hand_on(&mut self) -> Result<(), ArtifactError> {
-        if self.gathered == 0 {
+    /// Converts the buffered rows to a batch and writes it.
+    fn flush(&mut self) -> Result<(), ArtifactError> {
+        if self.buffered == 0 {
             return Ok(());
         }
-        self.gathered = 0;
+        self.buffered = 0;
         let mut arrays = Vec::new();
         R::finish(&mut self.buffers, &mut arrays);
         let spec = R::table();

@@ -1,9 +1,9 @@
-//! What the tests share: a table with a column of every kind, and artifacts of it.
+//! Code that the tests share: a table with a column of every kind, and artifacts with that table.
 #![allow(
     dead_code,
     unreachable_pub,
     clippy::unwrap_used,
-    reason = "every test file uses its own part of this"
+    reason = "every test file uses only a part of this module"
 )]
 
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ pub const EVERY_KIND: TableSpec = TableSpec {
     version: 1,
     domain: "",
     formerly: "",
-    description: "One row an example.",
+    description: "One row per example.",
     columns: &[
         ColumnSpec::new("episode", ColumnKind::U32, "An id."),
         ColumnSpec::new("count", ColumnKind::U64, "A count."),
@@ -43,7 +43,7 @@ pub const SCALES: TableSpec = TableSpec {
     version: 1,
     domain: "",
     formerly: "",
-    description: "One row a dimension.",
+    description: "One row per dimension.",
     columns: &[
         ColumnSpec::new("dimension", ColumnKind::Text, "A name."),
         ColumnSpec::new("minimum", ColumnKind::F64, "A number."),
@@ -83,7 +83,7 @@ pub fn columns(rows: &[Row]) -> Columns {
         .u32_or_null("demo", rows.iter().map(|r| r.demo).collect())
 }
 
-/// Rows that are the same on every call.
+/// Returns `count` rows, which are the same in every call.
 pub fn sample_rows(count: u32) -> Vec<Row> {
     (0..count)
         .map(|i| Row {
@@ -102,7 +102,7 @@ pub fn sample_rows(count: u32) -> Vec<Row> {
         .collect()
 }
 
-/// A recipe that this number tells from others.
+/// Returns a recipe whose key depends on `number`.
 pub fn recipe(number: u32) -> Recipe {
     Recipe::new(Stage::Segment, 1)
         .config(&json!({"number": number, "epsilon": 0.1}))
@@ -125,7 +125,7 @@ pub fn publish_sample(store: &Store, number: u32, count: u32) -> Artifact {
         .unwrap()
 }
 
-/// Every file under a folder with its bytes.
+/// Returns every file in a folder and its subfolders with its bytes.
 pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut open = vec![folder.to_path_buf()];
@@ -143,7 +143,7 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// Names in the folder where artifacts of the sample's stage go.
+/// Returns the names in the folder of the artifacts of the sample's stage, sorted.
 pub fn artifact_names(root: &Path) -> Vec<String> {
     let Ok(listing) = fs::read_dir(root.join(Stage::Segment.artifact())) else {
         return Vec::new();

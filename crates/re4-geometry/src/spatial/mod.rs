@@ -1,7 +1,7 @@
-//! Rigid motions in space: angles, limited steps, and objects that look the same after some turns.
+//! Rigid motions in SE(3): distances, interpolation, limited steps, and symmetries of objects.
 //!
-//! Poses are `nalgebra::Isometry3<f64>`: a translation in metres and a unit quaternion. A quaternion and its negative are
-//! the same rotation, and every function here treats them as the same.
+//! Poses are `nalgebra::Isometry3<f64>`: a translation in metres and a unit quaternion. A quaternion and its negative represent
+//! the same rotation; all functions in this module treat them alike.
 
 mod symmetry;
 
@@ -9,18 +9,18 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 pub use symmetry::{LARGEST_FOLD, Symmetry, SymmetryError, SymmetryGroup};
 
-/// Geodesic distance between two rotations: the angle, in `[0, π]` rad, of the rotation that takes one into the other.
+/// Geodesic distance between two rotations: the angle, in `[0, π]` rad, of the relative rotation.
 ///
-/// It is `2 atan2(|v|, |w|)` of the quaternion `(w, v)` of that rotation, which keeps its digits near 0, where the arc cosine
-/// of a scalar product loses half of them, and near π.
+/// It is computed as `2 atan2(|v|, |w|)` from the quaternion `(w, v)` of the relative rotation. This is accurate near π and near
+/// 0, where the arc cosine of a scalar product loses half of its digits.
 pub fn rotation_angle(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>) -> f64 {
     let relative = a.rotation_to(b);
     2.0 * relative.imag().norm().atan2(relative.scalar().abs())
 }
 
-/// The rotation vector, axis times angle in rad, of the shortest way to a rotation; its length is at most π.
+/// Returns the rotation vector of a rotation: axis times angle in rad, with an angle of at most π.
 ///
-/// Half a turn has two shortest ways; the axis is then the one that the quaternion names.
+/// A rotation by π has two such vectors; the result is the one with the direction of the quaternion's imaginary part.
 pub fn rotation_vector(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     let sine = rotation.imag().norm();
     if sine == 0.0 {
@@ -31,14 +31,14 @@ pub fn rotation_vector(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     rotation.imag() * (sign * angle / sine)
 }
 
-/// The rotation that a rotation vector (axis times angle in rad) stands for.
+/// Returns the rotation of a rotation vector (axis times angle in rad).
 pub fn rotation_from_vector(vector: Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(vector)
 }
 
-/// A rotation part of the shortest way from `from` (part 0) to `to` (part 1), at constant angular velocity.
+/// Interpolates between two rotations along the geodesic, from `from` (`part` 0) to `to` (`part` 1).
 ///
-/// Unlike a slerp over quaternions it is defined for rotations half a turn apart, too.
+/// Unlike `UnitQuaternion::slerp` it is also defined for rotations that differ by π.
 pub fn rotation_between(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, part: f64) -> UnitQuaternion<f64> {
     if part == 1.0 {
         return *to;
@@ -46,8 +46,8 @@ pub fn rotation_between(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, pa
     rotation_from_vector(rotation_vector(&from.rotation_to(to)) * part) * from
 }
 
-/// The pose at a part of the way from `from` (part 0) to `to` (part 1): the translation along the straight line, the
-/// rotation along its own shortest way.
+/// Interpolates between two poses, from `from` (`part` 0) to `to` (`part` 1): the translation along the straight line, the
+/// rotation along the geodesic. For `part` 1 the result is bit-identical to `to`.
 pub fn pose_between(from: &Isometry3<f64>, to: &Isometry3<f64>, part: f64) -> Isometry3<f64> {
     let line = to.translation.vector - from.translation.vector;
     Isometry3::from_parts(
@@ -60,7 +60,7 @@ pub fn pose_between(from: &Isometry3<f64>, to: &Isometry3<f64>, part: f64) -> Is
     )
 }
 
-/// Distance in metres between the origins of two poses, and the angle in rad between their rotations.
+/// Returns the distance in metres between the origins of two poses and the angle in rad between their rotations.
 pub fn pose_distance(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
     (
         (b.translation.vector - a.translation.vector).norm(),
@@ -68,12 +68,13 @@ pub fn pose_distance(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
     )
 }
 
-/// A pose at most `length` metres and `angle` rad ahead on the way from `from` to `to`; `to` itself where it is nearer.
+/// Moves a pose from `from` towards `to` by at most `length` metres and `angle` rad.
 ///
-/// The two limits hold on their own: the nearer one of translation and rotation is taken whole, even if the other is not.
-/// A limit that is not above 0 leaves its part where it is, unless it is there already.
+/// The limits apply separately: translation and rotation each reach their target if it is within their limit. A limit of 0 or
+/// less keeps the translation or rotation of `from`, unless it already equals that of `to`.
 pub fn step_toward(from: &Isometry3<f64>, to: &Isometry3<f64>, length: f64, angle: f64) -> Isometry3<f64> {
-    let (distance, turn) = pose_distance(from, to);
+    let (distance, rotation) = pose_distance(from, to);
+    // A part of exactly 1 returns the target bit for bit, so that repeated steps arrive. The check for 0 avoids a division by 0.
     let part = |limit: f64, whole: f64| {
         if whole <= limit || whole == 0.0 {
             1.0
@@ -83,12 +84,13 @@ pub fn step_toward(from: &Isometry3<f64>, to: &Isometry3<f64>, length: f64, angl
     };
     Isometry3::from_parts(
         pose_between(from, to, part(length, distance)).translation,
-        rotation_between(&from.rotation, &to.rotation, part(angle, turn)),
+        rotation_between(&from.rotation, &to.rotation, part(angle, rotation)),
     )
 }
 
-/// Whether every number of a pose is finite and its quaternion is of unit length, to 1e-6.
+/// Whether all numbers of a pose are finite and the length of its quaternion is 1 within about 1e-6.
 pub fn is_sound(pose: &Isometry3<f64>) -> bool {
+    // An error of 1e-6 in the length is one of 2e-6 in its square.
     pose.translation.vector.iter().all(|v| v.is_finite())
         && (pose.rotation.quaternion().norm_squared() - 1.0).abs() <= 2e-6
 }

@@ -1,4 +1,4 @@
-//! Objects that look the same after some turns about an axis.
+//! Rotational symmetries of objects about an axis.
 
 use nalgebra::{Isometry3, Unit, UnitQuaternion, Vector3};
 use re4_fault::Remedy;
@@ -6,54 +6,54 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Most turns that a [`Symmetry::Fold`] may count.
+/// Largest `n` of a [`Symmetry::Fold`].
 pub const LARGEST_FOLD: u32 = 360;
 
-/// The turns about its own origin after which an object looks the same: part of a task's description.
+/// Rotational symmetry of an object: the rotations about its own origin after which it looks the same. Part of a task's record.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "Table", into = "Table")]
 #[schemars(with = "Table")]
 pub enum Symmetry {
-    /// None: every orientation looks different.
+    /// No symmetry: every orientation looks different.
     #[default]
     None,
-    /// A full turn in `n` equal parts: a cube lying on a table has `n = 4` about the vertical.
+    /// Rotations about `axis` by multiples of `2π / n`: a cube on a table has `n = 4` about the vertical.
     Fold {
-        /// Axis through the object's origin, in the object's frame; only its direction counts.
+        /// Axis through the object's origin, in the object's frame; only its direction matters.
         axis: [f64; 3],
-        /// Number of turns, the full one included; from 2 to [`LARGEST_FOLD`].
+        /// Order of the symmetry, from 2 to [`LARGEST_FOLD`].
         n: u32,
     },
-    /// Any turn: a can about its axis.
+    /// All rotations about `axis`: a can about its axis.
     Full {
-        /// Axis through the object's origin, in the object's frame; only its direction counts.
+        /// Axis through the object's origin, in the object's frame; only its direction matters.
         axis: [f64; 3],
     },
 }
 
-/// [`Symmetry`] as a pipeline file writes it.
+/// [`Symmetry`] as it is written in a pipeline file.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
 #[schemars(rename = "Symmetry")]
 enum Table {
     /// Every orientation looks different.
     None {},
-    /// The object looks the same after each of `n` equal parts of a full turn about `axis`.
+    /// The object looks the same after rotations about `axis` by multiples of 360 degrees divided by `n`.
     Fold {
-        /// Axis through the object's origin, in the object's frame; only its direction counts.
+        /// Axis through the object's origin, in the object's frame; only its direction matters.
         axis: [f64; 3],
-        /// Number of turns, the full one included; from 2 to 360.
+        /// Order of the symmetry, from 2 to 360.
         n: u32,
     },
-    /// The object looks the same after any turn about `axis`.
+    /// The object looks the same after any rotation about `axis`.
     Full {
-        /// Axis through the object's origin, in the object's frame; only its direction counts.
+        /// Axis through the object's origin, in the object's frame; only its direction matters.
         axis: [f64; 3],
     },
 }
 
 impl TryFrom<Table> for Symmetry {
-    /// A sentence: all that decoders hand on of an error.
+    /// What is wrong and its remedy as one sentence, because deserializers keep only the text of an error.
     type Error = String;
 
     fn try_from(table: Table) -> Result<Self, String> {
@@ -79,7 +79,7 @@ impl From<Symmetry> for Table {
     }
 }
 
-/// Why a symmetry is none.
+/// Why a symmetry is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Error, Remedy)]
 pub enum SymmetryError {
     /// The axis has no direction.
@@ -89,9 +89,9 @@ pub enum SymmetryError {
         /// What was given.
         axis: [f64; 3],
     },
-    /// Not a number of turns.
+    /// The order is out of range.
     #[error("a symmetry of kind fold has n = {n}")]
-    #[remedy("give a number from 2 to {LARGEST_FOLD}, or kind = \"full\" for any turn")]
+    #[remedy("set n to a number from 2 to {LARGEST_FOLD}, or use kind = \"full\" for symmetry under all rotations")]
     Fold {
         /// What was given.
         n: u32,
@@ -99,87 +99,89 @@ pub enum SymmetryError {
 }
 
 impl Symmetry {
-    /// The symmetry made ready for use.
+    /// Returns the group of rotations of the symmetry.
     ///
     /// # Errors
-    /// When the axis has no direction or the number of turns is out of range.
+    /// If the axis has no direction or the order is out of range.
     pub fn group(&self) -> Result<SymmetryGroup, SymmetryError> {
         let direction = |axis: [f64; 3]| {
-            // Scaled first, so that neither huge nor tiny axes leave the range of squares.
+            // Scaled before normalization, because the squares of very large or very small numbers would overflow or underflow.
             let largest = axis.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-            let sound = axis.iter().all(|v| v.is_finite()) && largest > 0.0;
-            sound
+            let has_direction = axis.iter().all(|v| v.is_finite()) && largest > 0.0;
+            has_direction
                 .then(|| Unit::new_normalize(Vector3::from(axis) / largest))
                 .ok_or(SymmetryError::Axis { axis })
         };
         match *self {
             Self::None => Ok(SymmetryGroup {
                 axis: Vector3::z_axis(),
-                turns: Turns::Some(vec![Turn::new(0.0)]),
+                rotations: Rotations::Some(vec![AxisRotation::new(0.0)]),
             }),
             Self::Fold { axis, n } => {
                 if !(2..=LARGEST_FOLD).contains(&n) {
                     return Err(SymmetryError::Fold { n });
                 }
-                let turn = |k: u32| {
-                    // Turns beyond half a turn are counted backwards, so that angles are in (-π, π].
+                let rotation = |k: u32| {
+                    // Angles above π are replaced by negative ones, so that all are in (-π, π].
                     let k = if 2 * k > n {
                         f64::from(k) - f64::from(n)
                     } else {
                         f64::from(k)
                     };
-                    Turn::new(k * std::f64::consts::TAU / f64::from(n))
+                    AxisRotation::new(k * std::f64::consts::TAU / f64::from(n))
                 };
                 Ok(SymmetryGroup {
                     axis: direction(axis)?,
-                    turns: Turns::Some((0..n).map(turn).collect()),
+                    rotations: Rotations::Some((0..n).map(rotation).collect()),
                 })
             }
             Self::Full { axis } => Ok(SymmetryGroup {
                 axis: direction(axis)?,
-                turns: Turns::All,
+                rotations: Rotations::All,
             }),
         }
     }
 }
 
-/// The group of turns S of a [`Symmetry`], ready for use: the object at `o` looks like the object at `o S`.
+/// The group of rotations S of a [`Symmetry`]: the object at the pose `o` looks like the object at the pose `o S`.
 ///
-/// Of two rotations `q` and `j` of the object, it knows the turn S for which `q S` is nearest to `j` by the geodesic angle,
-/// and that angle. The angle is a metric on orientations that look different: it is 0 exactly where they look the same,
-/// symmetric, and keeps to the triangle inequality.
+/// For two rotations `q` and `j` of the object, [`SymmetryGroup::nearest_rotation`] finds the S for which `q S` is nearest to `j`
+/// by the geodesic angle, and that angle. The angle is a metric on classes of symmetry-equivalent orientations: it is 0 exactly
+/// for orientations that look the same, it is symmetric, and it satisfies the triangle inequality.
 ///
-/// How: with `a` the axis and `(w, v)` the quaternion of `j⁻¹ q`, the pair `(w, p)` with `p = v·a` turns by half the angle of S
-/// when S is applied, and `v - p a` keeps its length. So the angle left is `2 atan2(√(|v - p a|² + p'²), |w'|)`, minimum where
-/// `|w'|` is maximum:
+/// Method: let `a` be the axis, `(w, v)` the quaternion of `j⁻¹ q`, and `p = v·a`. S rotates the pair `(w, p)` by half the angle
+/// of S and keeps the length of `v - p a`. With `(w', p')` the rotated pair, the remaining angle is `2 atan2(√(|v - p a|² + p'²),
+/// |w'|)`. It is smallest for the largest `|w'|`:
 ///
-/// * for some turns, each is tried; ties go to the first, in the order 0, 1/n of a turn, 2/n, ...
-/// * for all turns, `p' = 0` can be had, and what is left is the angle between the axes of the two, `j a` and `q a`. Where they
-///   point in opposite directions (`w = p = 0`), every turn leaves half a turn and the turn is taken to be 0.
+/// * [`Symmetry::None`] and [`Symmetry::Fold`]: each rotation is tried. The first one wins ties, in the order `0, 2π/n, 4π/n,
+///   ...`.
+/// * [`Symmetry::Full`]: `p' = 0` can be reached, so the remaining angle is that between the axes `j a` and `q a`. If these are
+///   opposite (`w = p = 0`), it is π for every S, and S is defined as 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SymmetryGroup {
     axis: Unit<Vector3<f64>>,
-    turns: Turns,
+    rotations: Rotations,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-enum Turns {
-    /// These, the first of them by 0.
-    Some(Vec<Turn>),
+enum Rotations {
+    /// A finite group. The first rotation is that by 0.
+    Some(Vec<AxisRotation>),
+    /// All rotations about the axis.
     All,
 }
 
-/// One turn, with what is asked of it again and again.
+/// A rotation about the axis, with precomputed values.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Turn {
+struct AxisRotation {
     /// In rad.
     angle: f64,
-    /// Sine and cosine of half of it.
+    /// Sine and cosine of half the angle.
     sine: f64,
     cosine: f64,
 }
 
-impl Turn {
+impl AxisRotation {
     fn new(angle: f64) -> Self {
         let (sine, cosine) = (0.5 * angle).sin_cos();
         Self { angle, sine, cosine }
@@ -187,70 +189,72 @@ impl Turn {
 }
 
 impl SymmetryGroup {
-    /// The turn S, as an angle in `(-π, π]` rad about the axis, for which `query S` is nearest to `demo`, and the angle in
-    /// `[0, π]` rad that is left between them.
+    /// Returns the rotation S for which `query S` is nearest to `demo`, as an angle in `(-π, π]` rad about the axis, and the
+    /// angle in `[0, π]` rad that remains between `query S` and `demo`.
     pub fn nearest_rotation(&self, query: &UnitQuaternion<f64>, demo: &UnitQuaternion<f64>) -> (f64, f64) {
         let relative = demo.inverse() * query;
         let (w, v) = (relative.scalar(), relative.imag());
         let p = v.dot(&self.axis);
         let across = (v - self.axis.into_inner() * p).norm_squared();
-        match &self.turns {
-            Turns::All => {
+        match &self.rotations {
+            Rotations::All => {
                 let along = w.hypot(p);
-                let angle = 2.0 * across.sqrt().atan2(along);
-                let turn = if along < DEGENERATE {
+                let remaining = 2.0 * across.sqrt().atan2(along);
+                let nearest = if along < DEGENERATE {
                     0.0
                 } else {
                     wrapped(-2.0 * p.atan2(w))
                 };
-                (turn, angle)
+                (nearest, remaining)
             }
-            Turns::Some(turns) => {
+            Rotations::Some(rotations) => {
                 let mut best = (0.0, f64::NEG_INFINITY, 0.0);
-                for turn in turns {
-                    let left = (w * turn.cosine - p * turn.sine).abs();
-                    if left > best.1 {
-                        best = (turn.angle, left, w * turn.sine + p * turn.cosine);
+                for rotation in rotations {
+                    let scalar = (w * rotation.cosine - p * rotation.sine).abs();
+                    if scalar > best.1 {
+                        best = (rotation.angle, scalar, w * rotation.sine + p * rotation.cosine);
                     }
                 }
-                let (turn, w, p) = best;
-                (turn, 2.0 * (across + p * p).sqrt().atan2(w))
+                let (nearest, w, p) = best;
+                (nearest, 2.0 * (across + p * p).sqrt().atan2(w))
             }
         }
     }
 
-    /// The rotation that a turn stands for, in the object's frame.
-    pub fn rotation(&self, turn: f64) -> UnitQuaternion<f64> {
-        if turn == 0.0 {
+    /// Returns the rotation by an angle in rad about the axis, in the object's frame.
+    pub fn rotation(&self, angle: f64) -> UnitQuaternion<f64> {
+        if angle == 0.0 {
             return UnitQuaternion::identity();
         }
-        UnitQuaternion::from_axis_angle(&self.axis, turn)
+        UnitQuaternion::from_axis_angle(&self.axis, angle)
     }
 
-    /// The angle in `[0, π]` rad between two orientations of the object, turns that do not show left out.
+    /// Returns the angle in `[0, π]` rad between two orientations of the object up to symmetry.
     pub fn angle(&self, a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>) -> f64 {
         self.nearest_rotation(a, b).1
     }
 
-    /// The pose `query S` that looks like `query` and whose rotation is nearest to that of `demo`, with the turn S in rad.
+    /// Returns the pose that is symmetry-equivalent to `query` and whose rotation is nearest to that of `demo`, and the angle in
+    /// rad of the rotation S between the two: the pose is `query S`.
     pub fn align(&self, query: &Isometry3<f64>, demo: &Isometry3<f64>) -> (Isometry3<f64>, f64) {
-        let (turn, _) = self.nearest_rotation(&query.rotation, &demo.rotation);
-        (self.turned(query, turn), turn)
+        let (angle, _) = self.nearest_rotation(&query.rotation, &demo.rotation);
+        (self.turned(query, angle), angle)
     }
 
-    /// The pose of the object turned by an angle in rad about its axis.
-    pub fn turned(&self, pose: &Isometry3<f64>, turn: f64) -> Isometry3<f64> {
-        if turn == 0.0 {
+    /// Rotates a pose of the object by an angle in rad about the object's axis.
+    pub fn turned(&self, pose: &Isometry3<f64>, angle: f64) -> Isometry3<f64> {
+        // An angle of 0 returns the pose bit for bit.
+        if angle == 0.0 {
             return *pose;
         }
-        Isometry3::from_parts(pose.translation, pose.rotation * self.rotation(turn))
+        Isometry3::from_parts(pose.translation, pose.rotation * self.rotation(angle))
     }
 }
 
-/// Below this the direction of a turn is rounding, not information.
+/// Length of `(w, p)` below which its direction, and thus the angle of S, is only rounding error.
 const DEGENERATE: f64 = 1e-12;
 
-/// An angle in `[-2π, 2π]` brought into `(-π, π]`.
+/// Wraps an angle in `[-2π, 2π]` into `(-π, π]`.
 fn wrapped(angle: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     if angle > PI {

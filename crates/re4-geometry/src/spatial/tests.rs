@@ -30,17 +30,17 @@ fn negated(q: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
 }
 
 #[test]
-fn tiny_and_half_turns_keep_their_digits() {
+fn angles_near_zero_and_near_pi_are_accurate() {
     for angle in [0.0, 1e-12, 1e-9, 1e-5, 1.0, PI - 1e-5, PI - 1e-9, PI] {
-        let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.6, 0.0, 0.8) * angle);
-        let found = rotation_angle(&UnitQuaternion::identity(), &turned);
+        let rotated = UnitQuaternion::from_scaled_axis(Vector3::new(0.6, 0.0, 0.8) * angle);
+        let found = rotation_angle(&UnitQuaternion::identity(), &rotated);
         assert!((found - angle).abs() <= 4e-16 * angle.max(1e-3), "{angle}: {found}");
-        assert_eq!(rotation_angle(&UnitQuaternion::identity(), &negated(turned)), found);
+        assert_eq!(rotation_angle(&UnitQuaternion::identity(), &negated(rotated)), found);
     }
 }
 
 #[test]
-fn half_a_turn_has_a_way() {
+fn rotations_that_differ_by_pi_can_be_interpolated() {
     let flip = UnitQuaternion::from_scaled_axis(Vector3::x() * PI);
     let middle = rotation_between(&UnitQuaternion::identity(), &flip, 0.5);
     assert!((rotation_angle(&UnitQuaternion::identity(), &middle) - FRAC_PI_2).abs() < 1e-12);
@@ -48,20 +48,20 @@ fn half_a_turn_has_a_way() {
 }
 
 #[test]
-fn a_can_upside_down_is_half_a_turn_away_however_it_is_turned() {
+fn a_can_upside_down_is_pi_away_for_every_yaw() {
     let can = Symmetry::Full { axis: [0.0, 0.0, 1.0] }.group().unwrap();
     let upright = UnitQuaternion::identity();
     for yaw in [0.0, 0.3, 2.0, PI] {
         let over =
             UnitQuaternion::from_scaled_axis(Vector3::x() * PI) * UnitQuaternion::from_scaled_axis(Vector3::z() * yaw);
-        let (turn, angle) = can.nearest_rotation(&over, &upright);
+        let (nearest, angle) = can.nearest_rotation(&over, &upright);
         assert!((angle - PI).abs() < 1e-12, "{yaw}: {angle}");
-        assert_eq!(turn, 0.0, "{yaw}");
+        assert_eq!(nearest, 0.0, "{yaw}");
     }
 }
 
 #[test]
-fn a_cube_turned_by_a_right_angle_looks_the_same() {
+fn a_cube_rotated_by_90_degrees_looks_the_same() {
     let cube = Symmetry::Fold {
         axis: [0.0, 0.0, 2.0],
         n: 4,
@@ -70,13 +70,13 @@ fn a_cube_turned_by_a_right_angle_looks_the_same() {
     .unwrap();
     let about_z = |angle: f64| UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
     for quarter in -4..=4 {
-        let turned = about_z(f64::from(quarter) * FRAC_PI_2 + 0.2);
-        let (turn, angle) = cube.nearest_rotation(&turned, &about_z(0.0));
+        let rotated = about_z(f64::from(quarter) * FRAC_PI_2 + 0.2);
+        let (nearest, angle) = cube.nearest_rotation(&rotated, &about_z(0.0));
         assert!((angle - 0.2).abs() < 1e-12, "{quarter}: {angle}");
-        assert!((-PI..=PI).contains(&turn));
-        assert!(rotation_angle(&(turned * cube.rotation(turn)), &about_z(0.2)) < 1e-12);
+        assert!((-PI..=PI).contains(&nearest));
+        assert!(rotation_angle(&(rotated * cube.rotation(nearest)), &about_z(0.2)) < 1e-12);
     }
-    // Midway between two quarters: the turn of 0 wins.
+    // Midway between two rotations of the group either is acceptable, so the angle is compared modulo 90 degrees.
     assert_eq!(
         cube.nearest_rotation(&about_z(TAU / 8.0), &about_z(0.0)).0.abs() % FRAC_PI_2,
         0.0
@@ -84,7 +84,7 @@ fn a_cube_turned_by_a_right_angle_looks_the_same() {
 }
 
 #[test]
-fn symmetries_are_read_and_refused() {
+fn valid_symmetries_are_read_and_invalid_ones_refused() {
     #[derive(serde::Deserialize, Debug)]
     struct Task {
         symmetry: Symmetry,
@@ -100,7 +100,7 @@ fn symmetries_are_read_and_refused() {
         read(r#"{ kind = "full", axis = [0, 0, 1] }"#).unwrap(),
         Symmetry::Full { axis: z }
     );
-    for (text, told) in [
+    for (text, expected) in [
         (r#"{ kind = "fold", axis = [0, 0, 1], n = 1 }"#, "from 2 to 360"),
         (r#"{ kind = "full", axis = [0, 0, 0] }"#, "no direction"),
         (r#"{ kind = "full" }"#, "missing field `axis`"),
@@ -108,7 +108,7 @@ fn symmetries_are_read_and_refused() {
         (r#"{ kind = "mirror" }"#, "unknown variant `mirror`"),
     ] {
         let refused = read(text).unwrap_err().to_string();
-        assert!(refused.contains(told), "{text}: {refused}");
+        assert!(refused.contains(expected), "{text}: {refused}");
     }
     for symmetry in [
         Symmetry::None,
@@ -121,7 +121,7 @@ fn symmetries_are_read_and_refused() {
 }
 
 #[test]
-fn bad_symmetries_are_named() {
+fn invalid_axes_and_orders_are_refused() {
     let axis = |axis| Symmetry::Full { axis }.group().unwrap_err().to_string();
     assert!(axis([0.0; 3]).contains("no direction"));
     assert!(axis([f64::NAN, 0.0, 1.0]).contains("no direction"));
@@ -152,7 +152,7 @@ fn bad_symmetries_are_named() {
 
 proptest! {
     #[test]
-    fn vectors_and_rotations_are_the_same_thing(q in rotation()) {
+    fn rotation_vectors_represent_their_rotations(q in rotation()) {
         let vector = rotation_vector(&q);
         prop_assert!(vector.norm() <= PI + 1e-12);
         prop_assert!(rotation_angle(&rotation_from_vector(vector), &q) < 1e-9);
@@ -160,16 +160,16 @@ proptest! {
     }
 
     #[test]
-    fn steps_keep_their_limits_and_arrive(a in pose(), b in pose(), length in 0.001..0.5f64, angle in 0.01..1.0f64) {
+    fn steps_respect_their_limits_and_reach_the_target(a in pose(), b in pose(), length in 0.001..0.5f64, angle in 0.01..1.0f64) {
         let mut at = a;
         let mut steps = 0;
         while at != b {
             let next = step_toward(&at, &b, length, angle);
-            let (moved, turned) = pose_distance(&at, &next);
-            prop_assert!(moved <= length + 1e-9 && turned <= angle + 1e-9);
+            let (moved, rotated) = pose_distance(&at, &next);
+            prop_assert!(moved <= length + 1e-9 && rotated <= angle + 1e-9);
             let (before, after) = (pose_distance(&at, &b), pose_distance(&next, &b));
-            prop_assert!((before.0 - moved - after.0).abs() < 1e-9, "straight");
-            prop_assert!((before.1 - turned - after.1).abs() < 1e-8, "the shortest way");
+            prop_assert!((before.0 - moved - after.0).abs() < 1e-9, "not along the straight line");
+            prop_assert!((before.1 - rotated - after.1).abs() < 1e-8, "not along the geodesic");
             at = next;
             steps += 1;
             prop_assert!(steps < 5000);
@@ -177,21 +177,21 @@ proptest! {
     }
 
     #[test]
-    fn no_turn_is_nearer_than_the_one_named(s in symmetry(), q in rotation(), j in rotation(), other in 0..64u32) {
+    fn no_other_symmetry_rotation_is_nearer(s in symmetry(), q in rotation(), j in rotation(), other in 0..64u32) {
         let group = s.group().unwrap();
-        let (turn, angle) = group.nearest_rotation(&q, &j);
-        prop_assert!(turn > -PI - 1e-12 && turn <= PI + 1e-12);
-        prop_assert!((rotation_angle(&(q * group.rotation(turn)), &j) - angle).abs() < 1e-9);
+        let (nearest, angle) = group.nearest_rotation(&q, &j);
+        prop_assert!(nearest > -PI - 1e-12 && nearest <= PI + 1e-12);
+        prop_assert!((rotation_angle(&(q * group.rotation(nearest)), &j) - angle).abs() < 1e-9);
         let (count, all) = match s {
             Symmetry::None => (1, false),
             Symmetry::Fold { n, .. } => (n, false),
             Symmetry::Full { .. } => (64, true),
         };
         let another = f64::from(other % count) * TAU / f64::from(count);
-        let turned = q * group.rotation(another);
-        prop_assert!(angle <= rotation_angle(&turned, &j) + 1e-9);
-        // A turn that does not show changes nothing.
-        prop_assert!((group.angle(&turned, &j) - angle).abs() < 1e-9);
+        let equivalent = q * group.rotation(another);
+        prop_assert!(angle <= rotation_angle(&equivalent, &j) + 1e-9);
+        // The angle is the same for all symmetry-equivalent orientations.
+        prop_assert!((group.angle(&equivalent, &j) - angle).abs() < 1e-9);
         prop_assert!((group.angle(&negated(q), &j) - angle).abs() < 1e-9);
         if all && let Symmetry::Full { axis } = s {
             let axis = Vector3::from(axis).normalize();
@@ -208,11 +208,11 @@ proptest! {
     }
 
     #[test]
-    fn an_aligned_pose_is_where_it_was(s in symmetry(), q in pose(), j in pose()) {
+    fn an_aligned_pose_is_symmetry_equivalent(s in symmetry(), q in pose(), j in pose()) {
         let group = s.group().unwrap();
-        let (aligned, turn) = group.align(&q, &j);
+        let (aligned, nearest) = group.align(&q, &j);
         prop_assert_eq!(aligned.translation, q.translation);
-        prop_assert_eq!(aligned, group.turned(&q, turn));
+        prop_assert_eq!(aligned, group.turned(&q, nearest));
         prop_assert!(group.angle(&aligned.rotation, &q.rotation) < 1e-7);
     }
 }
