@@ -162,7 +162,7 @@ impl PolicyConfig {
         config
     }
 
-    /// The best settings found.
+    /// The best settings found. docs/method.md lists every departure from the paper with its effect on the score.
     pub fn re4() -> Self {
         let mut config = Self::paper();
         config.retrieve.selector = Selector::Outcome;

@@ -5,9 +5,10 @@
 //! chunk is the one whose `T` is nearest to `o_q⁻¹ o_goal`. The demonstrations thus act as a forward model of pushing; the method
 //! uses only their recorded poses and the goal pose of the task.
 //!
-//! The distance between two object poses is the root mean square displacement of the object's points, `D² = |Δc|² + 2 r² (1 - cos
-//! Δθ)`, in pixels, where `c` is the centroid and `r` is the radius of gyration about it. This distance is Euclidean in `(c_x,
-//! c_y, r cos θ, r sin θ)`, so a KD-tree over these four numbers finds nearest neighbours exactly.
+//! The distance between two object poses is the root mean square displacement of the object's points,
+//! `D² = |Δc|² + 2 r² (1 - cos Δθ)`, in pixels, where `c` is the centroid and `r` is the radius of gyration about it. This
+//! distance is Euclidean in `(c_x, c_y, r cos θ, r sin θ)`, so a KD-tree over these four numbers finds nearest neighbours
+//! exactly.
 
 use std::num::NonZeroUsize;
 

@@ -331,6 +331,7 @@ impl Re4 {
     fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let chunks = knowledge.chunks.as_ref().ok_or(LookupError::NoChunks)?;
+        // The motion, in the object frame, that would bring the object to its goal.
         let wanted = block.inverse().compose(GOAL);
         let mut count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
         let mut candidates = chunks.nearest(wanted, count);
@@ -512,6 +513,7 @@ impl Re4 {
         let rest = demo_frames(&self.knowledge.demos, chunk.demo, chunk.start)?;
         let carry = block.delta_from(rest[0].object);
         let near = carry.transform_point(rest[0].eef);
+        // Keep the path of the pusher at least 10 px inside the workspace.
         let reachable =
             |p: Point2| (10.0..=WORKSPACE - 10.0).contains(&p.x) && (10.0..=WORKSPACE - 10.0).contains(&p.y);
         let length = (chunk.end - chunk.start) as usize;

@@ -45,7 +45,7 @@ pub struct Act<D: Domain, X> {
     /// Part of the policy's loop that the action belongs to.
     pub phase: Phase,
     /// The decision record, if the policy made a decision at this step. Later actions with `None` are attributed to the same
-    /// decision.
+    /// decision, so the first action of an episode should carry a decision.
     pub decision: Option<X>,
     /// The object pose in the world frame on which the policy bases this step, or `None` if it uses no pose. The pose is the
     /// observed pose, a filtered pose or, if the policy did not request an observation at this step, the last pose, assumed fixed
@@ -80,8 +80,8 @@ pub trait PolicyFactory<D: Domain>: Sync {
     /// The type of policy that the factory starts.
     type Policy: Policy<D>;
 
-    /// Creates the policy for an episode. `seed` identifies the scene and must be the only source of randomness in the policy, so
-    /// that rollouts are reproducible. `first` is the proprioception after the reset.
+    /// Creates the policy for an episode. `first` is the proprioception after the reset. `seed` identifies the scene; a policy
+    /// that uses random numbers must derive them from `seed` so that rollouts are reproducible.
     fn start(&self, seed: u32, first: &D::Proprio) -> Self::Policy;
 }
 

@@ -207,8 +207,8 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
             Err(RolloutError::Interrupted)
         }
     };
-    // After an error, no start behind it is begun, but all starts before it are completed, so that the reported error does not
-    // depend on timing.
+    // After an error, no later start is begun, but all earlier starts are completed, so the reported error does not depend on
+    // timing.
     let (next, end) = (AtomicUsize::new(0), AtomicUsize::new(starts.len()));
     let work = || {
         let mut done = Vec::new();

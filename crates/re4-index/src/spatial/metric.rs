@@ -14,7 +14,7 @@ pub enum Stage2 {
     /// `d_o`, the distance over the object pose only, as in the paper.
     #[default]
     Object,
-    /// `d_q`, the distance over the full state: the two stages then give the nearest state of all.
+    /// `d_q`, the distance over the full state. The two stages together then find the nearest state over all demonstrations.
     State,
 }
 

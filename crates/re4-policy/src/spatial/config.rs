@@ -26,8 +26,8 @@ pub struct SpatialPolicyConfig {
     pub filter: Option<PoseFilterConfig>,
 }
 
-/// Settings of Retrieve. The scales and weights define the distances between states: the distance between two poses is `distance
-/// / translation_scale + angle / rotation_scale`.
+/// Settings of Retrieve. The scales and weights define the distances between states. The distance between two poses is
+/// `distance / translation_scale + angle / rotation_scale`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialRetrieveConfig {
@@ -43,8 +43,8 @@ pub struct SpatialRetrieveConfig {
     pub stage2: Stage2,
     /// Whether frames after the last release of a demonstration can be retrieved.
     pub tail: bool,
-    /// Amount by which `d_q` of the next frame of the current demonstration may exceed that of the retrieved frame for the policy
-    /// to continue with the current demonstration. If absent, the policy always switches to the retrieved frame.
+    /// Amount by which `d_q` of the current demonstration's next frame may exceed that of the retrieved frame for the policy to
+    /// continue with the current demonstration. If absent, the policy always switches to the retrieved frame.
     pub commit_margin: Option<f64>,
 }
 
@@ -103,8 +103,8 @@ pub enum WhileHeld {
     /// The pose estimated from the image.
     #[default]
     Seen,
-    /// The pose estimated before the grasp, moved with the gripper since then, as the transfer mode implies. The object need not
-    /// be visible while the gripper occludes it.
+    /// The pose estimated before the grasp, moved with the gripper since then, as the transfer mode implies. The object may be
+    /// hidden by the gripper.
     Carried,
 }
 
@@ -147,9 +147,10 @@ pub struct SpatialReplayConfig {
 }
 
 /// Extension of a chunk that would end while the fingers still move: the replay continues until the fingers are still, for at
-/// most 40 actions after the gripper command changed. Between the command to close and the grasp, the mode is already transfer
-/// but the object is not yet held, so Reframe would move the fingers to where the demonstration has the object without moving the
-/// object.
+/// most 40 actions after the gripper command changed.
+///
+/// Between the command to close and the grasp, the mode is already transfer but the object is not yet held. A decision at that
+/// time would move the fingers to the grasp of the demonstration without moving the object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SettleConfig {
@@ -186,7 +187,7 @@ pub enum EndOfDemo {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BanConfig {
-    /// Number of retrievals of a demonstration near the same frame in one mode at which it is banned.
+    /// A demonstration is banned when it has been retrieved this many times near the same frame in one mode.
     pub repeats: u32,
     /// Maximum distance between frames that count as the same, in frames. It is limited to less than the horizon.
     pub window: u32,
@@ -284,8 +285,8 @@ impl SpatialPolicyConfig {
         config
     }
 
-    /// The additions to the paper: grasp correction, continuous measurement, bans, commitment to a demonstration, averaged poses,
-    /// and no decision while the fingers move.
+    /// The settings of `paper` with additions: grasp correction, continuous measurement, bans, commitment to a demonstration,
+    /// averaged poses, and no decision while the fingers move. docs/robosuite.md compares the presets.
     pub fn re4() -> Self {
         let mut config = Self::paper();
         config.retrieve.tail = false;

@@ -10,7 +10,7 @@ use re4_episode::DemoNames;
 pub enum SpatialDecisionKind {
     /// A chunk was retrieved.
     Retrieve,
-    /// The policy continues with the current demonstration, because its next frame is nearly as near as the retrieved one.
+    /// The policy continues with the current demonstration, because its next frame is nearly as close as the retrieved one.
     Continue,
     /// The grasp is lost. The arm returns to the initial pose of the episode with the gripper open.
     GraspLost,
@@ -104,7 +104,7 @@ impl SpatialDecision {
                 let chosen = format!("{} from frame {}", names.of(choice.demo), choice.demo_frame);
                 let why = if kind == SpatialDecisionKind::Continue {
                     format!(
-                        "continued, because its next frame (d_q {:.4}, d_o {:.4}) is nearly as near as the retrieved frame",
+                        "continued, because its next frame (d_q {:.4}, d_o {:.4}) is nearly as close as the retrieved frame",
                         choice.d_q, choice.d_o
                     )
                 } else {

@@ -22,7 +22,7 @@ const OPEN: f64 = -1.0;
 /// Command that closes the gripper.
 const CLOSE: f64 = 1.0;
 
-/// Maximum number of actions after a change of the gripper command for which the policy waits for moving fingers.
+/// Maximum number of actions after a change of the gripper command for which a chunk is extended while the fingers move.
 const MAX_SETTLE_STEPS: u32 = 40;
 
 /// The RE4 policy in SE(3) during one episode.
@@ -461,7 +461,7 @@ impl SpatialRe4 {
         Ok(self.start(observed, kind, (demo, frame as usize), distances)?)
     }
 
-    /// Returns the frame to continue from: the retrieved frame or, if it is nearly as near, the next frame of the current
+    /// Returns the frame to continue from: the retrieved frame or, if it is nearly as close, the next frame of the current
     /// demonstration.
     fn retrieve(
         &self,

@@ -29,8 +29,8 @@ impl Carry {
 /// the end effector at `x_q`. For an object with a symmetry, `o_q` must be the symmetry-equivalent pose that is aligned with
 /// `o_j` (`re4_geometry::spatial::SymmetryGroup::align`). Let `a_k` be a recorded goal:
 ///
-/// * Transit: the object is fixed in the world, and the chunk is transformed by δ. `x_near = δ x_j`, so that `o_q⁻¹ x_near =
-///   o_j⁻¹ x_j`, and `a_k` becomes `δ a_k`.
+/// * Transit: the object is fixed in the world, and the chunk is transformed by δ. `x_near = δ x_j`, so that
+///   `o_q⁻¹ x_near = o_j⁻¹ x_j`, and `a_k` becomes `δ a_k`.
 /// * Transfer: the object is held, and the goal is fixed in the world. `x_near = δ⁻¹ x_q` is the end-effector pose at which the
 ///   held object, in its current grasp, is at the object pose of the demonstration: `x_near x_q⁻¹ o_q = o_j`. Then `a_k` stays
 ///   unchanged (`verbatim`), or becomes `a_k (x_j⁻¹ o_j) (o_q⁻¹ x_q)` (`grasp_corrected`), which moves the held object to where
