@@ -1,18 +1,19 @@
-//! Times Retrieve, one thread, query by query, against the linear scan.
+//! Times planar Retrieve on one thread, query by query, and compares it with the linear scan.
 //!
 //! ```text
 //! cargo run --release -p re4-index --example retrieve_bench -- DATASET [--dump FOLDER]
 //! cargo run --release -p re4-index --example retrieve_bench -- --growth [LARGEST]
 //! ```
 //!
-//! The first form takes the Push-T replay dataset and three kinds of queries: frames of the dataset (`on_data`), frames
-//! moved by up to 10 pixels and 0.1 rad (`near_data`, where a policy is), and states drawn from the whole range
-//! (`off_data`). `--dump` writes queries and answers as rows of little-endian f64 for programs to compare with.
+//! The first form uses the Push-T replay dataset and three kinds of queries: frames of the dataset (`on_data`), frames perturbed
+//! by up to 10 pixels and 0.1 rad (`near_data`, typical for a policy), and states sampled uniformly from the whole range
+//! (`off_data`). `--dump` writes the queries and answers as rows of little-endian f64 for comparison with other programs.
 //!
-//! The second form makes random-walk demonstrations of 125 frames that end near one goal, 10^4 frames up to LARGEST
-//! (10^6 unless given; 10^7 makes it half a minute and 2 GiB of memory).
+//! The second form generates random-walk demonstrations of 125 frames that end near one goal, with 10^4 up to LARGEST frames
+//! (default 10^6; 10^7 takes half a minute and 2 GiB of memory).
 //!
-//! `retrieve_linear` normalises every frame anew for every query, as the definition reads; part of its time is that.
+//! `retrieve_linear` follows the definition literally and normalises every frame for every query, which is part of its measured
+//! time.
 #![expect(clippy::print_stdout, reason = "printing is what this example is for")]
 
 use std::error::Error;
@@ -132,7 +133,7 @@ fn growth(largest: usize) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Microseconds a query.
+/// Times in microseconds per query, and the mean number of evaluated demonstrations and frames.
 struct Times {
     percentiles: [f64; 3],
     demos: f64,
@@ -167,9 +168,9 @@ impl Times {
         }
         indexed.sort_by(f64::total_cmp);
         scanned.sort_by(f64::total_cmp);
-        let at = |times: &[f64], share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
+        let at = |times: &[f64], fraction: f64| times[((times.len() - 1) as f64 * fraction).round() as usize];
         Ok(Self {
-            percentiles: [0.5, 0.95, 0.99].map(|share| at(&indexed, share)),
+            percentiles: [0.5, 0.95, 0.99].map(|fraction| at(&indexed, fraction)),
             demos: statistics.0 / queries.len() as f64,
             frames: statistics.1 / queries.len() as f64,
             linear: at(&scanned, 0.5),
@@ -188,17 +189,17 @@ impl std::fmt::Display for Times {
     }
 }
 
-/// Queries of one kind, the same for the same frames.
+/// Generates the queries of one kind, deterministically for the same frames.
 fn queries(kind: &str, frames: &[IndexedFrame], normalization: &Normalization, count: usize) -> Vec<Query> {
     let mut random = Pcg64::new(7, 11);
     (0..count)
         .map(|_| {
             let frame = &frames[(random.next_u64() % frames.len() as u64) as usize];
             let near = coordinates(frame.eef, frame.object);
-            let reach = [10.0, 10.0, 10.0, 10.0, 0.1];
+            let amplitude = [10.0, 10.0, 10.0, 10.0, 0.1];
             let q: [f64; 5] = std::array::from_fn(|i| match kind {
                 "on_data" => near[i],
-                "near_data" => near[i] + reach[i] * (2.0 * unit(&mut random) - 1.0),
+                "near_data" => near[i] + amplitude[i] * (2.0 * unit(&mut random) - 1.0),
                 _ => normalization.ranges[i].minimum + unit(&mut random) * normalization.ranges[i].span(),
             });
             Query {
@@ -210,7 +211,8 @@ fn queries(kind: &str, frames: &[IndexedFrame], normalization: &Normalization, c
         .collect()
 }
 
-/// Demonstrations of 125 frames: the object drifts from anywhere to one goal, the end effector wanders round it.
+/// Generates demonstrations of 125 frames. The object drifts from a random start to one goal, and the end effector moves randomly
+/// near it.
 fn random_walks(count: usize) -> Vec<IndexedFrame> {
     let mut random = Pcg64::new(3, 5);
     let mut frames = Vec::with_capacity(count);
@@ -221,23 +223,23 @@ fn random_walks(count: usize) -> Vec<IndexedFrame> {
             100.0 + 300.0 * unit(&mut random),
             goal[2] + std::f64::consts::PI * (2.0 * unit(&mut random) - 1.0),
         ];
-        let mut stray = [0.0; 3];
-        let mut around = [0.0; 2];
+        let mut drift = [0.0; 3];
+        let mut eef_offset = [0.0; 2];
         for number in 0..125 {
             let done = f64::from(number) / 124.0;
             let mut object = [0.0; 3];
             for (i, size) in [6.0, 6.0, 0.06].into_iter().enumerate() {
-                stray[i] = 0.95 * stray[i] + size * (2.0 * unit(&mut random) - 1.0);
-                object[i] = start[i] * (1.0 - done) + goal[i] * done + stray[i];
+                drift[i] = 0.95 * drift[i] + size * (2.0 * unit(&mut random) - 1.0);
+                object[i] = start[i] * (1.0 - done) + goal[i] * done + drift[i];
             }
-            for offset in &mut around {
+            for offset in &mut eef_offset {
                 *offset = 0.97 * *offset + 30.0 * (2.0 * unit(&mut random) - 1.0);
             }
             frames.push(IndexedFrame {
                 episode,
                 frame: number,
                 mode: Mode::Transit,
-                eef: Point2::new(object[0] + around[0], object[1] + around[1]),
+                eef: Point2::new(object[0] + eef_offset[0], object[1] + eef_offset[1]),
                 object: Pose2::new(object[0], object[1], object[2]),
             });
         }
@@ -254,7 +256,7 @@ fn write(path: &Path, values: impl IntoIterator<Item = f64>) -> std::io::Result<
     fs::write(path, values.into_iter().flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// A uniform number in `[0, 1)` with 53 random bits.
+/// Samples a uniform number in `[0, 1)` with 53 random bits.
 fn unit(random: &mut Pcg64) -> f64 {
     (random.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }

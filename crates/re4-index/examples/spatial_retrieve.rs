@@ -1,17 +1,17 @@
-//! Times Retrieve in space, one thread, query by query, against the scan over all frames.
+//! Times Retrieve in SE(3) on one thread, query by query, and compares it with the scan over all frames.
 //!
 //! ```text
 //! cargo run --release -p re4-index --example spatial_retrieve -- [DEMOS]
 //! cargo run --release -p re4-index --example spatial_retrieve -- --frames FILE
 //! ```
 //!
-//! The first form makes DEMOS (200 unless given) demonstrations of picking an object up and carrying it to one place, 60 to
-//! 150 frames each. The second takes frames as text, one a line: episode, frame, mode (0 transit, 1 transfer), then the poses
-//! of end effector and object, each as x y z and quaternion x y z w.
+//! The first form generates DEMOS (default 200) demonstrations of picking up an object and carrying it to one place, with 60 to
+//! 150 frames each. The second form reads frames from a text file with one frame per line: episode, frame, mode (0 transit, 1
+//! transfer), and the poses of the end effector and of the object, each as x y z and the quaternion x y z w.
 //!
-//! Queries are frames, with end effector and object moved by up to 2 cm and 0.2 rad (`near`), and states of their kind drawn
-//! from the whole range of the frames (`far`): the poses of one frame's end effector and another's object. Both searches use
-//! the same prepared frames and leave off early in each demonstration; answers are compared.
+//! There are two kinds of queries: frames whose end effector and object are perturbed by up to 2 cm and 0.2 rad (`near`), and
+//! states that combine the end-effector pose of one frame with the object pose of another (`far`). Both searches use the same
+//! prepared frames and stop the evaluation of a frame early when it cannot improve the result. Their answers are compared.
 #![expect(clippy::print_stdout, reason = "printing is what this example is for")]
 
 use std::collections::BTreeSet;
@@ -35,9 +35,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let mut random = Random(Pcg64::new(1, 31));
     let frames = match words[..] {
-        [] => made(&mut random, 200),
+        [] => generate(&mut random, 200),
         ["--frames", file] => read(&std::fs::read_to_string(file)?)?,
-        [demos] => made(&mut random, demos.parse()?),
+        [demos] => generate(&mut random, demos.parse()?),
         _ => return Err("give [DEMOS], or --frames FILE".into()),
     };
     let symmetries = [
@@ -74,12 +74,12 @@ fn measure(
         return Ok(());
     }
     let none = BTreeSet::new();
-    let (mut fast, mut slow, mut demos, mut looked) = (Vec::new(), Vec::new(), 0, 0);
+    let (mut fast, mut slow, mut demos, mut evaluated) = (Vec::new(), Vec::new(), 0, 0);
     for _ in 0..QUERIES {
         let one = frames[random.below(frames.len())];
         let other = frames[random.below(frames.len())];
         let (eef, object) = if kind == "near" {
-            (random.beside(&one.eef), random.beside(&one.object))
+            (random.perturb(&one.eef), random.perturb(&one.object))
         } else {
             (one.eef, other.object)
         };
@@ -94,7 +94,7 @@ fn measure(
             return Err(format!("the answers differ: {found:?}, {scanned:?}").into());
         }
         demos += statistics.demos_evaluated;
-        looked += statistics.frames_evaluated;
+        evaluated += statistics.frames_evaluated;
     }
     let (p50, p95, scan) = (
         quantile(&mut fast, 0.5),
@@ -105,19 +105,19 @@ fn measure(
         "{name:9} {kind:8} {:8} {p50:7.1} {p95:7.1} {:6.1} {:7.0} {scan:12.1} {:6.1}",
         mode.as_str(),
         f64::from(demos) / QUERIES as f64,
-        f64::from(looked) / QUERIES as f64,
+        f64::from(evaluated) / QUERIES as f64,
         scan / p50
     );
     Ok(())
 }
 
-fn quantile(values: &mut [f64], part: f64) -> f64 {
+fn quantile(values: &mut [f64], fraction: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    values[((values.len() - 1) as f64 * part) as usize]
+    values[((values.len() - 1) as f64 * fraction) as usize]
 }
 
-/// Demonstrations along straight ways: above the object, down, up with it, across to one place.
-fn made(random: &mut Random, demos: u32) -> Vec<IndexedSpatialFrame> {
+/// Generates demonstrations along straight paths: above the object, down, up with the object, across to one place, down.
+fn generate(random: &mut Random, demos: u32) -> Vec<IndexedSpatialFrame> {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let mut frames = Vec::new();
     for episode in 0..demos {
@@ -134,7 +134,7 @@ fn made(random: &mut Random, demos: u32) -> Vec<IndexedSpatialFrame> {
         let home = pose(Vector3::new(-0.1, 0.0, 1.0), 0.0) * down;
         let lifted = Isometry3::translation(0.0, 0.0, 0.15) * object;
         let carried = Isometry3::translation(0.0, 0.0, 0.1) * place;
-        let ways = [
+        let segments = [
             (Mode::Transit, home, above(&object, 0.1)),
             (Mode::Transit, above(&object, 0.1), above(&object, 0.0)),
             (Mode::Transfer, above(&object, 0.0), above(&lifted, 0.0)),
@@ -142,7 +142,7 @@ fn made(random: &mut Random, demos: u32) -> Vec<IndexedSpatialFrame> {
             (Mode::Transfer, above(&carried, 0.0), above(&place, 0.0)),
         ];
         let mut number = 0;
-        for (mode, from, to) in ways {
+        for (mode, from, to) in segments {
             let count = 12 + random.below(19);
             for i in 0..count {
                 let mut eef = pose_between(&from, &to, i as f64 / count as f64);
@@ -195,23 +195,23 @@ fn read(text: &str) -> Result<Vec<IndexedSpatialFrame>, Box<dyn Error>> {
 struct Random(Pcg64);
 
 impl Random {
-    /// Uniform in `[low, high)`.
+    /// Samples uniformly from `[low, high)`.
     fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform in `0..count`.
+    /// Samples uniformly from `0..count`.
     fn below(&mut self, count: usize) -> usize {
         (self.0.next_u64() % count as u64) as usize
     }
 
-    /// A pose up to 2 cm and 0.2 rad beside another, along each axis.
-    fn beside(&mut self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        let moved = Vector3::from_fn(|_, _| self.range(-0.02, 0.02));
-        let turned = Vector3::from_fn(|_, _| self.range(-0.2, 0.2));
+    /// Perturbs a pose by up to 2 cm and 0.2 rad along each axis.
+    fn perturb(&mut self, pose: &Isometry3<f64>) -> Isometry3<f64> {
+        let translation = Vector3::from_fn(|_, _| self.range(-0.02, 0.02));
+        let rotation = Vector3::from_fn(|_, _| self.range(-0.2, 0.2));
         Isometry3::from_parts(
-            (pose.translation.vector + moved).into(),
-            UnitQuaternion::from_scaled_axis(turned) * pose.rotation,
+            (pose.translation.vector + translation).into(),
+            UnitQuaternion::from_scaled_axis(rotation) * pose.rotation,
         )
     }
 }

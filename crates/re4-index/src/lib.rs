@@ -1,22 +1,23 @@
 //! Exact two-stage Retrieve over object-augmented states.
 //!
-//! Retrieve (paper, section "Retrieve") is two nested lookups, with the manipulation mode as a hard filter:
+//! Retrieve (paper, section "Retrieve") consists of two nested lookups with the manipulation mode as a hard filter:
 //!
-//! 1. in every demonstration, the frame of the query's mode that minimises `d_q`, the distance over the full
-//!    object-augmented state, among the frames whose `d_o` is within `epsilon` of that demonstration's minimum `d_o`;
-//! 2. among these frames, one a demonstration, the one that minimises `d_o`, the distance over the object's pose alone.
+//! 1. Stage 1 selects one frame per demonstration: the frame of the query's mode that minimises `d_q`, the distance over the full
+//!    object-augmented state, among the frames whose `d_o` is within `epsilon` of the minimum `d_o` of that demonstration.
+//! 2. Stage 2 selects one of these frames: the one that minimises `d_o`, the distance over the object pose only.
 //!
-//! Ties go to the lowest demonstration, then to the lowest frame.
+//! Ties go to the lowest demonstration number, then to the lowest frame number.
 //!
-//! For Push-T, `d_q` is the Euclidean distance over the min-max-normalised `(eef x, eef y, block x, block y, block θ)`
-//! and `d_o` over its last three entries (paper, appendix "Push-T").
+//! For Push-T, `d_q` is the Euclidean distance over the min-max-normalised `(eef x, eef y, block x, block y, block θ)`, and `d_o`
+//! is the Euclidean distance over the last three of these entries (paper, appendix "Push-T").
 //!
-//! One nearest neighbour over all frames is *not* the answer, since stage 1 is a minimum per demonstration. A tree over
-//! object poses serves as a bound instead: the frame that stage 1 chooses is never nearer by `d_o` than the nearest frame
-//! of its demonstration. Stage 1 is evaluated exactly for the demonstration nearest by `d_o`, then for those others that
-//! have a frame within the best answer so far.
+//! A nearest-neighbour search over all frames does *not* give this answer because stage 1 takes a minimum per demonstration. A
+//! tree over object poses therefore only supplies lower bounds: the `d_o` of the frame that stage 1 selects is never smaller than
+//! the minimum `d_o` of its demonstration. Stage 1 is evaluated exactly for the demonstration that is nearest by `d_o`, then for
+//! every other demonstration that has a frame within the best `d_o` found so far.
 //!
-//! Everything named `Spatial...` is the same lookup for an arm and an object in space: see [`SpatialMetric`] for its distances.
+//! The items named `Spatial...` implement the same lookup in SE(3) for a robot arm and one object. [`SpatialMetric`] defines
+//! their distances.
 
 mod linear;
 mod metric;
@@ -40,12 +41,12 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use thiserror::Error;
 
-/// A frame of a demonstration as the index stores it: world frame, pixels and radians.
+/// A frame of a demonstration as the index stores it, in the world frame, in pixels and radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IndexedFrame {
-    /// Demonstration.
+    /// Number of the demonstration.
     pub episode: u32,
-    /// Frame inside the demonstration.
+    /// Number of the frame in the demonstration.
     pub frame: u32,
     /// Manipulation mode at the frame.
     pub mode: Mode,
@@ -55,10 +56,10 @@ pub struct IndexedFrame {
     pub object: Pose2,
 }
 
-/// An object-augmented state to retrieve for: world frame, pixels and radians.
+/// The object-augmented state to retrieve a frame for, in the world frame, in pixels and radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Query {
-    /// Manipulation mode: only frames of this mode are admissible.
+    /// Manipulation mode. Only frames of this mode can be retrieved.
     pub mode: Mode,
     /// End-effector position.
     pub eef: Point2,
@@ -66,94 +67,100 @@ pub struct Query {
     pub object: Pose2,
 }
 
-/// The frame that Retrieve chose, with the two distances (normalised, without unit) that led to it.
+/// The frame that Retrieve selected, with its two distances to the query (normalised, dimensionless).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Retrieved {
-    /// Demonstration.
+    /// Number of the demonstration.
     pub episode: u32,
-    /// Frame inside the demonstration.
+    /// Number of the frame in the demonstration.
     pub frame: u32,
     /// Distance over the full object-augmented state.
     pub d_q: f64,
-    /// Distance over the object pose alone.
+    /// Distance over the object pose only.
     pub d_o: f64,
 }
 
-/// Why an index could not be built or queried.
+/// An error from building or querying an index.
 #[derive(Debug, Clone, Error, PartialEq, Remedy)]
 pub enum IndexError {
-    /// There is nothing to retrieve from.
+    /// No frames were given.
     #[error("cannot build the index: there are no frames")]
     #[remedy("select at least one episode")]
     Empty,
-    /// A coordinate is not a finite number, or absurdly far from the ranges it is normalised by.
+    /// A coordinate is not finite, or so far from the normalisation range that squared distances could overflow.
     #[error("cannot build the index: episode {episode}, frame {frame} has a coordinate that is not finite")]
     #[remedy("repair the episodes artifact")]
     NotFinite {
-        /// Demonstration.
+        /// Number of the demonstration.
         episode: u32,
-        /// Frame inside the demonstration.
+        /// Number of the frame in the demonstration.
         frame: u32,
     },
-    /// What is wrong with a demonstration whose name is known: [`IndexError::NotFinite`] and [`IndexError::Duplicate`] become this.
+    /// A problem in a demonstration whose name is known. [`IndexError::named`] converts [`IndexError::NotFinite`] and
+    /// [`IndexError::Duplicate`] to this variant.
     #[error("cannot build the index: frame {frame} of {demo} {problem}")]
     #[remedy("{remedy}")]
     Demonstration {
         /// Name of the demonstration in its source.
         demo: String,
-        /// Frame inside the demonstration.
+        /// Number of the frame in the demonstration.
         frame: u32,
-        /// What is wrong with it.
+        /// The problem, as the predicate of a sentence whose subject is the frame.
         problem: &'static str,
         /// How to fix it.
         remedy: &'static str,
     },
-    /// More frames than 32-bit frame numbers reach.
-    #[error("cannot build the index: {frames} frames are more than the {limit} that one index holds", limit = u32::MAX)]
+    /// There are more frames than 32-bit frame numbers can address.
+    #[error("cannot build the index: there are {frames} frames, and one index stores at most {limit}", limit = u32::MAX)]
     #[remedy("split the dataset")]
     TooLarge {
         /// Number of frames given.
         frames: usize,
     },
-    /// Two frames with the same number, of which ties could choose either.
-    #[error("cannot build the index: episode {episode} has frame {frame} twice")]
+    /// Two frames of an episode have the same number, so ties would not be resolved uniquely.
+    #[error("cannot build the index: episode {episode} contains frame {frame} twice")]
     #[remedy("give every frame once")]
     Duplicate {
-        /// Demonstration.
+        /// Number of the demonstration.
         episode: u32,
-        /// Frame inside the demonstration.
+        /// Number of the frame in the demonstration.
         frame: u32,
     },
-    /// A scale that nothing can be divided by.
+    /// A scale of the metric is not a positive finite number.
     #[error("cannot build the index: the {name} is {value}")]
     #[remedy("give a finite number above 0")]
     Scale {
-        /// Which one, in words.
+        /// Name of the scale in words.
         name: &'static str,
-        /// What was given.
+        /// The given value.
         value: f64,
     },
-    /// A weight that turns a distance around.
+    /// A weight of the metric is negative or not finite.
     #[error("cannot build the index: the {name} is {value}")]
     #[remedy("give a finite number, 0 or more")]
     Weight {
-        /// Which one, in words.
+        /// Name of the weight in words.
         name: &'static str,
-        /// What was given.
+        /// The given value.
         value: f64,
     },
-    /// A symmetry that is none.
+    /// The description of the object's symmetry is invalid.
     #[error("cannot build the index: {0}")]
     #[remedy(_0.remedy())]
     Symmetry(#[from] re4_geometry::spatial::SymmetryError),
-    /// A query coordinate is not a finite number, or absurdly far from the demonstrations.
-    #[error("cannot retrieve: the query has a coordinate that is not finite or absurdly far from every demonstration")]
-    #[remedy("check the observation it was made from")]
+    /// A coordinate of the query is not finite, or so far from the demonstrations that squared distances could overflow.
+    #[error(
+        "cannot retrieve: the query has a coordinate that is not finite or is extremely far from every demonstration"
+    )]
+    #[remedy("check the observation that the query was made from")]
     QueryNotFinite,
 }
 
 impl IndexError {
-    /// The same error, with the demonstration called what its source calls it, where `name` knows that.
+    /// Replaces the number of the demonstration in the error by its name in the source.
+    ///
+    /// `name` maps the number of a demonstration to its name. The error stays unchanged if `name` returns `None` or if the error
+    /// does not concern one demonstration.
     #[must_use]
     pub fn named(self, name: impl Fn(u32) -> Option<String>) -> Self {
         let (episode, frame, problem, remedy) = match self {
@@ -163,7 +170,7 @@ impl IndexError {
                 "has a coordinate that is not finite",
                 "repair the episodes artifact",
             ),
-            Self::Duplicate { episode, frame } => (episode, frame, "is there twice", "give every frame once"),
+            Self::Duplicate { episode, frame } => (episode, frame, "occurs twice", "give every frame once"),
             _ => return self,
         };
         match name(episode) {

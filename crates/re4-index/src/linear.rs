@@ -1,15 +1,15 @@
-//! Retrieve by definition: every frame is looked at, twice.
+//! Reference implementation of the planar Retrieve: a linear scan that evaluates every frame twice.
 
 use crate::metric::{admissible_squared, in_bounds, object_squared, state_squared};
 use crate::{IndexError, IndexedFrame, Normalization, Query, Retrieved};
 
-/// The two-stage lookup by linear scan over `frames`, sorted by episode and frame. It is the oracle of the tests and
-/// the rival in the benchmarks; [`crate::RetrievalIndex::retrieve`] gives the same answer.
+/// Performs the two-stage lookup by a linear scan over `frames`, which must be sorted by episode and frame.
 ///
-/// `epsilon` is in normalised units; infinity switches the filter off. `None` when no frame has the query's mode.
+/// The tests use it as the oracle and the benchmarks as the baseline; [`crate::RetrievalIndex::retrieve`] returns the same
+/// answer. `epsilon` is in normalised units; infinity disables the filter. Returns `None` if no frame has the query's mode.
 ///
 /// # Errors
-/// When the query is not finite.
+/// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
 pub fn retrieve_linear(
     frames: &[IndexedFrame],
     normalization: &Normalization,
@@ -41,6 +41,7 @@ pub fn retrieve_linear(
                 chosen = Some((s, o, frame));
             }
         }
+        // The comparison is strict so that the lowest demonstration wins ties.
         if let Some((s, o, frame)) = chosen.filter(|(_, o, _)| *o < minimum_object) {
             minimum_object = o;
             best = Some(Retrieved {

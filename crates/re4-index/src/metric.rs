@@ -1,4 +1,4 @@
-//! Min-max normalisation and the two distances.
+//! Min-max normalisation and the two distances of the planar Retrieve.
 
 use std::f64::consts::TAU;
 
@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::{IndexedFrame, Query};
 
-/// How the block angle enters the distances.
+/// How block angles are compared in the distances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum AngleMetric {
-    /// Shortest way round the circle, so that 0 and 2π are the same angle.
+    /// Shortest angular distance, so that 0 and 2π are the same angle.
     #[default]
     Periodic,
-    /// Plain difference of the stored numbers, as the paper's L2 distance says; it has a seam at 0 and 2π.
+    /// Plain difference of the angles in [0, 2π), as in the paper's L2 distance. It has a discontinuity between 0 and 2π.
     Raw,
 }
 
@@ -29,7 +29,8 @@ pub struct Range {
 }
 
 impl Range {
-    /// Length of the range; 1 for a dimension that never varies, so that it adds its plain difference.
+    /// Length of the range. Returns 1 for a dimension that does not vary, so that such a dimension contributes its unscaled
+    /// difference.
     pub fn span(self) -> f64 {
         if self.maximum > self.minimum {
             self.maximum - self.minimum
@@ -42,9 +43,9 @@ impl Range {
 /// Min-max normalisation of `(eef x, eef y, object x, object y, object θ)`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Normalization {
-    /// Ranges in the order of the dimensions.
+    /// Ranges in the order of [`Self::DIMENSIONS`].
     pub ranges: [Range; 5],
-    /// How the angle is compared.
+    /// How block angles are compared.
     pub angle: AngleMetric,
 }
 
@@ -52,7 +53,7 @@ impl Normalization {
     /// Names of the dimensions, in order.
     pub const DIMENSIONS: [&str; 5] = ["eef_x", "eef_y", "object_x", "object_y", "object_theta"];
 
-    /// Ranges over `frames`; angles are first wrapped into `[0, 2π)`.
+    /// Computes the ranges over `frames`. Angles are first wrapped into `[0, 2π)`.
     pub fn over(frames: &[IndexedFrame], angle: AngleMetric) -> Self {
         let mut ranges = [Range {
             minimum: f64::INFINITY,
@@ -75,17 +76,17 @@ impl Normalization {
         out
     }
 
-    /// Normalised coordinates of a frame.
+    /// Returns the normalised coordinates of a frame.
     pub fn frame(&self, frame: &IndexedFrame) -> [f64; 5] {
         self.apply(raw(frame.eef.x, frame.eef.y, frame.object))
     }
 
-    /// Normalised coordinates of a query.
+    /// Returns the normalised coordinates of a query.
     pub fn query(&self, query: &Query) -> [f64; 5] {
         self.apply(raw(query.eef.x, query.eef.y, query.object))
     }
 
-    /// Length of a full turn in normalised units; infinite for [`AngleMetric::Raw`], which never wraps.
+    /// Returns the length of 2π in normalised units, or infinity for [`AngleMetric::Raw`], which does not wrap.
     pub fn period(&self) -> f64 {
         match self.angle {
             AngleMetric::Periodic => TAU / self.ranges[4].span(),
@@ -94,7 +95,7 @@ impl Normalization {
     }
 }
 
-/// Whether squares of differences between such coordinates stay finite.
+/// Returns whether squared differences between such coordinates stay finite.
 pub(crate) fn in_bounds(normalized: &[f64; 5]) -> bool {
     normalized.iter().all(|v| v.abs() < 1e100)
 }
@@ -103,46 +104,51 @@ fn raw(eef_x: f64, eef_y: f64, object: re4_geometry::Pose2) -> [f64; 5] {
     [eef_x, eef_y, object.x, object.y, wrap_to_two_pi(object.theta)]
 }
 
-/// Squared `d_o` between normalised states. Every path through the index uses this one expression, in this order of
-/// operations, so that equal distances are equal to the bit and ties are decided the same way everywhere.
+/// Squared `d_o` between normalised states.
+///
+/// The index and the linear scan both use this expression with this order of operations, so that equal distances are
+/// bit-identical and ties are resolved in the same way.
 #[inline]
 pub(crate) fn object_squared(a: &[f64; 5], x: f64, y: f64, theta: f64, period: f64) -> f64 {
     let (dx, dy) = (a[2] - x, a[3] - y);
     let direct = (a[4] - theta).abs();
-    let turn = direct.min((period - direct).abs());
-    dx * dx + dy * dy + turn * turn
+    let angle = direct.min((period - direct).abs());
+    dx * dx + dy * dy + angle * angle
 }
 
-/// A lower bound of [`object_squared`] over the poses in a box, in the same order of operations: rounding is monotonic,
-/// so the bound holds to the bit and needs no slack.
+/// Lower bound of [`object_squared`] over the poses in a box.
+///
+/// It uses the same order of operations as [`object_squared`]. Rounding is monotonic, so the bound is valid for the rounded
+/// distances without a tolerance.
 #[inline]
 pub(crate) fn box_squared(a: &[f64; 5], low: [f64; 3], high: [f64; 3], period: f64) -> f64 {
     let outside = |q: f64, i: usize| larger(larger(low[i] - q, q - high[i]), 0.0);
     let (dx, dy) = (outside(a[2], 0), outside(a[3], 1));
     let (nearest, farthest) = (outside(a[4], 2), larger(a[4] - low[2], high[2] - a[4]));
-    // Going the other way round is shortest to the angle that is farthest the direct way.
+    // In the opposite direction around the circle, the nearest angle of the box is the one that is farthest in the direct
+    // direction.
     let around = larger(period - farthest, 0.0);
-    let turn = if around < nearest { around } else { nearest };
-    dx * dx + dy * dy + turn * turn
+    let angle = if around < nearest { around } else { nearest };
+    dx * dx + dy * dy + angle * angle
 }
 
-/// The maximum as one instruction: unlike `f64::max` it need not tell NaN apart, which never comes here.
+/// Maximum that compiles to one instruction. Unlike `f64::max` it does not handle NaN, which cannot occur here.
 #[inline]
 fn larger(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// Squared `d_q` from the end-effector terms and the squared `d_o`.
+/// Squared `d_q`, computed from the end-effector coordinates and the squared `d_o`.
 #[inline]
 pub(crate) fn state_squared(a: &[f64; 5], x: f64, y: f64, object_squared: f64) -> f64 {
     let (dx, dy) = (a[0] - x, a[1] - y);
     dx * dx + dy * dy + object_squared
 }
 
-/// Squared `d_o` up to which a frame of a demonstration stays a candidate for stage 1.
+/// Largest squared `d_o` at which a frame of a demonstration is a candidate for stage 1.
 #[inline]
 pub(crate) fn admissible_squared(minimum_object_squared: f64, epsilon: f64) -> f64 {
     let limit = minimum_object_squared.sqrt() + epsilon;
-    // Rounding must not shut out the minimum frame itself.
+    // The square of a rounded root can be smaller than the minimum, which would exclude the minimum frame itself.
     (limit * limit).max(minimum_object_squared)
 }

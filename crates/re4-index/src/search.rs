@@ -1,4 +1,4 @@
-//! The index: a tree of boxes as bounds, exact evaluation of the demonstrations that can win.
+//! The planar index: a tree of boxes gives lower bounds, so that only demonstrations that can win are evaluated.
 
 use std::ops::Range;
 
@@ -8,46 +8,50 @@ use crate::metric::{admissible_squared, in_bounds, object_squared, state_squared
 use crate::tree::{FAN, Pose, PoseTree};
 use crate::{AngleMetric, IndexError, IndexedFrame, Normalization, Query, Retrieved};
 
-/// Retrieve over the frames of a set of demonstrations. Immutable; queries may run from many threads.
+/// Index for Retrieve over the frames of a set of demonstrations.
+///
+/// The index is immutable, so several threads can query it at the same time.
 pub struct RetrievalIndex {
     normalization: Normalization,
     frames: Vec<IndexedFrame>,
     modes: Vec<ModeIndex>,
 }
 
-/// What one query cost.
+/// Cost of one query.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SearchStatistics {
-    /// Demonstrations for which stage 1 was evaluated.
+    /// Number of demonstrations for which stage 1 was evaluated.
     pub demos_evaluated: u32,
-    /// Frames whose distance was computed, in leaves of the tree and in stage 1; some twice.
+    /// Number of frame distances computed, in leaves of the tree and in stage 1. A frame can count more than once.
     pub frames_evaluated: u32,
 }
 
-/// Frames of one mode, demonstration after demonstration, in columns.
+/// Frames of one mode, grouped by demonstration, with their coordinates in columns.
 struct ModeIndex {
     mode: Mode,
+    /// For every demonstration, the range of its frames in `position` and `columns`.
     demos: Vec<Range<usize>>,
-    /// Position in `RetrievalIndex::frames` of every frame.
+    /// Position of every frame in `RetrievalIndex::frames`.
     position: Vec<u32>,
+    /// Normalised coordinates in the order of [`Normalization::DIMENSIONS`].
     columns: [Vec<f64>; 5],
     tree: PoseTree,
 }
 
 impl RetrievalIndex {
-    /// Builds the index over `frames`, normalising by their own minima and maxima.
+    /// Builds the index over `frames` and normalises them by their own minima and maxima.
     ///
     /// # Errors
-    /// When there are no frames, one has a coordinate that is not finite, or two have the same number.
+    /// If there are no frames, a frame has a coordinate that is not finite, or two frames of an episode have the same number.
     pub fn build(frames: Vec<IndexedFrame>, angle: AngleMetric) -> Result<Self, IndexError> {
         let normalization = Normalization::over(&frames, angle);
         Self::with_normalization(frames, normalization)
     }
 
-    /// Builds the index with a given normalisation, as an index artifact records it.
+    /// Builds the index with a given normalisation, such as the one that an index artifact stores.
     ///
     /// # Errors
-    /// When there are no frames, one has a coordinate that is not finite, or two have the same number.
+    /// If there are no frames, a frame has a coordinate that is not finite, or two frames of an episode have the same number.
     pub fn with_normalization(mut frames: Vec<IndexedFrame>, normalization: Normalization) -> Result<Self, IndexError> {
         if frames.is_empty() {
             return Err(IndexError::Empty);
@@ -82,30 +86,30 @@ impl RetrievalIndex {
         })
     }
 
-    /// Indexed frames, sorted by episode and frame.
+    /// Returns the indexed frames, sorted by episode and frame.
     pub fn frames(&self) -> &[IndexedFrame] {
         &self.frames
     }
 
-    /// Ranges and angle metric in force.
+    /// Returns the ranges and the angle metric that the index uses.
     pub fn normalization(&self) -> &Normalization {
         &self.normalization
     }
 
-    /// The two-stage lookup; exact. `epsilon` is in normalised units, infinity switches its filter off.
+    /// Performs the two-stage lookup exactly. `epsilon` is in normalised units; infinity disables the filter.
     ///
-    /// `None` when no indexed frame has the query's mode.
+    /// Returns `None` if no indexed frame has the query's mode.
     ///
     /// # Errors
-    /// When the query is not finite.
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
     pub fn retrieve(&self, query: &Query, epsilon: f64) -> Result<Option<Retrieved>, IndexError> {
         Ok(self.retrieve_counted(query, epsilon)?.0)
     }
 
-    /// [`Self::retrieve`], with what the search cost.
+    /// Performs the lookup of [`Self::retrieve`] and also returns its cost.
     ///
     /// # Errors
-    /// When the query is not finite.
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
     pub fn retrieve_counted(
         &self,
         query: &Query,
@@ -130,7 +134,7 @@ impl RetrievalIndex {
     }
 }
 
-/// Winner of stage 1 in one demonstration.
+/// Result of stage 1 in one demonstration.
 #[derive(Clone, Copy)]
 struct Stage1 {
     demo: u32,
@@ -177,7 +181,7 @@ impl ModeIndex {
         })
     }
 
-    /// Stage 1 in one demonstration.
+    /// Evaluates stage 1 in one demonstration. `scratch` is a buffer that is reused between calls.
     fn stage1(&self, demo: u32, q: &[f64; 5], epsilon: f64, period: f64, scratch: &mut Vec<f64>) -> Stage1 {
         let range = self.demos[demo as usize].clone();
         let [eef_x, eef_y, x, y, theta] = self.columns.each_ref().map(|column| &column[range.clone()]);
@@ -207,8 +211,11 @@ impl ModeIndex {
         chosen
     }
 
-    /// Evaluates the demonstration nearest by `d_o`, then every other that has a frame within the best answer so far: the
-    /// answer of stage 1 is never nearer than the nearest frame of its demonstration.
+    /// Finds the demonstration that wins stage 2.
+    ///
+    /// The first pass over the tree finds the demonstration that has the frame with the smallest `d_o`. Its stage 1 result bounds
+    /// the answer. The second pass evaluates every other demonstration that has a frame within this bound. No other demonstration
+    /// can win, because the `d_o` of a stage 1 result is never smaller than the minimum `d_o` of its demonstration.
     fn search(&self, q: &[f64; 5], epsilon: f64, period: f64) -> (Stage1, SearchStatistics) {
         let mut statistics = SearchStatistics::default();
         let mut nearest = 0;
@@ -228,6 +235,7 @@ impl ModeIndex {
             self.stage1(demo, q, epsilon, period, &mut scratch)
         };
         let mut best = evaluate(nearest, &mut statistics);
+        // Bit set of the demonstrations that have been evaluated.
         let mut seen = vec![0u64; self.demos.len().div_ceil(64)];
         seen[nearest as usize / 64] |= 1 << (nearest % 64);
         self.tree
@@ -238,6 +246,8 @@ impl ModeIndex {
                     if distance <= *reach && seen[word] & bit == 0 {
                         seen[word] |= bit;
                         let found = evaluate(demo, &mut statistics);
+                        // The tree does not visit demonstrations in order, so the number of the demonstration decides ties
+                        // explicitly.
                         if (found.object_squared, found.demo) < (best.object_squared, best.demo) {
                             *reach = found.object_squared;
                             best = found;

@@ -1,4 +1,4 @@
-//! The tables of an `index` artifact.
+//! Tables of an `index` artifact.
 
 use nalgebra::Isometry3;
 use re4_artifact::{SixAxis, columns, table};
@@ -6,29 +6,30 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 
 table! {
-    /// One row a frame of every indexed demonstration: its object-augmented state and the action taken there. Sorted by episode and
-    /// frame.
+    /// One row per frame of every indexed demonstration: its object-augmented state and the action taken at the frame. Sorted by
+    /// episode and frame.
     #[table("index", version = 3, formerly = "spatial_index")]
     pub struct IndexRow<S> {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Number of the frame in its episode, from 0.
+        /// Number of the frame in the episode, from 0.
         pub frame: u32,
         /// Manipulation mode: transit or transfer.
         pub mode: Mode,
         /// State and action.
         #[prefix = ""]
         pub state: S,
-        /// Whether Retrieve may choose the frame; others may still be replayed. Not those whose pose was not clear in the image, which
-        /// have a pose between those of the clear frames round it, nor those that the pipeline leaves out for what the audit found.
-        /// Null in older artifacts, whose frames all may.
+        /// Whether Retrieve may select the frame. A frame that it may not select can still be replayed. False for frames whose
+        /// pose estimate is not flagged clear, which have a pose interpolated between the surrounding clear frames, and for
+        /// frames that the pipeline excludes because of an audit finding. Null in older artifacts, in which Retrieve may select
+        /// every frame.
         #[since = 2]
         pub retrievable: Option<bool>,
     }
 }
 
 columns! {
-    /// An object-augmented state in the plane, and the action taken there.
+    /// A planar object-augmented state and the action taken in it.
     #[derive(Copy)]
     pub struct PlanarState {
         /// Position of the pusher's centre.
@@ -37,7 +38,7 @@ columns! {
         /// Pose of the block.
         #[frame = "world"]
         pub object: Pose2,
-        /// Target position commanded to the pusher.
+        /// Commanded target position of the pusher.
         #[frame = "world"]
         pub action: Point2,
         /// Normalised coordinates: eef_x, eef_y, object_x, object_y, object_theta.
@@ -46,8 +47,8 @@ columns! {
 }
 
 columns! {
-    /// An object-augmented state in space, and the action taken there. Scales and weights of the distances, and the object's
-    /// symmetry, are settings of the policy.
+    /// An object-augmented state in SE(3) and the action taken in it. The scales and weights of the distances are settings of the
+    /// policy; the object's symmetry belongs to the task.
     #[derive(Copy)]
     pub struct SpatialState {
         /// Pose of the grip site.
@@ -65,7 +66,7 @@ columns! {
 }
 
 table! {
-    /// One row a dimension of the object-augmented state in the plane: the range that it is normalised by.
+    /// One row per dimension of the planar object-augmented state, with the range that normalises it.
     #[table("scales", version = 1)]
     pub struct ScaleRow {
         /// Name of the dimension, a column of the index table.

@@ -1,40 +1,40 @@
-//! A packed tree of boxes over object poses, which yields lower bounds of `d_o`.
+//! A packed tree of boxes over object poses that gives lower bounds of `d_o`.
 
 use crate::metric::{box_squared, object_squared};
 
-/// Children of a group and frames of a leaf.
+/// Number of children of a group and of frames in a leaf.
 pub(crate) const FAN: usize = 8;
 
-/// Poses below which a part of the tree is arranged on the thread at hand.
+/// Number of poses up to which a subtree is arranged on the current thread.
 const PARALLEL: usize = 1 << 14;
 
-/// Normalised object pose of a frame, and the demonstration that it belongs to.
+/// Normalised object pose of a frame, with the number of its demonstration.
 #[derive(Clone, Copy)]
 pub(crate) struct Pose {
     pub(crate) at: [f64; 3],
     pub(crate) demo: u32,
 }
 
-/// Frames that are close together, in columns, so that the compiler computes their distances with vector instructions.
+/// Frames that are close together. The coordinates are stored in columns so that the compiler can vectorise the distances.
 struct Leaf {
     at: [[f64; FAN]; 3],
     demos: [u32; FAN],
 }
 
-/// The boxes of siblings, in columns as well. Boxes beyond the last sibling hold nothing and are infinitely far.
+/// The boxes of sibling nodes, also in columns. Unused places contain empty boxes, whose bound is infinite.
 struct Group {
     low: [[f64; FAN]; 3],
     high: [[f64; FAN]; 3],
 }
 
-/// Groups in levels: box `c` of group `g` bounds group `8 g + c` of the level below; on the lowest level it bounds that
-/// leaf. The last level is one group, the root.
+/// The groups, level by level: box `c` of group `g` bounds group `FAN * g + c` of the level below or, on the lowest level, the
+/// leaf with that number. The last level has one group, the root.
 pub(crate) struct PoseTree {
     leaves: Vec<Leaf>,
     levels: Vec<Vec<Group>>,
 }
 
-/// A group or, on level 0, a leaf that is still to be visited.
+/// A group or, on level 0, a leaf that has yet to be visited.
 #[derive(Clone, Copy)]
 struct Pending {
     bound: f64,
@@ -46,7 +46,7 @@ impl PoseTree {
     /// Packs the poses of at least one frame.
     pub(crate) fn build(mut poses: Vec<Pose>) -> Self {
         arrange(&mut poses);
-        // A leaf that is not full repeats its last frame: a frame may be met twice.
+        // A leaf that is not full repeats its last frame, so a visitor can see a frame more than once.
         let leaves: Vec<Leaf> = poses
             .chunks(FAN)
             .map(|some| {
@@ -80,8 +80,8 @@ impl PoseTree {
         }
     }
 
-    /// Visits all leaves that may hold a frame whose squared `d_o` is at most `reach`, the nearer ones first. `visit` gets
-    /// the squared distances of a leaf's frames and their demonstrations, and may lower `reach`.
+    /// Visits all leaves that can contain a frame whose squared `d_o` is at most `reach`, nearer siblings first. `visit` receives
+    /// the squared distances of a leaf's frames and the numbers of their demonstrations, and may lower `reach`.
     pub(crate) fn visit(
         &self,
         q: &[f64; 5],
@@ -124,7 +124,7 @@ impl PoseTree {
             let first = stack.len();
             for (c, bound) in bounds.into_iter().enumerate() {
                 if bound <= reach && bound < f64::INFINITY {
-                    // Insertion sort, the nearest sibling on top.
+                    // Insertion sort that leaves the nearest sibling on top of the stack.
                     let mut place = stack.len();
                     stack.push(Pending {
                         bound,
@@ -149,8 +149,8 @@ fn extent(low: &[[f64; FAN]; 3], high: &[[f64; FAN]; 3]) -> [[f64; 3]; 2] {
     ]
 }
 
-/// Orders poses so that every run of `FAN`, `FAN`², ... of them is close together: parts are split off at the median of
-/// the widest dimension, moved to where such a run ends.
+/// Orders poses so that every run of `FAN`, `FAN`², ... poses is close together. The poses are split at the median of the widest
+/// dimension, shifted to a multiple of the run length so that the tree stays packed.
 fn arrange(poses: &mut [Pose]) {
     if poses.len() <= FAN {
         return;

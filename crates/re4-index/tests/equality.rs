@@ -1,4 +1,4 @@
-//! The index against the linear scan, and the linear scan against a plain restatement of the definition.
+//! Compares the planar index with the linear scan, and the linear scan with an independent implementation of the definition.
 
 mod common;
 
@@ -14,17 +14,17 @@ const EPSILONS: [f64; 5] = [0.0, 0.03, 0.1, 0.5, f64::INFINITY];
 
 #[derive(Clone, Copy)]
 enum Shape {
-    /// Whole numbers from a handful: duplicates and ties everywhere.
+    /// A few integer values, which give many duplicates and ties.
     Grid,
-    /// Anything, uniform.
+    /// Uniform random states.
     Scattered,
-    /// Small steps from frame to frame, the angle running through the seam.
+    /// Small steps from frame to frame; the angle crosses the discontinuity at 0 and 2π.
     Walk,
-    /// Copies of a few episodes, so that every frame has an equal one in another episode.
+    /// Copies of a few episodes, so that every frame has an equal frame in another episode.
     Copies,
 }
 
-/// Random demonstrations of 1 to `longest` frames. Every episode's frames are of both modes unless `one_mode`.
+/// Generates random demonstrations of 1 to `longest` frames. Every episode has frames of both modes unless `one_mode` is set.
 fn demonstrations(
     random: &mut Random,
     shape: Shape,
@@ -60,7 +60,7 @@ fn demonstrations(
         });
         made.push(frames.collect());
     }
-    // Gaps in the numbers of the episodes: they name demonstrations, they do not count them.
+    // The episode numbers have gaps because they identify demonstrations and are not positions.
     (0..)
         .step_by(3)
         .zip(made)
@@ -68,7 +68,7 @@ fn demonstrations(
         .collect()
 }
 
-/// A query on a frame, beside it, an angle's alias of it, anywhere in the range, or far outside.
+/// A query that equals a frame, is near it, has an alias of its angle, is anywhere in the range, or is far outside the range.
 fn any_query(random: &mut Random, frames: &[IndexedFrame]) -> Query {
     let mut c = coordinates(&random.pick(frames));
     match random.below(6) {
@@ -96,7 +96,11 @@ fn index_and_linear_scan_agree_on_a_hundred_thousand_queries() {
             let query = any_query(&mut random, &frames);
             let answer = agreed(&index, &query, random.pick(&EPSILONS));
             let admissible = frames.iter().any(|f| f.mode == query.mode);
-            assert_eq!(answer.is_some(), admissible, "a mode is either there or not: {query:?}");
+            assert_eq!(
+                answer.is_some(),
+                admissible,
+                "an answer exists if a frame has the mode: {query:?}"
+            );
             *if admissible { &mut answered } else { &mut unanswered } += 1;
         }
     }
@@ -104,8 +108,9 @@ fn index_and_linear_scan_agree_on_a_hundred_thousand_queries() {
 }
 
 #[test]
-fn large_sets_agree_too() {
-    // More than FAN³ frames in one mode, so that the tree has several levels; enough that it is arranged in parallel.
+fn index_and_linear_scan_agree_on_large_sets() {
+    // The sets have more than FAN³ frames in one mode, so that the tree has several levels, and are large enough to be arranged
+    // in parallel.
     let mut random = Random::new(2);
     for (shape, episodes, longest) in [
         (Shape::Walk, 700, 120),
@@ -127,8 +132,9 @@ fn large_sets_agree_too() {
     }
 }
 
-/// Retrieve as the paper words it, from raw coordinates, with nothing of the crate's: distances as roots, lists that are
-/// sorted. It sums as `(x² + y²) + θ²` and `(eef x² + eef y²) + d_o²`, which on random data fixes the last bit.
+/// Implements Retrieve as the paper defines it, from raw coordinates and without code of the crate: distances are square roots
+/// and lists are sorted. The sums are `(x² + y²) + θ²` and `(eef x² + eef y²) + d_o²`, which determines the last bit on random
+/// data.
 fn by_definition(
     frames: &[IndexedFrame],
     metric: AngleMetric,
@@ -158,12 +164,12 @@ fn by_definition(
     ]));
     let distances = |c: [f64; 5]| {
         let f = scaled(c);
-        let mut turn = (q[4] - f[4]).abs();
-        if metric == AngleMetric::Periodic && TAU / span[4] - turn < turn {
-            turn = TAU / span[4] - turn;
+        let mut angle = (q[4] - f[4]).abs();
+        if metric == AngleMetric::Periodic && TAU / span[4] - angle < angle {
+            angle = TAU / span[4] - angle;
         }
         let squared = |i: usize| (q[i] - f[i]).powi(2);
-        let object = squared(2) + squared(3) + turn.powi(2);
+        let object = squared(2) + squared(3) + angle.powi(2);
         ((squared(0) + squared(1) + object).sqrt(), object.sqrt())
     };
     let mut episodes: Vec<u32> = frames.iter().map(|f| f.episode).collect();
@@ -191,11 +197,11 @@ fn by_definition(
 }
 
 #[test]
-fn the_linear_scan_is_the_definition() {
+fn the_linear_scan_matches_the_definition() {
     let mut random = Random::new(3);
     for set in 0..400 {
         let frames = match set % 4 {
-            // Corners that make every span 4, so that the grid's distances are exact.
+            // The corners make every span 4, so that distances on the grid are exact.
             0 => {
                 let mut frames = demonstrations(&mut random, Shape::Grid, 8, 12, false);
                 frames.push(frame(900, 0, Mode::Transit, [0.0; 5]));
@@ -211,7 +217,7 @@ fn the_linear_scan_is_the_definition() {
         for _ in 0..25 {
             let query = any_query(&mut random, &frames);
             if query.eef.norm() > 1e5 || query.object.translation().norm() > 1e5 || query.object.theta.abs() > 1e5 {
-                // Digits are lost in another order there.
+                // For such large values the two orders of operations lose different digits.
                 continue;
             }
             let epsilon = random.pick(&[0.0, 0.03, 0.25, f64::INFINITY]);
@@ -256,7 +262,7 @@ fn the_order_of_the_frames_does_not_matter() {
 }
 
 #[test]
-fn an_angle_and_its_aliases_find_the_same_frame_across_the_seam() {
+fn an_angle_and_its_aliases_find_the_same_frame() {
     let at = |theta| [0.0, 0.0, 0.0, 0.0, theta];
     let angles = [
         0.0,
@@ -280,8 +286,8 @@ fn an_angle_and_its_aliases_find_the_same_frame_across_the_seam() {
         for index in [&periodic, &raw] {
             let here = query(Mode::Transit, at(theta));
             let answer = agreed(index, &here, 0.1).unwrap();
-            for turns in [-2.0, 1.0] {
-                let alias = query(Mode::Transit, at(theta + TAU * turns));
+            for revolutions in [-2.0, 1.0] {
+                let alias = query(Mode::Transit, at(theta + TAU * revolutions));
                 let other = agreed(index, &alias, 0.1).unwrap();
                 assert!(
                     (answer.d_o - other.d_o).abs() < 1e-9,
@@ -294,12 +300,12 @@ fn an_angle_and_its_aliases_find_the_same_frame_across_the_seam() {
     assert_eq!(
         periodic.retrieve(&just_below, 0.1).unwrap().unwrap().episode,
         0,
-        "2π is 0"
+        "0 and 2π are the same periodic angle"
     );
     assert_eq!(
         raw.retrieve(&just_below, 0.1).unwrap().unwrap().episode,
         4,
-        "the stored numbers have a seam"
+        "raw angles are discontinuous at 2π"
     );
     let below_zero = query(Mode::Transit, at(-0.29));
     assert_eq!(periodic.retrieve(&below_zero, 0.1).unwrap().unwrap().episode, 6);
@@ -325,7 +331,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(3000))]
 
     #[test]
-    fn agreement_shrinks(
+    fn index_and_linear_scan_agree_on_small_sets(
         frames in small_frames(),
         raw in any::<bool>(),
         grasped in any::<bool>(),

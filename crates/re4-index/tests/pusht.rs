@@ -1,4 +1,4 @@
-//! The index against the linear scan on the real demonstrations.
+//! Compares the index with the linear scan on the real Push-T demonstrations.
 
 mod common;
 
@@ -42,10 +42,10 @@ fn index_and_linear_scan_agree_on_and_off_the_demonstrations() {
 }
 
 #[test]
-fn a_query_looks_at_few_of_the_frames() {
+fn a_query_evaluates_few_frames() {
     let Some(frames) = pusht() else { return };
     let index = RetrievalIndex::build(frames, AngleMetric::Periodic).unwrap();
-    let looked_at: u64 = index
+    let evaluated: u64 = index
         .frames()
         .iter()
         .step_by(13)
@@ -57,6 +57,6 @@ fn a_query_looks_at_few_of_the_frames() {
         })
         .sum();
     let queries = index.frames().len().div_ceil(13) as u64;
-    let mean = looked_at / queries;
-    assert!(mean < index.frames().len() as u64 / 10, "{mean} frames a query");
+    let mean = evaluated / queries;
+    assert!(mean < index.frames().len() as u64 / 10, "{mean} frames per query");
 }

@@ -1,4 +1,4 @@
-//! What an index and a query refuse, and what they merely find nothing for.
+//! Which frames and queries are rejected, and which queries merely have no answer.
 
 mod common;
 
@@ -11,14 +11,14 @@ const HERE: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 0.5];
 const BROKEN: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
 
 #[test]
-fn a_frame_that_is_not_finite_is_named() {
+fn the_error_names_a_frame_that_is_not_finite() {
     for broken in BROKEN {
         for dimension in 0..5 {
             let mut c = HERE;
             c[dimension] = broken;
             let frames = vec![frame(2, 0, Mode::Transit, HERE), frame(7, 31, Mode::Transit, c)];
             let error = RetrievalIndex::build(frames, AngleMetric::Periodic).err().unwrap();
-            // An infinite coordinate spoils the range that every frame is normalised by.
+            // An infinite coordinate makes the range infinite, which invalidates every frame. Only NaN identifies the frame.
             match error {
                 IndexError::NotFinite { episode, frame } => {
                     assert!(!broken.is_nan() || (episode, frame) == (7, 31), "{episode}, {frame}");
@@ -30,7 +30,7 @@ fn a_frame_that_is_not_finite_is_named() {
 }
 
 #[test]
-fn no_frames_or_the_same_frame_twice_are_refused() {
+fn empty_input_and_duplicate_frames_are_rejected() {
     assert_eq!(
         RetrievalIndex::build(Vec::new(), AngleMetric::Raw).err(),
         Some(IndexError::Empty)
@@ -42,18 +42,18 @@ fn no_frames_or_the_same_frame_twice_are_refused() {
     ];
     let error = RetrievalIndex::build(twice, AngleMetric::Raw).err().unwrap();
     assert_eq!(error, IndexError::Duplicate { episode: 1, frame: 5 });
-    assert!(error.sentence().contains("episode 1 has frame 5 twice"), "{error}");
+    assert!(error.sentence().contains("episode 1 contains frame 5 twice"), "{error}");
     let named = error.clone().named(|episode| Some(format!("demo_{}", episode + 3)));
     assert_eq!(
         named.sentence(),
-        "cannot build the index: frame 5 of demo_4 is there twice; give every frame once"
+        "cannot build the index: frame 5 of demo_4 occurs twice; give every frame once"
     );
     assert_eq!(error.clone().named(|_| None), error);
     assert_eq!(IndexError::Empty.named(|_| Some(String::new())), IndexError::Empty);
 }
 
 #[test]
-fn a_range_that_makes_coordinates_overflow_is_refused() {
+fn a_range_that_makes_coordinates_overflow_is_rejected() {
     let tiny = Range {
         minimum: 0.0,
         maximum: 1e-200,
@@ -67,7 +67,7 @@ fn a_range_that_makes_coordinates_overflow_is_refused() {
 }
 
 #[test]
-fn a_query_that_is_not_finite_is_an_error_for_index_and_scan_alike() {
+fn a_query_that_is_not_finite_is_an_error_of_index_and_scan() {
     let index = RetrievalIndex::build(vec![frame(0, 0, Mode::Transit, HERE)], AngleMetric::Periodic).unwrap();
     for broken in BROKEN.into_iter().chain([1e300, -1e300]) {
         for dimension in 0..4 {
@@ -86,10 +86,10 @@ fn a_query_that_is_not_finite_is_an_error_for_index_and_scan_alike() {
 }
 
 #[test]
-fn a_mode_that_no_frame_has_finds_nothing_and_a_mode_is_never_crossed() {
+fn a_query_finds_only_frames_of_its_mode() {
     let transit_only = RetrievalIndex::build(vec![frame(0, 0, Mode::Transit, HERE)], AngleMetric::Raw).unwrap();
     assert_eq!(agreed(&transit_only, &query(Mode::Transfer, HERE), f64::INFINITY), None);
-    // The nearest frame has the wrong mode, in the same episode and in another.
+    // The nearest frames have the wrong mode; one of them is in the same episode as the answer and one in another.
     let frames = vec![
         frame(0, 0, Mode::Transfer, HERE),
         frame(1, 0, Mode::Transfer, HERE),
@@ -103,7 +103,7 @@ fn a_mode_that_no_frame_has_finds_nothing_and_a_mode_is_never_crossed() {
 }
 
 #[test]
-fn a_query_far_outside_the_ranges_is_answered() {
+fn a_query_far_outside_the_ranges_has_an_answer() {
     let frames = (0..500)
         .map(|i| {
             frame(
@@ -127,9 +127,9 @@ fn a_query_far_outside_the_ranges_is_answered() {
 }
 
 #[test]
-fn stage_one_is_a_choice_within_the_demonstration_not_over_all_frames() {
-    // Demonstration 0 has the nearest object pose, but its state nearest to the query lies elsewhere; within epsilon of its
-    // minimum d_o that frame may not be chosen.
+fn stage_one_selects_within_each_demonstration_not_over_all_frames() {
+    // Demonstration 0 contains the frame with the nearest object pose (frame 0) and the frame with the nearest state (frame 1).
+    // With epsilon 0.1, frame 1 is not within epsilon of the minimum `d_o`, so stage 1 must not select it.
     let frames = vec![
         frame(0, 0, Mode::Transit, [100.0, 0.0, 0.0, 0.0, 0.0]),
         frame(0, 1, Mode::Transit, [0.0, 0.0, 40.0, 0.0, 0.0]),
@@ -144,6 +144,6 @@ fn stage_one_is_a_choice_within_the_demonstration_not_over_all_frames() {
     assert_eq!(
         (open.episode, open.frame),
         (1, 0),
-        "demonstration 0 offers its frame 1, at d_o 0.4"
+        "stage 1 selects frame 1 of demonstration 0, whose d_o is 0.4"
     );
 }

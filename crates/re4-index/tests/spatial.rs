@@ -1,5 +1,5 @@
-//! The index over poses in space against the linear scan, and the linear scan against a plain restatement of the definition.
-#![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
+//! Compares the SE(3) index with the linear scan, and the linear scan with an independent implementation of the definition.
+#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 mod common;
 
@@ -21,11 +21,11 @@ const STAGES: [Stage2; 2] = [Stage2::Object, Stage2::State];
 
 #[derive(Clone, Copy, Debug)]
 enum Shape {
-    /// Few positions and quarter turns: duplicates, ties and half turns everywhere.
+    /// Few positions, and rotations by multiples of 90 degrees, which give many duplicates, ties and rotations by 180 degrees.
     Grid,
-    /// Anything, uniform.
+    /// Uniform random poses.
     Scattered,
-    /// The object rests, then moves with the end effector: what a demonstration looks like.
+    /// The object rests, then moves with the end effector, as in a demonstration.
     Carried,
     /// Copies of a few episodes.
     Copies,
@@ -37,7 +37,7 @@ fn rotation(random: &mut Random) -> UnitQuaternion<f64> {
     antipode(random, q)
 }
 
-/// The same rotation, as one or the other of its quaternions.
+/// The same rotation, represented by one of its two quaternions at random.
 fn antipode(random: &mut Random, q: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     if random.below(2) == 0 {
         q
@@ -60,12 +60,12 @@ fn any_pose(random: &mut Random) -> Isometry3<f64> {
     Isometry3::from_parts(t.into(), rotation(random))
 }
 
-/// A pose beside another: up to `length` metres and `angle` rad away.
-fn beside(random: &mut Random, pose: &Isometry3<f64>, length: f64, angle: f64) -> Isometry3<f64> {
+/// Perturbs a pose by up to `length` metres and `angle` rad along each axis.
+fn perturb(random: &mut Random, pose: &Isometry3<f64>, length: f64, angle: f64) -> Isometry3<f64> {
     let t = Vector3::from_fn(|_, _| random.range(-length, length));
     let r = Vector3::from_fn(|_, _| random.range(-angle, angle));
-    let turned = UnitQuaternion::from_scaled_axis(r) * pose.rotation;
-    Isometry3::from_parts((pose.translation.vector + t).into(), antipode(random, turned))
+    let rotation = UnitQuaternion::from_scaled_axis(r) * pose.rotation;
+    Isometry3::from_parts((pose.translation.vector + t).into(), antipode(random, rotation))
 }
 
 /// Mode, end effector and object.
@@ -84,19 +84,19 @@ fn demonstrations(random: &mut Random, shape: Shape, episodes: usize, longest: u
             Shape::Grid | Shape::Copies => (random.pick(&Mode::ALL), grid_pose(random), grid_pose(random)),
             Shape::Scattered => (random.pick(&Mode::ALL), any_pose(random), any_pose(random)),
             Shape::Carried => {
-                let seen = object.inv_mul(&eef);
-                eef = beside(random, &eef, 0.02, 0.05);
+                let object_from_eef = object.inv_mul(&eef);
+                eef = perturb(random, &eef, 0.02, 0.05);
                 if 2 * i > count {
-                    object = eef * seen.inverse();
+                    object = eef * object_from_eef.inverse();
                     (Mode::Transfer, eef, object)
                 } else {
-                    (Mode::Transit, eef, beside(random, &object, 1e-6, 1e-6))
+                    (Mode::Transit, eef, perturb(random, &object, 1e-6, 1e-6))
                 }
             }
         });
         made.push(frames.collect());
     }
-    // Gaps in the numbers of the episodes: they name demonstrations, they do not count them.
+    // The episode numbers have gaps because they identify demonstrations and are not positions.
     (0..)
         .step_by(3)
         .zip(made)
@@ -120,14 +120,14 @@ fn any_query(random: &mut Random, frames: &[IndexedSpatialFrame]) -> SpatialQuer
     let (eef, object) = match random.below(5) {
         0 => (near.eef, near.object),
         1 => {
-            let turned = antipode(random, near.object.rotation);
-            (near.eef, Isometry3::from_parts(near.object.translation, turned))
+            let rotation = antipode(random, near.object.rotation);
+            (near.eef, Isometry3::from_parts(near.object.translation, rotation))
         }
         2 => (grid_pose(random), grid_pose(random)),
         3 => (any_pose(random), any_pose(random)),
         _ => (
-            beside(random, &near.eef, 0.03, 0.3),
-            beside(random, &near.object, 0.03, 0.3),
+            perturb(random, &near.eef, 0.03, 0.3),
+            perturb(random, &near.object, 0.03, 0.3),
         ),
     };
     SpatialQuery { mode, eef, object }
@@ -152,11 +152,12 @@ fn any_metric(random: &mut Random) -> SpatialMetric {
     }
 }
 
-/// The answer with the bits of its distances.
+/// The answer with its distances as bit patterns, so that the comparison is bit-exact.
 fn bits(answer: Option<SpatialRetrieved>) -> Option<(u32, u32, [u64; 4])> {
     answer.map(|a| {
         let d = a.distances;
-        (a.episode, a.frame, [d.d_q, d.d_o, d.d_e, d.turn].map(f64::to_bits))
+        let distances = [d.d_q, d.d_o, d.d_e, d.symmetry_rotation];
+        (a.episode, a.frame, distances.map(f64::to_bits))
     })
 }
 
@@ -199,13 +200,14 @@ proptest! {
     }
 }
 
-/// Angle of the rotation between two, by its matrix.
+/// Angle of the rotation between two poses, computed from rotation matrices.
 fn matrix_angle(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
     let relative = a.rotation.to_rotation_matrix().inverse() * b.rotation.to_rotation_matrix();
     (0.5 * (relative.matrix().trace() - 1.0)).clamp(-1.0, 1.0).acos()
 }
 
-/// Retrieve as the paper words it, from matrices, with lists that are sorted; all turns of an object are tried.
+/// Implements Retrieve as the paper defines it, with rotation matrices and sorted lists. It tries every rotation of a discrete
+/// symmetry.
 fn by_definition(
     frames: &[IndexedSpatialFrame],
     metric: &SpatialMetric,
@@ -213,11 +215,11 @@ fn by_definition(
     stage2: Stage2,
     banned: &BTreeSet<u32>,
 ) -> Option<(u32, u32, f64, f64)> {
-    let apart = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
+    let distance = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
         (a.translation.vector - b.translation.vector).norm() / metric.translation_scale
             + matrix_angle(a, b) / metric.rotation_scale
     };
-    let turns = match metric.symmetry {
+    let rotations = match metric.symmetry {
         Symmetry::Fold { axis, n } => (0..n)
             .map(|k| {
                 let axis = Vector3::from(axis).normalize();
@@ -227,14 +229,14 @@ fn by_definition(
         _ => vec![UnitQuaternion::identity()],
     };
     let measured = |f: &IndexedSpatialFrame| {
-        let like = turns.iter().map(|turn| query.object * turn);
-        let nearest = like
+        let equivalent = rotations.iter().map(|rotation| query.object * rotation);
+        let nearest = equivalent
             .map(|object| (matrix_angle(&object, &f.object), object))
             .reduce(|best, next| if next.0 < best.0 - 1e-9 { next } else { best })
             .unwrap()
             .1;
-        let d_o = apart(&nearest, &f.object);
-        let d_e = apart(&(nearest.inverse() * query.eef), &(f.object.inverse() * f.eef));
+        let d_o = distance(&nearest, &f.object);
+        let d_e = distance(&(nearest.inverse() * query.eef), &(f.object.inverse() * f.eef));
         (metric.object_weight * d_o + metric.eef_weight * d_e, d_o)
     };
     let episodes: BTreeSet<u32> = frames.iter().map(|f| f.episode).collect();
@@ -257,7 +259,7 @@ fn by_definition(
 }
 
 #[test]
-fn the_linear_scan_is_the_definition() {
+fn the_linear_scan_matches_the_definition() {
     let mut random = Random::new(11);
     let mut compared = 0;
     for set in 0..300 {
@@ -268,10 +270,11 @@ fn the_linear_scan_is_the_definition() {
             metric = SpatialMetric::default();
         }
         for _ in 0..20 {
-            // No frame is met exactly: ties are for the property above.
+            // The perturbation avoids ties, which the two implementations may resolve differently because of rounding. The
+            // property test above covers ties.
             let mut query = any_query(&mut random, &frames);
-            query.object = beside(&mut random, &query.object, 0.02, 0.2);
-            query.eef = beside(&mut random, &query.eef, 0.02, 0.2);
+            query.object = perturb(&mut random, &query.object, 0.02, 0.2);
+            query.eef = perturb(&mut random, &query.eef, 0.02, 0.2);
             let (stage2, banned) = (random.pick(&STAGES), banned(&mut random, &frames));
             let found = retrieve_spatial_linear(&frames, &metric, &query, stage2, &banned).unwrap();
             let defined = by_definition(&frames, &metric, &query, stage2, &banned);
@@ -291,7 +294,7 @@ fn the_linear_scan_is_the_definition() {
 }
 
 #[test]
-fn turning_a_can_about_its_axis_changes_no_distance() {
+fn rotating_a_can_about_its_axis_changes_no_distance() {
     let mut random = Random::new(12);
     let frames = demonstrations(&mut random, Shape::Carried, 12, 30);
     let metric = SpatialMetric {
@@ -303,13 +306,13 @@ fn turning_a_can_about_its_axis_changes_no_distance() {
         let frame = random.pick(&frames);
         let index = SpatialIndex::build(vec![frame], metric).unwrap();
         let plain = index.distances(&query, &frame.eef, &frame.object).unwrap();
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), random.range(-PI, PI));
-        let turned = SpatialQuery {
-            object: query.object * turn,
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), random.range(-PI, PI));
+        let rotated = SpatialQuery {
+            object: query.object * yaw,
             ..query
         };
-        let other = index.distances(&turned, &frame.eef, &(frame.object * turn)).unwrap();
-        // Both recordings of the can have another yaw: neither the object's term nor the end effector's notices.
+        let other = index.distances(&rotated, &frame.eef, &(frame.object * yaw)).unwrap();
+        // The query's can and the frame's can both have a different yaw, which must change neither term.
         assert!((plain.d_o - other.d_o).abs() < 1e-9);
         assert!((plain.d_e - other.d_e).abs() < 1e-6, "{plain:?} {other:?}");
     }
@@ -332,7 +335,7 @@ fn few_demonstrations_are_evaluated() {
 }
 
 #[test]
-fn refusals_name_what_is_wrong() {
+fn errors_name_the_invalid_value() {
     let pose = Isometry3::identity();
     let frame = |episode, number, eef| IndexedSpatialFrame {
         episode,
@@ -347,14 +350,14 @@ fn refusals_name_what_is_wrong() {
     let twice = vec![frame(4, 7, pose), frame(4, 6, pose), frame(4, 7, pose)];
     assert_eq!(build(twice, metric), IndexError::Duplicate { episode: 4, frame: 7 });
     for bad in [f64::NAN, f64::INFINITY, 1e120] {
-        let lost = Isometry3::translation(0.0, bad, 0.0);
-        let refused = build(vec![frame(4, 7, lost)], metric);
+        let invalid = Isometry3::translation(0.0, bad, 0.0);
+        let refused = build(vec![frame(4, 7, invalid)], metric);
         assert_eq!(refused, IndexError::NotFinite { episode: 4, frame: 7 });
         let index = SpatialIndex::build(vec![frame(4, 7, pose)], metric).unwrap();
         let query = SpatialQuery {
             mode: Mode::Transit,
             eef: pose,
-            object: lost,
+            object: invalid,
         };
         let refused = index.retrieve(&query, Stage2::Object, &BTreeSet::new()).unwrap_err();
         assert_eq!(refused, IndexError::QueryNotFinite);
@@ -393,14 +396,14 @@ fn refusals_name_what_is_wrong() {
         );
         assert!(refused.sentence().contains("above 0"), "{refused}");
     }
-    let mirror = Symmetry::Fold {
+    let no_rotations = Symmetry::Fold {
         axis: [0.0, 0.0, 1.0],
         n: 0,
     };
     let refused = build(
         vec![frame(0, 0, pose)],
         SpatialMetric {
-            symmetry: mirror,
+            symmetry: no_rotations,
             ..metric
         },
     );

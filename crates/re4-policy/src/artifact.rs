@@ -1,4 +1,4 @@
-//! What policies know, out of an `index` artifact.
+//! Loads the data of policies from an `index` artifact.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,7 @@ use crate::outcome::ChunkLibrary;
 use crate::policy::Knowledge;
 use crate::spatial::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialRetrieveConfig};
 
-/// What RE4 knows of Push-T, from demonstrations of these names.
+/// Loads the data of RE4 for Push-T. `names` are the names of the demonstrations.
 pub(crate) fn open_index(
     artifact: &Artifact,
     retrieve: &RetrieveConfig,
@@ -76,10 +76,10 @@ fn open_states(
     Ok((DemoSet::new(demos).with_names(names), index))
 }
 
-/// The ranges that states of Push-T are normalised by.
+/// Reads the ranges that normalise the states of Push-T.
 ///
 /// # Errors
-/// When they cannot be read, or are of other dimensions.
+/// If the table cannot be read or lists unexpected dimensions.
 pub fn read_scales(artifact: &Artifact) -> Result<[Range; 5], OpenError> {
     let rows: Vec<ScaleRow> = artifact.read()?;
     let named = rows
@@ -97,7 +97,7 @@ pub fn read_scales(artifact: &Artifact) -> Result<[Range; 5], OpenError> {
     }))
 }
 
-/// What RE4 knows of a robosuite task, from demonstrations of these names.
+/// Loads the data of RE4 for a robosuite task. `names` are the names of the demonstrations.
 pub(crate) fn open_spatial_index(
     artifact: &Artifact,
     retrieve: &SpatialRetrieveConfig,

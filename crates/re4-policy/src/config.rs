@@ -1,4 +1,4 @@
-//! What a policy is made of, as a pipeline file writes it, and the presets.
+//! Settings of the planar policy in a pipeline file, and its presets.
 
 use re4_index::AngleMetric;
 use schemars::JsonSchema;
@@ -6,61 +6,62 @@ use serde::{Deserialize, Serialize};
 
 use crate::kinds::SettingError;
 
-/// Shorter steps would cut a way across the window into more waypoints than any episode has steps.
-const SHORTEST: f64 = 0.01;
+/// Minimum of lengths and speeds in px. Shorter steps would split a path across the workspace into more waypoints than an episode
+/// has control steps.
+const MINIMUM_LENGTH: f64 = 0.01;
 
-/// A policy of the Retrieve-Reframe-Replan-Replay family. Every step can be switched off alone.
+/// Settings of a planar policy that performs Retrieve, Reframe, Replan and Replay. Reframe and Replan can be disabled separately.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyConfig {
-    /// Which demonstration to follow, and from where.
+    /// Retrieve: selects the demonstration to follow and the frame to start from.
     pub retrieve: RetrieveConfig,
-    /// Whether the chunk is carried into the frame of the object.
+    /// Reframe: transforms the chunk to the observed object pose.
     pub reframe: ReframeConfig,
-    /// How the end effector gets to the start of the chunk.
+    /// Replan: moves the end effector to the start of the chunk.
     pub replan: ReplanConfig,
-    /// How the chunk is executed.
+    /// Replay: executes the chunk.
     pub replay: ReplayConfig,
 }
 
-/// How Retrieve ranks the demonstrations.
+/// How Retrieve selects a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Selector {
-    /// The paper's two-stage lookup: nearest state in each demonstration, then nearest object pose among these.
+    /// The paper's two-stage lookup: the nearest state in every demonstration, then the nearest object pose among these states.
     TwoStage,
-    /// The chunk whose recorded motion of the object, applied to the object here, leads closest to the goal pose.
+    /// The chunk whose recorded object motion, applied to the observed object pose, ends closest to the goal pose.
     Outcome,
 }
 
-/// Retrieve.
+/// Settings of Retrieve.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RetrieveConfig {
-    /// How demonstrations are ranked.
+    /// Rule that selects the frame.
     pub selector: Selector,
     /// `two_stage`: how block angles are compared.
     pub angle: AngleMetric,
-    /// `two_stage`: tolerance on `d_o` within a demonstration, in normalised units; candidates farther than this beyond
-    /// the demonstration's minimum `d_o` are not admitted to stage 1.
+    /// `two_stage`: tolerance on `d_o` in normalised units. Stage 1 considers only frames whose `d_o` exceeds the minimum `d_o`
+    /// of their demonstration by at most this value.
     pub epsilon: f64,
-    /// `outcome`: how many chunks, nearest in outcome, are compared in full.
+    /// `outcome`: number of chunks, nearest in outcome, whose cost is computed.
     pub candidates: usize,
-    /// `outcome`: price of one control step, in pixels of expected misalignment.
+    /// `outcome`: cost of one control step, in pixels of expected misalignment.
     pub step_cost: f64,
-    /// `outcome`: expected growth of the misalignment for a pixel that the object is pushed.
+    /// `outcome`: expected increase of the misalignment per pixel that the object is pushed.
     pub motion_cost: f64,
 }
 
-/// Reframe.
+/// Settings of Reframe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReframeConfig {
-    /// Off: the demonstration is replayed where it was recorded.
+    /// Whether Reframe is enabled. If not, the demonstration is replayed where it was recorded.
     pub enabled: bool,
 }
 
-/// Which planner connects the end effector with the start of the chunk.
+/// The planner of the path from the end effector to the start of the chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Planner {
@@ -70,57 +71,57 @@ pub enum Planner {
     Visibility,
 }
 
-/// Replan.
+/// Settings of Replan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReplanConfig {
-    /// Off: the chunk is replayed from wherever the end effector is.
+    /// Whether Replan is enabled. If not, the chunk is replayed from the current end-effector position.
     pub enabled: bool,
-    /// Which planner.
+    /// The planner.
     pub planner: Planner,
-    /// Distance in pixels that the pusher's centre keeps from the block.
+    /// Minimum distance from the pusher's centre to the block, in pixels.
     pub keepout: f64,
-    /// `rrt`: length in pixels of one extension of the tree.
+    /// `rrt`: length of one extension of the tree, in pixels.
     pub step: f64,
-    /// `rrt`: how many extensions are tried.
+    /// `rrt`: maximum number of extensions.
     pub iterations: u32,
     /// `rrt`: fraction of the samples that are the goal itself.
     pub goal_bias: f64,
-    /// Maximum distance in pixels between waypoints that are executed, one a control step; the vertices of the plan
-    /// are always among them.
+    /// Maximum distance between the waypoints that are executed, one per control step, in pixels. The vertices of the plan are
+    /// always waypoints.
     pub spacing: f64,
 }
 
-/// How the chunk is turned into commands.
+/// How the chunk is converted to commands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Tracking {
-    /// The recorded actions, carried along, are the commands.
+    /// The recorded actions, transformed by Reframe, are the commands.
     Actions,
-    /// The recorded path of the end effector is followed, at the speed given, by commands that account for the
-    /// controller's lag.
+    /// The recorded path of the end effector, transformed by Reframe, is followed at the given speed. The commands compensate for
+    /// the lag of the controller.
     Path,
 }
 
-/// Replay.
+/// Settings of Replay.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReplayConfig {
-    /// How the chunk is turned into commands.
+    /// How the chunk is converted to commands.
     pub tracking: Tracking,
-    /// Commands executed before the next Retrieve, the paper's n.
+    /// Number of commands executed before the next Retrieve (n in the paper).
     pub horizon: usize,
-    /// `actions`: every how manieth recorded action is executed.
+    /// `actions`: only every `stride`-th recorded action is executed.
     pub stride: usize,
-    /// `path`: maximum travel of the pusher in a control step, in pixels.
+    /// `path`: maximum travel of the pusher per control step, in pixels.
     pub speed: f64,
-    /// How far the object may stray from the recorded motion, root mean square over its points in pixels, before the
-    /// chunk is given up; never when absent.
+    /// Maximum deviation of the object from the recorded motion before the chunk is abandoned, as a root mean square over the
+    /// object's points, in pixels. If absent, a chunk is never abandoned.
     pub divergence: Option<f64>,
 }
 
 impl PolicyConfig {
-    /// The paper's method and constants; where the paper gives none, the choice is ours and documented.
+    /// The method and constants of the paper. Values that the paper does not give are our own choices; docs/method.md lists them.
     pub fn paper() -> Self {
         Self {
             retrieve: RetrieveConfig {
@@ -139,8 +140,8 @@ impl PolicyConfig {
                 step: 15.0,
                 iterations: 1000,
                 goal_bias: 0.1,
-                // Wider than the workspace: the vertices of the polyline are the waypoints, so that a free straight
-                // segment is executed directly, as the paper says.
+                // The spacing exceeds the workspace, so only the vertices of the polyline are waypoints. A free straight segment
+                // is then executed directly, as the paper says.
                 spacing: 1024.0,
             },
             replay: ReplayConfig {
@@ -153,7 +154,7 @@ impl PolicyConfig {
         }
     }
 
-    /// Retrieve and Replay alone.
+    /// Retrieve and Replay only.
     pub fn re2() -> Self {
         let mut config = Self::paper();
         config.reframe.enabled = false;
@@ -161,7 +162,7 @@ impl PolicyConfig {
         config
     }
 
-    /// The best found.
+    /// The best settings found. docs/method.md lists every departure from the paper with its effect on the score.
     pub fn re4() -> Self {
         let mut config = Self::paper();
         config.retrieve.selector = Selector::Outcome;
@@ -179,16 +180,21 @@ impl PolicyConfig {
         config
     }
 
-    /// Looks every number over.
+    /// Checks all numbers.
     ///
     /// # Errors
-    /// The first under which a policy could not do its work, such as waypoints with no distance between them.
+    /// The first number with which the policy could not work, such as a spacing of 0 between waypoints.
     pub fn check(&self) -> Result<(), SettingError> {
         let (retrieve, replan, replay) = (&self.retrieve, &self.replan, &self.replay);
         let count = |setting, value: u64| SettingError::unless(value >= 1, setting, value, "give 1 or more");
         let number = |setting, value: f64| SettingError::unless(value >= 0.0, setting, value, "give 0 or more");
         let length = |setting, value: f64| {
-            SettingError::unless(value >= SHORTEST, setting, format!("{value} px"), "give 0.01 or more")
+            SettingError::unless(
+                value >= MINIMUM_LENGTH,
+                setting,
+                format!("{value} px"),
+                "give 0.01 or more",
+            )
         };
         count("retrieve.candidates", retrieve.candidates as u64)?;
         count("replan.iterations", u64::from(replan.iterations))?;
@@ -202,12 +208,12 @@ impl PolicyConfig {
         length("replan.step", replan.step)?;
         length("replan.spacing", replan.spacing)?;
         length("replay.speed", replay.speed)?;
-        let share = (0.0..=1.0).contains(&replan.goal_bias);
+        let is_fraction = (0.0..=1.0).contains(&replan.goal_bias);
         SettingError::unless(
-            share,
+            is_fraction,
             "replan.goal_bias",
             replan.goal_bias,
-            "it is a fraction, from 0 to 1",
+            "give a fraction from 0 to 1",
         )
     }
 }

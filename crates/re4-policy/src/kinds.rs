@@ -1,7 +1,17 @@
-//! The kinds of policies that a pipeline file can name, as `[policy] kind = "..."`.
+//! The kinds of policies that a pipeline file can select by `[policy] kind = "..."`.
 //!
-//! A new one is a module beside `re4`, with settings, factories, a decision record and its table, and a line in each domain
-//! below that it runs in. Everything else, from the pipeline file to its schema, its tables and the driver, follows from that.
+//! To add a policy:
+//!
+//! 1. Add a module beside `nearest`, which is the smallest complete example. The module defines the settings (a `serde` struct
+//!    that implements [`Settings`] for every domain in which the policy runs), the policy with its factory
+//!    ([`Policy`](re4_rollout::Policy), [`PolicyFactory`](re4_rollout::PolicyFactory)), and the decision record with its table
+//!    ([`Explained`](re4_rollout::Explained)).
+//! 2. Add one line to the list of kinds of each of these domains below: [`PlanePolicy`] for Push-T, [`SpacePolicy`] for the
+//!    robosuite tasks.
+//! 3. Regenerate the schemas with `re4-pipe schemas schemas`.
+//!
+//! The pipeline parser, the schema of the pipeline file, the list of tables and the rollout driver use these lists, so nothing
+//! else needs to change.
 
 mod nearest;
 mod re4;
@@ -27,7 +37,8 @@ use crate::spatial::SpatialPolicyConfig;
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
 
-/// Declares an enum of kinds: of each the settings, its name in pipeline files, its defaults, and the row of its own table.
+/// Declares the enum of the kinds of a domain and implements [`Kinds`] for it. An entry lists the variant, the type of its
+/// settings, its name in pipeline files, its default settings, and the row type of its table.
 macro_rules! kinds {
     (
         $(#[doc = $about:literal])*
@@ -88,34 +99,34 @@ macro_rules! kinds {
 }
 
 kinds! {
-    /// A policy of Push-T with its settings.
+    /// A policy for Push-T with its settings.
     PlanePolicy in Plane {
-        /// The best found.
+        /// RE4 with the best settings found.
         Re4(PolicyConfig) = "re4", PolicyConfig::re4(), re4::PlaneRe4Row;
-        /// The paper's words and constants.
+        /// RE4 as the paper describes it, with the paper's constants.
         Paper(PolicyConfig) = "paper", PolicyConfig::paper(), re4::PlaneRe4Row;
-        /// The paper's without Reframe and Replan.
+        /// `paper` without Reframe and Replan.
         Re2(PolicyConfig) = "re2", PolicyConfig::re2(), re4::PlaneRe4Row;
-        /// The actions of the nearest frame.
+        /// Replays the actions of the nearest frame.
         Nearest(PlaneNearest) = "nearest", PlaneNearest::default(), NearestRow;
     }
 }
 
 kinds! {
-    /// A policy of robosuite's tasks with its settings.
+    /// A policy for the robosuite tasks with its settings.
     SpacePolicy in Space {
-        /// The paper's with what was found to help.
+        /// RE4 with the additions to the paper that improve it.
         Re4(SpatialPolicyConfig) = "re4", SpatialPolicyConfig::re4(), re4::SpaceRe4Row;
-        /// The paper's words and constants.
+        /// RE4 as the paper describes it, with the paper's constants.
         Paper(SpatialPolicyConfig) = "paper", SpatialPolicyConfig::paper(), re4::SpaceRe4Row;
-        /// The paper's without Reframe and Replan.
+        /// `paper` without Reframe and Replan.
         Re2(SpatialPolicyConfig) = "re2", SpatialPolicyConfig::re2(), re4::SpaceRe4Row;
-        /// The actions of the nearest frame.
+        /// Replays the actions of the nearest frame.
         Nearest(SpaceNearest) = "nearest", SpaceNearest::default(), NearestRow;
     }
 }
 
-/// The tables of all policies, each once.
+/// Returns the decision tables of all policies without duplicates.
 pub fn tables() -> Vec<&'static TableSpec> {
     let mut seen = BTreeSet::new();
     let mut tables: Vec<_> = PlanePolicy::tables().into_iter().chain(SpacePolicy::tables()).collect();
@@ -123,77 +134,81 @@ pub fn tables() -> Vec<&'static TableSpec> {
     tables
 }
 
-/// Settings of a policy in a domain.
+/// The settings of a policy, as the table `[policy]` of a pipeline file defines them.
+///
+/// The settings are checked when the pipeline file is loaded. When the rollout stage runs, [`Settings::open`] loads the data of
+/// the policy and creates its factory.
 pub trait Settings<D: Recorded> {
-    /// Stages whose artifacts it opens, beside that of the demonstrations.
+    /// Stages whose artifacts the policy opens, in addition to the demonstrations. The runner runs these stages before the
+    /// rollout.
     fn inputs(&self) -> &'static [Stage] {
         &[Stage::Index]
     }
 
-    /// Looks every setting over. `images` says whether the object's pose is estimated from images.
+    /// Checks all settings. `images` is true if the object pose is estimated from images.
     ///
     /// # Errors
-    /// The first that makes no sense.
+    /// The first invalid setting.
     fn check(&self, images: bool) -> Result<(), SettingError>;
 
-    /// Opens what the policy knows.
+    /// Loads the data that the policy needs and creates its factory.
     ///
     /// # Errors
-    /// When an artifact cannot be read, or holds nothing that the policy can use.
+    /// If an artifact cannot be read or contains no data that the policy can use.
     fn open(&self, inputs: &Inputs<'_>) -> Result<Box<dyn Opened<D>>, OpenError>;
 }
 
-/// The kinds of policies of a domain.
+/// The kinds of policies in a domain. The macro `kinds!` implements this trait.
 pub trait Kinds: Serialize + Sized {
     /// The domain.
     type Domain: Recorded;
 
-    /// Their names.
+    /// Names of the kinds in pipeline files.
     const NAMES: &'static [&'static str];
 
-    /// The policy of a kind with its default settings; none where there is no such kind.
+    /// Returns the policy of a kind with its default settings, or `None` if the kind does not exist.
     fn defaults(kind: &str) -> Option<Self>;
 
-    /// The policy of a kind with these settings.
+    /// Deserialises the settings of a kind.
     ///
     /// # Errors
-    /// When they are not those of the kind, or there is no such kind.
+    /// If the settings do not match the kind, or the kind does not exist.
     fn read<'de, S: Deserializer<'de>>(kind: &str, settings: S) -> Result<Self, S::Error>;
 
-    /// JSON Schema of the settings of a kind.
+    /// Returns the JSON Schema of the settings of a kind, or `None` if the kind does not exist.
     fn schema(kind: &str) -> Option<Schema>;
 
-    /// The table of each kind's decisions.
+    /// Returns the decision table of every kind, in the order of [`Self::NAMES`].
     fn tables() -> Vec<&'static TableSpec>;
 
-    /// The name of its kind.
+    /// Returns the name of the kind.
     fn kind(&self) -> &'static str;
 
-    /// Its settings.
+    /// Returns the settings.
     fn settings(&self) -> &dyn Settings<Self::Domain>;
 }
 
-/// A setting that makes no sense.
+/// An invalid setting.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
 #[error("{setting} is {value}")]
 #[remedy("{fix}")]
 pub struct SettingError {
-    /// Its name in the pipeline file, below the policy's table.
+    /// Path of the setting in the pipeline file, relative to the table `[policy]`.
     pub setting: &'static str,
-    /// What was given.
+    /// The given value.
     pub value: String,
-    /// What would do.
+    /// Remedy: the values that are allowed, as an imperative.
     pub fix: &'static str,
 }
 
 impl SettingError {
-    /// Refuses a setting unless it is sound.
+    /// Returns an error unless the setting is valid.
     ///
     /// # Errors
-    /// When it is not.
+    /// If `valid` is false.
     #[expect(clippy::needless_pass_by_value, reason = "callers have numbers")]
-    pub fn unless(sound: bool, setting: &'static str, value: impl ToString, fix: &'static str) -> Result<(), Self> {
-        if sound {
+    pub fn unless(valid: bool, setting: &'static str, value: impl ToString, fix: &'static str) -> Result<(), Self> {
+        if valid {
             return Ok(());
         }
         Err(Self {
@@ -204,21 +219,21 @@ impl SettingError {
     }
 }
 
-/// What policies are opened with.
+/// The inputs of [`Settings::open`].
 pub struct Inputs<'a> {
-    /// The artifacts of the stages that they asked for.
+    /// The artifacts of the stages that [`Settings::inputs`] lists.
     pub artifacts: &'a [(Stage, &'a Artifact)],
-    /// What the demonstrations are called.
+    /// Names of the demonstrations.
     pub names: DemoNames,
-    /// Turns after which the object looks the same, in its own frame.
+    /// Symmetry of the object, in the object frame.
     pub symmetry: Symmetry,
 }
 
 impl Inputs<'_> {
-    /// The artifact of a stage.
+    /// Returns the artifact of a stage.
     ///
     /// # Errors
-    /// When it is not there.
+    /// [`OpenError::Missing`] if the artifact was not given.
     pub fn of(&self, stage: Stage) -> Result<&Artifact, OpenError> {
         let found = self.artifacts.iter().find(|(of, _)| *of == stage);
         found
@@ -227,40 +242,40 @@ impl Inputs<'_> {
     }
 }
 
-/// Why a policy could not be opened.
+/// An error from opening a policy.
 #[derive(Debug, thiserror::Error, Remedy)]
 pub enum OpenError {
-    /// An artifact that it needs was not made.
-    #[error("cannot open the policy: it needs what stage {stage} makes")]
-    #[remedy("report this together with the pipeline file")]
+    /// An artifact that the policy needs is not among its inputs.
+    #[error("cannot open the policy: it needs the artifact of stage {stage}, which was not given")]
+    #[remedy("report this error together with the pipeline file")]
     Missing {
-        /// The stage.
+        /// Name of the stage.
         stage: &'static str,
     },
     /// An artifact cannot be read.
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Artifact(#[from] ArtifactError),
-    /// Normalised coordinates that are of other dimensions.
+    /// The table of normalisation ranges lists unexpected dimensions.
     #[error(
-        "cannot read {}: table scales names other dimensions than {}",
+        "cannot read {}: the dimensions in table scales are not {}",
         folder.display(),
         Normalization::DIMENSIONS.join(", ")
     )]
-    #[remedy("build it again")]
+    #[remedy("build the artifact again")]
     Scales {
         /// Folder of the artifact.
         folder: PathBuf,
     },
-    /// The frames cannot be searched.
+    /// The index over the frames cannot be built.
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Index(#[from] IndexError),
-    /// The demonstrations hold nothing to choose from.
+    /// The demonstrations contain nothing that the policy can use.
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Lookup(#[from] LookupError),
-    /// Reasons of the policy's own.
+    /// An error of the policy's own type.
     #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),
 }

@@ -1,4 +1,12 @@
-//! Reframe, Replan, Replay, and the baselines.
+//! The policies: RE4 (Retrieve, Reframe, Replan, Replay) in the plane and in SE(3), its presets, and the nearest-neighbour
+//! baseline.
+//!
+//! * [`kinds`] lists the policies that a pipeline file can select. Start there to add a policy.
+//! * [`Re4`] is the planar policy for Push-T, with [`PolicyConfig`] as its settings.
+//! * [`spatial`] contains the policy for the robosuite tasks in SE(3).
+//! * [`replay_open_loop`] replays recorded actions without feedback, to check whether the simulator reproduces a recording.
+//!
+//! Retrieve itself is in crate `re4-index`, and the rollout harness is in crate `re4-rollout`.
 
 mod artifact;
 mod config;
@@ -33,45 +41,45 @@ use re4_episode::Mode;
 use re4_rollout::PolicyError;
 use thiserror::Error;
 
-/// Why a policy that looks demonstrations up has no action.
+/// An error that prevents a policy from retrieving or replaying a demonstration.
 #[derive(Debug, Error, Remedy)]
 pub enum LookupError {
-    /// Retrieve failed.
+    /// The index rejected the query.
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Retrieve(#[from] re4_index::IndexError),
-    /// The index knows no frame of the mode that the query is in.
+    /// The index has no frame of the query's mode.
     #[error("cannot retrieve: no indexed frame is in mode {mode}")]
-    #[remedy("segment the episodes so that it occurs, or index more of them")]
+    #[remedy("change the segmentation so that the mode occurs, or index more episodes")]
     NoFrameOfMode {
         /// Mode of the query.
         mode: Mode,
     },
-    /// What is retrieved is not among the demonstrations.
-    #[error("cannot replay {demo} at frame {frame}: the index names a frame that it does not hold")]
+    /// The retrieved frame is not among the demonstrations.
+    #[error("cannot replay {demo} from frame {frame}: the demonstration has no such frame")]
     #[remedy("build the index again")]
     UnknownDemo {
-        /// Name of the demonstration that the index names.
+        /// Name of the demonstration to which the index refers.
         demo: String,
-        /// Frame that the index names.
+        /// Number of the frame to which the index refers.
         frame: u32,
     },
-    /// The outcome selector has nothing to choose from.
+    /// The outcome selector has no chunks to select from.
     #[error(
-        "cannot retrieve by outcome: no demonstration holds a push that starts with the pusher clear of the object"
+        "cannot retrieve by outcome: no demonstration contains a push that starts with the pusher clear of the object"
     )]
     #[remedy("use the two_stage selector")]
     NoChunks,
-    /// The search structure over chunks could not be built.
+    /// The search tree over the chunks could not be built.
     #[error("cannot retrieve by outcome: {reason}")]
     #[remedy("check the chunks table of the index artifact")]
     Chunks {
-        /// What the tree library reports.
+        /// The error of the tree library.
         reason: String,
     },
-    /// A decision gave no command.
-    #[error("cannot act: the decision gave no command")]
-    #[remedy("report this together with the pipeline file")]
+    /// A decision produced no command.
+    #[error("cannot act: the decision produced no command")]
+    #[remedy("report this error together with the pipeline file")]
     NothingToDo,
 }
 

@@ -1,4 +1,4 @@
-//! Open-loop replay of demonstrations: the recorded actions, from the recorded first state, without looking again.
+//! Open-loop replay of demonstrations: executes the recorded actions from the recorded first state without feedback.
 
 use re4_artifact::columns;
 use re4_episode::PlanarFrame;
@@ -8,20 +8,20 @@ use re4_sim::{GOAL, PushT, ResetOrder, Scene, SimError, Simulator as _, coverage
 use crate::outcome::Body;
 
 columns! {
-    /// Distance between a replay and its recording at one frame.
+    /// Deviation of a replay from its recording at one frame.
     #[domain = "plane"]
     #[derive(Copy)]
     pub struct Divergence {
         /// Distance between the replayed and the recorded pusher.
         #[unit = "px"]
         pub pusher: f64,
-        /// Distance between the origins of the block's frame.
+        /// Distance between the replayed and the recorded origin of the block frame.
         #[unit = "px"]
         pub block_position: f64,
-        /// Difference of the block's angles, the short way round, at least 0.
+        /// Shortest angular distance between the replayed and the recorded angle of the block, at least 0.
         #[unit = "rad"]
         pub block_angle: f64,
-        /// Root mean square displacement of the block's points.
+        /// Root mean square displacement of the points of the block.
         #[unit = "px"]
         pub block: f64,
     }
@@ -30,20 +30,20 @@ columns! {
 /// An open-loop replay of one demonstration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpenLoop {
-    /// Divergence at every recorded frame, the first included.
+    /// Divergence at every recorded frame, including the first.
     pub divergence: Vec<Divergence>,
-    /// Coverage at the last recorded frame.
+    /// Recorded coverage at the last recorded frame.
     pub coverage_recorded: f64,
     /// Coverage of the replay at the same frame.
     pub coverage_replayed: f64,
-    /// Coverage after the last action, which no recorded frame shows.
+    /// Coverage of the replay after the last action. The recording has no frame after its last action.
     pub coverage_after: f64,
 }
 
-/// Replays a demonstration from its own first state. `None` for one without frames.
+/// Replays a demonstration from its first state. Returns `None` for a demonstration without frames.
 ///
 /// # Errors
-/// When the simulator refuses the first state or an action.
+/// If the simulator rejects the first state or an action.
 pub fn replay_open_loop(simulator: &mut PushT, frames: &[PlanarFrame]) -> Result<Option<OpenLoop>, SimError> {
     let (Some(first), Some(last)) = (frames.first(), frames.last()) else {
         return Ok(None);

@@ -1,13 +1,14 @@
-//! Retrieve by outcome: which recorded push would bring the object here closest to its goal?
+//! Retrieve by outcome: finds the recorded push that would bring the object closest to its goal.
 //!
-//! Pushing is quasi-static and does not depend on where in the plane it happens: a chunk that moved the demonstration's
-//! object by `T = o_j⁻¹ o_e` (in the object's own frame) moves ours, reframed, from `o_q` to `o_q T`. The chunk that is
-//! wanted is the one whose `T` is nearest to `o_q⁻¹ o_goal`. The demonstrations thus serve as a forward model; nothing
-//! but their recorded poses and the task's goal pose enters.
+//! Pushing is quasi-static and does not depend on where in the plane it happens. A chunk that moved the object of a demonstration
+//! by `T = o_j⁻¹ o_e` (in the object frame) therefore moves the observed object from `o_q` to `o_q T` after Reframe. The best
+//! chunk is the one whose `T` is nearest to `o_q⁻¹ o_goal`. The demonstrations thus act as a forward model of pushing; the method
+//! uses only their recorded poses and the goal pose of the task.
 //!
-//! The distance between two poses of the object is the root mean square displacement of its points,
-//! `D² = |Δc|² + 2 r² (1 - cos Δθ)` with `c` the centroid and `r` the radius of gyration about it, in pixels. It is
-//! Euclidean in `(c_x, c_y, r cos θ, r sin θ)`, so a KD-tree over these four numbers answers it exactly.
+//! The distance between two object poses is the root mean square displacement of the object's points,
+//! `D² = |Δc|² + 2 r² (1 - cos Δθ)`, in pixels, where `c` is the centroid and `r` is the radius of gyration about it. This
+//! distance is Euclidean in `(c_x, c_y, r cos θ, r sin θ)`, so a KD-tree over these four numbers finds nearest neighbours
+//! exactly.
 
 use std::num::NonZeroUsize;
 
@@ -22,13 +23,13 @@ use re4_episode::PlanarFrame;
 use crate::demos::DemoSet;
 use crate::replan::Obstacle;
 
-/// The object may start a chunk once the pusher is at least this far (pixels, from its centre) from the block.
+/// Minimum distance in pixels from the pusher's centre to the block at the start of a chunk. The radius of the pusher is 15 px.
 const FREE_DISTANCE: f64 = 16.0;
 
-/// Object motion between frames, in pixels root mean square, below which it counts as resting.
+/// Root mean square displacement between two frames, in pixels, below which the object counts as resting.
 const RESTING: f64 = 0.05;
 
-/// Centroid and radius of gyration of the object, which define the distance between its poses.
+/// Centroid and radius of gyration of the object, which define the distance between its poses. Pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Body {
     centroid: Point2,
@@ -36,7 +37,7 @@ pub struct Body {
 }
 
 impl Body {
-    /// The Push-T block, from its two rectangles.
+    /// Creates the body of the Push-T block from its two rectangles.
     pub fn tee() -> Self {
         let parts = tee_rectangles();
         let mut area = 0.0;
@@ -65,7 +66,7 @@ impl Body {
         [c.x, c.y, self.gyration * k, self.gyration * s]
     }
 
-    /// Root mean square displacement of the body's points between two poses, in pixels.
+    /// Returns the root mean square displacement of the body's points between two poses, in pixels.
     pub fn distance(&self, a: Pose2, b: Pose2) -> f64 {
         let (a, b) = (self.embed(a), self.embed(b));
         a.iter().zip(&b).map(|(x, y)| (x - y) * (x - y)).sum::<f64>().sqrt()
@@ -73,8 +74,8 @@ impl Body {
 }
 
 table! {
-    /// One row a chunk: a part of a demonstration that starts with the pusher clear of the block and ends anywhere after the block
-    /// began to move. Sorted by episode, first and last frame.
+    /// One row per chunk: a part of a demonstration that starts with the pusher clear of the block and ends at a frame at which
+    /// the block moves. A start has one chunk for every such end. Sorted by episode, first and last frame.
     #[table("chunks", version = 1)]
     #[derive(Copy)]
     pub struct Chunk {
@@ -87,27 +88,26 @@ table! {
         /// Last frame of the chunk, included.
         #[prefix = "last_frame"]
         pub end: u32,
-        /// The block's motion o_j^-1 o_e: its pose at the last frame in its own frame at the first.
+        /// Motion of the block, o_j^-1 o_e: its pose at the last frame in the block frame at the first.
         #[frame = "object"]
         pub motion: Pose2,
         /// Length of the pusher's path.
         #[unit = "px"]
         pub travel: f64,
-        /// Length of the block's path: root mean square displacement of its points, summed over the frames.
+        /// Length of the block's path: the root mean square displacement of its points, summed over the frames.
         #[unit = "px"]
         pub pushed: f64,
     }
 }
 
-/// All chunks of a set of demonstrations, searchable by outcome.
+/// All chunks of a set of demonstrations with a search tree over their outcomes.
 pub struct ChunkLibrary {
     body: Body,
     chunks: Vec<Chunk>,
     tree: ImmutableKdTree<f64, 4>,
 }
 
-/// Collects the chunks of up to `longest` frames from a set of demonstrations, in the order of demonstration, first and
-/// last frame.
+/// Collects the chunks of up to `longest` frames from a set of demonstrations, sorted by demonstration, first and last frame.
 pub fn collect_chunks(demos: &DemoSet<PlanarFrame>, longest: usize) -> Vec<Chunk> {
     let body = Body::tee();
     let mut chunks = Vec::new();
@@ -121,9 +121,9 @@ pub fn collect_chunks(demos: &DemoSet<PlanarFrame>, longest: usize) -> Vec<Chunk
             .map(|f| Obstacle::at(f.object).distance(f.eef) >= FREE_DISTANCE)
             .collect();
         for start in 0..moved.len() {
-            // A useful start is the last free frame before contact: the plan brings the pusher there.
+            // A chunk starts at the last free frame before contact, because Replan moves the pusher there without contact.
             let leads_to_contact = free[start] && (!free[start + 1] || moved[start] >= RESTING);
-            // The contact must push: the object moves before the pusher is free again.
+            // The contact must move the object before the pusher is free again.
             let pushes = (start..moved.len())
                 .take_while(|&t| t == start || !free[t] || moved[t] >= RESTING)
                 .any(|t| moved[t] >= RESTING);
@@ -152,10 +152,10 @@ pub fn collect_chunks(demos: &DemoSet<PlanarFrame>, longest: usize) -> Vec<Chunk
 }
 
 impl ChunkLibrary {
-    /// Makes chunks searchable.
+    /// Builds the search tree.
     ///
     /// # Errors
-    /// When there are none, or the tree cannot be built.
+    /// If there are no chunks, or the tree cannot be built.
     pub fn build(chunks: Vec<Chunk>) -> Result<Self, LookupError> {
         if chunks.is_empty() {
             return Err(LookupError::NoChunks);
@@ -168,19 +168,19 @@ impl ChunkLibrary {
         Ok(Self { body, chunks, tree })
     }
 
-    /// The body whose poses are compared.
+    /// Returns the body that defines the distance between poses.
     pub fn body(&self) -> Body {
         self.body
     }
 
-    /// How many chunks there are; at least one.
-    #[expect(clippy::len_without_is_empty, reason = "there is no library without chunks")]
+    /// Returns the number of chunks, which is at least one.
+    #[expect(clippy::len_without_is_empty, reason = "a library has at least one chunk")]
     pub fn len(&self) -> usize {
         self.chunks.len()
     }
 
-    /// The `count` chunks whose outcome is nearest to `wanted`, a motion in the object's own frame; nearest first, each
-    /// with its remaining misalignment in pixels.
+    /// Returns the `count` chunks whose outcomes are nearest to `wanted`, a motion in the object frame, nearest first. Each chunk
+    /// comes with its remaining misalignment in pixels.
     pub fn nearest(&self, wanted: Pose2, count: NonZeroUsize) -> Vec<(f64, Chunk)> {
         let query = self.body.embed(wanted);
         let mut found: Vec<(f64, u32)> = self
@@ -191,6 +191,7 @@ impl ChunkLibrary {
             .iter()
             .map(|hit| (hit.distance, hit.item))
             .collect();
+        // Equal distances are ordered by chunk so that the result is deterministic.
         found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         found
             .into_iter()

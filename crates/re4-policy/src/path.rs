@@ -1,25 +1,25 @@
-//! From a recorded path of the pusher to legs that the controller can carry out.
+//! Converts a path of the pusher to legs that the controller can execute.
 
 use re4_geometry::Point2;
 
-/// Part of a path: reach `goal` in `steps` control steps and pass it with `velocity` (pixels a second).
+/// Part of a path: the pusher reaches `goal` in `steps` control steps and passes it with `velocity`. World frame, pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Leg {
-    /// Where the leg ends.
+    /// End position of the leg.
     pub goal: Point2,
-    /// Velocity at its end.
+    /// Velocity at the end, in pixels per second.
     pub velocity: Point2,
-    /// Control steps it takes.
+    /// Number of control steps.
     pub steps: usize,
 }
 
-/// Control steps a second.
+/// Control steps per second.
 const CONTROL_RATE: f64 = 10.0;
 
-/// Cuts a path into legs between its corners, with at most `speed` pixels a control step. The last leg ends at rest.
+/// Splits a path into legs between its corners, with at most `speed` pixels per control step. The last leg ends at rest.
 ///
-/// Corners are kept within `tolerance` pixels: a push ends where the demonstration's pusher turned back, so the tip of
-/// its path must not be cut off.
+/// The legs deviate from the path by at most `tolerance` pixels. A push ends where the pusher of the demonstration reverses, so
+/// cutting off the tip of the path would shorten the push.
 pub(crate) fn legs(path: &[Point2], speed: f64, tolerance: f64) -> Vec<Leg> {
     let knots = simplify(path, tolerance);
     let mut legs = Vec::new();
@@ -29,6 +29,8 @@ pub(crate) fn legs(path: &[Point2], speed: f64, tolerance: f64) -> Vec<Leg> {
         let steps = (length / speed).ceil().max(1.0) as usize;
         let velocity = match knots.get(i + 2) {
             Some(next) if length > 0.0 && (next - pair[1]).norm() > 0.0 => {
+                // Pass the corner along the mean direction of both legs at the speed of the slower one, and slow down at sharp
+                // corners.
                 let (a, b) = (along / length, (next - pair[1]).normalize());
                 let straightness = a.dot(&b).max(0.0);
                 let pace = (length / steps as f64).min((next - pair[1]).norm()) * CONTROL_RATE;
@@ -42,14 +44,14 @@ pub(crate) fn legs(path: &[Point2], speed: f64, tolerance: f64) -> Vec<Leg> {
             steps,
         });
     }
-    // Coming to rest takes two steps: position and velocity are two conditions.
+    // Position and velocity at the end are two conditions, which take two control steps to satisfy.
     if let Some(last) = legs.last_mut() {
         last.steps = last.steps.max(2);
     }
     legs
 }
 
-/// Ramer, Douglas and Peucker's simplification.
+/// Simplifies a polyline by the Ramer-Douglas-Peucker algorithm.
 fn simplify(path: &[Point2], tolerance: f64) -> Vec<Point2> {
     let (Some(&first), Some(&last)) = (path.first(), path.last()) else {
         return Vec::new();
@@ -59,7 +61,7 @@ fn simplify(path: &[Point2], tolerance: f64) -> Vec<Point2> {
     }
     let chord = last - first;
     let squared = chord.norm_squared();
-    let away = |p: Point2| {
+    let distance_to_chord = |p: Point2| {
         let t = if squared > 0.0 {
             ((p - first).dot(&chord) / squared).clamp(0.0, 1.0)
         } else {
@@ -68,7 +70,7 @@ fn simplify(path: &[Point2], tolerance: f64) -> Vec<Point2> {
         (p - first - chord * t).norm()
     };
     let farthest = (1..path.len() - 1)
-        .map(|i| (i, away(path[i])))
+        .map(|i| (i, distance_to_chord(path[i])))
         .fold(
             (0, 0.0),
             |best, candidate| {

@@ -1,4 +1,4 @@
-//! The RE4 loop (paper, Algorithm 1), one control step at a time.
+//! The planar RE4 loop (paper, Algorithm 1), executed one control step at a time.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::num::NonZeroUsize;
@@ -21,76 +21,78 @@ use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
 use re4_episode::DemoNames;
 
-/// Chunks, in the order of their cost, to which a connection is looked for before the cheapest is taken without one.
-const PLANS_TRIED: usize = 8;
+/// Number of chunks, in ascending order of cost, for which a path is planned before the cheapest one is used although no path to
+/// it was found.
+const MAX_PLANS: usize = 8;
 
-/// The same, among the chunks that the search is widened to.
-const PLANS_TRIED_FARTHER: usize = 128;
+/// The same limit for the chunks that a widened search adds.
+const MAX_PLANS_WIDENED: usize = 128;
 
-/// By how much the search is widened where none of the candidates can be carried out.
-const WIDER: NonZeroUsize = NonZeroUsize::MIN.saturating_add(7);
+/// Factor by which the number of candidates grows if none of them can be executed: 8.
+const WIDENING_FACTOR: NonZeroUsize = NonZeroUsize::MIN.saturating_add(7);
 
-/// How far, in pixels, a recorded motion of the block may lead it into a wall; deeper than it is, if it is in one.
+/// Maximum depth in pixels to which the recorded motion may move the block into a wall, in addition to the depth at which it
+/// already is.
 const WALL_TOLERANCE: f64 = 30.0;
 
-/// How far, in pixels, a replayed path may cut the corners of the recorded one.
+/// Maximum deviation in pixels of a replayed path from the corners of the recorded path.
 const CORNER_TOLERANCE: f64 = 0.5;
 
-/// What a policy knows: demonstrations, their index, and the chunks searchable by outcome. Shared between rollouts.
+/// The read-only data of the policy, which all rollouts share: the demonstrations, their index, and the chunks by outcome.
 pub struct Knowledge {
-    /// Demonstrations.
+    /// The demonstrations.
     pub demos: DemoSet<PlanarFrame>,
-    /// Retrieve.
+    /// The index for the two-stage lookup.
     pub index: RetrievalIndex,
-    /// Chunks by outcome, where the selector needs them.
+    /// The chunks by outcome. `None` if the selector does not need them.
     pub chunks: Option<ChunkLibrary>,
 }
 
-/// Why the policy does what it does: one record for every Retrieve.
+/// The decision record of one Retrieve. Positions and poses are in the world frame, in pixels and radians.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
-    /// Control steps taken before the decision.
+    /// Number of control steps taken before the decision.
     pub step: u32,
     /// Mode of the query.
     pub mode: Mode,
-    /// End effector and object of the query.
+    /// End-effector position of the query.
     pub eef: Point2,
     /// Object pose of the query.
     pub object: Pose2,
-    /// Retrieved demonstration, by its number in the index.
+    /// Number of the retrieved demonstration in the index.
     pub demo: u32,
-    /// Retrieved frame.
+    /// Retrieved frame, which is the first frame of the chunk.
     pub demo_frame: u32,
-    /// Last frame of the chunk.
+    /// Last frame of the chunk, included.
     pub demo_end: u32,
-    /// Distance over the full state, normalised; absent for the outcome selector.
+    /// Distance over the full state in normalised coordinates; `None` for the outcome selector.
     pub d_q: Option<f64>,
-    /// Distance over the object pose, normalised; absent for the outcome selector.
+    /// Distance over the object pose only in normalised coordinates; `None` for the outcome selector.
     pub d_o: Option<f64>,
-    /// δ, in the world.
+    /// δ, the motion from the demonstration's object pose to the query's. The identity if Reframe is disabled.
     pub delta: Pose2,
     /// Set-point at which the chunk starts.
     pub set_point: Point2,
-    /// How the connection was found.
+    /// How the path to the set-point was found.
     pub plan_kind: PlanKind,
-    /// Commands of the connection.
+    /// Number of commands of the path.
     pub plan_steps: u32,
-    /// Nodes searched for the connection.
+    /// Number of nodes searched for the path.
     pub plan_nodes: u32,
-    /// The connection, as a polyline.
+    /// The path as a polyline.
     pub plan_path: Vec<Point2>,
-    /// Commands of the chunk.
+    /// Number of commands of the chunk.
     pub replay_steps: u32,
-    /// Where the demonstration says the object will be after the chunk.
+    /// Object pose after the chunk as the demonstration predicts it.
     pub predicted_object: Pose2,
-    /// Coverage of the goal there.
+    /// Coverage of the goal at the predicted pose.
     pub predicted_coverage: f64,
     /// Number of chunks or demonstrations compared.
     pub compared: u32,
 }
 
 impl Decision {
-    /// The decision in words, in which demonstrations have their names.
+    /// Returns the reason for the decision in words. `names` are the names of the demonstrations.
     pub fn reason(&self, names: &DemoNames) -> String {
         let chosen = format!("{} from frame {}", names.of(self.demo), self.demo_frame);
         let why = match (self.d_q, self.d_o) {
@@ -99,30 +101,31 @@ impl Decision {
                 self.compared
             ),
             _ => format!(
-                "its push to frame {} is expected to lead to a coverage of {:.3}, at the minimum cost of {} chunks compared",
+                "its push to frame {} is predicted to reach a coverage of {:.3}, at the lowest cost of {} chunks compared",
                 self.demo_end, self.predicted_coverage, self.compared
             ),
         };
-        let way = match self.plan_kind {
-            PlanKind::Direct => "the straight way to its start is free",
-            PlanKind::Planned => "a way round the block leads to its start",
-            PlanKind::Failed => "no free way to its start was found, so the straight one is taken",
-            PlanKind::Off => "it is replayed from where the pusher is",
+        let path = match self.plan_kind {
+            PlanKind::Direct => "the straight path to its start is free",
+            PlanKind::Planned => "the path to its start goes around the block",
+            PlanKind::Failed => "no free path to its start was found, so the straight path is used",
+            PlanKind::Off => "it is replayed from the current position of the pusher",
         };
-        format!("{chosen}: {why}; {way}")
+        format!("{chosen}: {why}; {path}")
     }
 }
 
-/// One command that waits for its control step.
+/// A command in the queue.
 #[derive(Debug, Clone, Copy)]
 enum Command {
     /// Send this target.
     Target(Point2),
-    /// Send the first of `left` targets that lead to the end of the leg.
+    /// Send the first of the `left` targets that bring the pusher to the end of the leg. The target is computed when the command
+    /// is executed, from the state of the pusher at that time.
     Follow { leg: Leg, left: usize },
 }
 
-/// A policy in the middle of an episode.
+/// The planar RE4 policy during one episode.
 pub struct Re4 {
     config: PolicyConfig,
     knowledge: Arc<Knowledge>,
@@ -131,43 +134,44 @@ pub struct Re4 {
     body: Body,
     pusher: Option<PusherState>,
     queue: VecDeque<(Phase, Command)>,
-    /// Poses that the object should pass, by the demonstration that is being replayed.
+    /// Object poses along the chunk that is being replayed, as the demonstration predicts them.
     expected: Vec<Pose2>,
     trial: Option<Trial>,
-    /// Starts of chunks, as (demonstration, frame), that did not move the object as recorded; not chosen again.
-    set_aside: BTreeSet<(u32, u32)>,
+    /// Starts of chunks, as (demonstration, frame), whose replay did not move the object as recorded. They are not selected
+    /// again.
+    ineffective: BTreeSet<(u32, u32)>,
     step: u32,
 }
 
-/// A chunk whose effect on the object is awaited.
+/// A chunk whose effect on the object has yet to be verified.
 struct Trial {
     chunk: Chunk,
-    /// Pose of the object at the decision.
+    /// Object pose at the decision.
     before: Pose2,
 }
 
-/// A chunk with the way to it.
+/// A chunk with the path to its start.
 struct Choice {
     chunk: Chunk,
     reframed: Reframed,
     connection: Plan,
 }
 
-/// What a selector chose.
+/// The result of a selector.
 struct Selected {
     demo: u32,
     /// First frame of the chunk.
     start: u32,
     /// Last frame of the chunk, included.
     end: u32,
-    /// `d_q` and `d_o`, where the selector has them.
+    /// `d_q` and `d_o`, if the selector computes them.
     distances: Option<(f64, f64)>,
     compared: usize,
     reframed: Reframed,
     connection: Plan,
 }
 
-/// The frames of a demonstration from `frame` on; at least one.
+/// Returns the frames of a demonstration from `frame` on, which are at least one.
 fn demo_frames(demos: &DemoSet<PlanarFrame>, demo: u32, frame: u32) -> Result<&[PlanarFrame], LookupError> {
     demos
         .demo(demo)
@@ -179,8 +183,8 @@ fn demo_frames(demos: &DemoSet<PlanarFrame>, demo: u32, frame: u32) -> Result<&[
         })
 }
 
-/// Whether the block, moved from `block` as `chunk` records it, stays clear of the walls: beyond them the demonstration
-/// says nothing of what will happen.
+/// Returns whether the block stays clear of the walls if it moves from `block` as recorded in `chunk`. The demonstration does not
+/// predict what happens at a wall.
 fn stays_inside(frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
     let limit = depth_in_walls(block) + WALL_TOLERANCE;
     let carry = block.delta_from(frames[0].object);
@@ -192,11 +196,12 @@ fn stays_inside(frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
 }
 
 impl Re4 {
-    /// A policy at the beginning of an episode; `seed` drives the sampling of the planner.
+    /// Creates the policy for an episode. `seed` seeds the sampling of the planner.
     pub fn new(config: PolicyConfig, knowledge: Arc<Knowledge>, seed: u64) -> Self {
         Self {
             config,
             knowledge,
+            // The stream number is the ASCII code of "RE4ROLLOUT".
             random: Pcg64::new(u128::from(seed), 0x5245_3452_4f4c_4c4f_5554),
             model: PusherModel::default(),
             pusher: None,
@@ -204,17 +209,17 @@ impl Re4 {
             body: Body::tee(),
             expected: Vec::new(),
             trial: None,
-            set_aside: BTreeSet::new(),
+            ineffective: BTreeSet::new(),
             step: 0,
         }
     }
 }
 
-/// Starts [`Re4`].
+/// Starts a [`Re4`] policy for every episode.
 pub struct Re4Factory {
-    /// Its settings.
+    /// The settings.
     pub config: PolicyConfig,
-    /// What it knows.
+    /// The data of the policy.
     pub knowledge: Arc<Knowledge>,
 }
 
@@ -231,13 +236,13 @@ impl Policy<Plane> for Re4 {
 
     fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
         let (eef, object) = (senses.proprio(), senses.object()?);
-        // The pusher's velocity is not observed; it follows from the commands sent.
+        // The velocity of the pusher is not observed. The model of the controller predicts it from the last command.
         let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
         let pusher = PusherState {
             position: eef,
             velocity,
         };
-        if self.strayed(object) {
+        if self.has_diverged(object) {
             self.queue.clear();
         }
         let decision = if self.queue.is_empty() {
@@ -249,8 +254,8 @@ impl Policy<Plane> for Re4 {
         let target = match command {
             Command::Target(target) => target,
             Command::Follow { leg, left } => {
-                let free = self.model.first_target(pusher, leg.goal, leg.velocity, left);
-                Point2::new(free.x.clamp(0.0, WORKSPACE), free.y.clamp(0.0, WORKSPACE))
+                let target = self.model.first_target(pusher, leg.goal, leg.velocity, left);
+                Point2::new(target.x.clamp(0.0, WORKSPACE), target.y.clamp(0.0, WORKSPACE))
             }
         };
         self.pusher = Some(self.model.predict(pusher, target));
@@ -265,8 +270,8 @@ impl Policy<Plane> for Re4 {
 }
 
 impl Re4 {
-    /// Whether the object left the path that the chunk should have moved it along.
-    fn strayed(&self, block: Pose2) -> bool {
+    /// Returns whether the object has left the path along which the chunk should move it.
+    fn has_diverged(&self, block: Pose2) -> bool {
         let (Some(limit), Some((Phase::Replay, _))) = (self.config.replay.divergence, self.queue.front()) else {
             return false;
         };
@@ -276,23 +281,24 @@ impl Re4 {
     }
 
     fn decide(&mut self, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
-        // A planar pusher never grasps: every query is transit (paper, appendix "Push-T").
+        // A planar pusher does not grasp, so every query is in transit (paper, appendix "Push-T").
         let mode = Mode::Transit;
-        self.judge(block);
+        self.verify_last_chunk(block);
         match self.config.retrieve.selector {
             Selector::TwoStage => self.decide_two_stage(mode, pusher, block),
             Selector::Outcome => self.decide_outcome(mode, pusher, block),
         }
     }
 
-    /// Sets the last chunk aside if the object ended elsewhere than recorded, by more than half of the recorded motion.
-    fn judge(&mut self, block: Pose2) {
+    /// Excludes the last chunk from further selection if the distance of the object from its predicted pose exceeds half of the
+    /// predicted displacement.
+    fn verify_last_chunk(&mut self, block: Pose2) {
         let Some(Trial { chunk, before }) = self.trial.take() else {
             return;
         };
         let expected = before.compose(chunk.motion);
         if self.body.distance(expected, block) > 0.5 * self.body.distance(expected, before) {
-            self.set_aside.insert((chunk.demo, chunk.start));
+            self.ineffective.insert((chunk.demo, chunk.start));
         }
     }
 
@@ -325,12 +331,14 @@ impl Re4 {
     fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let chunks = knowledge.chunks.as_ref().ok_or(LookupError::NoChunks)?;
+        // The motion, in the object frame, that would bring the object to its goal.
         let wanted = block.inverse().compose(GOAL);
         let mut count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
         let mut candidates = chunks.nearest(wanted, count);
         let mut compared = candidates.len();
-        let mut found = self.cheapest(&candidates, PLANS_TRIED, mode, pusher, block)?;
-        // Where none of the best outcomes can be had, in a corner say, a lesser one will do: it leads to where they can.
+        let mut found = self.cheapest(&candidates, MAX_PLANS, mode, pusher, block)?;
+        // If none of the best candidates can be executed, for example because the block is in a corner, widen the search. A chunk
+        // with a worse outcome can move the block to where better ones can be executed.
         let mut fallback = None;
         while let Some((_, false)) = &found {
             fallback = fallback.or(found);
@@ -338,9 +346,9 @@ impl Re4 {
                 found = None;
                 break;
             }
-            count = count.saturating_mul(WIDER);
+            count = count.saturating_mul(WIDENING_FACTOR);
             candidates = chunks.nearest(wanted, count);
-            found = self.cheapest(&candidates[compared..], PLANS_TRIED_FARTHER, mode, pusher, block)?;
+            found = self.cheapest(&candidates[compared..], MAX_PLANS_WIDENED, mode, pusher, block)?;
             compared = candidates.len();
         }
         let (chosen, _) = found.or(fallback).ok_or(LookupError::NoChunks)?;
@@ -362,7 +370,8 @@ impl Re4 {
         self.carry_out(selected, mode, pusher, block)
     }
 
-    /// The cheapest of the candidates to whose start a way leads; where there is none, the cheapest, with `false`.
+    /// Returns the cheapest reachable candidate with `true`. If none is reachable, returns the cheapest candidate with `false`,
+    /// and `None` if there are no candidates. At most `plans` paths are planned.
     fn cheapest(
         &mut self,
         candidates: &[(f64, Chunk)],
@@ -374,7 +383,7 @@ impl Re4 {
         let knowledge = Arc::clone(&self.knowledge);
         let mut ranked: Vec<(f64, Chunk)> = Vec::with_capacity(candidates.len());
         for (misalignment, chunk) in candidates {
-            let failed_before = self.set_aside.contains(&(chunk.demo, chunk.start));
+            let failed_before = self.ineffective.contains(&(chunk.demo, chunk.start));
             let cost = if failed_before {
                 f64::INFINITY
             } else {
@@ -382,7 +391,7 @@ impl Re4 {
             };
             ranked.push((cost, *chunk));
         }
-        // Stable: equal costs keep the order of their misalignment.
+        // The sort is stable, so candidates of equal cost stay in the order of their misalignment.
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut first = None;
         let mut planned = 0;
@@ -408,7 +417,7 @@ impl Re4 {
         Ok(first)
     }
 
-    /// Reframe and Replan for a chunk that starts at `frame`.
+    /// Performs Reframe and Replan for a chunk that starts at `frame`.
     fn connect(&mut self, mode: Mode, frame: &PlanarFrame, pusher: PusherState, block: Pose2) -> (Reframed, Plan) {
         let reframed = if self.config.reframe.enabled {
             reframe(mode, frame.object, frame.eef, block, pusher.position)
@@ -425,7 +434,7 @@ impl Re4 {
         (reframed, connection)
     }
 
-    /// How many of `frames`, at least one, the horizon's commands carry out.
+    /// Returns how many of `frames` the commands of the horizon cover, at least one.
     fn frames_within_horizon(&self, frames: &[PlanarFrame]) -> usize {
         let replay = &self.config.replay;
         let count = match replay.tracking {
@@ -445,7 +454,7 @@ impl Re4 {
         count.clamp(1, frames.len())
     }
 
-    /// Queues the connection and the chunk, and says why.
+    /// Queues the commands of the path and of the chunk, and returns the decision record.
     fn carry_out(
         &mut self,
         selected: Selected,
@@ -498,11 +507,13 @@ impl Re4 {
         })
     }
 
-    /// Expected misalignment after the chunk, plus the price of getting there and of carrying it out.
+    /// Returns the cost of a chunk: its expected misalignment plus the cost of moving to its start and of executing it. Infinite
+    /// if the chunk leaves the workspace.
     fn cost(&self, misalignment: f64, chunk: &Chunk, pusher: PusherState, block: Pose2) -> Result<f64, LookupError> {
         let rest = demo_frames(&self.knowledge.demos, chunk.demo, chunk.start)?;
         let carry = block.delta_from(rest[0].object);
         let near = carry.transform_point(rest[0].eef);
+        // Keep the path of the pusher at least 10 px inside the workspace.
         let reachable =
             |p: Point2| (10.0..=WORKSPACE - 10.0).contains(&p.x) && (10.0..=WORKSPACE - 10.0).contains(&p.y);
         let length = (chunk.end - chunk.start) as usize;
@@ -538,7 +549,7 @@ impl Re4 {
         let replay = self.config.replay.clone();
         let before = self.queue.len();
         match replay.tracking {
-            // The last of every `stride` actions, so that the chunk goes as far as its recording.
+            // Keeping the last action of every group moves the pusher as far as in the recording.
             Tracking::Actions => {
                 for group in frames.chunks(replay.stride.max(1)) {
                     if let Some(last) = group.last() {
@@ -550,7 +561,7 @@ impl Re4 {
             Tracking::Path => {
                 let path: Vec<Point2> = frames.iter().map(|f| reframed.carry.transform_point(f.eef)).collect();
                 self.queue_legs(Phase::Replay, &legs(&path, replay.speed, CORNER_TOLERANCE));
-                // A chunk of one frame has no path: its start is held for one step.
+                // A chunk of one frame has no path, so its start is held for one step.
                 if self.queue.len() == before {
                     self.queue.push_back((Phase::Replay, Command::Target(reframed.near)));
                 }

@@ -1,22 +1,22 @@
-//! The pusher's own motion: a point under proportional-derivative control, which no contact disturbs.
+//! A model of the pusher: a point under proportional-derivative control that contact does not disturb.
 //!
-//! The controller is part of the robot, not of the scene: its gains are public (`k_p` 100, `k_v` 20, 10 substeps of
-//! 0.01 s, gym-pusht 0.1.8 `PushTEnv`), and it acts on the pusher alone. A policy may therefore know how its commands
-//! are carried out, and estimate the pusher's velocity from its own commands.
+//! The controller is part of the robot and not of the scene. Its gains are public (`k_p` 100, `k_v` 20, 10 substeps of 0.01 s,
+//! gym-pusht 0.1.8 `PushTEnv`), and it acts on the pusher only. A policy may therefore predict how its commands are executed, and
+//! estimate the velocity of the pusher from its own commands.
 
 use re4_geometry::Point2;
 use re4_sim::{DAMPING_GAIN, PROPORTIONAL_GAIN, SUBSTEPS, TIME_STEP};
 
-/// Position and velocity of the pusher: pixels and pixels a second.
+/// Position and velocity of the pusher, in pixels and pixels per second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PusherState {
-    /// Position in the world.
+    /// Position in the world frame.
     pub position: Point2,
-    /// Velocity in the world.
+    /// Velocity in the world frame.
     pub velocity: Point2,
 }
 
-/// One control period as a linear map of `(position - target, velocity)`, the same for both axes.
+/// The motion in one control period as a linear map of `(position - target, velocity)`, which is the same for both axes.
 #[derive(Debug, Clone, Copy)]
 pub struct PusherModel {
     m: [[f64; 2]; 2],
@@ -38,7 +38,7 @@ impl Default for PusherModel {
 }
 
 impl PusherModel {
-    /// State after one control period with the target held at `target`.
+    /// Predicts the state after one control period with the target held at `target`.
     pub fn predict(&self, state: PusherState, target: Point2) -> PusherState {
         let [[a, b], [c, d]] = self.m;
         let offset = state.position - target;
@@ -48,14 +48,15 @@ impl PusherModel {
         }
     }
 
-    /// The target that brings the pusher to `goal` at the end of one control period.
+    /// Returns the target that brings the pusher to `goal` at the end of one control period.
     pub fn target_for_position(&self, state: PusherState, goal: Point2) -> Point2 {
         let [[a, b], _] = self.m;
         (goal - state.position * a - state.velocity * b) / (1.0 - a)
     }
 
-    /// The first of `steps` targets that bring the pusher to `goal` with velocity `velocity`, in the sequence of minimum
-    /// squared distance from `goal` (minimum-effort control). With one step left only the position can be met.
+    /// Returns the first of `steps` targets that bring the pusher to `goal` with velocity `velocity`. The targets form the
+    /// sequence with the smallest sum of squared distances from `goal` (minimum-effort control). With one step left, only the
+    /// position can be reached.
     pub fn first_target(&self, state: PusherState, goal: Point2, velocity: Point2, steps: usize) -> Point2 {
         if steps <= 1 {
             return self.target_for_position(state, goal);

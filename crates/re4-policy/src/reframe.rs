@@ -1,25 +1,26 @@
-//! Reframe: the retrieved chunk, carried into the frame of the query's object (paper, Algorithm 2).
+//! Reframe: transforms the retrieved chunk to the object pose of the query (paper, Algorithm 2).
 
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 
-/// A chunk carried to the query: where it starts and what it commands.
+/// The transformation of a chunk to the query: where it starts and how its actions are transformed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reframed {
-    /// δ = `o_q · o_j⁻¹`, the world-frame motion from the demonstration's object to the query's.
+    /// δ = `o_q · o_j⁻¹`, the motion in the world frame from the demonstration's object pose to the query's.
     pub delta: Pose2,
-    /// End-effector set-point at which the chunk starts, world frame, pixels.
+    /// End-effector position at which the chunk starts, in the world frame, in pixels.
     pub near: Point2,
-    /// Motion that carries the demonstration's end-effector positions and actions into the query's world.
+    /// Motion that transforms end-effector positions and actions of the demonstration to the query.
     pub carry: Pose2,
 }
 
-/// Reframes a chunk that starts with the object at `demo_object` and the end effector at `demo_eef`.
+/// Reframes a chunk that starts with the object at `demo_object` and the end effector at `demo_eef`, for a query with the object
+/// at `object` and the end effector at `eef`.
 ///
-/// * Transit: the object is fixed in the world; the chunk is carried by δ, so that
-///   `o_q⁻¹ x_near = o_j⁻¹ x_j` and every action becomes `δ a_k`.
-/// * Transfer: the object is held and the goal is fixed in the world; the end effector is carried by δ⁻¹ and the chunk
-///   replays unchanged.
+/// * Transit: the object is fixed in the world. The chunk is transformed by δ, so that `o_q⁻¹ x_near = o_j⁻¹ x_j`, and every
+///   action `a_k` becomes `δ a_k`.
+/// * Transfer: the object is held and the goal is fixed in the world. The end effector moves by δ⁻¹ to the start, and the actions
+///   stay unchanged.
 pub fn reframe(mode: Mode, demo_object: Pose2, demo_eef: Point2, object: Pose2, eef: Point2) -> Reframed {
     let delta = object.delta_from(demo_object);
     match mode {
@@ -36,7 +37,7 @@ pub fn reframe(mode: Mode, demo_object: Pose2, demo_eef: Point2, object: Pose2, 
     }
 }
 
-/// What Reframe amounts to when it is switched off: the demonstration's own world is taken for the query's.
+/// Returns the identity transformation, which is used if Reframe is disabled: the chunk is replayed where it was recorded.
 pub fn without_reframe(demo_eef: Point2) -> Reframed {
     Reframed {
         delta: Pose2::IDENTITY,
@@ -67,9 +68,10 @@ mod tests {
         }
 
         #[test]
-        fn transfer_carries_the_held_object_onto_the_demonstration(oj in pose(), xj in point(), oq in pose(), xq in point()) {
+        fn transfer_moves_the_held_object_to_the_pose_of_the_demonstration(oj in pose(), xj in point(), oq in pose(), xq in point()) {
             let r = reframe(Mode::Transfer, oj, xj, oq, xq);
-            // The grasp stays: seen from the demonstration's object, our end effector is where it is on our object.
+            // The grasp is preserved: the end effector has the same pose relative to the demonstration's object as it has
+            // relative to the query's.
             let kept = oj.inverse_transform_point(r.near) - oq.inverse_transform_point(xq);
             prop_assert!(kept.norm() < 1e-8);
             prop_assert_eq!(r.carry, Pose2::IDENTITY);

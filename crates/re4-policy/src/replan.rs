@@ -1,4 +1,4 @@
-//! Replan: a path for the pusher round the block, which stays where it is (paper, section "Replan" and appendix).
+//! Replan: a path for the pusher around the block, which is assumed static (paper, section "Replan" and appendix).
 
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng as _;
@@ -10,21 +10,21 @@ use crate::config::{Planner, ReplanConfig};
 /// Side of the square workspace in pixels.
 pub(crate) const WORKSPACE: f64 = 512.0;
 
-/// How a connection was found.
+/// How a path was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlanKind {
-    /// The straight segment is free.
+    /// The straight segment is collision-free.
     Direct,
-    /// A planner found a way round the block.
+    /// A planner found a path around the block.
     Planned,
-    /// No way was found; the straight segment is taken.
+    /// No path was found, so the straight segment is used.
     Failed,
     /// Replan is switched off.
     Off,
 }
 
 impl PlanKind {
-    /// The word used in tables.
+    /// Returns the name of the kind in tables.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Direct => "direct",
@@ -35,19 +35,19 @@ impl PlanKind {
     }
 }
 
-/// A connection from the pusher to the start of the chunk.
+/// A path from the pusher to the start of the chunk.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// How it was found.
+    /// How the path was found.
     pub kind: PlanKind,
-    /// Polyline from the pusher's position to the set-point, both included.
+    /// Polyline from the pusher's position to the set-point, both included, in the world frame, in pixels.
     pub path: Vec<Point2>,
-    /// Nodes of the tree or graph that was searched.
+    /// Number of nodes of the searched tree or graph.
     pub nodes: u32,
 }
 
 impl Plan {
-    /// Length of the polyline in pixels.
+    /// Returns the length of the polyline in pixels.
     pub fn length(&self) -> f64 {
         self.path.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
     }
@@ -59,7 +59,7 @@ pub struct Obstacle {
 }
 
 impl Obstacle {
-    /// The block at a pose in the world.
+    /// Creates the obstacle for a block at a pose in the world frame.
     pub fn at(block: Pose2) -> Self {
         let mut rectangles = tee_rectangles();
         for corner in rectangles.iter_mut().flatten() {
@@ -68,7 +68,7 @@ impl Obstacle {
         Self { rectangles }
     }
 
-    /// Distance in pixels from a point to the block; zero inside.
+    /// Returns the distance from a point to the block in pixels; 0 inside the block.
     pub fn distance(&self, p: Point2) -> f64 {
         self.rectangles
             .iter()
@@ -76,7 +76,7 @@ impl Obstacle {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Distance in pixels from a segment to the block; zero when they meet.
+    /// Returns the distance from a segment to the block in pixels; 0 if they intersect.
     pub fn segment_distance(&self, a: Point2, b: Point2) -> f64 {
         self.rectangles
             .iter()
@@ -85,10 +85,10 @@ impl Obstacle {
     }
 }
 
-/// Plans a connection from `start` to `goal` with the block fixed at `block`.
+/// Plans a path from `start` to `goal` with the block fixed at `block`.
 ///
-/// Where an end is nearer to the block than the keep-out (a pusher in contact), the keep-out shrinks to what that end
-/// allows, so that contact can be left and taken up.
+/// If an end is inside the keep-out, as for a pusher in contact, the keep-out shrinks to the distance of that end from the block,
+/// so that the pusher can leave and make contact.
 pub fn plan(config: &ReplanConfig, block: Pose2, start: Point2, goal: Point2, random: &mut Pcg64) -> Plan {
     let obstacle = Obstacle::at(block);
     if !config.enabled {
@@ -118,6 +118,7 @@ fn rrt(config: &ReplanConfig, obstacle: &Obstacle, start: Point2, goal: Point2, 
             nodes: 0,
         };
     }
+    // Every node stores its position and the index of its parent.
     let mut nodes: Vec<(Point2, usize)> = vec![(start, 0)];
     for _ in 0..config.iterations {
         let sample = if unit(random) < config.goal_bias {
@@ -172,12 +173,12 @@ fn rrt(config: &ReplanConfig, obstacle: &Obstacle, start: Point2, goal: Point2, 
     }
 }
 
-/// A uniform number in `[0, 1)` with 53 random bits.
+/// Samples a uniform number in `[0, 1)` with 53 random bits.
 fn unit(random: &mut Pcg64) -> f64 {
     (random.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }
 
-/// Points along a polyline, at most `spacing` apart, the first left out and the last included.
+/// Returns points along a polyline that are at most `spacing` apart. The first point is excluded and the last one is included.
 pub(crate) fn waypoints(path: &[Point2], spacing: f64) -> Vec<Point2> {
     let mut points = Vec::new();
     for pair in path.windows(2) {

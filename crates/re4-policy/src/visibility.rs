@@ -1,4 +1,4 @@
-//! Shortest paths round the block, over its visibility graph.
+//! Shortest paths around the block on its visibility graph.
 
 use re4_geometry::{Point2, Pose2};
 use re4_sim::tee_rectangles;
@@ -6,16 +6,15 @@ use re4_sim::tee_rectangles;
 use crate::config::ReplanConfig;
 use crate::replan::{Obstacle, Plan, PlanKind, WORKSPACE};
 
-/// Way-points round each corner of the block.
+/// Number of waypoints around each corner of the block.
 const DIRECTIONS: usize = 8;
 
-/// Room in pixels that waypoints keep beyond the keep-out, so that edges between them stay free of rounding.
+/// Additional distance in pixels from the waypoints to the block, so that rounding does not make edges between them collide.
 const MARGIN: f64 = 0.5;
 
-/// The shortest polyline from `start` to `goal` that keeps the configured distance from the block.
+/// Returns the shortest polyline from `start` to `goal` that keeps the configured distance from the block.
 ///
-/// An end nearer to the block than the keep-out is first connected to the nearest point outside it in one straight
-/// move away from the block.
+/// An end inside the keep-out is first connected to the nearest point outside by one straight move away from the block.
 pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2, start: Point2, goal: Point2) -> Plan {
     let leave = escape(obstacle, start, config.keepout);
     let enter = escape(obstacle, goal, config.keepout);
@@ -30,6 +29,8 @@ pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2,
         }
         Plan { kind, path, nodes }
     };
+    // An end in contact is inside the keep-out. The straight segment may then enter the keep-out as deep as the end, by at most 3
+    // px.
     let lowered = config
         .keepout
         .min(obstacle.distance(start))
@@ -45,6 +46,8 @@ pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2,
     if free(leave, enter) {
         return assemble(PlanKind::Direct, &[], 0);
     }
+    // The waypoints of a corner are the vertices of a polygon around the circle of the keep-out, so the edges between
+    // neighbouring waypoints stay outside the circle.
     let radius = (config.keepout + MARGIN) / (std::f64::consts::PI / DIRECTIONS as f64).cos();
     let mut nodes = vec![leave, enter];
     for corner in tee_rectangles().iter().flatten() {
@@ -58,7 +61,8 @@ pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2,
             }
         }
     }
-    // Dijkstra over at most 66 nodes; edges are tested when they are first relaxed.
+    // Dijkstra's algorithm over at most 66 nodes (8 corners with 8 waypoints each, and two ends). An edge is tested for
+    // collisions when it is first relaxed, which avoids testing all pairs.
     let n = nodes.len();
     let mut distance = vec![f64::INFINITY; n];
     let mut previous = vec![0; n];
@@ -93,7 +97,8 @@ pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2,
     assemble(PlanKind::Planned, &middle, n as u32)
 }
 
-/// The nearest point at the keep-out distance, in a straight move from `p` on which the distance to the block grows.
+/// Returns the nearest point at the keep-out distance that can be reached from `p` by a straight move away from the block. It
+/// samples 32 directions, in steps of 0.5 px up to 60 px.
 fn escape(obstacle: &Obstacle, p: Point2, keepout: f64) -> Point2 {
     let here = obstacle.distance(p);
     if here >= keepout {

@@ -1,4 +1,4 @@
-//! Chunks of demonstrations: what counts as one, finding them by outcome, and carrying them elsewhere.
+//! Chunks of demonstrations: which parts are chunks, how they are found by outcome, and how they are transformed.
 
 mod common;
 
@@ -11,13 +11,13 @@ use re4_policy::{Body, Chunk, ChunkLibrary, DemoSet, LookupError, collect_chunks
 use re4_sim::{PushT, ResetOrder, Scene, Simulator as _};
 
 fn chunks() -> (DemoSet<PlanarFrame>, Vec<Chunk>) {
-    let demos = DemoSet::new(common::frames_alone(scripted(8)));
+    let demos = DemoSet::new(common::without_modes(scripted(8)));
     let chunks = collect_chunks(&demos, LONGEST);
     assert!(chunks.len() > 500, "{}", chunks.len());
     (demos, chunks)
 }
 
-#[expect(clippy::unwrap_used, reason = "only tests call it, and they may end")]
+#[expect(clippy::unwrap_used, reason = "a panic is how a test fails")]
 fn frames_of<'a>(demos: &'a DemoSet<PlanarFrame>, chunk: &Chunk) -> &'a [PlanarFrame] {
     &demos.demo(chunk.demo).unwrap()[chunk.start as usize..=chunk.end as usize]
 }
@@ -31,12 +31,12 @@ fn a_chunk_starts_free_of_the_block_and_moves_it() {
         assert!(frames.len() >= 2 && frames.len() <= LONGEST + 1);
         assert!(distance_to_tee(first.object, first.eef) >= 16.0 - 1e-9, "{chunk:?}");
         assert_ne!(first.object, last.object, "{chunk:?}");
-        let carried = first.object.compose(chunk.motion);
+        let predicted = first.object.compose(chunk.motion);
         assert!(
-            (carried.translation() - last.object.translation()).norm() < 1e-9,
+            (predicted.translation() - last.object.translation()).norm() < 1e-9,
             "{chunk:?}"
         );
-        assert!((carried.theta - last.object.theta).sin().abs() < 1e-9, "{chunk:?}");
+        assert!((predicted.theta - last.object.theta).sin().abs() < 1e-9, "{chunk:?}");
         let travel: f64 = frames.windows(2).map(|w| (w[1].eef - w[0].eef).norm()).sum();
         assert!((chunk.travel - travel).abs() < 1e-9, "{chunk:?}");
         let displaced = Body::tee().distance(first.object, last.object);
@@ -47,7 +47,7 @@ fn a_chunk_starts_free_of_the_block_and_moves_it() {
 }
 
 #[test]
-fn shorter_limits_give_the_shorter_chunks() {
+fn a_shorter_limit_gives_the_chunks_within_it() {
     let (demos, all) = chunks();
     let short = collect_chunks(&demos, 12);
     let expected: Vec<Chunk> = all.into_iter().filter(|c| c.end - c.start <= 12).collect();
@@ -55,8 +55,8 @@ fn shorter_limits_give_the_shorter_chunks() {
 }
 
 #[test]
-fn the_distance_of_poses_is_the_mean_displacement_of_the_block_s_points() {
-    // Every point of a fine lattice inside the outline stands for its cell.
+fn the_distance_of_poses_is_the_rms_displacement_of_the_points() {
+    // The points of a fine lattice inside the outline; each represents its cell.
     let points: Vec<Point2> = (-240..240)
         .flat_map(|i| (0..480).map(move |j| Point2::new((f64::from(i) + 0.5) * 0.25, (f64::from(j) + 0.5) * 0.25)))
         .filter(|&p| distance_to_tee(Pose2::IDENTITY, p) == 0.0)
@@ -85,7 +85,7 @@ fn the_distance_of_poses_is_the_mean_displacement_of_the_block_s_points() {
 }
 
 #[test]
-fn nearest_is_what_looking_at_every_chunk_finds() {
+fn nearest_agrees_with_a_scan_over_all_chunks() {
     let (_, chunks) = chunks();
     let library = ChunkLibrary::build(chunks.clone()).unwrap();
     let body = library.body();
@@ -110,7 +110,7 @@ fn nearest_is_what_looking_at_every_chunk_finds() {
         all.sort_by(f64::total_cmp);
         assert_eq!(found.len(), count.min(chunks.len()));
         for (i, (distance, chunk)) in found.iter().enumerate() {
-            // The i-th distance is the i-th of all, and belongs to the chunk it is given with.
+            // The i-th distance is the i-th smallest of all, and belongs to the chunk that is returned with it.
             assert!((distance - all[i]).abs() < 1e-6, "{i}: {distance}, {}", all[i]);
             assert!(
                 (distance - body.distance(chunk.motion, wanted)).abs() < 1e-6,
@@ -120,12 +120,12 @@ fn nearest_is_what_looking_at_every_chunk_finds() {
         let mut keys: Vec<_> = found.iter().map(|(_, c)| (c.demo, c.start, c.end)).collect();
         keys.sort_unstable();
         keys.dedup();
-        assert_eq!(keys.len(), found.len(), "a chunk is given once");
+        assert_eq!(keys.len(), found.len(), "no chunk is returned twice");
     }
 }
 
 #[test]
-fn a_carried_chunk_looks_the_same_from_the_block() {
+fn a_reframed_chunk_is_unchanged_in_the_block_frame() {
     let (demos, chunks) = chunks();
     let mut random = Random::new(3);
     for chunk in chunks.iter().step_by(7) {
@@ -134,26 +134,29 @@ fn a_carried_chunk_looks_the_same_from_the_block() {
         let carried = reframe(Mode::Transit, frames[0].object, frames[0].eef, object, eef);
         assert!((carried.near - carried.carry.transform_point(frames[0].eef)).norm() < 1e-9);
         let first = carried.carry.compose(frames[0].object);
-        assert!(Body::tee().distance(first, object) < 1e-8, "the block is where ours is");
+        assert!(
+            Body::tee().distance(first, object) < 1e-8,
+            "the first frame has the block at the query's pose"
+        );
         for frame in frames {
             let now = carried.carry.compose(frame.object);
             for (before, after) in [
                 (frame.eef, carried.carry.transform_point(frame.eef)),
                 (frame.action, carried.carry.transform_point(frame.action)),
             ] {
-                let seen = frame.object.inverse_transform_point(before);
-                assert!((now.inverse_transform_point(after) - seen).norm() < 1e-8);
+                let in_block_frame = frame.object.inverse_transform_point(before);
+                assert!((now.inverse_transform_point(after) - in_block_frame).norm() < 1e-8);
             }
         }
-        // The motion in the block's own frame is the recorded one, wherever it happens.
+        // The motion in the block frame is the recorded one at any pose.
         let last = carried.carry.compose(frames[frames.len() - 1].object);
         assert!(Body::tee().distance(object.compose(chunk.motion), last) < 1e-8);
     }
 }
 
 #[test]
-fn a_carried_chunk_pushes_the_block_as_recorded() {
-    // The claim that Reframe and the outcome selector rest on: pushing does not depend on where in the plane it happens.
+fn a_reframed_chunk_pushes_the_block_as_recorded() {
+    // This is the assumption behind Reframe and the outcome selector: pushing does not depend on where in the plane it happens.
     let (demos, chunks) = chunks();
     let mut simulator = PushT::new().unwrap();
     let mut random = Random::new(4);
@@ -187,17 +190,17 @@ fn a_carried_chunk_pushes_the_block_as_recorded() {
     }
     assert!(errors.len() > 100, "{}", errors.len());
     errors.sort_by(f64::total_cmp);
-    // The recording starts with the pusher in motion, ours at rest, so that some chunks differ.
+    // The recorded pusher is already moving at the start of a chunk and the simulated one is at rest, so some chunks differ.
     let median = errors[errors.len() / 2];
-    let most = errors[errors.len() * 9 / 10];
+    let p90 = errors[errors.len() * 9 / 10];
     assert!(
-        median < 0.02 && most < 0.2,
-        "{median}, {most} of the recorded motion: {errors:?}"
+        median < 0.02 && p90 < 0.2,
+        "median {median}, p90 {p90} of the recorded motion: {errors:?}"
     );
 }
 
 #[test]
-fn demonstrations_without_a_push_hold_no_chunks() {
+fn demonstrations_without_a_push_have_no_chunks() {
     let resting: Vec<_> = (0..30)
         .map(|i| PlanarFrame {
             eef: Point2::new(30.0 + f64::from(i), 40.0),

@@ -1,4 +1,4 @@
-//! Both planners on random scenes, against a distance to the block that shares nothing with theirs.
+//! Tests both planners on random scenes with a distance to the block that is computed independently.
 
 mod common;
 
@@ -28,7 +28,7 @@ fn planned(planner: Planner, keepout: f64, seed: u64, block: Pose2, start: Point
     )
 }
 
-/// Minimum distance to the block over points along a polyline, at most `SAMPLE` pixels apart.
+/// Returns the minimum distance to the block over points along a polyline that are at most `SAMPLE` pixels apart.
 fn clearance(block: Pose2, path: &[Point2]) -> f64 {
     path.windows(2)
         .flat_map(|pair| {
@@ -40,7 +40,7 @@ fn clearance(block: Pose2, path: &[Point2]) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// A scene whose ends are at least `keepout` from the block, and well inside the window.
+/// Samples a scene whose ends are at least `keepout` from the block and well inside the window.
 fn scene(random: &mut Random, keepout: f64) -> (Pose2, Point2, Point2) {
     let block = random.block();
     let mut free = || loop {
@@ -54,7 +54,7 @@ fn scene(random: &mut Random, keepout: f64) -> (Pose2, Point2, Point2) {
 }
 
 #[test]
-fn the_obstacle_is_the_block() {
+fn the_distance_to_the_obstacle_is_that_to_the_block() {
     let mut random = Random::new(1);
     let mut inside = 0;
     for _ in 0..5000 {
@@ -72,7 +72,7 @@ fn the_obstacle_is_the_block() {
 }
 
 #[test]
-fn paths_keep_the_distance_and_end_where_asked() {
+fn paths_keep_the_distance_and_connect_the_given_ends() {
     let mut random = Random::new(2);
     for planner in [Planner::Rrt, Planner::Visibility] {
         let mut kinds = [0, 0, 0];
@@ -94,7 +94,7 @@ fn paths_keep_the_distance_and_end_where_asked() {
                 _ => kinds[2] += 1,
             }
         }
-        // A free end can be shut in between block and wall, but that is rare.
+        // A free end can be enclosed between the block and a wall, but this is rare.
         assert!(
             kinds[0] > 100 && kinds[1] > 50 && kinds[2] < 20,
             "{planner:?}: {kinds:?}"
@@ -103,14 +103,14 @@ fn paths_keep_the_distance_and_end_where_asked() {
 }
 
 #[test]
-fn an_end_in_contact_is_left_and_reached_without_going_deeper() {
+fn paths_from_and_to_contact_do_not_go_deeper_into_the_keepout() {
     let mut random = Random::new(3);
     let keepout = 18.0;
     for planner in [Planner::Rrt, Planner::Visibility] {
         let mut reached = 0;
         for seed in 0..300 {
             let (block, far, _) = scene(&mut random, keepout);
-            // The pusher's radius is 15, so in contact its centre is about as far from the block.
+            // The pusher's radius is 15, so its centre is about 15 px from the block in contact.
             let near = loop {
                 let p = block.translation() + random.point(-140.0, 140.0);
                 let inside = (10.0..502.0).contains(&p.x) && (10.0..502.0).contains(&p.y);
@@ -123,7 +123,8 @@ fn an_end_in_contact_is_left_and_reached_without_going_deeper() {
                 assert_eq!((found.path.first(), found.path.last()), (Some(&start), Some(&goal)));
                 if found.kind != PlanKind::Failed {
                     reached += 1;
-                    // The visibility planner leaves contact in a straight move, which may graze by half a pixel.
+                    // The visibility planner leaves contact in a straight move, along which the clearance may decrease by half a
+                    // pixel.
                     let allowed =
                         distance_to_tee(block, near) - if planner == Planner::Rrt { 1e-6 } else { 0.5 + 1e-6 };
                     let kept = clearance(block, &found.path);
@@ -136,10 +137,10 @@ fn an_end_in_contact_is_left_and_reached_without_going_deeper() {
 }
 
 #[test]
-fn the_visibility_path_is_no_longer_than_the_tree_s() {
+fn the_visibility_path_is_not_longer_than_the_rrt_path() {
     let mut random = Random::new(4);
     let keepout = 18.0;
-    let (mut compared, mut round) = (0, 0);
+    let (mut compared, mut around_block) = (0, 0);
     for seed in 0..600 {
         let (block, start, goal) = scene(&mut random, keepout);
         let tree = planned(Planner::Rrt, keepout, seed, block, start, goal);
@@ -157,13 +158,13 @@ fn the_visibility_path_is_no_longer_than_the_tree_s() {
         );
         assert!(graph.length() >= (goal - start).norm() - 1e-9, "{case}");
         compared += 1;
-        round += u32::from(tree.kind == PlanKind::Planned);
+        around_block += u32::from(tree.kind == PlanKind::Planned);
     }
-    assert!(compared > 550 && round > 100, "{compared}, {round}");
+    assert!(compared > 550 && around_block > 100, "{compared}, {around_block}");
 }
 
-/// Length of the shortest way round the block, to about a thousandth: over many points of the arcs of radius `keepout` round
-/// the corners, of which the shortest way consists where it is not straight.
+/// Returns the length of the shortest path around the block with a relative error of about 0.001. The shortest path consists of
+/// straight segments and arcs of radius `keepout` around the corners, which are approximated by many points.
 fn shortest(block: Pose2, keepout: f64, start: Point2, goal: Point2) -> f64 {
     const POINTS: usize = 40;
     let obstacle = Obstacle::at(block);
@@ -197,7 +198,7 @@ fn shortest(block: Pose2, keepout: f64, start: Point2, goal: Point2) -> f64 {
 }
 
 #[test]
-fn the_visibility_path_is_close_to_the_shortest() {
+fn the_visibility_path_is_nearly_the_shortest() {
     let mut random = Random::new(7);
     let keepout = 18.0;
     let mut ratios: Vec<f64> = Vec::new();
@@ -212,12 +213,15 @@ fn the_visibility_path_is_close_to_the_shortest() {
         }
     }
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
-    println!("{} paths, {mean} times the shortest", ratios.len());
+    println!(
+        "{} paths, {mean} times as long as the shortest on average",
+        ratios.len()
+    );
     assert!(ratios.len() > 60 && mean < 1.01, "{mean} over {}", ratios.len());
 }
 
 #[test]
-fn a_free_straight_line_is_taken() {
+fn a_free_straight_segment_is_used() {
     let mut random = Random::new(5);
     let keepout = 18.0;
     let (mut free, mut blocked) = (0, 0);
@@ -240,7 +244,7 @@ fn a_free_straight_line_is_taken() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_path_and_another_seed_another_tree() {
+fn paths_are_deterministic_and_the_rrt_depends_on_the_seed() {
     let mut random = Random::new(6);
     let (mut planned_by_tree, mut different) = (0, 0);
     for seed in 0..200 {
@@ -250,7 +254,7 @@ fn the_same_seed_gives_the_same_path_and_another_seed_another_tree() {
             assert_eq!(one, planned(planner, 18.0, seed, block, start, goal));
             let other = planned(planner, 18.0, seed + 1, block, start, goal);
             match planner {
-                Planner::Visibility => assert_eq!(one, other, "the graph draws no numbers"),
+                Planner::Visibility => assert_eq!(one, other, "the visibility planner uses no random numbers"),
                 Planner::Rrt if one.kind == PlanKind::Planned => {
                     planned_by_tree += 1;
                     different += u32::from(one != other);
@@ -266,7 +270,7 @@ fn the_same_seed_gives_the_same_path_and_another_seed_another_tree() {
 }
 
 #[test]
-fn switched_off_it_stays_where_it_is() {
+fn the_disabled_planner_returns_the_start() {
     let off = ReplanConfig {
         enabled: false,
         ..config(Planner::Rrt, 18.0)

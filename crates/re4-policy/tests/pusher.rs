@@ -1,4 +1,4 @@
-//! What a policy believes about its own pusher, against the simulator.
+//! Compares the policy's model of the pusher with the simulator.
 
 mod common;
 
@@ -8,7 +8,7 @@ use re4_policy::{PusherModel, PusherState};
 use re4_sim::{PushT, ResetOrder, Scene, Simulator as _};
 
 #[test]
-fn a_pusher_clear_of_the_block_moves_as_the_model_says() {
+fn the_model_predicts_a_pusher_clear_of_the_block() {
     let mut random = Random::new(1);
     let model = PusherModel::default();
     let mut simulator = PushT::new().unwrap();
@@ -18,25 +18,25 @@ fn a_pusher_clear_of_the_block_moves_as_the_model_says() {
             block: Pose2::new(400.0, 380.0, 0.0),
         };
         let mut now = simulator.reset(&scene, ResetOrder::Legacy).unwrap();
-        let mut believed = PusherState {
+        let mut predicted = PusherState {
             position: now.agent,
             velocity: now.agent_velocity,
         };
         for _ in 0..30 {
             let target = random.point(20.0, 160.0);
-            believed = model.predict(believed, target);
+            predicted = model.predict(predicted, target);
             now = simulator.step(&target).unwrap().observation;
-            assert!((believed.position - now.agent).norm() < 1e-6, "{believed:?}, {now:?}");
+            assert!((predicted.position - now.agent).norm() < 1e-6, "{predicted:?}, {now:?}");
             assert!(
-                (believed.velocity - now.agent_velocity).norm() < 1e-5,
-                "{believed:?}, {now:?}"
+                (predicted.velocity - now.agent_velocity).norm() < 1e-5,
+                "{predicted:?}, {now:?}"
             );
         }
     }
 }
 
 #[test]
-fn the_simulated_pusher_arrives_in_the_steps_it_was_given() {
+fn the_simulated_pusher_arrives_in_the_given_steps() {
     let mut random = Random::new(2);
     let model = PusherModel::default();
     let mut simulator = PushT::new().unwrap();

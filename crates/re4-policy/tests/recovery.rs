@@ -1,5 +1,5 @@
-//! What the loop does when the block does not do what the demonstration says.
-#![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
+//! The behaviour of the loop when the block does not move as the demonstration predicts.
+#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 mod common;
 mod shown;
@@ -16,39 +16,39 @@ use shown::Shown;
 fn act(policy: &mut Re4, agent: Point2, block: Pose2) -> Act<Plane, Decision> {
     let mut shown = Shown {
         proprio: agent,
-        tells: true,
+        observes_object: true,
         object: &mut || Ok(block),
     };
     policy.act(&mut shown).unwrap()
 }
 
 #[test]
-fn a_push_that_moved_nothing_is_not_tried_again() {
+fn a_push_that_moved_nothing_is_not_repeated() {
     let knowledge = knowledge(scripted(10), AngleMetric::Periodic);
     let block = Pose2::new(200.0, 280.0, 2.0);
     let mut policy = Re4::new(PolicyConfig::re4(), knowledge, 1);
     let mut agent = Point2::new(60.0, 60.0);
     let mut tried = BTreeSet::new();
     for _ in 0..400 {
-        // The pusher goes where it is sent; the block stands as if glued to the table.
+        // The pusher reaches every target, and the block does not move.
         let act = self::act(&mut policy, agent, block);
         agent = act.action;
         if let Some(decision) = act.decision {
             let chunk = (decision.demo, decision.demo_frame);
-            assert!(tried.insert(chunk), "{chunk:?} was tried before: {decision:?}");
+            assert!(tried.insert(chunk), "{chunk:?} was selected before: {decision:?}");
         }
         if tried.len() == 6 {
             return;
         }
     }
-    panic!("only {} chunks tried", tried.len());
+    panic!("only {} chunks were selected", tried.len());
 }
 
 #[test]
-fn a_chunk_is_given_up_when_the_block_leaves_its_path_and_only_then() {
+fn a_chunk_is_abandoned_only_if_the_block_diverges() {
     let knowledge = knowledge(scripted(10), AngleMetric::Periodic);
     let mut random = Random::new(3);
-    let mut given_up = 0;
+    let mut abandoned = 0;
     for _ in 0..30 {
         let block = random.block();
         let jump = Pose2::new(block.x + 120.0, block.y - 90.0, block.theta + 1.0);
@@ -75,8 +75,8 @@ fn a_chunk_is_given_up_when_the_block_leaves_its_path_and_only_then() {
                 expected,
                 "{divergence:?}, {moved}, chunk of {length}"
             );
-            given_up += u32::from(expected);
+            abandoned += u32::from(expected);
         }
     }
-    assert!(given_up > 5, "{given_up}");
+    assert!(abandoned > 5, "{abandoned}");
 }

@@ -1,5 +1,5 @@
-//! A policy that is not told where the object is, and looks.
-#![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
+//! A policy that does not receive the object pose at every step and requests it from images.
+#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 mod shown;
 mod toy;
@@ -14,65 +14,65 @@ use re4_rollout::{ArmState, Policy as _, PolicyError};
 use shown::Shown;
 use toy::{SpatialAct, World, block, demonstrations, episode, knowledge};
 
-fn look(
+fn act_on_request(
     policy: &mut SpatialRe4,
     proprio: ArmState,
     object: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
 ) -> Result<SpatialAct, PolicyError> {
     policy.act(&mut Shown {
         proprio,
-        tells: false,
+        observes_object: false,
         object,
     })
 }
 
-/// What became of an episode: its acts, at which of them the policy looked, and whether it succeeded.
-struct Looked {
+/// The result of an episode: its actions, the steps at which the policy requested the object pose, and whether it succeeded.
+struct Episode {
     acts: Vec<SpatialAct>,
-    at: Vec<usize>,
+    requested_at: Vec<usize>,
     success: bool,
 }
 
-/// An episode in which the policy is shown what `eye` makes of the true pose.
-fn looking(
+/// Runs an episode in which the policy receives `estimate(true pose)` when it requests the object pose.
+fn run_on_request(
     config: &SpatialPolicyConfig,
     demos: u32,
     object: Isometry3<f64>,
-    eye: impl Fn(&Isometry3<f64>) -> Isometry3<f64>,
-    mut meddle: impl FnMut(&mut World),
-) -> Looked {
+    estimate: impl Fn(&Isometry3<f64>) -> Isometry3<f64>,
+    mut disturb: impl FnMut(&mut World),
+) -> Episode {
     let mut world = World::new(object);
     let known = knowledge(demonstrations(demos, 0.6, 1), config, Symmetry::None);
     let mut policy = SpatialRe4::new(config.clone(), known, world.eef);
-    let (mut acts, mut at) = (Vec::new(), Vec::new());
+    let (mut acts, mut requested_at) = (Vec::new(), Vec::new());
     while acts.len() < 400 && !world.success() {
-        meddle(&mut world);
-        let mut looks = 0;
-        let act = look(&mut policy, world.feel(), &mut || {
-            looks += 1;
-            Ok(eye(&world.object))
+        disturb(&mut world);
+        let mut requests = 0;
+        let act = act_on_request(&mut policy, world.arm_state(), &mut || {
+            requests += 1;
+            Ok(estimate(&world.object))
         })
         .unwrap();
-        assert!(looks <= 1);
-        if looks == 1 {
-            at.push(acts.len());
+        assert!(requests <= 1);
+        if requests == 1 {
+            requested_at.push(acts.len());
         }
         world.step(&act.action);
         acts.push(act);
     }
-    Looked {
+    Episode {
         success: world.success(),
         acts,
-        at,
+        requested_at,
     }
 }
 
 #[test]
-fn it_looks_where_it_chooses_and_nowhere_else() {
+fn the_pose_is_requested_only_at_retrievals() {
     for config in [SpatialPolicyConfig::paper(), SpatialPolicyConfig::re4()] {
-        // The block slips out of the first grasp, so that there is a way home, too.
+        // The block slips out of the first grasp, so that the episode also contains a return home.
         let mut slipped = false;
-        let run = looking(
+        let run = run_on_request(
             &config,
             8,
             block(-0.05, -0.1, 0.1),
@@ -82,7 +82,7 @@ fn it_looks_where_it_chooses_and_nowhere_else() {
                 slipped |= world.separation < 0.011;
             },
         );
-        assert!(run.success && run.acts.len() > 5 * run.at.len());
+        assert!(run.success && run.acts.len() > 5 * run.requested_at.len());
         let chosen: Vec<usize> = (0..run.acts.len())
             .filter(|step| {
                 let decision = run.acts[*step].decision.as_ref();
@@ -90,7 +90,7 @@ fn it_looks_where_it_chooses_and_nowhere_else() {
                     .is_some_and(|d| matches!(d.kind, SpatialDecisionKind::Retrieve | SpatialDecisionKind::Continue))
             })
             .collect();
-        assert_eq!(run.at, chosen);
+        assert_eq!(run.requested_at, chosen);
         let kinds: Vec<_> = run
             .acts
             .iter()
@@ -100,40 +100,40 @@ fn it_looks_where_it_chooses_and_nowhere_else() {
     }
 }
 
-/// The paper's policy uses poses at decisions alone: whether it is told the others, too, changes no bit.
+/// The paper's policy uses poses at decisions only, so additional observations must not change its actions.
 #[test]
-fn poses_between_decisions_are_not_missed() {
+fn poses_between_decisions_change_nothing() {
     let config = SpatialPolicyConfig::paper();
     for seed in 0..8 {
         let placed = block(-0.12 + 0.02 * f64::from(seed), -0.1, 0.1 * f64::from(seed));
-        let run = looking(&config, 5, placed, |object| *object, |_| {});
+        let run = run_on_request(&config, 5, placed, |object| *object, |_| {});
         let known = knowledge(demonstrations(5, 0.6, 1), &config, Symmetry::None);
-        let told = episode(&config, &known, placed, None, |_, _| {});
-        assert_eq!(run.success, told.success);
+        let observed = episode(&config, &known, placed, None, |_, _| {});
+        assert_eq!(run.success, observed.success);
         let actions = |acts: &[SpatialAct]| acts.iter().map(|act| act.action).collect::<Vec<_>>();
-        assert_eq!(actions(&run.acts), actions(&told.acts));
+        assert_eq!(actions(&run.acts), actions(&observed.acts));
         let decisions = |acts: &[SpatialAct]| acts.iter().filter_map(|act| act.decision.clone()).collect::<Vec<_>>();
-        assert_eq!(decisions(&run.acts), decisions(&told.acts));
+        assert_eq!(decisions(&run.acts), decisions(&observed.acts));
     }
 }
 
 #[test]
-fn what_is_not_seen_has_no_influence() {
+fn the_true_pose_has_no_influence() {
     let config = SpatialPolicyConfig::re4();
-    let said = block(0.0, -0.12, 0.3);
-    let ways: Vec<Vec<SpatialAct>> = [block(-0.1, 0.0, 0.0), block(0.2, 0.3, -0.5)]
-        .map(|placed| looking(&config, 5, placed, |_| said, |world| world.slippery = true).acts)
+    let estimated = block(0.0, -0.12, 0.3);
+    let runs: Vec<Vec<SpatialAct>> = [block(-0.1, 0.0, 0.0), block(0.2, 0.3, -0.5)]
+        .map(|placed| run_on_request(&config, 5, placed, |_| estimated, |world| world.slippery = true).acts)
         .into();
-    assert_eq!(ways[0], ways[1]);
-    let seeing = looking(&config, 5, block(-0.1, 0.0, 0.0), |object| *object, |_| {}).acts;
-    assert_ne!(seeing[0], ways[0][0]);
+    assert_eq!(runs[0], runs[1]);
+    let with_true_pose = run_on_request(&config, 5, block(-0.1, 0.0, 0.0), |object| *object, |_| {}).acts;
+    assert_ne!(with_true_pose[0], runs[0][0]);
 }
 
 #[test]
-fn between_looks_the_object_rests_in_the_world_or_in_the_gripper() {
+fn between_requests_the_object_is_fixed_in_the_world_or_in_the_gripper() {
     let near = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
-        let (moved, turned) = pose_distance(a, b);
-        moved < 1e-12 && turned < 1e-7
+        let (distance, angle) = pose_distance(a, b);
+        distance < 1e-12 && angle < 1e-7
     };
     let filter = SpatialPolicyConfig::re4().filter;
     for filter in [None, filter] {
@@ -144,34 +144,29 @@ fn between_looks_the_object_rests_in_the_world_or_in_the_gripper() {
         let object = block(0.05, -0.02, 0.4);
         estimate.observe(Mode::Transit, &over, &object);
         assert!(near(&estimate.carry(Mode::Transit, &lifted).unwrap(), &object));
-        // The gripper closes over it, and takes it along.
+        // The gripper closes on the object, which then moves with it.
         assert!(near(&estimate.carry(Mode::Transfer, &over).unwrap(), &object));
         let along = lifted * over.inv_mul(&object);
         assert!(near(&estimate.carry(Mode::Transfer, &lifted).unwrap(), &along));
-        // Let go, it stays.
+        // After the release, the object stays.
         assert!(near(&estimate.carry(Mode::Transit, &lifted).unwrap(), &along));
         assert!(near(&estimate.carry(Mode::Transit, &over).unwrap(), &along));
     }
 }
 
 #[test]
-fn what_cannot_be_seen_is_an_error() {
+fn a_pose_that_cannot_be_observed_is_an_error() {
     let config = SpatialPolicyConfig::re4();
     let known = knowledge(demonstrations(5, 0.6, 1), &config, Symmetry::None);
     let world = World::new(block(0.0, 0.0, 0.0));
-    let seen = world.feel();
+    let arm = world.arm_state();
     let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&known), world.eef);
-    let blind = look(&mut policy, seen, &mut || Err(PolicyError::look("it is dark")));
-    assert_eq!(
-        blind.unwrap_err().to_string(),
-        "cannot retrieve: the object's pose is not known, since it is dark"
-    );
+    let blind = act_on_request(&mut policy, arm, &mut || Err(PolicyError::look("it is dark")));
+    assert_eq!(blind.unwrap_err().to_string(), "cannot observe the scene: it is dark");
     let mut policy = SpatialRe4::new(config, known, world.eef);
-    let nowhere = look(&mut policy, seen, &mut || {
-        Ok(Isometry3::translation(f64::NAN, 0.0, 0.0))
-    });
-    assert!(matches!(nowhere.unwrap_err(), PolicyError::Own(_)));
-    let mut broken = seen;
+    let not_finite = act_on_request(&mut policy, arm, &mut || Ok(Isometry3::translation(f64::NAN, 0.0, 0.0)));
+    assert!(matches!(not_finite.unwrap_err(), PolicyError::Own(_)));
+    let mut broken = arm;
     broken.fingers[0] = f64::NAN;
-    assert!(look(&mut policy, broken, &mut || unreachable!()).is_err());
+    assert!(act_on_request(&mut policy, broken, &mut || unreachable!()).is_err());
 }

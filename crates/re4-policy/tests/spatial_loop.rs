@@ -1,5 +1,5 @@
-//! The whole loop in a kinematic world.
-#![allow(clippy::unwrap_used, reason = "tests may end where they fail")]
+//! Tests of the whole loop in a kinematic world.
+#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 mod shown;
 mod toy;
@@ -10,8 +10,8 @@ use re4_policy::spatial::{EndOfDemo, SpatialDecisionKind, SpatialDemoSet, Spatia
 use re4_rollout::{Phase, PoseNoise};
 use toy::{Episode, Random, block, demonstrate, demonstrations, episode, knowledge};
 
-/// Successes over 40 perturbed placements, and grasps lost in them. `noise` is in mm and degrees; `catch` in metres, see
-/// [`World`].
+/// Returns the number of successes over 40 random placements, and the number of grasps lost in them. `noise` is in mm and
+/// degrees; `catch` is in metres, see [`World`].
 fn outcomes(config: &SpatialPolicyConfig, demos: u32, noise: f64, catch: f64) -> (usize, usize) {
     let knowledge = knowledge(demonstrations(demos, 0.6, 1), config, Symmetry::None);
     let mut random = Random::new(2);
@@ -35,7 +35,7 @@ fn outcomes(config: &SpatialPolicyConfig, demos: u32, noise: f64, catch: f64) ->
     (successes, lost)
 }
 
-/// Successes alone.
+/// Returns only the number of successes, without noise.
 fn successes(config: &SpatialPolicyConfig, demos: u32) -> usize {
     outcomes(config, demos, 0.0, 0.012).0
 }
@@ -50,7 +50,7 @@ fn re4_generalises_from_five_demonstrations_and_re2_does_not() {
 }
 
 #[test]
-fn averaged_poses_help_against_noise() {
+fn averaging_poses_reduces_the_effect_of_noise() {
     let averaged = outcomes(&SpatialPolicyConfig::re4(), 20, 5.0, 0.008);
     let mut single = SpatialPolicyConfig::re4();
     single.filter = None;
@@ -63,17 +63,17 @@ fn averaged_poses_help_against_noise() {
 }
 
 #[test]
-fn no_decision_while_the_fingers_close_saves_grasps() {
+fn waiting_for_the_fingers_to_close_avoids_lost_grasps() {
     let settled = outcomes(&SpatialPolicyConfig::re4(), 20, 0.0, 0.008);
-    let mut hasty = SpatialPolicyConfig::re4();
-    hasty.replay.settle = None;
-    let hasty = outcomes(&hasty, 20, 0.0, 0.008);
+    let mut without_wait = SpatialPolicyConfig::re4();
+    without_wait.replay.settle = None;
+    let without_wait = outcomes(&without_wait, 20, 0.0, 0.008);
     assert_eq!(settled, (40, 0));
-    assert!(hasty.1 > 0, "{hasty:?}");
+    assert!(without_wait.1 > 0, "{without_wait:?}");
 }
 
 #[test]
-fn every_step_can_be_switched_off_alone() {
+fn every_step_can_be_disabled_separately() {
     let mut no_bridge = SpatialPolicyConfig::paper();
     no_bridge.replan.enabled = false;
     let mut no_reframe = SpatialPolicyConfig::paper();
@@ -102,11 +102,11 @@ fn first_demo(run: &Episode) -> u32 {
 }
 
 #[test]
-fn a_missed_grasp_leads_home_and_to_another_demonstration() {
+fn after_a_missed_grasp_the_arm_returns_home_and_follows_another_demonstration() {
     let config = SpatialPolicyConfig::re4();
     let knowledge = knowledge(demonstrations(8, 0.6, 3), &config, Symmetry::None);
     let placed = block(-0.05, -0.1, 0.1);
-    // The first time that the fingers close, the block slips out.
+    // The block slips out when the fingers close for the first time.
     let mut misses = 0;
     let run = episode(&config, &knowledge, placed, None, |_, world| {
         world.slippery = misses == 0;
@@ -124,25 +124,25 @@ fn a_missed_grasp_leads_home_and_to_another_demonstration() {
     assert_eq!(decisions[lost].newly_banned, [first_demo(&run)]);
     assert_eq!(run.banned, [first_demo(&run)]);
     let names = DemoNames::new((0..8).map(|number| format!("demo_{}", 3 * number + 1)).collect());
-    let called = |demo: u32| format!("demo_{}", 3 * demo + 1);
+    let name_of = |demo: u32| format!("demo_{}", 3 * demo + 1);
     let reason = decisions[lost].reason(&names);
     assert!(reason.starts_with("the grasp is lost"), "{reason}");
-    let end = format!("; not followed again: {}", called(first_demo(&run)));
+    let end = format!("; banned: {}", name_of(first_demo(&run)));
     assert!(reason.ends_with(&end), "{reason}");
     let reason = decisions[0].reason(&names);
-    let start = format!("{} from frame ", called(first_demo(&run)));
+    let start = format!("{} from frame ", name_of(first_demo(&run)));
     assert!(reason.starts_with(&start), "{reason}");
     let next = decisions[lost + 1];
     assert_eq!(next.kind, SpatialDecisionKind::Retrieve);
     assert_ne!(next.choice.unwrap().demo, first_demo(&run));
-    // Home is where the episode began, with the gripper open.
+    // Home is the initial pose of the episode, with the gripper open.
     let home: Vec<_> = run.acts.iter().filter(|a| a.phase == Phase::Home).collect();
     assert!(home.iter().all(|a| a.action.gripper < 0.0));
     assert!((next.eef.translation.vector - toy::home().translation.vector).norm() < 0.011);
 }
 
 #[test]
-fn without_bans_the_same_demonstration_is_tried_again() {
+fn without_bans_the_same_demonstration_is_retrieved_again() {
     let mut config = SpatialPolicyConfig::re4();
     config.recovery.ban = None;
     let knowledge = knowledge(demonstrations(8, 0.6, 3), &config, Symmetry::None);
@@ -163,7 +163,7 @@ fn without_bans_the_same_demonstration_is_tried_again() {
 }
 
 #[test]
-fn with_bans_every_demonstration_has_its_turn() {
+fn with_bans_every_demonstration_is_followed() {
     let config = SpatialPolicyConfig::re4();
     let knowledge = knowledge(demonstrations(3, 0.6, 3), &config, Symmetry::None);
     let run = episode(&config, &knowledge, block(-0.05, -0.1, 0.1), None, |_, world| {
@@ -177,22 +177,22 @@ fn with_bans_every_demonstration_has_its_turn() {
     retrieved.dedup();
     assert!(retrieved.len() > 3, "{retrieved:?}");
     assert!(retrieved.windows(2).all(|w| w[0] != w[1]));
-    // Each once before any again.
+    // Every demonstration is followed once before any is followed again.
     let mut first: Vec<u32> = retrieved[..3].to_vec();
     first.sort_unstable();
     assert_eq!(first, [0, 1, 2]);
 }
 
 #[test]
-fn an_object_that_is_snatched_away_is_lost_at_once_or_at_the_next_retrieval() {
+fn an_object_that_is_removed_from_the_gripper_is_detected_as_lost() {
     for config in [SpatialPolicyConfig::re4(), SpatialPolicyConfig::paper()] {
         let knowledge = knowledge(demonstrations(8, 0.6, 3), &config, Symmetry::None);
-        let mut snatched = None;
+        let mut removed_at = None;
         let run = episode(&config, &knowledge, block(-0.05, -0.1, 0.1), None, |step, world| {
-            if snatched.is_none() && world.held.is_some() && world.object.translation.z > 0.1 {
+            if removed_at.is_none() && world.held.is_some() && world.object.translation.z > 0.1 {
                 world.held = None;
                 world.object = block(0.0, -0.05, 0.3);
-                snatched = Some(step);
+                removed_at = Some(step);
             }
         });
         assert!(run.success, "{:?}", kinds(&run));
@@ -201,18 +201,18 @@ fn an_object_that_is_snatched_away_is_lost_at_once_or_at_the_next_retrieval() {
             .iter()
             .find(|d| d.kind == SpatialDecisionKind::GraspLost)
             .unwrap();
-        assert!(lost.step as usize > snatched.unwrap() && (lost.step as usize) < snatched.unwrap() + 60);
+        assert!(lost.step as usize > removed_at.unwrap() && (lost.step as usize) < removed_at.unwrap() + 60);
     }
 }
 
 #[test]
-fn the_end_of_a_demonstration_is_no_dead_end() {
-    // The block is put back when it is placed, the first time: the demonstration ends without success.
+fn the_policy_recovers_when_a_demonstration_ends_without_success() {
+    // The block is moved back the first time that it is placed, so the demonstration ends without success.
     let config = SpatialPolicyConfig::re4();
     let knowledge = knowledge(demonstrations(8, 0.6, 3), &config, Symmetry::None);
-    let mut back = false;
+    let mut moved_back = false;
     let run = episode(&config, &knowledge, block(-0.05, -0.1, 0.1), None, |_, world| {
-        if !back
+        if !moved_back
             && world.lifted
             && world.held.is_some()
             && world.object.translation.z < 0.05
@@ -222,14 +222,14 @@ fn the_end_of_a_demonstration_is_no_dead_end() {
             world.lifted = false;
             world.object = block(-0.1, -0.1, 0.0);
             world.separation = 0.02;
-            back = true;
+            moved_back = true;
         }
-        // Fingers that feel something: nobody notices.
-        if back && !world.lifted && world.held.is_none() && world.separation < 0.02 {
+        // Keep the fingers apart so that the grasp does not count as lost.
+        if moved_back && !world.lifted && world.held.is_none() && world.separation < 0.02 {
             world.separation = 0.02;
         }
     });
-    assert!(back && run.success, "{:?}", kinds(&run));
+    assert!(moved_back && run.success, "{:?}", kinds(&run));
     let ended = run
         .decisions()
         .iter()
@@ -240,27 +240,28 @@ fn the_end_of_a_demonstration_is_no_dead_end() {
 }
 
 #[test]
-fn a_demonstration_is_followed_through_with_commitment() {
+fn with_a_commit_margin_one_demonstration_is_followed_to_its_end() {
     let config = SpatialPolicyConfig::re4();
     let knowledge = knowledge(demonstrations(20, 0.6, 5), &config, Symmetry::None);
     let run = episode(&config, &knowledge, block(-0.02, -0.12, 0.3), None, |_, _| {});
     assert!(run.success);
     let choices: Vec<_> = run.decisions().iter().filter_map(|d| d.choice).collect();
     assert!(choices.iter().all(|c| c.demo == choices[0].demo));
-    // Chunks run on while the fingers move, and never go back.
+    // Chunks are extended while the fingers move, and the policy never goes back to an earlier frame.
     assert!(
         choices.windows(2).all(|w| w[1].demo_frame > w[0].demo_end),
         "{choices:?}"
     );
     assert_eq!(kinds(&run)[1..], vec![SpatialDecisionKind::Continue; choices.len() - 1]);
-    // The chunk with the release goes on to the demonstration's end.
+    // The chunk with the release continues to the end of the demonstration.
     let frames = knowledge.demos().demo(choices[0].demo).unwrap();
     assert_eq!(choices.last().unwrap().demo_end as usize, frames.len() - 1);
 }
 
 #[test]
-fn a_cube_is_taken_however_it_is_turned() {
-    // All demonstrations have yaws about 0, the block here is turned by a quarter: with symmetry that is the same block.
+fn a_cube_is_grasped_in_any_equivalent_rotation() {
+    // All demonstrations have yaws near 0, and the block is rotated by about 90 degrees. With the symmetry, this is an equivalent
+    // pose.
     let config = SpatialPolicyConfig::re4();
     let cube = Symmetry::Fold {
         axis: [0.0, 0.0, 1.0],
@@ -272,7 +273,7 @@ fn a_cube_is_taken_however_it_is_turned() {
         let run = episode(&config, &knowledge, placed, None, |_, _| {});
         assert!(run.success, "{symmetry:?}");
         let choice = run.decisions()[0].choice.unwrap();
-        (choice.turn, choice.delta.rotation.angle(), choice.d_o)
+        (choice.symmetry_rotation, choice.delta.rotation.angle(), choice.d_o)
     });
     assert_eq!(plain.0, 0.0);
     assert!(plain.1 > 1.3);
@@ -292,8 +293,8 @@ fn the_same_episode_gives_the_same_actions() {
 }
 
 #[test]
-fn retrieving_about_the_same_frame_bans() {
-    // A world that does not move: one demonstration is retrieved again and again, until it is banned.
+fn repeated_retrievals_near_the_same_frame_lead_to_a_ban() {
+    // The world does not move, so one demonstration is retrieved again and again until it is banned.
     let mut config = SpatialPolicyConfig::re4();
     config.retrieve.commit_margin = None;
     config.replan.enabled = false;

@@ -1,5 +1,5 @@
-//! Reframe, the bridge, averaged poses, noise and settings in space, each alone.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "tests may end where they fail")]
+//! Reframe, the bridge, averaged poses, noise and settings of the policy in SE(3), each tested separately.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a panic is how a test fails")]
 
 mod shown;
 mod toy;
@@ -37,22 +37,22 @@ proptest! {
         for transfer in TRANSFERS {
             let carry = reframe_spatial(Mode::Transit, transfer, (&o_j, &x_j), (&o_q, &x_q));
             prop_assert!(close(&o_q.inv_mul(&carry.near), &o_j.inv_mul(&x_j)));
-            // Goals, too, stay where they were as seen from the object.
+            // The goals also keep their pose relative to the object.
             prop_assert!(close(&o_q.inv_mul(&carry.goal(&a)), &o_j.inv_mul(&a)));
             prop_assert!(close(&(carry.delta * o_j), &o_q));
         }
     }
 
     #[test]
-    fn transfer_carries_the_held_object_onto_the_demonstrations(
+    fn transfer_moves_the_held_object_to_the_pose_of_the_demonstration(
         o_j in pose(), x_j in pose(), o_q in pose(), x_q in pose(), a in pose()
     ) {
         let grasp = x_q.inv_mul(&o_q);
         let verbatim = reframe_spatial(Mode::Transfer, TransferReplay::Verbatim, (&o_j, &x_j), (&o_q, &x_q));
         prop_assert!(close(&(verbatim.near * grasp), &o_j));
-        prop_assert!(close(&verbatim.near, &(verbatim.delta.inverse() * x_q)), "as the paper writes it");
+        prop_assert!(close(&verbatim.near, &(verbatim.delta.inverse() * x_q)), "x_near = delta^-1 x_q, as in the paper");
         prop_assert!(close(&verbatim.goal(&a), &a));
-        // With the grasps' difference made up for, our object goes where the demonstration's would.
+        // With the difference between the grasps corrected, the held object goes where the demonstration's would.
         let corrected = reframe_spatial(Mode::Transfer, TransferReplay::GraspCorrected, (&o_j, &x_j), (&o_q, &x_q));
         prop_assert!(close(&(corrected.goal(&a) * grasp), &(a * x_j.inv_mul(&o_j))));
         prop_assert!(close(&corrected.near, &verbatim.near));
@@ -61,7 +61,7 @@ proptest! {
     }
 
     #[test]
-    fn the_demonstrations_own_state_is_replayed_as_it_is(o in pose(), x in pose(), a in pose()) {
+    fn reframing_to_the_recorded_state_changes_nothing(o in pose(), x in pose(), a in pose()) {
         for mode in Mode::ALL {
             for transfer in TRANSFERS {
                 let carry = reframe_spatial(mode, transfer, (&o, &x), (&o, &x));
@@ -73,7 +73,7 @@ proptest! {
 }
 
 #[test]
-fn the_bridge_arrives_whatever_the_way() {
+fn the_bridge_arrives_from_any_start() {
     let config = SpatialPolicyConfig::paper();
     let demos = demonstrations(6, 0.6, 8);
     let knowledge = knowledge(demos, &config, Symmetry::None);
@@ -92,7 +92,7 @@ fn the_bridge_arrives_whatever_the_way() {
         let mut goal = None;
         let mut left = f64::INFINITY;
         for step in 0.. {
-            let act = observe_and_act(&mut policy, world.feel(), world.object).unwrap();
+            let act = observe_and_act(&mut policy, world.arm_state(), world.object).unwrap();
             if let Some(decision) = &act.decision {
                 if goal.is_some() {
                     break;
@@ -107,13 +107,16 @@ fn the_bridge_arrives_whatever_the_way() {
                 bridges += usize::from(arrived && step > 3);
                 break;
             }
-            let (ahead, turn) = pose_distance(&world.eef, &act.action.goal);
+            let (lead, lead_angle) = pose_distance(&world.eef, &act.action.goal);
             assert!(
-                ahead <= 0.05 + 1e-9 && turn <= 0.5 + 1e-9,
-                "the set-point is a lead ahead"
+                lead <= 0.05 + 1e-9 && lead_angle <= 0.5 + 1e-9,
+                "the set-point is at most a lead ahead"
             );
             assert!(act.action.gripper < 0.0);
-            assert!(distance <= left + 1e-9, "nearer at every step");
+            assert!(
+                distance <= left + 1e-9,
+                "the end effector approaches the goal at every step"
+            );
             left = distance;
             world.step(&act.action);
         }
@@ -126,11 +129,11 @@ fn a_bridge_that_does_not_arrive_ends() {
     let config = SpatialPolicyConfig::paper();
     let knowledge = knowledge(demonstrations(6, 0.6, 8), &config, Symmetry::None);
     let world = World::new(block(0.1, 0.1, 0.0));
-    let mut felt = world.feel();
-    felt.eef.translation.x += 0.4;
+    let mut arm = world.arm_state();
+    arm.eef.translation.x += 0.4;
     let mut policy = SpatialRe4::new(config.clone(), knowledge, world.eef);
     let phases: Vec<Phase> = (0..57)
-        .map(|_| observe_and_act(&mut policy, felt, world.object).unwrap().phase)
+        .map(|_| observe_and_act(&mut policy, arm, world.object).unwrap().phase)
         .collect();
     assert!(phases[..40].iter().all(|p| *p == Phase::Bridge));
     assert!(phases[40..56].iter().all(|p| *p == Phase::Replay));
@@ -138,17 +141,17 @@ fn a_bridge_that_does_not_arrive_ends() {
 }
 
 #[test]
-fn a_held_can_is_carried_however_it_was_turned_in_the_hand() {
-    // The same demonstration, its can recorded with another yaw: with symmetry the same actions come out.
+fn actions_do_not_depend_on_the_yaw_of_a_symmetric_object() {
+    // The can of the demonstration or of the query has a different yaw. With the symmetry, the actions must be the same.
     let mut config = SpatialPolicyConfig::re4();
     config.filter = None;
     let can = Symmetry::Full { axis: [0.0, 0.0, 1.0] };
     let plain = demonstrate(block(-0.05, -0.1, 0.2), 0);
-    let mut turned = plain.clone();
-    for frame in &mut turned {
+    let mut rotated = plain.clone();
+    for frame in &mut rotated {
         frame.object.rotation *= yaw(2.0);
     }
-    let run = |frames: &[_], turn: f64| {
+    let run = |frames: &[_], angle: f64| {
         let demos = SpatialDemoSet::new([(0, frames.to_vec())]);
         let knowledge = knowledge(demos, &config, can);
         let mut world = World::new(block(-0.07, -0.08, 0.2));
@@ -156,8 +159,8 @@ fn a_held_can_is_carried_however_it_was_turned_in_the_hand() {
         let mut goals = Vec::new();
         while !world.success() && goals.len() < 200 {
             let mut object = world.object;
-            object.rotation *= yaw(turn);
-            let act = observe_and_act(&mut policy, world.feel(), object).unwrap();
+            object.rotation *= yaw(angle);
+            let act = observe_and_act(&mut policy, world.arm_state(), object).unwrap();
             world.step(&act.action);
             goals.push(act.action.goal);
         }
@@ -165,8 +168,8 @@ fn a_held_can_is_carried_however_it_was_turned_in_the_hand() {
         goals
     };
     let reference = run(&plain, 0.0);
-    for (frames, turn) in [(&plain, 1.3), (&turned, 0.0), (&turned, -2.5)] {
-        let goals = run(frames, turn);
+    for (frames, angle) in [(&plain, 1.3), (&rotated, 0.0), (&rotated, -2.5)] {
+        let goals = run(frames, angle);
         assert_eq!(goals.len(), reference.len());
         for (a, b) in goals.iter().zip(&reference) {
             let (distance, angle) = pose_distance(a, b);
@@ -181,7 +184,7 @@ fn filter() -> ObjectEstimate {
 }
 
 #[test]
-fn averages_of_noisy_poses_are_nearer_in_both_modes() {
+fn averaging_reduces_the_error_in_both_modes() {
     for mode in Mode::ALL {
         let (mut raw, mut averaged, mut deviations) = (0.0, 0.0, (0.0, 0.0));
         for seed in 0..40 {
@@ -199,11 +202,11 @@ fn averages_of_noisy_poses_are_nearer_in_both_modes() {
                 } else {
                     object
                 };
-                let seen = noise.perturb(&truth);
-                let found = estimate.observe(mode, &eef, &seen);
+                let observed = noise.perturb(&truth);
+                let estimated = estimate.observe(mode, &eef, &observed);
                 if step >= 20 {
-                    raw += pose_distance(&seen, &truth).0;
-                    averaged += pose_distance(&found, &truth).0;
+                    raw += pose_distance(&observed, &truth).0;
+                    averaged += pose_distance(&estimated, &truth).0;
                 }
             }
             let (t, r) = estimate.deviations().unwrap();
@@ -218,13 +221,13 @@ fn averages_of_noisy_poses_are_nearer_in_both_modes() {
 }
 
 #[test]
-fn exact_poses_are_taken_as_they_are_whatever_moves() {
+fn exact_observations_are_used_unchanged() {
     let mut estimate = filter();
     let mut random = Random::new(3);
     let mut object = random.pose();
     let eef = random.pose();
     for step in 0..100 {
-        // It rests, then moves, then rests elsewhere.
+        // The object rests, then moves, then rests again.
         if (40..60).contains(&step) {
             object.translation.x += 0.003;
         }
@@ -234,7 +237,7 @@ fn exact_poses_are_taken_as_they_are_whatever_moves() {
 }
 
 #[test]
-fn a_jump_starts_the_average_anew() {
+fn a_jump_restarts_the_average() {
     let mut estimate = filter();
     let mut noise = PoseNoise::new(4, 0.003, 0.03);
     let eef = Isometry3::identity();
@@ -259,30 +262,30 @@ fn without_a_filter_observations_are_estimates() {
 
 #[test]
 fn noise_is_normal_seeded_and_independent() {
-    let draw = |seed| {
+    let sample = |seed| {
         let mut noise = PoseNoise::new(seed, 0.005, 0.1);
         let pose = Isometry3::from_parts(Vector3::new(0.3, -0.2, 0.1).into(), yaw(1.0));
         (0..4000)
             .map(|_| {
-                let seen = noise.perturb(&pose);
-                let moved = (seen.translation.vector - pose.translation.vector) / 0.005;
-                let turned = rotation_vector(&(seen.rotation * pose.rotation.inverse())) / 0.1;
-                [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z]
+                let observed = noise.perturb(&pose);
+                let t = (observed.translation.vector - pose.translation.vector) / 0.005;
+                let r = rotation_vector(&(observed.rotation * pose.rotation.inverse())) / 0.1;
+                [t.x, t.y, t.z, r.x, r.y, r.z]
             })
             .collect::<Vec<_>>()
     };
-    let all = draw(1);
-    assert_eq!(all, draw(1));
-    assert_ne!(all, draw(2));
+    let all = sample(1);
+    assert_eq!(all, sample(1));
+    assert_ne!(all, sample(2));
     for i in 0..6 {
         let mean = all.iter().map(|v| v[i]).sum::<f64>() / 4000.0;
         let variance = all.iter().map(|v| v[i] * v[i]).sum::<f64>() / 4000.0;
-        let within = all.iter().filter(|v| v[i].abs() < 1.0).count() as f64 / 4000.0;
+        let within_one = all.iter().filter(|v| v[i].abs() < 1.0).count() as f64 / 4000.0;
         assert!(
             mean.abs() < 0.06 && (variance - 1.0).abs() < 0.09,
             "{i}: {mean} {variance}"
         );
-        assert!((within - 0.6827).abs() < 0.03, "{i}: {within}");
+        assert!((within_one - 0.6827).abs() < 0.03, "{i}: {within_one}");
         let lag = all.windows(2).map(|w| w[0][i] * w[1][i]).sum::<f64>() / 4000.0;
         assert!(lag.abs() < 0.06, "{i}: {lag}");
     }
@@ -293,7 +296,7 @@ fn noise_is_normal_seeded_and_independent() {
 type Edit = fn(&mut SpatialPolicyConfig);
 
 #[test]
-fn presets_are_sound_and_bad_settings_are_named() {
+fn presets_are_valid_and_errors_name_invalid_settings() {
     for name in SpacePolicy::NAMES {
         assert_eq!(SpacePolicy::defaults(name).unwrap().settings().check(false), Ok(()));
     }
@@ -325,28 +328,28 @@ fn presets_are_sound_and_bad_settings_are_named() {
             "filter.gate is 0; give a finite number above 0",
         ),
     ];
-    for (edit, told) in edits {
+    for (edit, expected) in edits {
         let mut config = SpatialPolicyConfig::re4();
         edit(&mut config);
-        assert_eq!(config.check(false).unwrap_err().sentence(), told);
+        assert_eq!(config.check(false).unwrap_err().sentence(), expected);
     }
 }
 
 #[test]
-fn observations_and_demonstrations_that_are_not_finite_are_refused() {
+fn observations_and_demonstrations_that_are_not_finite_are_rejected() {
     let config = SpatialPolicyConfig::re4();
     let knowledge = knowledge(demonstrations(2, 0.6, 8), &config, Symmetry::None);
     let good = World::new(block(0.0, 0.0, 0.0));
     let broken: [fn(&mut ArmState, &mut Isometry3<f64>); 3] = [
-        |felt, _| felt.eef.translation.x = f64::NAN,
+        |arm, _| arm.eef.translation.x = f64::NAN,
         |_, object| object.translation.y = f64::INFINITY,
-        |felt, _| felt.fingers[1] = f64::NAN,
+        |arm, _| arm.fingers[1] = f64::NAN,
     ];
-    for spoil in broken {
+    for invalidate in broken {
         let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&knowledge), good.eef);
-        let (mut felt, mut object) = (good.feel(), good.object);
-        spoil(&mut felt, &mut object);
-        let refused = observe_and_act(&mut policy, felt, object).unwrap_err();
+        let (mut arm, mut object) = (good.arm_state(), good.object);
+        invalidate(&mut arm, &mut object);
+        let refused = observe_and_act(&mut policy, arm, object).unwrap_err();
         assert!(refused.to_string().contains("not finite"), "{refused}");
     }
     let mut frames = demonstrate(block(0.0, 0.0, 0.0), 0);
@@ -362,7 +365,7 @@ fn observations_and_demonstrations_that_are_not_finite_are_refused() {
 }
 
 #[test]
-fn excluded_frames_and_tails_are_not_retrieved_but_replayed() {
+fn excluded_frames_and_tails_are_replayed_but_not_retrieved() {
     let config = SpatialPolicyConfig::re4();
     let frames = demonstrate(block(0.0, 0.0, 0.0), 0);
     let release = frames.iter().rposition(|f| f.mode == Mode::Transfer).unwrap();
@@ -374,20 +377,22 @@ fn excluded_frames_and_tails_are_not_retrieved_but_replayed() {
     let paper = SpatialPolicyConfig::paper();
     let all = SpatialKnowledge::new(demos(), &paper.retrieve, Symmetry::None, |_, _| false).unwrap();
     assert_eq!(all.index().frames().len(), frames.len());
-    // Without transfer frames there is no going on once the gripper closed.
+    // Without transfer frames, the policy cannot retrieve once the gripper has closed.
     let only_transit = SpatialKnowledge::new(demos(), &config.retrieve, Symmetry::None, |_, f| {
         frames[f as usize].mode == Mode::Transfer
     });
     let mut world = World::new(block(0.0, 0.0, 0.0));
     let mut policy = SpatialRe4::new(config, Arc::new(only_transit.unwrap()), world.eef);
     let refused = (0..200)
-        .find_map(|_| match observe_and_act(&mut policy, world.feel(), world.object) {
-            Ok(act) => {
-                world.step(&act.action);
-                None
-            }
-            Err(error) => Some(error),
-        })
+        .find_map(
+            |_| match observe_and_act(&mut policy, world.arm_state(), world.object) {
+                Ok(act) => {
+                    world.step(&act.action);
+                    None
+                }
+                Err(error) => Some(error),
+            },
+        )
         .unwrap();
     let PolicyError::Own(refused) = refused else {
         panic!("{refused}");

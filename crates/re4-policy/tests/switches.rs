@@ -1,10 +1,6 @@
-//! Every step of the loop can be switched off or exchanged alone, rollouts do not depend on the threads, and what cannot
-//! be followed is refused.
-#![expect(
-    clippy::panic,
-    clippy::unwrap_used,
-    reason = "only tests call these functions, and they may end"
-)]
+//! Every step of the loop can be disabled or exchanged separately, rollouts do not depend on the number of threads, and
+//! demonstrations that cannot be followed are rejected.
+#![expect(clippy::panic, clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 mod common;
 mod shown;
@@ -66,14 +62,14 @@ const SWITCHES: [Switch; 6] = [
 ];
 
 #[test]
-fn every_switch_alone_changes_what_is_done() {
+fn every_switch_changes_the_actions() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
     for name in ["paper", "re4"] {
         let base = base(name);
         let before = rolled(&base, &knowledge);
-        for (switch, turn) in SWITCHES {
+        for (switch, toggle) in SWITCHES {
             let mut config = base.clone();
-            turn(&mut config);
+            toggle(&mut config);
             let after = rolled(&config, &knowledge);
             assert_ne!(actions(&before), actions(&after), "{name}: {switch} has no effect");
         }
@@ -81,15 +77,15 @@ fn every_switch_alone_changes_what_is_done() {
 }
 
 #[test]
-fn every_combination_of_switches_runs_and_is_its_own() {
+fn every_combination_of_switches_gives_different_actions() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
     let mut seen: Vec<(Vec<&str>, Vec<Point2>)> = Vec::new();
     for chosen in 0..1 << 5 {
         let mut config = base("paper");
         let mut names = Vec::new();
-        for (i, (name, turn)) in SWITCHES[..5].iter().enumerate() {
+        for (i, (name, toggle)) in SWITCHES[..5].iter().enumerate() {
             if chosen >> i & 1 == 1 {
-                turn(&mut config);
+                toggle(&mut config);
                 names.push(*name);
             }
         }
@@ -99,10 +95,10 @@ fn every_combination_of_switches_runs_and_is_its_own() {
             assert!(!episode.decisions.is_empty());
         }
         let done = actions(&episodes);
-        // Which planner there is plays no part when Replan is off.
+        // The planner has no effect if Replan is disabled.
         if !(names.contains(&"replan") && names.contains(&"planner")) {
             for (others, other) in &seen {
-                assert_ne!(&done, other, "{names:?} does what {others:?} does");
+                assert_ne!(&done, other, "{names:?} gives the same actions as {others:?}");
             }
             seen.push((names, done));
         }
@@ -111,7 +107,7 @@ fn every_combination_of_switches_runs_and_is_its_own() {
 }
 
 #[test]
-fn switched_off_steps_leave_no_trace() {
+fn disabled_steps_have_no_effect() {
     let knowledge = knowledge(scripted(10), AngleMetric::Raw);
     for name in ["paper", "re4", "re2"] {
         let mut config = base(name);
@@ -153,7 +149,7 @@ fn decisions_and_steps_fit_together() {
     for name in ["paper", "re4", "re2"] {
         let config = base(name);
         for episode in rolled(&config, &knowledge) {
-            let felt = |i: usize| {
+            let eef_before = |i: usize| {
                 let before = i.checked_sub(1).map_or(&episode.first, |i| &episode.steps[i].after);
                 before.observation.agent
             };
@@ -170,15 +166,15 @@ fn decisions_and_steps_fit_together() {
                 if since == 0 {
                     assert_eq!(
                         (decision.eef, decision.object),
-                        (felt(i), step.asked.object.unwrap().pose)
+                        (eef_before(i), step.asked.object.unwrap().pose)
                     );
                 }
                 if i > 0 {
-                    let told = step.asked.object.unwrap();
-                    assert_eq!(told.pose, episode.steps[i - 1].after.observation.block);
+                    let observed = step.asked.object.unwrap();
+                    assert_eq!(observed.pose, episode.steps[i - 1].after.observation.block);
                     assert_eq!(
-                        (step.seen, told.confidence, step.asked.images),
-                        (Some(told.pose), None, 0)
+                        (step.seen, observed.confidence, step.asked.images),
+                        (Some(observed.pose), None, 0)
                     );
                 }
             }
@@ -200,9 +196,9 @@ fn one_thread_and_two_give_the_same_rollouts() {
         let one = run(1);
         assert_eq!(one.iter().map(|e| e.start.seed).collect::<Vec<_>>(), seeds);
         assert_eq!(one, run(2), "{name}");
-        // Nor do they depend on the company of other seeds.
-        let alone = rollouts(&config, &knowledge, &starts(&seeds[5..6]), 50, &|| true).unwrap();
-        assert_eq!(one[5..6], alone[..]);
+        // They do not depend on the other seeds either.
+        let single = rollouts(&config, &knowledge, &starts(&seeds[5..6]), 50, &|| true).unwrap();
+        assert_eq!(one[5..6], single[..]);
     }
 }
 
@@ -213,7 +209,7 @@ fn a_caller_can_stop_the_rollouts() {
     assert!(matches!(stopped, Err(RolloutError::Interrupted)));
 }
 
-/// Demonstrations in which the pusher passes by and the block rests.
+/// Demonstrations in which the pusher moves past the block and the block rests.
 fn without_a_push(mode: Mode) -> (DemoSet<PlanarFrame>, RetrievalIndex) {
     let frames: Vec<PlanarFrame> = (0..30)
         .map(|i| PlanarFrame {
@@ -236,7 +232,7 @@ fn without_a_push(mode: Mode) -> (DemoSet<PlanarFrame>, RetrievalIndex) {
 }
 
 #[test]
-fn what_cannot_be_followed_is_refused_in_one_sentence() {
+fn demonstrations_that_cannot_be_followed_are_rejected() {
     let refusal = |name: &str, mode: Mode, demos: Option<DemoSet<PlanarFrame>>| {
         let (own, index) = without_a_push(mode);
         let knowledge = Arc::new(Knowledge {
@@ -246,7 +242,7 @@ fn what_cannot_be_followed_is_refused_in_one_sentence() {
         });
         let mut seen = Shown::<Plane> {
             proprio: Point2::new(100.0, 100.0),
-            tells: true,
+            observes_object: true,
             object: &mut || Ok(Pose2::new(250.0, 250.0, 0.5)),
         };
         match Re4::new(base(name), knowledge, 1).act(&mut seen) {
@@ -257,7 +253,10 @@ fn what_cannot_be_followed_is_refused_in_one_sentence() {
     };
     let error = refusal("re4", Mode::Transit, None).unwrap();
     assert!(matches!(*error, LookupError::NoChunks), "{error}");
-    assert!(error.to_string().contains("no demonstration holds a push"), "{error}");
+    assert!(
+        error.to_string().contains("no demonstration contains a push"),
+        "{error}"
+    );
     let error = refusal("paper", Mode::Transfer, None).unwrap();
     assert!(
         matches!(*error, LookupError::NoFrameOfMode { mode: Mode::Transit }),

@@ -1,4 +1,5 @@
-//! Blocks in a corner: most recorded pushes would lead them, or the pusher, into a wall. Scenes drawn for this purpose alone.
+//! Blocks in a corner, where most recorded pushes would move the block or the pusher into a wall. The scenes are sampled for this
+//! test only.
 
 mod common;
 
@@ -9,7 +10,7 @@ use re4_policy::PolicyConfig;
 use re4_rollout::{Plane, PlaneScene, Start};
 use re4_sim::{ResetOrder, Scene, tee_vertices};
 
-/// Scenes whose block lies close to two walls.
+/// Samples scenes in which the block is close to two walls.
 fn cornered(count: u32) -> Vec<Start<Plane>> {
     let mut random = Random::new(200_000);
     let mut starts = Vec::new();
@@ -23,8 +24,8 @@ fn cornered(count: u32) -> Vec<Start<Plane>> {
             .flat_map(|p| [p.x, p.y, 512.0 - p.x, 512.0 - p.y])
             .fold(f64::MAX, f64::min);
         let centre = block.transform_point(Point2::new(0.0, 45.0));
-        let aside = |v: f64| !(140.0..=372.0).contains(&v);
-        if !(7.0..30.0).contains(&nearest) || !aside(centre.x) || !aside(centre.y) {
+        let near_wall = |v: f64| !(140.0..=372.0).contains(&v);
+        if !(7.0..30.0).contains(&nearest) || !near_wall(centre.x) || !near_wall(centre.y) {
             continue;
         }
         let agent = random.point(25.0, 487.0);
@@ -42,11 +43,11 @@ fn cornered(count: u32) -> Vec<Start<Plane>> {
 }
 
 #[test]
-fn a_block_in_a_corner_is_brought_out_of_it() {
+fn a_block_in_a_corner_is_moved_out_of_it() {
     let Some(demos) = pusht() else { return };
     let knowledge = knowledge(demos, AngleMetric::Periodic);
-    // Scenes among the first 600 in which the block was driven through a wall as long as the cheapest chunk was taken even
-    // where no way led to it.
+    // In these of the first 600 scenes, a policy that uses the cheapest chunk even if no path to it exists pushes the block
+    // through a wall.
     let hard = [94, 128, 300, 359, 412, 435, 476, 485, 501];
     let starts: Vec<Start<Plane>> = cornered(600)
         .into_iter()
@@ -58,9 +59,9 @@ fn a_block_in_a_corner_is_brought_out_of_it() {
     assert_eq!(solved, hard.len());
 }
 
-/// Of `CORNERS` scenes in corners, 60 unless told, nearly all are solved.
+/// The policy solves nearly all of `CORNERS` scenes in corners (an environment variable, default 60).
 #[test]
-fn few_blocks_stay_in_corners() {
+fn nearly_all_blocks_in_corners_reach_the_goal() {
     let Some(demos) = pusht() else { return };
     let knowledge = knowledge(demos, AngleMetric::Periodic);
     let count = std::env::var("CORNERS").map_or(60, |text| text.parse().unwrap());
@@ -68,6 +69,6 @@ fn few_blocks_stay_in_corners() {
     let episodes =
         rollouts(&PolicyConfig::re4(), &knowledge, &starts, 500, &|| true).unwrap_or_else(|error| panic!("{error}"));
     let unsolved = episodes.iter().filter(|episode| !episode.success()).count();
-    println!("{unsolved} of {count} scenes stay unsolved");
+    println!("{unsolved} of {count} scenes are not solved");
     assert!(unsolved * 20 <= count as usize, "{unsolved} of {count}");
 }

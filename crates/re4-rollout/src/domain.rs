@@ -1,4 +1,4 @@
-//! What is felt, seen, commanded and led to, in the plane and in space.
+//! The types of observations, actions and outcomes of planar tasks and of tasks in SE(3).
 
 use std::fmt::Debug;
 
@@ -7,43 +7,43 @@ use re4_geometry::{Point2, Pose2};
 use re4_sim::robosuite::{self, Placement, RobosuiteAction, RobosuiteObservation, RobosuiteStep};
 use re4_sim::{PushTObservation, ResetOrder, Scene, Step};
 
-/// The types of a kind of task.
+/// The types that a group of tasks shares.
 pub trait Domain: Debug + Clone + Copy + PartialEq + Send + Sync + 'static {
-    /// What a policy feels of its own body, without looking.
+    /// Proprioception, which is available without an image.
     type Proprio: Debug + Clone + Copy + PartialEq + Send + Sync;
-    /// Pose of the manipulated object, world frame.
+    /// Pose of the manipulated object in the world frame.
     type Pose: Debug + Clone + Copy + PartialEq + Send + Sync;
-    /// What a policy commands.
+    /// Action of a policy.
     type Action: Debug + Clone + Copy + PartialEq + Send + Sync;
-    /// What one control step led to.
+    /// Result of one control step.
     type Outcome: Debug + Clone + Copy + PartialEq + Send + Sync;
-    /// Where an episode starts.
+    /// Initial scene of an episode.
     type Scene: Debug + Clone + PartialEq + Send + Sync;
-    /// What is recorded of the state after the reset.
+    /// Recorded state after the reset.
     type First: Debug + Clone + PartialEq + Send + Sync;
 
-    /// Whether the task is done, which ends an episode.
+    /// Returns whether the task succeeded, which ends the episode.
     fn success(outcome: &Self::Outcome) -> bool;
 }
 
-/// Push-T: a disc pushes a block in the plane. World frame, pixels and radians.
+/// The domain of Push-T, in which a disc pushes a block in the plane. World frame, pixels and radians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Plane;
 
-/// A state of Push-T to start from.
+/// Initial state of a Push-T episode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneScene {
-    /// State to ask for.
+    /// Requested state.
     pub state: Scene,
-    /// In which order the reset sets position and angle.
+    /// Order in which the reset sets the position and the angle of the block.
     pub order: ResetOrder,
 }
 
 impl Domain for Plane {
-    /// Centre of the pusher.
+    /// Position of the pusher's centre in px.
     type Proprio = Point2;
     type Pose = Pose2;
-    /// Absolute target of the pusher.
+    /// Absolute target position of the pusher in px.
     type Action = Point2;
     type Outcome = Step<PushTObservation>;
     type Scene = PlaneScene;
@@ -54,22 +54,22 @@ impl Domain for Plane {
     }
 }
 
-/// An arm with a two-finger gripper and one object: robosuite's tasks. World frame, metres and radians; the end effector is the
-/// grip site throughout.
+/// The domain of the robosuite tasks: an arm with a two-finger gripper and one object in SE(3). World frame, metres and radians;
+/// the end-effector pose is always that of the grip site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Space;
 
-/// What a policy feels of an arm.
+/// Proprioception of an arm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ArmState {
-    /// Pose of the grip site.
+    /// Pose of the grip site in the world frame.
     pub eef: Isometry3<f64>,
-    /// Joint positions of the two fingers, of opposite signs.
+    /// Joint positions of the two fingers in metres, with opposite signs.
     pub fingers: [f64; 2],
 }
 
 impl ArmState {
-    /// Distance between the fingers.
+    /// Returns the distance between the fingers in metres.
     pub fn finger_separation(&self) -> f64 {
         (self.fingers[0] - self.fingers[1]).abs()
     }
@@ -84,16 +84,17 @@ impl From<&RobosuiteObservation> for ArmState {
     }
 }
 
-/// What a policy commands of an arm.
+/// Action of an arm with a gripper.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ArmAction {
-    /// Absolute goal of the grip site.
+    /// Absolute goal pose of the grip site in the world frame.
     pub goal: Isometry3<f64>,
-    /// Gripper command: -1 opens, +1 closes, 0 leaves it as it is.
+    /// Gripper command: -1 opens, +1 closes, 0 leaves the gripper as it is.
     pub gripper: f64,
 }
 
-/// An action as robosuite's controller takes it: the absolute goal of the grip site.
+/// Converts an action to the form that robosuite's controller takes: the absolute goal of the grip site as position and rotation
+/// vector.
 pub fn robosuite_action(action: &ArmAction) -> RobosuiteAction {
     let (t, r) = (action.goal.translation.vector, action.goal.rotation.scaled_axis());
     RobosuiteAction {
@@ -102,12 +103,12 @@ pub fn robosuite_action(action: &ArmAction) -> RobosuiteAction {
     }
 }
 
-/// A robosuite task after the reset.
+/// State of a robosuite task after the reset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpaceFirst {
-    /// What can be observed of it.
+    /// The observation.
     pub observation: RobosuiteObservation,
-    /// Time, coordinates and velocities.
+    /// Flattened MuJoCo state: time, qpos, qvel.
     pub state: Vec<f64>,
 }
 

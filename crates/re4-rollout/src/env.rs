@@ -1,4 +1,4 @@
-//! Simulations that policies are rolled out in.
+//! Simulations in which policies are rolled out.
 
 use nalgebra::Isometry3;
 use re4_geometry::{Point2, Pose2};
@@ -8,7 +8,7 @@ use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, SimError, Simul
 use crate::scene_renderer::{SceneCamera, SceneRenderer};
 use crate::{ArmAction, ArmState, Domain, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action};
 
-/// An image: RGB, 8 bits a channel, row by row from the top.
+/// An RGB image with 8 bits per channel, stored row by row from the top.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Image {
     /// Width in pixels.
@@ -19,45 +19,48 @@ pub struct Image {
     pub pixels: Vec<u8>,
 }
 
-/// A simulation of a task.
+/// A simulation of one task.
+///
+/// The harness calls [`Env::reset`] once at the beginning of an episode, then [`Env::step`] once per control step. Policies have
+/// no access to the environment; they use [`Senses`](crate::Senses).
 pub trait Env<D: Domain> {
-    /// Starts an episode.
+    /// Starts an episode and returns the state after the reset.
     ///
     /// # Errors
-    /// When the simulator refuses the scene.
+    /// If the simulator rejects the scene.
     fn reset(&mut self, scene: &D::Scene) -> Result<D::First, SimError>;
 
-    /// Takes one control step.
+    /// Executes one control step.
     ///
     /// # Errors
-    /// When the simulator refuses the action.
+    /// If the simulator rejects the action.
     fn step(&mut self, action: &D::Action) -> Result<D::Outcome, SimError>;
 
-    /// What is felt now.
+    /// Returns the proprioception in the current state.
     fn proprio(&self) -> D::Proprio;
 
-    /// The object's true pose.
+    /// Returns the true object pose in the world frame.
     fn object(&self) -> D::Pose;
 
-    /// Renders the present state.
+    /// Renders the current state into `into`, which is resized as needed.
     ///
     /// # Errors
-    /// [`PolicyError::Look`] when there is no such camera, or it cannot be rendered.
+    /// [`PolicyError::Look`] if the camera does not exist or the image cannot be rendered.
     fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError>;
 }
 
-/// Push-T, whose only camera is `image`: 96 x 96.
+/// The Push-T simulation. Its only camera is `image`, which renders 96 x 96 pixels.
 pub struct PushTEnv {
     simulator: PushT,
-    /// Drawn on from step to step, where there are images.
+    /// Canvas that is reused from step to step. It is created with the first image.
     canvas: Option<Canvas>,
 }
 
 impl PushTEnv {
-    /// A simulator before its first reset.
+    /// Creates a simulator, which must be reset before use.
     ///
     /// # Errors
-    /// When the physics library is of another version.
+    /// If the version of the physics library is not the expected one.
     pub fn new() -> Result<Self, SimError> {
         Ok(Self {
             simulator: PushT::new()?,
@@ -96,20 +99,21 @@ impl Env<Plane> for PushTEnv {
     }
 }
 
-/// A robosuite task.
+/// The simulation of a robosuite task.
 pub struct RobosuiteEnv<'a> {
     simulation: Robosuite,
     now: RobosuiteStep,
     scene_renderer: Option<&'a SceneRenderer>,
     scene: Option<Placement>,
+    /// Renders the current scene. It is created when the first image of an episode is requested.
     scene_camera: Option<SceneCamera>,
 }
 
 impl<'a> RobosuiteEnv<'a> {
-    /// A simulation of a model. It can be rendered where there is a scene_renderer.
+    /// Creates a simulation of a model. Images can be rendered only if `scene_renderer` is given.
     ///
     /// # Errors
-    /// When there is no memory.
+    /// If memory cannot be allocated.
     pub fn new(model: &RobosuiteModel, scene_renderer: Option<&'a SceneRenderer>) -> Result<Self, SimError> {
         let simulation = Robosuite::new(model)?;
         let now = RobosuiteStep {

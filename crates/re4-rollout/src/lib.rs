@@ -1,8 +1,15 @@
-//! The harness of rollouts: one loop and one driver for every policy, task and variant.
+//! The rollout harness: one control loop and one driver for every policy, task and variant.
 //!
-//! A [`Domain`] says what is felt, seen, commanded and led to: [`Plane`] for Push-T, [`Space`] for robosuite's tasks. An
-//! [`Env`] is a simulation in it. A [`Policy`] answers an action at every control step and asks its [`Senses`] for what it
-//! needs; a [`PolicyFactory`] starts one for every episode. [`rollouts`] drives them, and records what was asked.
+//! * [`Domain`] defines the types of proprioception, object pose, action and outcome. [`Plane`] is the domain of Push-T, and
+//!   [`Space`] is the domain of the robosuite tasks.
+//! * [`Env`] is the simulation of a task in a domain.
+//! * [`Policy`] returns an action at every control step. It reads its observations from [`Senses`].
+//! * [`PolicyFactory`] starts a policy for every episode.
+//! * [`rollouts`] runs the policies from a list of starts on several threads and records actions, decisions and requested
+//!   observations.
+//!
+//! A new policy implements [`PolicyFactory`], [`Policy`], and [`Explained`] for its decision record. The settings, pipeline
+//! schema and tables are added in `re4-policy` (module `kinds`).
 
 mod domain;
 mod env;

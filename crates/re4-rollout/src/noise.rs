@@ -1,4 +1,4 @@
-//! Errors of pose estimates, made on purpose.
+//! Simulated errors of pose estimates.
 
 use std::f64::consts::TAU;
 
@@ -7,8 +7,10 @@ use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng as _;
 use re4_geometry::spatial::rotation_from_vector;
 
-/// White Gaussian errors for object poses: every call draws anew. A rollout perturbs each observation with it before the policy
-/// sees it, so that errors of successive observations are independent; the end effector is left as it is.
+/// White Gaussian errors for object poses.
+///
+/// Every call of [`PoseNoise::perturb`] samples a new error. A rollout perturbs every observation of the object before the policy
+/// receives it, so the errors of successive observations are independent. End-effector poses stay exact.
 pub struct PoseNoise {
     random: Pcg64,
     translation: f64,
@@ -16,8 +18,8 @@ pub struct PoseNoise {
 }
 
 impl PoseNoise {
-    /// Errors with the standard deviations `translation`, in metres along each axis of the world, and `rotation`, in rad for
-    /// each component of a rotation vector in the world. The same seed draws the same errors.
+    /// Creates a generator of errors with the standard deviations `translation`, in metres along each axis of the world frame,
+    /// and `rotation`, in rad for each component of a rotation vector in the world frame. The same seed gives the same errors.
     pub fn new(seed: u64, translation: f64, rotation: f64) -> Self {
         Self {
             random: Pcg64::new(u128::from(seed), 0x706f_7365_5f6e_6f69_7365),
@@ -26,13 +28,14 @@ impl PoseNoise {
         }
     }
 
-    /// The pose with an error: moved, and turned about its own origin. Six numbers are drawn, whatever the deviations.
+    /// Adds an error to a pose: a translation, and a rotation about the object's own origin. It always samples six numbers, so
+    /// that the random sequence does not depend on the standard deviations.
     pub fn perturb(&mut self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        let moved = self.vector() * self.translation;
-        let turned = self.vector() * self.rotation;
+        let translation = self.vector() * self.translation;
+        let rotation = self.vector() * self.rotation;
         Isometry3::from_parts(
-            (pose.translation.vector + moved).into(),
-            rotation_from_vector(turned) * pose.rotation,
+            (pose.translation.vector + translation).into(),
+            rotation_from_vector(rotation) * pose.rotation,
         )
     }
 
@@ -41,9 +44,9 @@ impl PoseNoise {
         Vector3::new(x, y, z)
     }
 
-    /// A standard normal number, by Box and Muller's transform.
+    /// Samples a standard normal number by the Box-Muller transform.
     fn normal(&mut self) -> f64 {
-        // In (0, 1], so that the logarithm is finite.
+        // `unit` is in (0, 1], so the logarithm is finite.
         let radius = (-2.0 * self.unit().ln()).sqrt();
         radius * (TAU * self.unit()).cos()
     }

@@ -1,4 +1,4 @@
-//! What answers actions.
+//! The policy interface: observations in, one action per control step out.
 
 use re4_fault::Remedy;
 use std::error::Error;
@@ -8,21 +8,23 @@ use thiserror::Error;
 
 use crate::{Domain, Senses};
 
-/// Which part of a policy's loop an action belongs to.
+/// The part of the policy's loop that an action belongs to.
+///
+/// The phases are those of RE4. A policy that has no planning phase uses [`Phase::Replay`] for every action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Phase {
-    /// On the planned way to the start of a chunk, in the plane.
+    /// Following a planned path to the start of a chunk (planar tasks).
     Plan,
-    /// On the way to the start of a chunk, in space.
+    /// Moving to the start of a chunk under closed-loop control (tasks in SE(3)).
     Bridge,
     /// Executing a chunk.
     Replay,
-    /// On the way to the pose of the episode's beginning, the gripper open.
+    /// Returning to the initial pose of the episode with the gripper open.
     Home,
 }
 
 impl Phase {
-    /// The word used in tables.
+    /// Returns the name of the phase in tables.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Plan => "plan",
@@ -33,63 +35,76 @@ impl Phase {
     }
 }
 
-/// One action, and why it was taken.
+/// The action for one control step, and the reason for it.
+///
+/// `X` is the type of the policy's decision record, [`Policy::Decision`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Act<D: Domain, X> {
-    /// What to send.
+    /// The action to execute.
     pub action: D::Action,
-    /// Part of the loop that the action belongs to.
+    /// Part of the policy's loop that the action belongs to.
     pub phase: Phase,
-    /// The decision that the action starts, if it starts one.
+    /// The decision record, if the policy made a decision at this step. Later actions with `None` are attributed to the same
+    /// decision, so the first action of an episode should carry a decision.
     pub decision: Option<X>,
-    /// Where the policy takes the object to be at this step, world frame, where it goes by a pose: the one that it was told, the
-    /// average of those, or, where it did not ask, the last of them at rest in the world or in the gripper.
+    /// The object pose in the world frame on which the policy bases this step, or `None` if it uses no pose. The pose is the
+    /// observed pose, a filtered pose or, if the policy did not request an observation at this step, the last pose, assumed fixed
+    /// in the world or in the gripper. It is only recorded (column `seen` of table `steps`).
     pub object: Option<D::Pose>,
 }
 
-/// A policy in the middle of an episode: it is asked at every control step, and keeps what it needs of earlier steps and what
-/// it has planned for later ones.
+/// A policy during one episode.
+///
+/// The harness creates a policy with [`PolicyFactory::start`], calls [`Policy::act`] once per control step, and drops the policy
+/// at the end of the episode. A policy therefore stores everything that it needs from earlier steps and the actions that it has
+/// planned for later steps.
 pub trait Policy<D: Domain> {
-    /// Why it does what it does: one record a decision.
+    /// The decision record, which explains a choice of the policy. To write rollouts to tables, it must implement
+    /// [`Explained`](crate::Explained).
     type Decision: Debug + Clone + PartialEq + Send;
 
-    /// The next action.
+    /// Returns the next action.
+    ///
+    /// The policy reads its observations from `senses`. It need not request the object pose or an image at every step.
     ///
     /// # Errors
-    /// When the policy has no action, or what it asks for cannot be sensed.
+    /// If the policy has no action, or a requested observation is not available.
     fn act(&mut self, senses: &mut dyn Senses<D>) -> Result<Act<D, Self::Decision>, PolicyError>;
 }
 
-/// Starts a policy for every episode. What it knows is opened before and shared.
+/// Starts a policy for every episode.
+///
+/// A factory owns or shares the read-only data of its policies, such as demonstrations and indices. This data is loaded once
+/// before the first episode. Several threads call the same factory.
 pub trait PolicyFactory<D: Domain>: Sync {
-    /// What it starts.
+    /// The type of policy that the factory starts.
     type Policy: Policy<D>;
 
-    /// A policy at the beginning of an episode. The seed of the scene drives the policy's random numbers; `first` is what is
-    /// felt after the reset.
+    /// Creates the policy for an episode. `first` is the proprioception after the reset. `seed` identifies the scene; a policy
+    /// that uses random numbers must derive them from `seed` so that rollouts are reproducible.
     fn start(&self, seed: u32, first: &D::Proprio) -> Self::Policy;
 }
 
-/// Why a policy cannot act.
+/// An error that prevents a policy from acting.
 #[derive(Debug, Error, Remedy)]
 pub enum PolicyError {
-    /// No block in the first image.
-    #[error("no block is seen in the image and none was seen before")]
-    #[remedy("start from a scene that shows it")]
+    /// The estimator found no block in the current image or in any earlier image.
+    #[error("neither the current image nor an earlier image shows the block")]
+    #[remedy("start from a scene in which the block is visible")]
     Blind,
-    /// Nobody tells where the object is.
-    #[error("cannot retrieve: the object's pose is not known, since {source}")]
+    /// An observation that the policy requested is not available.
+    #[error("cannot observe the scene: {source}")]
     Look {
-        /// Why, in words that go on from there.
+        /// The reason, as a clause without a capital letter or a full stop.
         source: Box<dyn Error + Send + Sync>,
     },
-    /// Reasons of the policy's own.
+    /// An error of the policy's own type.
     #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),
 }
 
 impl PolicyError {
-    /// What cannot be seen, by the error that says why.
+    /// Creates a [`PolicyError::Look`] from the reason why an observation is not available.
     pub fn look(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         Self::Look { source: error.into() }
     }

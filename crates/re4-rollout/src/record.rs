@@ -1,4 +1,4 @@
-//! Rollouts on their way to tables, whatever the policy.
+//! Conversion of rollouts to table rows, for every policy.
 
 use re4_artifact::{ArtifactError, Label, Row, RowWriter, Writer};
 use re4_episode::DemoNames;
@@ -9,70 +9,77 @@ use crate::{
     DecisionCore, Domain, Harness, Policy, PolicyFactory, Recorded, ResultCore, RolloutError, Start, StepCore, rollouts,
 };
 
-/// A decision record that can be written.
+/// A decision record that can be written to tables.
+///
+/// Table `decisions` has the columns that all policies share; they come from [`Explained::explanation`]. The columns that are
+/// specific to a policy are in a separate table, which has one row per row of table `decisions`; they come from
+/// [`Explained::detail`].
 pub trait Explained<D: Domain> {
-    /// Row of the table with what is particular to the policy, `decisions_<policy>`.
+    /// Row type of the policy-specific table, `decisions_<policy>`.
     type Detail: Row;
 
-    /// What every policy tells of a decision.
+    /// Returns the columns that all policies share. `names` maps the number of a demonstration to its name.
     fn explanation(&self, names: &DemoNames) -> Explanation<D>;
 
-    /// The rest.
+    /// Returns the row of the policy-specific table. `seed` and `decision` identify the rollout and the number of the decision in
+    /// it.
     fn detail(&self, seed: u32, decision: u32) -> Self::Detail;
 }
 
-/// What every policy tells of a decision.
+/// The description of a decision that all policies share.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Explanation<D: Domain> {
-    /// Control steps taken before it.
+    /// Number of control steps taken before the decision.
     pub step: u32,
-    /// What was decided, in a word.
+    /// Kind of decision in one word, such as `retrieve`.
     pub kind: &'static str,
-    /// What was felt.
+    /// Proprioception at the decision.
     pub proprio: D::Proprio,
-    /// Pose of the object that it goes by, where it goes by one.
+    /// Object pose in the world frame on which the decision is based, or `None` if it uses no pose.
     pub object: Option<D::Pose>,
-    /// Demonstration that is followed, by its number in the index, with the first and the last frame; where one is.
+    /// The demonstration that the policy follows: its number in the index, the first frame and the last frame (included). `None`
+    /// if the policy follows none.
     pub demo: Option<(u32, u32, u32)>,
-    /// The decision in words.
+    /// The reason for the decision, as an English sentence without a full stop. It appears in the column `reason` and on the HTML
+    /// page.
     pub reason: String,
 }
 
-/// The rows of some rollouts.
+/// Table rows of a batch of rollouts.
 pub struct Batch<D: Recorded> {
-    /// Table `results`.
+    /// Rows of table `results`.
     pub results: Vec<D::ResultRow>,
-    /// Table `steps`.
+    /// Rows of table `steps`.
     pub steps: Vec<D::StepRow>,
-    /// Table `decisions`.
+    /// Rows of table `decisions`.
     pub decisions: Vec<D::DecisionRow>,
 }
 
-/// A policy that was opened, of any type.
+/// An opened policy with its type erased.
 pub trait Opened<D: Recorded>: Sync {
-    /// Begins the policy's own table.
+    /// Starts to write the policy-specific table.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If the table cannot be written.
     fn begin<'a>(&'a self, writer: &Writer) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError>;
 }
 
-/// Rollouts of a policy, whose own table is being written.
+/// Rolls out a policy and writes its policy-specific table.
 pub trait Recording<D: Recorded> {
-    /// Rolls out from more starts.
+    /// Rolls out the policy from further starts and returns the rows of the shared tables.
     ///
     /// # Errors
-    /// As [`rollouts`]; when the policy's own table cannot be written.
+    /// If a rollout fails (see [`rollouts`]) or the policy-specific table cannot be written.
     fn roll_out(&mut self, harness: &Harness<'_, '_, D>, starts: &[Start<D>]) -> Result<Batch<D>, RecordError>;
 
-    /// Finishes the policy's own table.
+    /// Finishes the policy-specific table.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If the table cannot be written.
     fn finish(self: Box<Self>) -> Result<(), ArtifactError>;
 }
 
-/// Why rollouts could not be recorded.
+/// An error from rolling out a policy or recording the rollouts.
 #[derive(Debug, Error, Remedy)]
 pub enum RecordError {
     /// A rollout failed.
@@ -85,11 +92,11 @@ pub enum RecordError {
     Artifact(#[from] ArtifactError),
 }
 
-/// A factory of policies whose decisions name demonstrations.
+/// A policy factory with the names of the demonstrations. It implements [`Opened`].
 pub struct Named<F> {
-    /// Starts the policies.
+    /// The factory.
     pub factory: F,
-    /// What demonstrations are called.
+    /// Names of the demonstrations.
     pub names: DemoNames,
 }
 

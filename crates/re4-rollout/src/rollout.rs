@@ -1,4 +1,4 @@
-//! Rollouts: a policy against a simulation, start after start.
+//! Rollouts of a policy in a simulation, from one start after another.
 
 use re4_fault::Remedy;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,17 +9,17 @@ use thiserror::Error;
 use crate::senses::Sensing;
 use crate::{Asked, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory, Senses as _, Source};
 
-/// Where a rollout starts. Scores over different sets of starts must not be compared.
+/// The start of a rollout. Scores over different sets of starts are not comparable.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Start<D: Domain> {
-    /// Names the scene: its seed, or its number in a list of scenes. It seeds the policy's random numbers too.
+    /// Identifies the scene: its seed, or its number in a list of scenes. It also seeds the policy's random numbers.
     pub seed: u32,
     /// The scene.
     pub scene: D::Scene,
 }
 
 impl Start<Plane> {
-    /// The start that a seed stands for.
+    /// Creates the start of a seed.
     pub fn from_seed(scheme: SeedScheme, order: ResetOrder, seed: u32) -> Self {
         Self {
             seed,
@@ -34,88 +34,89 @@ impl Start<Plane> {
 /// One control step of a rollout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepRecord<D: Domain> {
-    /// What the policy asked for before the step.
+    /// The observations that the policy requested before the step.
     pub asked: Asked<D>,
-    /// Where the policy took the object to be: what it was told, or else what it went by, where it went by a pose at all.
+    /// The object pose on which the policy based the step: the observed pose if it requested one, otherwise the pose that the
+    /// policy reported. `None` if it used no pose.
     pub seen: Option<D::Pose>,
-    /// What it commanded.
+    /// The executed action.
     pub action: D::Action,
-    /// Part of the loop.
+    /// Part of the policy's loop that the action belongs to.
     pub phase: Phase,
-    /// Decision that the action follows from (position in [`Rollout::decisions`]).
+    /// Index in [`Rollout::decisions`] of the decision that the action follows from.
     pub decision: u32,
-    /// What came of it.
+    /// The result of the step.
     pub after: D::Outcome,
 }
 
 /// A rollout from one start.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rollout<D: Domain, X> {
-    /// Where it started.
+    /// The start.
     pub start: Start<D>,
     /// State after the reset.
     pub first: D::First,
-    /// Control steps, to the first success at most.
+    /// Control steps. A rollout ends at the first success.
     pub steps: Vec<StepRecord<D>>,
-    /// Decisions.
+    /// Decision records in order.
     pub decisions: Vec<X>,
 }
 
 impl<D: Domain, X> Rollout<D, X> {
-    /// Whether the task was done at some step, which ends the episode.
+    /// Returns whether the task succeeded. Success ends the rollout, so only the last step is examined.
     pub fn success(&self) -> bool {
         self.steps.last().is_some_and(|step| D::success(&step.after))
     }
 
-    /// Images rendered.
+    /// Returns the number of rendered images.
     pub fn images(&self) -> u32 {
         self.steps.iter().map(|step| step.asked.images).sum()
     }
 }
 
 impl<X> Rollout<Plane, X> {
-    /// Maximum value of a measure over the steps of the episode; 0 for an episode without steps.
+    /// Returns the maximum of a measure over the steps of the episode, or 0 for an episode without steps.
     pub fn maximum(&self, measure: impl Fn(&Step<PushTObservation>) -> f64) -> f64 {
         self.steps.iter().map(|s| measure(&s.after)).fold(0.0, f64::max)
     }
 }
 
-/// Why a rollout could not be carried out.
+/// An error that ends a rollout.
 #[derive(Debug, Error, Remedy)]
 pub enum RolloutError {
-    /// The simulator refused.
+    /// The simulator rejected the scene or an action.
     #[error("rollout of scene {scene} failed at step {step}: {source}")]
     #[remedy(source.remedy())]
     Simulator {
-        /// Number of the scene.
+        /// Seed or number of the scene.
         scene: u32,
-        /// Steps taken.
+        /// Number of control steps taken before the error.
         step: usize,
-        /// What it refused.
+        /// The simulator's error.
         source: SimError,
     },
-    /// The policy had no action.
+    /// The policy failed to return an action.
     #[error("rollout of scene {scene} failed at step {step}: {source}")]
     #[remedy(source.remedy())]
     Policy {
-        /// Number of the scene.
+        /// Seed or number of the scene.
         scene: u32,
-        /// Steps taken.
+        /// Number of control steps taken before the error.
         step: usize,
-        /// Why.
+        /// The policy's error.
         source: PolicyError,
     },
-    /// The caller asked to stop.
+    /// The progress callback asked to stop.
     #[error("the rollout was interrupted")]
     #[remedy("nothing was written, run it again")]
     Interrupted,
 }
 
-/// Rolls a policy out from one start, until success or the step budget. The policy is started when it is known what is felt
-/// after the reset.
+/// Rolls out a policy from one start until success or until `max_steps` control steps are executed. The policy is started after
+/// the reset, so its factory receives the first proprioception.
 ///
 /// # Errors
-/// When the simulator refuses the scene or an action, or the policy has no action.
+/// If the simulator rejects the scene or an action, or the policy fails to return an action.
 pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     factory: &F,
     env: &mut dyn Env<D>,
@@ -138,7 +139,7 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
         let after = senses.env.step(&act.action).map_err(refused(step))?;
         let asked = senses.finish();
         steps.push(StepRecord {
-            seen: asked.object.map(|told| told.pose).or(act.object),
+            seen: asked.object.map(|observed| observed.pose).or(act.object),
             asked,
             action: act.action,
             phase: act.phase,
@@ -157,32 +158,32 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     })
 }
 
-/// A rollout of the policies that a factory starts.
+/// A rollout with the decision type of a factory's policies.
 type RolloutOf<D, F> = Rollout<D, <<F as PolicyFactory<D>>::Policy as Policy<D>>::Decision>;
 
-/// Makes the simulation of a start.
+/// Creates the simulation for a start.
 pub type MakeEnv<'a, 'e, D> = dyn Fn(&Start<D>) -> Result<Box<dyn Env<D> + 'e>, SimError> + Sync + 'a;
 
-/// Says where the object's pose comes from in the episode of a seed.
+/// Returns the source of the object pose for the episode of a seed.
 pub type MakeSource<'a, D> = dyn Fn(u32) -> Source<D> + Sync + 'a;
 
-/// What policies are rolled out in.
+/// Everything that rollouts need apart from the policy and the starts.
 pub struct Harness<'a, 'e, D: Domain> {
-    /// Makes the simulation of a start, in the thread that rolls it out.
+    /// Creates the simulation for a start, in the thread that runs the rollout.
     pub env: &'a MakeEnv<'a, 'e, D>,
-    /// Where the object's pose comes from in the episode of a seed.
+    /// Returns the source of the object pose for the episode of a seed.
     pub source: &'a MakeSource<'a, D>,
-    /// Control steps an episode lasts at most.
+    /// Maximum number of control steps of an episode.
     pub max_steps: u32,
-    /// Called after every episode; says whether to go on.
+    /// Called after every episode. Returns false to stop the rollouts.
     pub progress: &'a (dyn Fn() -> bool + Sync),
 }
 
-/// Rolls a policy out from many starts, in as many threads as the current thread pool has. Results come in the order of
+/// Rolls out a policy from many starts on as many threads as the current rayon thread pool has. The results are in the order of
 /// `starts` and do not depend on the number of threads.
 ///
-/// The threads are not the pool's own: an estimator or a network that all episodes share may wait for work of its own that it
-/// gave to the pool, and a thread of the pool that waits takes up another episode, which would ask the same estimator.
+/// The rollouts run on separate threads instead of pool threads. A pool thread that waits for work of a shared estimator or
+/// network would run another episode in the meantime, and that episode would call the same estimator.
 ///
 /// # Errors
 /// The first error in the order of `starts`.
@@ -206,7 +207,8 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
             Err(RolloutError::Interrupted)
         }
     };
-    // Starts before the first that failed are finished, those after it are not begun.
+    // After an error, no later start is begun, but all earlier starts are completed, so the reported error does not depend on
+    // timing.
     let (next, end) = (AtomicUsize::new(0), AtomicUsize::new(starts.len()));
     let work = || {
         let mut done = Vec::new();

@@ -1,4 +1,4 @@
-//! Images of robosuite's tasks, as `ingest` draws them.
+//! Renders images of the robosuite tasks in the same way as `ingest`.
 
 use std::cell::RefCell;
 
@@ -9,21 +9,22 @@ use re4_sim::robosuite::Placement;
 use crate::{Image, PolicyError};
 
 thread_local! {
-    /// A renderer works in the thread that made it alone, and takes longer to make than to draw an image. It goes with the
-    /// thread.
+    /// The renderer of the current thread. A renderer can only be used on the thread that created it, and creating one takes
+    /// longer than rendering an image. It is freed when the thread ends.
     static RENDERER: RefCell<Option<Renderer>> = const { RefCell::new(None) };
 }
 
-/// Puts a flattened state (time, coordinates, velocities) into a simulation and computes what an image of it depends on.
+/// Sets a flattened state (time, qpos, qvel) in a simulation and computes the quantities that rendering needs.
 ///
 /// # Errors
-/// When the state has another length than the model's.
+/// If the length of the state does not match the model.
 pub fn set_state(data: &mut Data, state: &[f64]) -> Result<(), String> {
     let (nq, nv) = (data.model().nq(), data.model().nv());
     if state.len() != 1 + nq + nv {
         return Err(format!(
-            "cannot draw a state of {} numbers: the model has the time, {nq} coordinates and {nv} velocities",
-            state.len()
+            "the state has {} numbers, and the model needs {} (the time, {nq} coordinates and {nv} velocities)",
+            state.len(),
+            1 + nq + nv
         ));
     }
     data.set_time(state[0]);
@@ -33,7 +34,7 @@ pub fn set_state(data: &mut Data, state: &[f64]) -> Result<(), String> {
     Ok(())
 }
 
-/// A scene with all that is drawn of it.
+/// A scene of a robosuite task with all visual elements.
 pub struct SceneRenderer {
     mjcf: String,
     model: Model,
@@ -41,23 +42,24 @@ pub struct SceneRenderer {
 }
 
 impl SceneRenderer {
-    /// A scene, by its MJCF and the model compiled from it, of which images of `side` x `side` pixels are rendered.
+    /// Creates a renderer of a scene from its MJCF and the model compiled from it. Images have `side` x `side` pixels.
     pub fn new(mjcf: String, model: Model, side: usize) -> Self {
         Self { mjcf, model, side }
     }
 
-    /// Says whether the scene has a camera.
+    /// Checks that the scene has a camera of this name.
     ///
     /// # Errors
-    /// When it does not.
+    /// If it does not.
     pub fn camera(&self, name: &str) -> Result<(), MujocoError> {
         self.model.id(Kind::Camera, name).map(drop)
     }
 
-    /// What renders the scene as it was drawn for a seed, with boxes that may have sizes of their own.
+    /// Creates a [`SceneCamera`] for a sampled scene. In some tasks the sampled scene also defines the sizes of boxes. `None`
+    /// uses the sizes of the model.
     ///
     /// # Errors
-    /// When there is no memory, or the MJCF cannot be read.
+    /// If memory cannot be allocated or the MJCF cannot be parsed.
     pub fn scene_camera(&self, scene: Option<&Placement>) -> Result<SceneCamera, PolicyError> {
         match scene {
             Some(scene) if scene.task.draws_models() => {
@@ -68,10 +70,10 @@ impl SceneRenderer {
         }
     }
 
-    /// What renders the scene with boxes of these half sizes.
+    /// Creates a [`SceneCamera`] for the scene with boxes of the given half sizes, by name.
     ///
     /// # Errors
-    /// When there is no memory.
+    /// If memory cannot be allocated.
     pub fn scene_camera_of(&self, boxes: &[(String, [f64; 3])]) -> Result<SceneCamera, PolicyError> {
         let model = if boxes.is_empty() {
             self.model.clone()
@@ -86,38 +88,40 @@ impl SceneRenderer {
     }
 }
 
-/// Renders the states of a scene.
+/// Renders states of one scene.
 pub struct SceneCamera {
     data: Data,
     side: usize,
 }
 
 impl SceneCamera {
-    /// Renders what a camera shows of a state (time, coordinates, velocities): the image that `ingest` draws of the same state.
+    /// Renders the image of a camera in a state (time, qpos, qvel). The image is identical to the one that `ingest` renders of
+    /// the same state.
     ///
     /// # Errors
-    /// [`PolicyError::Look`] when the state is not one of the scene, there is no such camera, or nothing can be rendered here.
+    /// [`PolicyError::Look`] if the state does not match the scene, the camera does not exist, or rendering is not possible on
+    /// this machine.
     pub fn draw(&mut self, camera: &str, state: &[f64], into: &mut Image) -> Result<(), PolicyError> {
         set_state(&mut self.data, state).map_err(PolicyError::look)?;
         into.pixels.resize(self.side * self.side * 3, 0);
         (into.width, into.height) = (self.side, self.side);
-        let drawn = RENDERER.with_borrow_mut(|kept| -> Result<(), MujocoError> {
+        let rendered = RENDERER.with_borrow_mut(|cached| -> Result<(), MujocoError> {
             let camera = self.data.model().id(Kind::Camera, camera)?;
-            let renderer = match kept {
+            let renderer = match cached {
                 Some(renderer) if renderer.model().looks_like(self.data.model()) => renderer,
                 other => {
-                    // The memory of the last one first.
+                    // Free the memory of the old renderer before the new one is created.
                     *other = None;
                     other.insert(Renderer::new(self.data.model(), self.side, self.side)?)
                 }
             };
             renderer.draw_into(&mut self.data, camera, &mut into.pixels)
         });
-        drawn.map_err(PolicyError::look)
+        rendered.map_err(PolicyError::look)
     }
 }
 
-/// Frees the renderer of this thread.
+/// Frees the renderer of the current thread.
 pub fn drop_renderer() {
     drop(RENDERER.take());
 }

@@ -1,81 +1,95 @@
-//! What a policy can ask for at a control step.
+//! Observations that a policy can request at a control step.
 
 use crate::{Domain, Env, Image, PolicyError};
 
-/// What a policy can ask for at a control step, each when it asks. The same question gets the same answer until the next step.
+/// The observations of the current control step, each computed when the policy requests it.
+///
+/// Repeated requests within a control step return the same answer and cost nothing. The harness records what the policy
+/// requested. This interface is the only access that a policy has to the simulation; in particular, with poses from images there
+/// is no access to the true object pose.
 pub trait Senses<D: Domain> {
-    /// What it feels of its own body.
+    /// Returns the proprioception, which is always available: the position of the pusher, or the pose of the grip site and the
+    /// joint positions of the fingers.
     fn proprio(&self) -> D::Proprio;
 
-    /// Whether the object's pose is at hand at every step; else each answer takes an image, and a policy may ask less often.
+    /// Returns whether the object pose is available without rendering an image. If not, every observation of the object pose
+    /// renders an image and runs an estimator, so a policy may request the pose less often.
     fn observes_object(&self) -> bool;
 
-    /// Where the object is, as far as that is known. Which frame of the object that is, is up to who tells it, as long as
-    /// demonstrations are indexed with the same one.
+    /// Returns the observed object pose in the world frame: the true pose, the true pose with simulated errors, or the estimate
+    /// from an image, depending on the pipeline.
+    ///
+    /// The source of the poses defines which body frame of the object the pose refers to. Demonstrations are indexed with poses
+    /// from the same source.
     ///
     /// # Errors
-    /// When it cannot be seen.
+    /// If the object cannot be observed, for example because the image cannot be rendered.
     fn object(&mut self) -> Result<D::Pose, PolicyError>;
 
-    /// What a camera shows.
+    /// Returns the image of a camera in the current state.
     ///
     /// # Errors
-    /// When there is no such camera, or it cannot be rendered.
+    /// If the camera does not exist or the image cannot be rendered.
     fn image(&mut self, camera: &str) -> Result<&Image, PolicyError>;
 }
 
-/// An answer to where the object is.
+/// An observation of the object pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObservedPose<D: Domain> {
-    /// The pose, world frame.
+    /// The pose in the world frame.
     pub pose: D::Pose,
-    /// How sure the estimator is, from 0 to 1, where it says so.
+    /// Confidence of the estimator from 0 to 1. `None` if the pose does not come from an estimator, or if the estimator reports
+    /// no confidence.
     pub confidence: Option<f64>,
-    /// What the estimator remarks of the image, where it does.
+    /// Flag that the estimator assigned to the image, such as `occluded`. `None` if the pose does not come from an estimator, or
+    /// if the estimator has no flags.
     pub flag: Option<&'static str>,
 }
 
-/// Says where the object is in images, and sees nothing else.
+/// Estimates the object pose from images and has no other input.
+///
+/// One estimator is used for one episode, so it may keep state between images.
 pub trait Estimator<D: Domain> {
-    /// The object's pose in an image.
+    /// Estimates the object pose in an image.
     ///
     /// # Errors
-    /// When it cannot be seen.
+    /// If the image is invalid or the object cannot be located.
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<D>, PolicyError>;
 }
 
-/// Puts an error on a pose, at every call anew.
+/// Adds a simulated error to a pose. Every call samples a new error.
 pub type Errors<D> = Box<dyn FnMut(&<D as Domain>::Pose) -> <D as Domain>::Pose>;
 
-/// Where the object's pose comes from in one episode.
+/// The source of the object pose in one episode.
 pub enum Source<D: Domain> {
-    /// The simulator.
+    /// The true pose from the simulator.
     Recorded,
-    /// The simulator, with errors made on purpose.
+    /// The true pose from the simulator with simulated errors.
     Noisy(Errors<D>),
-    /// What an estimator says of the images of a camera. Nothing else leads from the true pose to the policy.
+    /// The estimate from the images of a camera. The policy then has no access to the true pose.
     Image {
         /// Name of the camera.
         camera: String,
-        /// Who looks at its images.
+        /// The estimator that receives its images.
         estimator: Box<dyn Estimator<D>>,
     },
 }
 
-/// What a policy asked for at a control step.
+/// The observations that a policy requested at one control step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Asked<D: Domain> {
-    /// What it was told of the object's pose; none where it did not ask.
+    /// The observed object pose, or `None` if the policy did not request it.
     pub object: Option<ObservedPose<D>>,
-    /// Images rendered for it or for the estimator.
+    /// Number of images rendered for the policy or for the estimator.
     pub images: u32,
 }
 
-/// The senses in an environment, which keep count.
+/// Implements [`Senses`] for an environment and records the requests.
 pub(crate) struct Sensing<'a, D: Domain> {
     pub(crate) env: &'a mut dyn Env<D>,
     source: Source<D>,
-    /// Images by camera, and whether they show the present state.
+    /// The images by camera name, with a flag that is true if the image shows the current state. The buffers are reused from step
+    /// to step.
     images: Vec<(String, Image, bool)>,
     asked: Asked<D>,
 }
@@ -93,7 +107,7 @@ impl<'a, D: Domain> Sensing<'a, D> {
         }
     }
 
-    /// What was asked since the last call; the next questions are about the state to come.
+    /// Returns the requests since the last call and invalidates the images, so that later requests observe the next state.
     pub(crate) fn finish(&mut self) -> Asked<D> {
         for (_, _, fresh) in &mut self.images {
             *fresh = false;
@@ -106,8 +120,8 @@ impl<'a, D: Domain> Sensing<'a, D> {
     }
 }
 
-/// The image of a camera, rendered unless it was since the last step.
-fn shot<'i, D: Domain>(
+/// Returns the image of a camera, which is rendered if it has not been rendered since the last step.
+fn current_image<'i, D: Domain>(
     images: &'i mut Vec<(String, Image, bool)>,
     camera: &str,
     env: &mut dyn Env<D>,
@@ -136,27 +150,27 @@ impl<D: Domain> Senses<D> for Sensing<'_, D> {
     }
 
     fn object(&mut self) -> Result<D::Pose, PolicyError> {
-        if let Some(told) = &self.asked.object {
-            return Ok(told.pose);
+        if let Some(observed) = &self.asked.object {
+            return Ok(observed.pose);
         }
         let recorded = |pose| ObservedPose {
             pose,
             confidence: None,
             flag: None,
         };
-        let told = match &mut self.source {
+        let observed = match &mut self.source {
             Source::Recorded => recorded(self.env.object()),
             Source::Noisy(perturb) => recorded(perturb(&self.env.object())),
             Source::Image { camera, estimator } => {
-                let image = shot(&mut self.images, camera, self.env, &mut self.asked.images)?;
+                let image = current_image(&mut self.images, camera, self.env, &mut self.asked.images)?;
                 estimator.estimate(image)?
             }
         };
-        self.asked.object = Some(told);
-        Ok(told.pose)
+        self.asked.object = Some(observed);
+        Ok(observed.pose)
     }
 
     fn image(&mut self, camera: &str) -> Result<&Image, PolicyError> {
-        shot(&mut self.images, camera, self.env, &mut self.asked.images)
+        current_image(&mut self.images, camera, self.env, &mut self.asked.images)
     }
 }

@@ -1,4 +1,4 @@
-//! What is written of rollouts: the columns that every policy and task share, and those of a domain.
+//! Tables of rollouts: the columns that all policies and tasks share, and the columns of each domain.
 
 use nalgebra::{Isometry3, Vector3};
 use re4_artifact::{Label, Row, SixAxis, TableSpec, Word, columns, table};
@@ -15,31 +15,32 @@ impl Word for Phase {
 }
 
 columns! {
-    /// How a rollout went, in every domain.
+    /// Result of a rollout, in every domain.
     #[derive(Copy)]
     pub struct ResultCore {
         /// Number of the rollout, from 0.
         pub episode: u32,
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
-        /// Whether the task's success rule held after some control step, which ends the rollout.
+        /// Whether the task succeeded. Success ends the rollout.
         pub success: bool,
-        /// Control steps taken.
+        /// Number of control steps taken.
         pub steps: u32,
-        /// Decisions taken.
+        /// Number of decisions.
         pub decisions: u32,
-        /// Images rendered for the policy, or for the estimator of the object's pose; null in older artifacts.
+        /// Number of images rendered for the policy or for the pose estimator. Null in older artifacts.
         #[since = 3]
         pub images: Option<u32>,
     }
 }
 
 table! {
-    /// One row a rollout of Push-T: its scene and its outcome. Coverage is the part of the goal area that the block covers, IoU
-    /// is intersection over union of the two, the score is coverage over 0.95, at most 1. Sorted by episode.
+    /// One row per rollout of Push-T: its initial scene and its result. Coverage is the fraction of the goal area that the block
+    /// covers, IoU is the intersection over union of block and goal, and the score is coverage / 0.95, clipped to 1. Sorted by
+    /// episode.
     #[table("results", version = 3)]
     pub struct PlaneResultRow {
-        /// How it went.
+        /// Result of the rollout.
         #[prefix = ""]
         pub core: ResultCore,
         /// Position of the pusher's centre after the reset.
@@ -52,11 +53,11 @@ table! {
         pub object: Pose2,
         /// Contact points per physics step of the reset, rounded up.
         pub contacts: f64,
-        /// Maximum coverage after a step.
+        /// Maximum coverage over the steps.
         pub coverage_max: f64,
-        /// Maximum IoU after a step.
+        /// Maximum IoU over the steps.
         pub iou_max: f64,
-        /// Maximum score after a step.
+        /// Maximum score over the steps.
         pub score_max: f64,
         /// Coverage after the last step.
         pub coverage_final: f64,
@@ -64,10 +65,10 @@ table! {
 }
 
 table! {
-    /// One row a rollout of a robosuite task. Sorted by episode.
+    /// One row per rollout of a robosuite task. Sorted by episode.
     #[table("results", version = 3, formerly = "spatial_results")]
     pub struct SpaceResultRow {
-        /// How it went.
+        /// Result of the rollout.
         #[prefix = ""]
         pub core: ResultCore,
         /// Position of the grip site after the reset.
@@ -82,34 +83,35 @@ table! {
 }
 
 columns! {
-    /// What a step belongs to, and what the policy asked for before it.
+    /// The rollout and decision that a step belongs to, and the observations that the policy requested before it.
     #[derive(Copy)]
     pub struct StepCore {
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
         /// Number of the control step in its rollout, from 0.
         pub step: u32,
-        /// Number of the decision, in the rollout, that the action belongs to.
+        /// Number of the decision in the rollout that the action belongs to.
         pub decision: u32,
-        /// What the action is part of: plan or bridge, on the way to the start of a chunk; replay, a chunk; home, the way back.
+        /// Phase of the action: plan (planar tasks) or bridge (SE(3)) moves to the start of a chunk, replay executes a chunk, and
+        /// home returns to the initial pose.
         pub phase: Phase,
-        /// Whether the policy asked where the object is; null in older artifacts.
+        /// Whether the policy requested the object pose. Null in older artifacts.
         #[since = 3]
         pub asked_object: Option<bool>,
-        /// Images rendered for the policy, or for the estimator of the object's pose; null in older artifacts.
+        /// Number of images rendered for the policy or for the pose estimator. Null in older artifacts.
         #[since = 3]
         pub asked_images: Option<u32>,
     }
 }
 
 table! {
-    /// One row a control step of a rollout of Push-T: the action executed and the state that it led to. Sorted by seed and step.
+    /// One row per control step of a rollout of Push-T: the executed action and the state after it. Sorted by seed and step.
     #[table("steps", version = 3)]
     pub struct PlaneStepRow {
-        /// What it belongs to.
+        /// Rollout, decision and requested observations.
         #[prefix = ""]
         pub core: StepCore,
-        /// Target sent to the pusher.
+        /// Target position sent to the pusher.
         #[frame = "world"]
         pub action: Point2,
         /// Position of the pusher's centre after the step.
@@ -126,31 +128,31 @@ table! {
         pub iou: f64,
         /// Score after the step.
         pub score: f64,
-        /// Pose of the block that the policy was told before the action, or else went by; null where it went by none, and in
-        /// older artifacts where it was the recorded one.
+        /// Object pose on which the policy based the action: the observed pose or, if it did not request one, the pose that it
+        /// assumed. Null if it used no pose, and in older artifacts if the pose was the recorded one.
         #[frame = "world"]
         #[since = 2]
         #[formerly = "observed_object"]
         pub seen: Option<Pose2>,
-        /// Confidence of the estimate behind it; null where the pose was recorded.
+        /// Confidence of the pose estimate. Null if the pose was not estimated.
         #[since = 2]
         pub pose_confidence: Option<f64>,
-        /// Flag of that estimate. A pose that is not clear was not told on: the last clear one was.
+        /// Flag of the pose estimate. If the flag is not clear, the policy receives the last clear pose instead, if there is one.
         #[since = 2]
         pub pose_flag: Option<Label>,
     }
 }
 
 table! {
-    /// One row a control step of a rollout of a robosuite task: the absolute action, what it led to, and the decision that it
-    /// follows from. As in robosuite, poses after a step are those of 2 ms before its end. Sorted by seed, as in table results,
-    /// and step.
+    /// One row per control step of a rollout of a robosuite task: the absolute action, the state after it, and the decision that
+    /// it belongs to. As in robosuite, poses after a step are those 2 ms before its end. Rollouts are in the order of table
+    /// results, and steps are sorted by number.
     #[table("steps", version = 3, formerly = "spatial_steps")]
     pub struct SpaceStepRow {
-        /// What it belongs to.
+        /// Rollout, decision and requested observations.
         #[prefix = ""]
         pub core: StepCore,
-        /// Goal of the grip site.
+        /// Goal pose of the grip site.
         #[frame = "world"]
         pub action: SixAxis,
         /// Gripper command: below 0 opens, above 0 closes.
@@ -164,78 +166,79 @@ table! {
         /// Joint positions of the fingers after the step.
         #[unit = "m"]
         pub finger: [f64; 2],
-        /// Whether the success rule holds after the step.
+        /// Whether the task succeeds after the step.
         pub success: bool,
-        /// Pose of the object that the policy was told before the action, with the errors that the pipeline asks for, or else
-        /// went by: the last one, at rest in the world or in the gripper. Null where it went by none.
+        /// Object pose on which the policy based the action: the observed pose, including the errors that the pipeline simulates,
+        /// or, if it did not request one, the last pose, assumed fixed in the world or in the gripper. Null if it used no pose.
         #[frame = "world"]
         pub seen: Option<Isometry3<f64>>,
     }
 }
 
 columns! {
-    /// What a policy decided, in every domain.
+    /// A decision of a policy, in every domain.
     pub struct DecisionCore {
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
         /// Number of the decision in its rollout, from 0.
         pub decision: u32,
-        /// Control steps taken before it.
+        /// Number of control steps taken before the decision.
         pub step: u32,
-        /// What was decided, in the policy's words, such as retrieve; null in older artifacts of Push-T.
+        /// Kind of decision, such as retrieve. Every policy defines its own kinds. Null in older artifacts of Push-T.
         #[since = 3]
         pub kind: Option<Label>,
-        /// Demonstration that is followed: its episode in the index, which is its place there; demo_name says what it is in the
-        /// source. Null where none is.
+        /// Number of the demonstration that the policy follows, which is its episode in the index. Column demo_name has its name
+        /// in the source. Null if the policy follows none.
         pub demo: Option<u32>,
-        /// First frame of it.
+        /// First frame of the part of the demonstration that the policy follows.
         pub demo_frame: Option<u32>,
-        /// Last frame of it, included.
+        /// Last frame of this part, included.
         pub demo_end: Option<u32>,
-        /// The decision in words.
+        /// Reason for the decision in words.
         pub reason: String,
-        /// Name of the demonstration in its source: the group below /data of an HDF5 file, such as demo_12; of Push-T the word
-        /// episode and its number. Null in older artifacts.
+        /// Name of the demonstration in its source: for an HDF5 file, the group below /data, such as demo_12; for Push-T, the
+        /// word episode and its number. Null in older artifacts.
         #[since = 2]
         pub demo_name: Option<String>,
     }
 }
 
 table! {
-    /// One row a decision of a policy of Push-T: what it saw, and what it follows. What is particular to a policy is in a table
-    /// of its own, such as decisions_re4, row by row. Sorted by seed and decision.
+    /// One row per decision of a policy of Push-T: the observed state and the demonstration that the policy follows. A table of
+    /// the policy, such as decisions_re4, has the policy-specific columns in the same row order. Sorted by seed and decision.
     #[table("decisions", version = 3)]
     pub struct PlaneDecisionRow {
-        /// What was decided.
+        /// Shared columns of a decision.
         #[prefix = ""]
         pub core: DecisionCore,
-        /// Pusher's centre at the decision.
+        /// Position of the pusher's centre at the decision.
         #[frame = "world"]
         pub query_eef: Point2,
-        /// Pose of the block that the decision goes by; null where it goes by none.
+        /// Object pose on which the decision is based. Null if it uses no pose.
         #[frame = "world"]
         pub query_object: Option<Pose2>,
     }
 }
 
 table! {
-    /// One row a decision of a policy of a robosuite task: what it saw, and what it follows. What is particular to a policy is in
-    /// a table of its own, such as decisions_re4, row by row. Sorted by seed, as in table results, and decision.
+    /// One row per decision of a policy of a robosuite task: the observed state and the demonstration that the policy follows. A
+    /// table of the policy, such as decisions_re4, has the policy-specific columns in the same row order. Rollouts are in the
+    /// order of table results, and decisions are sorted by number.
     #[table("decisions", version = 3, formerly = "spatial_decisions")]
     pub struct SpaceDecisionRow {
-        /// What was decided.
+        /// Shared columns of a decision.
         #[prefix = ""]
         pub core: DecisionCore,
-        /// Grip site at the decision.
+        /// Pose of the grip site at the decision.
         #[frame = "world"]
         pub query_eef: Isometry3<f64>,
-        /// Pose of the object that the decision goes by, averaged where the policy averages; null where it goes by none.
+        /// Object pose on which the decision is based, after filtering if the policy filters poses. Null if it uses no pose.
         #[frame = "world"]
         pub query_object: Option<Isometry3<f64>>,
     }
 }
 
-/// The tables that are declared here.
+/// Returns the tables that this module declares.
 pub fn tables() -> [&'static TableSpec; 6] {
     [
         PlaneResultRow::table(),
@@ -247,22 +250,22 @@ pub fn tables() -> [&'static TableSpec; 6] {
     ]
 }
 
-/// A domain with its tables.
+/// A domain with its result, step and decision tables.
 pub trait Recorded: Domain {
-    /// Row of table `results`.
+    /// Row type of table `results`.
     type ResultRow: Row;
-    /// Row of table `steps`.
+    /// Row type of table `steps`.
     type StepRow: Row;
-    /// Row of table `decisions`.
+    /// Row type of table `decisions`.
     type DecisionRow: Row;
 
-    /// The row of a rollout.
+    /// Builds the row of a rollout.
     fn result_row<X>(core: ResultCore, rollout: &Rollout<Self, X>) -> Self::ResultRow;
 
-    /// The row of a step.
+    /// Builds the row of a step.
     fn step_row(core: StepCore, step: &StepRecord<Self>) -> Self::StepRow;
 
-    /// The row of a decision.
+    /// Builds the row of a decision.
     fn decision_row(core: DecisionCore, proprio: &Self::Proprio, object: Option<Self::Pose>) -> Self::DecisionRow;
 }
 
@@ -297,8 +300,8 @@ impl Recorded for Plane {
             iou: after.iou,
             score: after.score,
             seen: step.seen,
-            pose_confidence: step.asked.object.and_then(|told| told.confidence),
-            pose_flag: step.asked.object.and_then(|told| told.flag).map(Label::from),
+            pose_confidence: step.asked.object.and_then(|observed| observed.confidence),
+            pose_flag: step.asked.object.and_then(|observed| observed.flag).map(Label::from),
         }
     }
 

@@ -1,4 +1,4 @@
-//! Retrieve by definition: every frame is looked at.
+//! Reference implementation of Retrieve in SE(3): a linear scan that evaluates every frame.
 
 use std::collections::BTreeSet;
 
@@ -6,13 +6,13 @@ use crate::IndexError;
 use crate::spatial::metric::{Measure, State};
 use crate::spatial::{IndexedSpatialFrame, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2};
 
-/// The two-stage lookup by linear scan over `frames`, sorted by episode and frame. It is the oracle of the tests;
-/// [`crate::SpatialIndex::retrieve`] gives the same answer.
+/// Performs the two-stage lookup by a linear scan over `frames`, which must be sorted by episode and frame.
 ///
-/// Demonstrations in `banned` rank after all others. `None` when no frame has the query's mode.
+/// The tests use it as the oracle; [`crate::SpatialIndex::retrieve`] returns the same answer. Demonstrations in `banned` rank
+/// after all others. Returns `None` if no frame has the query's mode.
 ///
 /// # Errors
-/// When the metric is none, or the query or a frame is not finite.
+/// If the metric is invalid, or the query or a frame is not finite.
 pub fn retrieve_spatial_linear(
     frames: &[IndexedSpatialFrame],
     metric: &SpatialMetric,

@@ -1,4 +1,4 @@
-//! The index: bounds in ascending order, exact evaluation of the demonstrations that can win.
+//! The SE(3) index: it visits lower bounds in ascending order and evaluates only demonstrations that can win.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -11,20 +11,22 @@ use crate::spatial::tree::RegionTree;
 use crate::spatial::{IndexedSpatialFrame, SpatialDistances, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2};
 use crate::{IndexError, SearchStatistics};
 
-/// Retrieve over the frames of a set of demonstrations in space. Immutable; queries may run from many threads.
+/// Index for Retrieve over the frames of a set of demonstrations in SE(3).
+///
+/// The index is immutable, so several threads can query it at the same time.
 pub struct SpatialIndex {
     measure: Measure,
     frames: Vec<IndexedSpatialFrame>,
     modes: Vec<ModeIndex>,
 }
 
-/// Frames of one mode, demonstration after demonstration.
+/// Frames of one mode, grouped by demonstration.
 struct ModeIndex {
     mode: Mode,
-    /// Number and frames of each demonstration, in ascending order of the number.
+    /// Number and range of frames of every demonstration, in ascending order of the number.
     demos: Vec<(u32, Range<usize>)>,
     states: Vec<State>,
-    /// Frame inside the demonstration, of every state.
+    /// Number of the frame in its demonstration, for every state.
     numbers: Vec<u32>,
     tree: RegionTree,
 }
@@ -33,8 +35,8 @@ impl SpatialIndex {
     /// Builds the index.
     ///
     /// # Errors
-    /// When there are no frames, one has a coordinate that is not finite, two have the same number, or the metric has a scale
-    /// that is not above 0, a weight below 0 or a symmetry that is none.
+    /// If there are no frames, a frame has a coordinate that is not finite, two frames of an episode have the same number, or the
+    /// metric is invalid: a scale that is not above 0, a weight below 0 or an invalid symmetry.
     pub fn build(mut frames: Vec<IndexedSpatialFrame>, metric: SpatialMetric) -> Result<Self, IndexError> {
         let measure = Measure::new(metric)?;
         if frames.is_empty() {
@@ -60,25 +62,26 @@ impl SpatialIndex {
         Ok(Self { measure, frames, modes })
     }
 
-    /// Indexed frames, sorted by episode and frame.
+    /// Returns the indexed frames, sorted by episode and frame.
     pub fn frames(&self) -> &[IndexedSpatialFrame] {
         &self.frames
     }
 
-    /// Metric in force.
+    /// Returns the metric of the index.
     pub fn metric(&self) -> &SpatialMetric {
         &self.measure.metric
     }
 
-    /// Number of demonstrations with a frame of a mode.
+    /// Returns the number of demonstrations that have a frame of the mode.
     pub fn demos(&self, mode: Mode) -> usize {
         self.of_mode(mode).map_or(0, |m| m.demos.len())
     }
 
-    /// The two-stage lookup. Demonstrations in `banned` rank after all others. `None` when no frame has the query's mode.
+    /// Performs the two-stage lookup exactly. Demonstrations in `banned` rank after all others. Returns `None` if no frame has
+    /// the query's mode.
     ///
     /// # Errors
-    /// When the query is not finite.
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
     pub fn retrieve(
         &self,
         query: &SpatialQuery,
@@ -88,10 +91,10 @@ impl SpatialIndex {
         Ok(self.retrieve_counted(query, stage2, banned)?.0)
     }
 
-    /// [`Self::retrieve`], with what the search cost.
+    /// Performs the lookup of [`Self::retrieve`] and also returns its cost.
     ///
     /// # Errors
-    /// When the query is not finite.
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
     pub fn retrieve_counted(
         &self,
         query: &SpatialQuery,
@@ -110,6 +113,7 @@ impl SpatialIndex {
             }
         }
         let mut best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
+        // Banned demonstrations count only if no other demonstration has a frame of the mode.
         if best.is_none() {
             for skip in &mut skipped {
                 *skip = !*skip;
@@ -119,10 +123,11 @@ impl SpatialIndex {
         Ok((best, statistics))
     }
 
-    /// The same answer by looking at every frame, without what the tree saves: the rival in benchmarks.
+    /// Computes the answer of [`Self::retrieve`] without the tree by evaluating every frame. It is the baseline of the
+    /// benchmarks.
     ///
     /// # Errors
-    /// When the query is not finite.
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
     pub fn retrieve_scanning(
         &self,
         query: &SpatialQuery,
@@ -147,10 +152,10 @@ impl SpatialIndex {
         Ok(best.map(|(.., found)| found))
     }
 
-    /// Distances between a query and any state, indexed or not; its mode does not matter.
+    /// Returns the distances between a query and any state, indexed or not. The mode of the query is ignored.
     ///
     /// # Errors
-    /// When the query or the state is not finite.
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query or of the state is not finite or is too large.
     pub fn distances(
         &self,
         query: &SpatialQuery,
@@ -196,7 +201,7 @@ impl ModeIndex {
         })
     }
 
-    /// Stage 1 in one demonstration.
+    /// Evaluates stage 1 in one demonstration.
     fn stage1(&self, measure: &Measure, demo: u32, q: &State) -> Option<SpatialRetrieved> {
         let (episode, range) = &self.demos[demo as usize];
         let mut minimum = f64::INFINITY;
@@ -214,7 +219,7 @@ impl ModeIndex {
         chosen
     }
 
-    /// The best of the demonstrations that are not skipped.
+    /// Performs stage 2 over the demonstrations that are not skipped.
     fn search(
         &self,
         measure: &Measure,
@@ -223,8 +228,10 @@ impl ModeIndex {
         skipped: &[bool],
         statistics: &mut SearchStatistics,
     ) -> Option<SpatialRetrieved> {
+        // The tree reports a demonstration once per entry, but it only needs to be evaluated once.
         let mut seen = skipped.to_vec();
         let mut best: Option<(f64, u32, SpatialRetrieved)> = None;
+        // The tree bounds `d_o`. Since `d_q >= object_weight * d_o`, the weighted bound is valid for `d_q` as well.
         let weight = match stage2 {
             Stage2::Object => 1.0,
             Stage2::State => measure.metric.object_weight,

@@ -1,4 +1,4 @@
-//! A tree over object poses in space, which yields lower bounds of `d_o` in ascending order.
+//! A tree over object poses in SE(3) that gives lower bounds of `d_o` in ascending order.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -8,18 +8,18 @@ use re4_geometry::spatial::SymmetryGroup;
 
 use crate::spatial::metric::{Measure, State};
 
-/// Entries of a leaf.
+/// Maximum number of entries in a leaf.
 const LEAF: usize = 4;
 
-/// Orientations that are tried as the centre of a ball.
+/// Number of orientations that are tried as the centre of a ball.
 const CENTRES: usize = 8;
 
-/// Part of a bound, and an amount, by which it is lowered: rounding in distances and radii is far below, so that no frame is
-/// ever missed.
+/// Relative and absolute amount by which a bound is lowered. Rounding errors in distances and radii are far smaller, so no frame
+/// is missed.
 const SLACK: f64 = 1e-9;
 
-/// Object poses that are close together: a box around positions and a ball, by the angle that leaves out turns that do not
-/// show, around orientations.
+/// Object poses that are close together: a box around the positions and a ball around the orientations. The radius of the ball is
+/// an angle up to the object's symmetry.
 #[derive(Debug, Clone)]
 struct Region {
     low: Vector3<f64>,
@@ -29,7 +29,7 @@ struct Region {
 }
 
 impl Region {
-    /// A lower bound of `d_o` over the region.
+    /// Returns a lower bound of `d_o` over the region.
     fn bound(&self, measure: &Measure, q: &State) -> f64 {
         let at = q.object.translation.vector;
         let outside = (self.low - at).sup(&(at - self.high)).sup(&Vector3::zeros());
@@ -66,14 +66,14 @@ impl Node {
     }
 }
 
-/// The tree; see the module.
+/// The tree. The module documentation of `spatial` describes its entries.
 #[derive(Debug)]
 pub(crate) struct RegionTree {
     entries: Vec<Entry>,
     nodes: Vec<Node>,
 }
 
-/// What is still to be opened.
+/// A node or entry that has yet to be opened.
 #[derive(Clone, Copy)]
 enum Pending {
     Node(u32),
@@ -87,7 +87,7 @@ struct Queued {
 
 impl Ord for Queued {
     fn cmp(&self, other: &Self) -> Ordering {
-        // The heap yields the maximum: the minimum bound.
+        // The heap yields its maximum, which must be the entry with the smallest bound.
         other.bound.total_cmp(&self.bound)
     }
 }
@@ -107,7 +107,7 @@ impl PartialEq for Queued {
 impl Eq for Queued {}
 
 impl RegionTree {
-    /// Packs the frames of demonstrations, of which there is at least one; `demos` gives the frames of each, in order.
+    /// Packs the frames of at least one demonstration; `demos` gives the frames of each demonstration in order.
     pub(crate) fn build<'a>(measure: &Measure, demos: impl Iterator<Item = &'a [State]>) -> Self {
         let mut entries = Vec::new();
         for (demo, frames) in (0..).zip(demos) {
@@ -123,7 +123,7 @@ impl RegionTree {
         tree
     }
 
-    /// Adds the entries below a new node, and returns its number.
+    /// Adds the entries below a new node and returns the number of the node.
     fn grow(&mut self, measure: &Measure, mut entries: Vec<Entry>) -> u32 {
         let region = enclosing(&measure.group, &entries);
         let number = self.nodes.len() as u32;
@@ -149,8 +149,9 @@ impl RegionTree {
         number
     }
 
-    /// Hands out demonstrations in ascending order of lower bounds of `d_o`, some several times, while `visit` asks for more.
-    /// It gets a bound that no frame still to come is below, and a demonstration.
+    /// Visits demonstrations in ascending order of lower bounds of `d_o` while `visit` returns true. `visit` receives a bound and
+    /// the number of a demonstration; no frame visited later has a `d_o` below the bound. A demonstration can be visited several
+    /// times.
     pub(crate) fn visit(&self, measure: &Measure, q: &State, mut visit: impl FnMut(f64, u32) -> bool) {
         let mut queue = BinaryHeap::with_capacity(64);
         let node = |at: u32| Queued {
@@ -182,10 +183,11 @@ impl RegionTree {
     }
 }
 
-/// How far, in units of `d_o` and for each of its terms, frames of an entry may be from its first.
+/// Maximum extent of an entry in units of `d_o`: the diagonal of its box, and the angle to its first frame. Smaller values give
+/// tighter bounds but more entries.
 const RUN: f64 = 0.02;
 
-/// Splits the frames of a demonstration into runs of close object poses.
+/// Splits the frames of a demonstration into runs with close object poses.
 fn collect(measure: &Measure, demo: u32, frames: &[State], entries: &mut Vec<Entry>) {
     let mut open: Option<Entry> = None;
     for frame in frames {
@@ -213,7 +215,8 @@ fn collect(measure: &Measure, demo: u32, frames: &[State], entries: &mut Vec<Ent
     entries.extend(open);
 }
 
-/// A region around all those of at least one entry. The ball's centre is the best of a few of theirs.
+/// Returns a region that encloses the regions of at least one entry. The centre of the ball is the best of up to [`CENTRES`]
+/// candidates.
 fn enclosing(group: &SymmetryGroup, entries: &[Entry]) -> Region {
     let mut region = entries[0].region.clone();
     for Entry { region: other, .. } in entries {
@@ -231,8 +234,8 @@ fn enclosing(group: &SymmetryGroup, entries: &[Entry]) -> Region {
     region
 }
 
-/// Orders entries so that halves are closer together: along the widest side of their box, or, where their orientations
-/// differ by more, by which of two that are far apart they are nearer to.
+/// Orders entries so that each half is close together. The sort key is the position along the widest side of the box or, if the
+/// spread of the orientations is larger, the difference of the angles to two orientations that are far apart.
 fn sort_for_split(measure: &Measure, region: &Region, entries: &mut [Entry]) {
     let sides = region.high - region.low;
     let widest = sides.imax();

@@ -1,9 +1,9 @@
-//! Random demonstrations and queries, the real dataset, and the comparison that all tests make.
+//! Shared test code: random demonstrations and queries, the real dataset, and the comparison of index and linear scan.
 #![allow(
     dead_code,
     clippy::unwrap_used,
     clippy::print_stderr,
-    reason = "each test file uses a part of this one, and tests may end and say why they are skipped"
+    reason = "each test file uses only some of these items, a panic is how a test fails, and skipped tests print the reason"
 )]
 
 use std::path::{Path, PathBuf};
@@ -23,12 +23,12 @@ impl Random {
         Self(Pcg64::new(u128::from(seed), 17))
     }
 
-    /// Uniform in `[low, high)`.
+    /// Samples uniformly from `[low, high)`.
     pub(crate) fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform in `0..count`.
+    /// Samples uniformly from `0..count`.
     pub(crate) fn below(&mut self, count: usize) -> usize {
         (self.0.next_u64() % count as u64) as usize
     }
@@ -67,24 +67,24 @@ pub(crate) fn coordinates(frame: &IndexedFrame) -> [f64; 5] {
     [eef.x, eef.y, object.x, object.y, object.theta]
 }
 
-/// The answer with the bits of its distances, so that NaN or a last digit cannot slip through.
+/// The answer with its distances as bit patterns, so that differences in the last digit and NaN are detected.
 pub(crate) fn bits(answer: Option<Retrieved>) -> Option<(u32, u32, u64, u64)> {
     answer.map(|a| (a.episode, a.frame, a.d_q.to_bits(), a.d_o.to_bits()))
 }
 
-/// Asserts that index and linear scan give the same answer, and returns it.
+/// Asserts that the index and the linear scan give the same answer, and returns it.
 pub(crate) fn agreed(index: &RetrievalIndex, query: &Query, epsilon: f64) -> Option<Retrieved> {
     let fast = index.retrieve(query, epsilon).unwrap();
     let slow = retrieve_linear(index.frames(), index.normalization(), query, epsilon).unwrap();
     assert_eq!(
         bits(fast),
         bits(slow),
-        "{query:?}, epsilon {epsilon}: {fast:?} is not {slow:?}"
+        "{query:?}, epsilon {epsilon}: {fast:?} differs from {slow:?}"
     );
     fast
 }
 
-/// Frames of the Push-T replay dataset, or `None` with a printed line where it is not there.
+/// Frames of the Push-T replay dataset. Returns `None` and prints a line if the dataset does not exist.
 pub(crate) fn pusht() -> Option<Vec<IndexedFrame>> {
     let folder = std::env::var_os("RE4_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
@@ -92,7 +92,7 @@ pub(crate) fn pusht() -> Option<Vec<IndexedFrame>> {
     );
     let dataset = folder.join("pusht/pusht_cchi_v7_replay.zarr");
     if !dataset.exists() {
-        eprintln!("skipped: there is no dataset at {}; set RE4_DATA", dataset.display());
+        eprintln!("skipped: no dataset exists at {}; set RE4_DATA", dataset.display());
         return None;
     }
     let (episodes, _) = PushtReader::open(&dataset)

@@ -1,5 +1,12 @@
-//! The nearest neighbour: replays the actions of the frame whose state is nearest, as they were recorded. It knows no chunks of
-//! effects, carries nothing into the frame of the object, and plans no way: what a policy comes to without any of that.
+//! The nearest-neighbour baseline: it replays the recorded actions of the frame with the nearest state.
+//!
+//! It does not retrieve by outcome, does not transform actions to the object frame and does not plan, so it shows what a policy
+//! achieves without any of these. It is also the smallest complete policy, and its module is a template for new ones:
+//!
+//! * [`PlaneNearest`] and [`SpaceNearest`] are the settings in the two domains. Their [`Settings`] implementations check the
+//!   settings and open the index artifact.
+//! * [`NearestRow`] is the policy-specific table; `NearestDecision` is the decision record that fills it.
+//! * `NearestFactory` shares the demonstrations between episodes and starts a `Nearest`, the policy, for each of them.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -20,11 +27,12 @@ use crate::LookupError;
 use crate::artifact::{open_spatial_index, read_scales};
 use crate::spatial::{SpatialKnowledge, SpatialPolicyConfig, SpatialRetrieveConfig};
 
-/// Settings of the nearest neighbour of Push-T. States are compared as Retrieve compares them, angles round the circle.
+/// Settings of the nearest-neighbour policy for Push-T. States are compared by the Euclidean distance of their min-max-normalised
+/// coordinates, with periodic angles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaneNearest {
-    /// Actions executed before the next look-up.
+    /// Number of actions executed before the next lookup.
     pub horizon: u32,
 }
 
@@ -34,16 +42,16 @@ impl Default for PlaneNearest {
     }
 }
 
-/// Settings of the nearest neighbour of robosuite's tasks. Frames of the gripper's last command are compared, by the poses of
-/// the object and of the end effector as seen from it.
+/// Settings of the nearest-neighbour policy for the robosuite tasks. Only frames of the mode given by the last gripper command
+/// are compared. The distance is over the object pose and the end-effector pose in the object frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpaceNearest {
-    /// Actions executed before the next look-up.
+    /// Number of actions executed before the next lookup.
     pub horizon: u32,
-    /// Translation, in metres, that counts as 1.
+    /// Translation that contributes a distance of 1, in metres.
     pub translation_scale: f64,
-    /// Rotation, in rad, that counts as 1.
+    /// Rotation that contributes a distance of 1, in rad.
     pub rotation_scale: f64,
 }
 
@@ -58,21 +66,21 @@ impl Default for SpaceNearest {
 }
 
 table! {
-    /// One row a decision of the nearest neighbour, in the order of table decisions.
+    /// One row per decision of the nearest-neighbour policy, in the order of table decisions.
     #[table("decisions_nearest", version = 1)]
     pub struct NearestRow {
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
         /// Number of the decision in its rollout, from 0.
         pub decision: u32,
-        /// Distance of the states, without unit.
+        /// Distance between the states, dimensionless.
         pub distance: f64,
-        /// Frames that could have been chosen.
+        /// Number of frames that were compared.
         pub compared: u32,
     }
 }
 
-/// One record for every look-up.
+/// The decision record of one lookup.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct NearestDecision<D: Domain> {
     step: u32,
@@ -81,7 +89,7 @@ pub(super) struct NearestDecision<D: Domain> {
     found: Found,
 }
 
-/// The nearest frame.
+/// The result of a lookup.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Found {
     demo: u32,
@@ -126,10 +134,10 @@ impl<D: Domain> Explained<D> for NearestDecision<D> {
     }
 }
 
-/// States of demonstrations, and the actions taken there.
+/// The states and actions of the demonstrations in one domain.
 trait States<D: Domain>: Send + Sync {
-    /// The nearest frame after a command that closed the gripper, or another one; and its action with those after it, `horizon`
-    /// at most.
+    /// Finds the nearest frame. `closed` is true if the last command closed the gripper. Returns the frame and up to `horizon`
+    /// actions, starting with the action of the frame.
     fn nearest(
         &self,
         proprio: &D::Proprio,
@@ -138,7 +146,7 @@ trait States<D: Domain>: Send + Sync {
         horizon: usize,
     ) -> Result<(Found, Vec<D::Action>), LookupError>;
 
-    /// Whether an action closes a gripper.
+    /// Returns whether an action closes the gripper.
     fn closes(action: &D::Action) -> bool;
 }
 
@@ -150,7 +158,7 @@ struct NearestFactory<S> {
 struct Nearest<D: Domain, S> {
     states: Arc<S>,
     horizon: usize,
-    /// Actions that wait for their step.
+    /// Actions that have yet to be executed.
     chunk: VecDeque<D::Action>,
     closed: bool,
     step: u32,
@@ -211,6 +219,7 @@ impl States<Plane> for PlaneStates {
         _: bool,
         horizon: usize,
     ) -> Result<(Found, Vec<Point2>), LookupError> {
+        // The pusher does not grasp, so every frame of Push-T is in transit.
         let mode = Mode::Transit;
         let (eef, object) = (*eef, *object);
         let q = self.normalization.query(&Query { mode, eef, object });
@@ -219,9 +228,9 @@ impl States<Plane> for PlaneStates {
         }
         let period = self.normalization.period();
         let squared = |frame: &IndexRow<PlanarState>| {
-            let [x, y, object_x, object_y, turn] = std::array::from_fn(|i| (frame.state.q[i] - q[i]).abs());
-            let turn = turn.min((period - turn).abs());
-            x * x + y * y + object_x * object_x + object_y * object_y + turn * turn
+            let [x, y, object_x, object_y, angle] = std::array::from_fn(|i| (frame.state.q[i] - q[i]).abs());
+            let angle = angle.min((period - angle).abs());
+            x * x + y * y + object_x * object_x + object_y * object_y + angle * angle
         };
         let admitted = self.frames.iter().enumerate();
         let admitted = admitted.filter(|(_, frame)| frame.retrievable != Some(false));
@@ -266,7 +275,7 @@ impl States<Space> for SpatialKnowledge {
         let mode = if closed { Mode::Transfer } else { Mode::Transit };
         let (eef, object) = (arm.eef, *object);
         let query = SpatialQuery { mode, eef, object };
-        // The nearest state of the nearest demonstration by that same distance is the nearest of all.
+        // If both stages use `d_q`, the two-stage lookup returns the nearest state over all demonstrations.
         let found = self.index().retrieve(&query, Stage2::State, &BTreeSet::new())?;
         let found = found.ok_or(LookupError::NoFrameOfMode { mode })?;
         let frames = self.demos().demo(found.episode).unwrap_or_default();
@@ -325,8 +334,8 @@ impl Settings<Space> for SpaceNearest {
             ("translation_scale", self.translation_scale),
             ("rotation_scale", self.rotation_scale),
         ] {
-            let sound = scale.is_finite() && scale > 0.0;
-            SettingError::unless(sound, setting, scale, "give a finite number above 0")?;
+            let valid = scale.is_finite() && scale > 0.0;
+            SettingError::unless(valid, setting, scale, "give a finite number above 0")?;
         }
         Ok(())
     }

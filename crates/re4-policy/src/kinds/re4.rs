@@ -1,4 +1,4 @@
-//! RE4 and its presets as kinds of policies.
+//! RE4 and its presets as kinds of policies: settings, decision records and tables.
 
 use std::sync::Arc;
 
@@ -15,8 +15,8 @@ use crate::policy::{Decision, Re4Factory};
 use crate::spatial::{SpatialDecision, SpatialPolicyConfig, SpatialRe4Factory};
 
 table! {
-    /// One row a decision of RE4 or RE2 of Push-T, in the order of table decisions: what it saw, what it retrieved, how it moved
-    /// it, what it planned and what it replays.
+    /// One row per decision of RE4 or RE2 for Push-T, in the order of table decisions: the query, the retrieved chunk, how it is
+    /// reframed, the plan to its start, and what is replayed.
     #[table("decisions_re4", version = 4, formerly = "decisions")]
     pub struct PlaneRe4Row {
         /// Seed of the scene, or its number in the table scenes.
@@ -25,42 +25,43 @@ table! {
         pub decision: u32,
         /// Manipulation mode of the query.
         pub mode: Mode,
-        /// Rule that chose: two_stage or outcome.
+        /// Retrieval rule: two_stage or outcome.
         pub selector: Label,
-        /// How many demonstrations (two_stage) or chunks (outcome) were compared.
+        /// Number of demonstrations (two_stage) or chunks (outcome) that were compared.
         pub compared: u32,
-        /// Distance of the object-augmented states in normalised coordinates; null for the outcome rule.
+        /// Distance over the full object-augmented state in normalised coordinates. Null for the outcome rule.
         pub d_q: Option<f64>,
-        /// Distance of the object poses alone in normalised coordinates; null for the outcome rule.
+        /// Distance over the object pose only in normalised coordinates. Null for the outcome rule.
         pub d_o: Option<f64>,
-        /// Motion that carries the demonstration's object onto the observed one: a rotation about the world's origin, then a
-        /// translation; 0 with Reframe off.
+        /// Motion from the demonstration's object pose to the observed one: a rotation about the world origin, then a
+        /// translation. Identity (0) if Reframe is off.
         #[frame = "world"]
         pub delta: Pose2,
-        /// Position that the plan leads the pusher to.
+        /// Goal position of the plan, at which the chunk starts.
         #[frame = "world"]
         pub set_point: Point2,
-        /// How it was planned to get there: direct, planned, failed or off.
+        /// Result of planning: direct, planned, failed or off.
         pub plan: Label,
-        /// Control steps of the plan.
+        /// Number of control steps of the plan.
         pub plan_steps: u32,
-        /// Nodes of the tree or graph that was searched; 0 where none was.
+        /// Number of nodes of the searched tree or graph. 0 if there was no search.
         pub plan_nodes: u32,
-        /// Polyline of the plan, from the pusher to the set-point: x and y by turns, world frame, px.
+        /// Polyline of the plan from the pusher to the set-point, as alternating x and y, world frame, px.
         pub plan_path: Vec<f64>,
-        /// Control steps of the chunk; fewer are executed when the next decision comes earlier.
+        /// Number of control steps of the chunk. Fewer are executed if the next decision comes earlier.
         pub replay_steps: u32,
-        /// Pose that the demonstration says the block will have after the chunk.
+        /// Predicted pose of the block after the chunk, according to the demonstration.
         #[frame = "world"]
         pub predicted_object: Pose2,
-        /// Coverage of the goal at that predicted pose.
+        /// Coverage of the goal at the predicted pose.
         pub predicted_coverage: f64,
     }
 }
 
 table! {
-    /// One row a decision of RE4 or RE2 of a robosuite task, in the order of table decisions: what it saw, what it retrieved, how
-    /// it moved it, where it goes first and what it replays. Columns from compared to replay_steps are null on the way home.
+    /// One row per decision of RE4 or RE2 for a robosuite task, in the order of table decisions: the query, the retrieved chunk,
+    /// how it is reframed, the set-point, and what is replayed. The columns from compared to replay_steps are null if the
+    /// decision is to return to the home pose.
     #[table("decisions_re4", version = 4, formerly = "spatial_decisions")]
     pub struct SpaceRe4Row {
         /// Seed of the scene.
@@ -72,30 +73,30 @@ table! {
         /// Distance between the fingers.
         #[unit = "m"]
         pub finger_separation: f64,
-        /// Demonstrations compared.
+        /// Number of demonstrations that were compared.
         pub compared: Option<u32>,
-        /// Distance over the full object-augmented state, without unit.
+        /// Distance over the full object-augmented state, dimensionless.
         pub d_q: Option<f64>,
-        /// Distance over the object's pose alone.
+        /// Distance over the object pose only, dimensionless.
         pub d_o: Option<f64>,
-        /// Distance over the end effector's pose as seen from the object.
+        /// Distance over the end-effector pose in the object frame, dimensionless.
         pub d_e: Option<f64>,
-        /// Motion that carries the demonstration's object onto the query's: a rotation about the world's origin, then a
-        /// translation.
+        /// Motion from the demonstration's object pose to the query's: a rotation about the world origin, then a translation.
         #[frame = "world"]
         pub delta: Option<SixAxis>,
         /// Rotation about the object's symmetry axis that was applied to the query's object; 0 without symmetry.
         #[unit = "rad"]
         #[formerly = "symmetry_turn"]
         pub symmetry_rotation: Option<f64>,
-        /// Actions of the chunk; fewer are executed when the next decision comes earlier.
+        /// Number of actions of the chunk. Fewer are executed if the next decision comes earlier.
         pub replay_steps: Option<u32>,
-        /// Where the grip site goes first.
+        /// Pose to which the grip site moves first: the start of the chunk or the home pose.
         #[frame = "world"]
         pub set_point: Isometry3<f64>,
-        /// Whether a bridge, or the way home, leads there; else the chunk is replayed from where the grip site is.
+        /// Whether the arm moves to the set-point first, by a bridge or by returning home. If false, the chunk is replayed from
+        /// the current pose.
         pub bridge: bool,
-        /// Demonstrations that are not followed again by now.
+        /// Number of demonstrations that are currently banned in this rollout.
         pub banned: u32,
     }
 }
@@ -165,7 +166,7 @@ impl Explained<Space> for SpatialDecision {
             d_o: choice.map(|c| c.d_o),
             d_e: choice.map(|c| c.d_e),
             delta: choice.map(|c| SixAxis::from(&c.delta)),
-            symmetry_rotation: choice.map(|c| c.turn),
+            symmetry_rotation: choice.map(|c| c.symmetry_rotation),
             replay_steps: choice.map(|c| c.replay_steps),
             set_point: self.set_point,
             bridge: self.bridge,

@@ -1,4 +1,4 @@
-//! Which demonstrations are not followed again in an episode.
+//! Bans of demonstrations during an episode.
 
 use std::collections::BTreeSet;
 
@@ -6,15 +6,15 @@ use re4_episode::Mode;
 
 use crate::spatial::config::BanConfig;
 
-/// Bans and what leads to them.
+/// The banned demonstrations, and the retrievals that can lead to a ban.
 pub(crate) struct Bans {
     config: Option<BanConfig>,
-    /// Number of demonstrations; when all of them are banned, none is.
+    /// Number of demonstrations. When all of them are banned, all bans are lifted.
     demos: usize,
     horizon: u32,
     banned: BTreeSet<u32>,
     mode: Mode,
-    /// Demonstrations and frames retrieved since the mode of the query changed.
+    /// Retrieved (demonstration, frame) pairs since the mode of the query last changed.
     retrieved: Vec<(u32, u32)>,
 }
 
@@ -34,7 +34,7 @@ impl Bans {
         &self.banned
     }
 
-    /// Bans a demonstration, where there are bans; tells whether it was not banned before.
+    /// Bans a demonstration if bans are enabled. Returns whether it was not banned before.
     pub(crate) fn ban(&mut self, demo: u32) -> bool {
         if self.config.is_none() {
             return false;
@@ -46,8 +46,8 @@ impl Bans {
         new
     }
 
-    /// Takes a retrieval down. True when the demonstration has been retrieved about this frame too often in this mode.
-    pub(crate) fn leads_nowhere(&mut self, mode: Mode, demo: u32, frame: u32) -> bool {
+    /// Records a retrieval. Returns true if the demonstration has been retrieved too often near this frame in the current mode.
+    pub(crate) fn is_repeated(&mut self, mode: Mode, demo: u32, frame: u32) -> bool {
         if mode != self.mode {
             self.mode = mode;
             self.retrieved.clear();
@@ -55,14 +55,15 @@ impl Bans {
         let Some(config) = &self.config else {
             return false;
         };
-        // Chunks shorter than the window would pass through it more than once while all goes well.
+        // With chunks shorter than the window, normal progress would retrieve several frames within the window.
         let window = config.window.min(self.horizon.saturating_sub(1));
         self.retrieved.push((demo, frame));
-        let about = |&&(d, f): &&(u32, u32)| d == demo && f.abs_diff(frame) <= window;
-        let often = self.retrieved.iter().filter(about).count() >= config.repeats as usize;
-        if often {
+        let is_near = |&&(d, f): &&(u32, u32)| d == demo && f.abs_diff(frame) <= window;
+        let repeated = self.retrieved.iter().filter(is_near).count() >= config.repeats as usize;
+        if repeated {
+            // Start counting again, in case all bans are lifted.
             self.retrieved.retain(|(d, _)| *d != demo);
         }
-        often
+        repeated
     }
 }

@@ -1,4 +1,4 @@
-//! What a policy in space is made of, as a pipeline file writes it, and the presets.
+//! Settings of the policy in SE(3) in a pipeline file, and its presets.
 
 use re4_geometry::spatial::Symmetry;
 use re4_index::{SpatialMetric, Stage2};
@@ -7,48 +7,49 @@ use serde::{Deserialize, Serialize};
 
 use crate::kinds::SettingError;
 
-/// A policy of the Retrieve-Reframe-Replan-Replay family in SE(3). Every step can be switched off alone.
+/// Settings of a policy in SE(3) that performs Retrieve, Reframe, Replan and Replay. Reframe and Replan can be disabled
+/// separately.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialPolicyConfig {
-    /// Which demonstration to follow, and from where.
+    /// Retrieve: selects the demonstration to follow and the frame to start from.
     pub retrieve: SpatialRetrieveConfig,
-    /// How the chunk is carried into the frame of the object.
+    /// Reframe: transforms the chunk to the observed object pose.
     pub reframe: SpatialReframeConfig,
-    /// How the end effector gets to the start of the chunk.
+    /// Replan: moves the end effector to the start of the chunk.
     pub replan: SpatialReplanConfig,
-    /// How much of the chunk is executed.
+    /// Replay: executes the chunk.
     pub replay: SpatialReplayConfig,
-    /// What is done about failure.
+    /// Detection of failures and recovery from them.
     pub recovery: SpatialRecoveryConfig,
-    /// How observed object poses are averaged; every one is taken as it is when absent.
+    /// Averaging of observed object poses. If absent, every observation is used directly.
     pub filter: Option<PoseFilterConfig>,
 }
 
-/// Retrieve. Scales and weights are those of the distances between states: poses are
-/// `distance / translation_scale + angle / rotation_scale` apart.
+/// Settings of Retrieve. The scales and weights define the distances between states. The distance between two poses is
+/// `distance / translation_scale + angle / rotation_scale`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialRetrieveConfig {
-    /// Translation, in metres, that counts as 1.
+    /// Translation that contributes a distance of 1, in metres.
     pub translation_scale: f64,
-    /// Rotation, in rad, that counts as 1.
+    /// Rotation that contributes a distance of 1, in rad.
     pub rotation_scale: f64,
-    /// Weight of the object's pose in `d_q`.
+    /// Weight of the object pose in `d_q`.
     pub object_weight: f64,
-    /// Weight of the end effector's pose, as seen from the object, in `d_q`.
+    /// Weight of the end-effector pose in the object frame in `d_q`.
     pub eef_weight: f64,
-    /// Which distance ranks the demonstrations in stage 2: `object` as in the paper, or `state`.
+    /// Distance that ranks the demonstrations in stage 2: `object`, as in the paper, or `state`.
     pub stage2: Stage2,
-    /// Whether frames after a demonstration's last release can be retrieved.
+    /// Whether frames after the last release of a demonstration can be retrieved.
     pub tail: bool,
-    /// By how much `d_q` of the demonstration's next frame may exceed that of the retrieved one for the demonstration to be
-    /// followed further; it is left for any better one when absent.
+    /// Amount by which `d_q` of the current demonstration's next frame may exceed that of the retrieved frame for the policy to
+    /// continue with the current demonstration. If absent, the policy always switches to the retrieved frame.
     pub commit_margin: Option<f64>,
 }
 
 impl SpatialRetrieveConfig {
-    /// The metric for an object.
+    /// Returns the metric for an object with a symmetry.
     pub fn metric(&self, symmetry: Symmetry) -> SpatialMetric {
         SpatialMetric {
             translation_scale: self.translation_scale,
@@ -64,46 +65,46 @@ impl SpatialRetrieveConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TransferReplay {
-    /// The recorded goals, unchanged: the end effector follows the demonstration (paper, Algorithm 2).
+    /// The recorded goals are used unchanged, so the end effector follows the demonstration (paper, Algorithm 2).
     Verbatim,
-    /// Each goal corrected by the difference of the grasps: the object follows the demonstration.
+    /// Every goal is corrected by the difference between the grasps, so the object follows the demonstration.
     GraspCorrected,
 }
 
-/// When the motion from the demonstration's object to the one here is measured.
+/// When the motion from the demonstration's object pose to the observed one is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Measuring {
     /// At the decision, before the bridge (paper, Algorithm 2).
     Decision,
-    /// At every step until the gripper changes the mode.
+    /// At every control step until the gripper changes the mode.
     Continuous,
 }
 
-/// Reframe.
+/// Settings of Reframe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialReframeConfig {
-    /// Off: the demonstration is replayed where it was recorded.
+    /// Whether Reframe is enabled. If not, the demonstration is replayed where it was recorded.
     pub enabled: bool,
     /// How a chunk is replayed while the object is held.
     pub transfer: TransferReplay,
-    /// When the motion between the two objects is measured.
+    /// When the motion between the two object poses is measured.
     pub measure: Measuring,
-    /// Where the object is said to be while it is held, with poses from images.
+    /// Object pose to use while the gripper holds the object. Applies only to poses from images.
     #[serde(default, skip_serializing_if = "WhileHeld::is_default")]
     pub held: WhileHeld,
 }
 
-/// Where an object is said to be while the gripper holds it, for a policy that looks at images.
+/// The object pose that a policy with poses from images uses while the gripper holds the object.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WhileHeld {
-    /// Where the image shows it.
+    /// The pose estimated from the image.
     #[default]
     Seen,
-    /// Where it was seen before the grasp, moving with the gripper since, as a mode of transfer says: what the hand hides need
-    /// not be seen.
+    /// The pose estimated before the grasp, moved with the gripper since then, as the transfer mode implies. The object may be
+    /// hidden by the gripper.
     Carried,
 }
 
@@ -114,50 +115,52 @@ impl WhileHeld {
     }
 }
 
-/// Replan: a closed-loop bridge to the start of the chunk. Every step, the set-point is the start itself or a point a lead
-/// ahead on the straight way there.
+/// Settings of Replan: a closed-loop bridge to the start of the chunk. At every control step, the set-point is the start itself
+/// or a point on the straight path to it that is at most the lead away from the end effector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialReplanConfig {
-    /// Off: the chunk is replayed from wherever the end effector is.
+    /// Whether Replan is enabled. If not, the chunk is replayed from the current end-effector pose.
     pub enabled: bool,
-    /// Maximum distance in metres from the end effector to the set-point.
+    /// Maximum distance from the end effector to the set-point, in metres.
     pub lead_translation: f64,
-    /// Maximum angle in rad from the end effector to the set-point.
+    /// Maximum angle from the end effector to the set-point, in rad.
     pub lead_rotation: f64,
-    /// Distance in metres at which the bridge has arrived.
+    /// Distance to the start at which the bridge has arrived, in metres.
     pub tolerance_translation: f64,
-    /// Angle in rad at which the bridge has arrived.
+    /// Angle to the start at which the bridge has arrived, in rad.
     pub tolerance_rotation: f64,
-    /// Control steps after which the chunk is replayed, arrived or not.
+    /// Maximum number of control steps of the bridge. The chunk is then replayed even if the bridge has not arrived.
     pub max_steps: u32,
 }
 
-/// Replay. It runs on where the recorded mode changes, and stops at the demonstration's end.
+/// Settings of Replay. The replay continues across changes of the recorded mode and stops at the end of the demonstration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialReplayConfig {
-    /// Actions executed before the next Retrieve, the paper's n.
+    /// Number of actions executed before the next Retrieve (n in the paper).
     pub horizon: u32,
-    /// Whether a chunk that reaches the demonstration's last release goes on to the demonstration's end.
+    /// Whether a chunk that reaches the last release of the demonstration continues to the end of the demonstration.
     pub finish: bool,
-    /// How far a chunk in which the gripper closes or opens runs on; to its end and no further when absent.
+    /// Extension of a chunk during which the gripper closes or opens. If absent, chunks are not extended.
     pub settle: Option<SettleConfig>,
 }
 
-/// A chunk that ends while the fingers still move runs on until they are still, for 40 actions at the most: between the
-/// command to close and the grasp, the object is in transfer but not yet held, and moving it to where the demonstration has it
-/// would move the fingers alone.
+/// Extension of a chunk that would end while the fingers still move: the replay continues until the fingers are still, for at
+/// most 40 actions after the gripper command changed.
+///
+/// Between the command to close and the grasp, the mode is already transfer but the object is not yet held. A decision at that
+/// time would move the fingers to the grasp of the demonstration without moving the object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SettleConfig {
-    /// Minimum number of actions after the gripper's command changed.
+    /// Minimum number of actions after a change of the gripper command.
     pub steps: u32,
-    /// Change of the distance between the fingers, in metres a control step, from which on they move.
+    /// Change of the distance between the fingers above which they count as moving, in metres per control step.
     pub finger_speed: f64,
 }
 
-/// When fingers that hold nothing are noticed.
+/// When the policy checks for a lost grasp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GraspCheck {
@@ -167,65 +170,71 @@ pub enum GraspCheck {
     Step,
 }
 
-/// What follows on the end of a demonstration without success.
+/// What the policy does when a demonstration ends without success.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EndOfDemo {
-    /// Retrieve, from where things are.
+    /// Retrieve from the current state.
     Retrieve,
-    /// After a release, the way home, then Retrieve; with the object held, Retrieve. Where demonstrations are banned, this one
-    /// is.
+    /// After a release, the arm returns to the home pose and the policy then retrieves. If the object is held, the policy
+    /// retrieves from the current state. If bans are enabled, the demonstration is banned.
     GoHome,
 }
 
-/// When a demonstration is not followed again in an episode: after a grasp that it made, or during which it was followed, was
-/// lost; or when it leads nowhere. Banned demonstrations rank after all others; where all are banned, all bans are lifted.
+/// Bans of demonstrations in an episode. A demonstration is banned if it made a grasp that was lost, if it was being followed
+/// when a grasp was lost, or if it is retrieved repeatedly without progress. Banned demonstrations rank after all others. When
+/// all demonstrations are banned, all bans are lifted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BanConfig {
-    /// How many times a demonstration may be retrieved about the same frame in one mode; at the last of them it is banned.
+    /// A demonstration is banned when it has been retrieved this many times near the same frame in one mode.
     pub repeats: u32,
-    /// Frames that count as the same frame are at most so far apart, and closer than the horizon.
+    /// Maximum distance between frames that count as the same, in frames. It is limited to less than the horizon.
     pub window: u32,
 }
 
-/// Failure.
+/// Settings of failure detection and recovery.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialRecoveryConfig {
-    /// Distance in metres between the fingers below which, in transfer, the grasp is lost: the end effector goes back to where
-    /// the episode began, the gripper open (paper, section on Robomimic). Never looked at when absent.
+    /// Distance between the fingers, in metres, below which the grasp is lost in transfer mode. The end effector then returns to
+    /// the initial pose of the episode with the gripper open (paper, section on Robomimic). If absent, lost grasps are not
+    /// detected.
     ///
-    /// Fingers that are still closing are farther apart than what they will hold, so no time to close is needed; the value
-    /// must be below the object's width where it is grasped.
+    /// Closing fingers are farther apart than when they hold the object, so the check needs no delay after the command to close.
+    /// The value must be less than the width of the object where it is grasped.
     pub lost_grasp: Option<f64>,
-    /// When that is looked at.
+    /// When the policy checks for a lost grasp.
     pub check: GraspCheck,
-    /// Maximum number of control steps on the way home.
+    /// Maximum number of control steps of the return to the home pose.
     pub home_steps: u32,
-    /// What follows on the end of a demonstration without success.
+    /// What the policy does when a demonstration ends without success.
     pub end_of_demo: EndOfDemo,
-    /// When a demonstration is not followed again; never when absent.
+    /// Bans of demonstrations. If absent, demonstrations are not banned.
     pub ban: Option<BanConfig>,
 }
 
-/// Averaging of observed object poses: in transit in the world, in transfer in the gripper, where the object rests.
+/// Averaging of observed object poses in the frame in which the object is fixed: the world in transit, the gripper in transfer.
 ///
-/// How much successive observations differ there (their median) tells the errors of single ones. An observation farther from
-/// the average than `gate` standard deviations says that the object moved: the average starts anew from it. So observations
-/// without errors are taken as they are, whatever moves.
+/// The median difference between successive observations estimates the error of a single observation. An observation that is
+/// farther from the average than `gate` standard deviations shows that the object moved, and the average restarts from it.
+/// Observations without errors are therefore used unchanged, however the object moves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFilterConfig {
-    /// Observations after which older ones are forgotten; 1 averages nothing.
+    /// Maximum number of averaged observations: a new observation has a weight of at least the inverse of this number. 1 disables
+    /// averaging.
     pub samples: u32,
-    /// Distance, in standard deviations of an error along one axis, beyond which the object has moved.
+    /// Distance from the average above which the object has moved, in standard deviations of an error along one axis.
     pub gate: f64,
 }
 
 impl SpatialPolicyConfig {
-    /// The paper's method and constants; where the paper gives none (scales, weights, tolerances, leads, caps), the choice is
-    /// ours. It has no cure for a demonstration that leads nowhere: such an episode ends with its step budget.
+    /// The method and constants of the paper. Values that the paper does not give (scales, weights, tolerances, leads, limits of
+    /// steps) are our own choices.
+    ///
+    /// The preset cannot recover from retrieving the same demonstration again and again without progress; such an episode ends
+    /// when its step budget is used up.
     pub fn paper() -> Self {
         Self {
             retrieve: SpatialRetrieveConfig {
@@ -267,7 +276,8 @@ impl SpatialPolicyConfig {
         }
     }
 
-    /// Retrieve and Replay alone. A lost grasp still ends in the way home, without which every miss would end the episode.
+    /// Retrieve and Replay only. After a lost grasp the arm still returns home; otherwise every missed grasp would end the
+    /// episode.
     pub fn re2() -> Self {
         let mut config = Self::paper();
         config.reframe.enabled = false;
@@ -275,7 +285,8 @@ impl SpatialPolicyConfig {
         config
     }
 
-    /// Grasp correction, bans, commitment to a demonstration, averaged poses, and no decision while the fingers move.
+    /// The settings of `paper` with additions: grasp correction, continuous measurement, bans, commitment to a demonstration,
+    /// averaged poses, and no decision while the fingers move. docs/robosuite.md compares the presets.
     pub fn re4() -> Self {
         let mut config = Self::paper();
         config.retrieve.tail = false;
@@ -294,20 +305,20 @@ impl SpatialPolicyConfig {
         config
     }
 
-    /// Looks every number over. `images` says whether the object's pose is estimated from images.
+    /// Checks all settings. `images` is true if the object pose is estimated from images.
     ///
     /// # Errors
-    /// The first that makes no sense.
+    /// The first invalid setting.
     pub fn check(&self, images: bool) -> Result<(), SettingError> {
         let (retrieve, replan, replay) = (&self.retrieve, &self.replan, &self.replay);
         let (recovery, filter, ban) = (&self.recovery, self.filter.as_ref(), self.recovery.ban.as_ref());
         let positive = |setting, value: f64| {
-            let sound = value.is_finite() && value > 0.0;
-            SettingError::unless(sound, setting, value, "give a finite number above 0")
+            let valid = value.is_finite() && value > 0.0;
+            SettingError::unless(valid, setting, value, "give a finite number above 0")
         };
         let not_negative = |setting, value: f64| {
-            let sound = value.is_finite() && value >= 0.0;
-            SettingError::unless(sound, setting, value, "give a finite number, 0 or more")
+            let valid = value.is_finite() && value >= 0.0;
+            SettingError::unless(valid, setting, value, "give a finite number, 0 or more")
         };
         let count = |setting, value: u32| SettingError::unless(value >= 1, setting, value, "give 1 or more");
         positive("retrieve.translation_scale", retrieve.translation_scale)?;
@@ -331,7 +342,7 @@ impl SpatialPolicyConfig {
         SettingError::unless(
             images || self.reframe.held == WhileHeld::Seen,
             "reframe.held",
-            "\"carried\", which belongs to variant = \"image\"",
+            "\"carried\", which is only available with variant = \"image\"",
             "leave it out",
         )
     }

@@ -1,25 +1,25 @@
-//! Why a policy in space does what it does.
+//! Decision records of the policy in SE(3).
 
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 
 use re4_episode::DemoNames;
 
-/// What was decided.
+/// The kind of decision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SpatialDecisionKind {
     /// A chunk was retrieved.
     Retrieve,
-    /// The demonstration is followed further, since its next frame is nearly as good as the retrieved one.
+    /// The policy continues with the current demonstration, because its next frame is nearly as close as the retrieved one.
     Continue,
-    /// The grasp is lost: back to the pose of the episode's beginning, the gripper open.
+    /// The grasp is lost. The arm returns to the initial pose of the episode with the gripper open.
     GraspLost,
-    /// The demonstration ended without success: back to the pose of the episode's beginning, the gripper open.
+    /// The demonstration ended without success. The arm returns to the initial pose of the episode with the gripper open.
     DemoEnded,
 }
 
 impl SpatialDecisionKind {
-    /// The word used in tables.
+    /// Returns the name of the kind in tables.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Retrieve => "retrieve",
@@ -30,75 +30,81 @@ impl SpatialDecisionKind {
     }
 }
 
-/// The chunk that a decision chose.
+/// The chunk that a decision selected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpatialChoice {
-    /// Demonstration, by its number in the index.
+    /// Number of the demonstration in the index.
     pub demo: u32,
     /// First frame of the chunk.
     pub demo_frame: u32,
-    /// Last frame of the chunk; it runs on beyond where the fingers still move.
+    /// Last frame of the chunk, included. The replay continues past it while the fingers still move.
     pub demo_end: u32,
-    /// Distance over the full state, without unit, as are the other two.
+    /// Distance over the full state, dimensionless.
     pub d_q: f64,
-    /// Distance over the object's pose alone.
+    /// Distance over the object pose only, dimensionless.
     pub d_o: f64,
-    /// Distance over the end effector's pose as seen from the object.
+    /// Distance over the end-effector pose in the object frame, dimensionless.
     pub d_e: f64,
-    /// Demonstrations compared: those with a frame in the mode.
+    /// Number of demonstrations compared, which are those that have a frame of the query's mode.
     pub compared: u32,
-    /// δ in the world, the identity where Reframe is off.
+    /// δ, the motion in the world frame from the demonstration's object pose to the query's. The identity if Reframe is disabled.
     pub delta: Isometry3<f64>,
-    /// Turn in rad about the object's symmetry axis that was applied to the query's object; 0 for an object without symmetry.
-    pub turn: f64,
-    /// Actions of the chunk.
+    /// Rotation about the object's symmetry axis that was applied to the query's object, in rad; 0 for an object without
+    /// symmetry.
+    pub symmetry_rotation: f64,
+    /// Number of actions of the chunk.
     pub replay_steps: u32,
 }
 
-/// One record for every decision. World frame, metres, radians.
+/// The decision record. Poses are in the world frame, in metres and radians.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialDecision {
-    /// Control steps taken before the decision.
+    /// Number of control steps taken before the decision.
     pub step: u32,
-    /// What was decided.
+    /// The kind of decision.
     pub kind: SpatialDecisionKind,
     /// Mode of the query.
     pub mode: Mode,
-    /// Grip site of the query.
+    /// Pose of the grip site.
     pub eef: Isometry3<f64>,
-    /// Object of the query: the observed pose, or the average of those observed where they are averaged. On the way home, for
-    /// which no policy looks, the last one, at rest in the world or in the gripper.
+    /// Object pose of the query: the observed pose, or the average of the observed poses if they are averaged. A decision to
+    /// return home does not request an observation; its object pose is the last one, assumed fixed in the world or in the
+    /// gripper.
     pub object: Isometry3<f64>,
-    /// Finger joints of the query.
+    /// Joint positions of the fingers in metres.
     pub fingers: [f64; 2],
-    /// The chunk; none on the way home.
+    /// The selected chunk, or `None` if the arm returns home.
     pub choice: Option<SpatialChoice>,
-    /// Where the grip site is to go first: the start of the chunk, or home. A start that is measured continuously moves.
+    /// Pose to which the grip site moves first: the start of the chunk or the home pose. With continuous measurement, the start
+    /// of the chunk moves afterwards.
     pub set_point: Isometry3<f64>,
-    /// Whether a bridge, or the way home, leads there; else the chunk is replayed from where the grip site is.
+    /// Whether the arm moves to the set-point first, by a bridge or by returning home. If false, the chunk is replayed from the
+    /// current pose.
     pub bridge: bool,
-    /// Demonstrations banned by now.
+    /// Number of demonstrations that are currently banned.
     pub banned: u32,
-    /// Demonstrations that were banned since the last decision or by this one.
+    /// Demonstrations that were banned since the last decision or by this decision.
     pub newly_banned: Vec<u32>,
 }
 
 impl SpatialDecision {
-    /// The decision in words, in which demonstrations have their names.
+    /// Returns the reason for the decision in words. `names` are the names of the demonstrations.
     pub fn reason(&self, names: &DemoNames) -> String {
         let mut reason = match (self.kind, &self.choice) {
             (SpatialDecisionKind::GraspLost, _) => format!(
-                "the grasp is lost: told to close, the fingers are {:.4} m apart; back to the initial pose with the gripper open",
+                "the grasp is lost: the gripper was commanded to close, and the fingers are only {:.4} m apart; \
+                 the arm returns to the initial pose with the gripper open",
                 (self.fingers[0] - self.fingers[1]).abs()
             ),
             (SpatialDecisionKind::DemoEnded, _) => {
-                "the demonstration ended without success; back to the initial pose with the gripper open".to_owned()
+                "the demonstration ended without success; the arm returns to the initial pose with the gripper open"
+                    .to_owned()
             }
             (kind, Some(choice)) => {
                 let chosen = format!("{} from frame {}", names.of(choice.demo), choice.demo_frame);
                 let why = if kind == SpatialDecisionKind::Continue {
                     format!(
-                        "followed further, its next frame being nearly as near (d_q {:.4}, d_o {:.4}) as any",
+                        "continued, because its next frame (d_q {:.4}, d_o {:.4}) is nearly as close as the retrieved frame",
                         choice.d_q, choice.d_o
                     )
                 } else {
@@ -107,18 +113,18 @@ impl SpatialDecision {
                         choice.d_o, choice.compared, choice.d_q
                     )
                 };
-                let way = if self.bridge {
-                    "a bridge leads to its start"
+                let path = if self.bridge {
+                    "a bridge moves the end effector to its start"
                 } else {
-                    "it is replayed from where the end effector is"
+                    "it is replayed from the current pose of the end effector"
                 };
-                format!("{chosen}: {why}; {way}")
+                format!("{chosen}: {why}; {path}")
             }
-            (_, None) => "nothing was chosen".to_owned(),
+            (_, None) => "no chunk was selected".to_owned(),
         };
         for (i, demo) in self.newly_banned.iter().enumerate() {
-            let before = if i == 0 { "; not followed again: " } else { ", " };
-            reason.push_str(before);
+            let separator = if i == 0 { "; banned: " } else { ", " };
+            reason.push_str(separator);
             reason.push_str(&names.of(*demo));
         }
         reason

@@ -1,4 +1,4 @@
-//! The demonstrations that a policy replays from, and their index.
+//! The demonstrations that a policy replays, and their index.
 
 use nalgebra::{Isometry3, Translation3, Vector3};
 use re4_episode::{Mode, SpatialFrame};
@@ -8,23 +8,24 @@ use re4_index::{IndexError, IndexedSpatialFrame, SpatialIndex};
 use crate::DemoSet;
 use crate::spatial::config::SpatialRetrieveConfig;
 
-/// A frame as a policy replays it. World frame, metres.
+/// A frame that a policy can replay. World frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpatialDemoFrame {
     /// Pose of the grip site.
     pub eef: Isometry3<f64>,
     /// Pose of the object.
     pub object: Isometry3<f64>,
-    /// Absolute goal of the grip site commanded at this frame.
+    /// Absolute goal pose of the grip site that was commanded at this frame.
     pub goal: Isometry3<f64>,
-    /// Gripper command at this frame: above 0 closes, below 0 opens, with the recorded size.
+    /// Gripper command at this frame: above 0 closes, below 0 opens. The recorded magnitude is kept.
     pub gripper: f64,
     /// Manipulation mode.
     pub mode: Mode,
 }
 
 impl SpatialDemoFrame {
-    /// Takes a recorded frame, whose absolute action is position and rotation vector of the grip site's goal.
+    /// Creates a frame from a recorded frame, whose absolute action consists of the position and the rotation vector of the grip
+    /// site's goal.
     pub fn new(frame: &SpatialFrame, mode: Mode) -> Self {
         let [x, y, z, rx, ry, rz] = frame.goal;
         let rotation = rotation_from_vector(Vector3::new(rx, ry, rz));
@@ -41,14 +42,14 @@ impl SpatialDemoFrame {
 /// Frames of all demonstrations.
 pub type SpatialDemoSet = DemoSet<SpatialDemoFrame>;
 
-/// The frame of the last release: the last transfer frame, whose action opens the gripper. None where the object is never
-/// held, or held to the end.
+/// Returns the frame of the last release, which is the last transfer frame; its action opens the gripper. Returns `None` if the
+/// object is never held, or is held until the end.
 pub(crate) fn last_release(frames: &[SpatialDemoFrame]) -> Option<usize> {
     let last = frames.iter().rposition(|frame| frame.mode == Mode::Transfer)?;
     (last + 1 < frames.len()).then_some(last)
 }
 
-/// What a policy in space knows. Shared between rollouts.
+/// The read-only data of a policy in SE(3), which all rollouts share.
 pub struct SpatialKnowledge {
     demos: SpatialDemoSet,
     index: SpatialIndex,
@@ -56,11 +57,11 @@ pub struct SpatialKnowledge {
 }
 
 impl SpatialKnowledge {
-    /// Indexes the frames of `demos` but for those that `excluded` (demonstration, frame) names, for an object with a symmetry.
-    /// Frames that are excluded are not retrieved, but are replayed where a chunk leads on to them.
+    /// Indexes the frames of `demos` for an object with a symmetry. Frames for which `excluded` (demonstration, frame) is true
+    /// are not retrieved, but they are replayed if a chunk contains them.
     ///
     /// # Errors
-    /// When no frame is left, a frame has a number that is not finite, or the metric is none.
+    /// If no frame is left, a frame has a number that is not finite, or the metric is invalid.
     pub fn new(
         demos: SpatialDemoSet,
         retrieve: &SpatialRetrieveConfig,
@@ -96,17 +97,17 @@ impl SpatialKnowledge {
         })
     }
 
-    /// Demonstrations, with all their frames.
+    /// Returns the demonstrations with all their frames.
     pub fn demos(&self) -> &SpatialDemoSet {
         &self.demos
     }
 
-    /// Retrieve.
+    /// Returns the index for Retrieve.
     pub fn index(&self) -> &SpatialIndex {
         &self.index
     }
 
-    /// Turns after which the object looks the same.
+    /// Returns the symmetry group of the object.
     pub fn group(&self) -> &SymmetryGroup {
         &self.group
     }

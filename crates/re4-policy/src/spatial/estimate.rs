@@ -1,4 +1,4 @@
-//! The object's pose from the poses observed so far.
+//! Estimates the object pose from all observed poses so far.
 
 use std::collections::VecDeque;
 
@@ -9,44 +9,45 @@ use re4_stats::upper_median;
 
 use crate::spatial::config::PoseFilterConfig;
 
-/// Differences between successive observations that the errors are judged by.
+/// Maximum number of differences between successive observations from which the errors are estimated.
 const DIFFERENCES: usize = 60;
 
-/// Fewer of them say nothing.
-const FEWEST: usize = 5;
+/// Minimum number of differences for an estimate of the errors.
+const MIN_DIFFERENCES: usize = 5;
 
-/// Observations that the average counts for where the frame in which the object rests changes: at a grasp or a release it
-/// settles by millimetres, which newer observations must be able to tell.
+/// Maximum weight, in observations, that an average keeps when the frame in which the object is fixed changes. At a grasp or a
+/// release the object moves by millimetres, and new observations must be able to correct the average.
 const CARRIED_OVER: u32 = 5;
 
 /// Median of the chi-squared distribution with three degrees of freedom.
 const MEDIAN_CHI_SQUARED_3: f64 = 2.365_973_884_375_338;
 
-/// Averages observed object poses in the frame in which the object rests: the world in transit, the gripper in transfer. See
-/// [`PoseFilterConfig`] for when the average starts anew.
+/// Averages observed object poses in the frame in which the object is fixed: the world in transit, the gripper in transfer.
+/// [`PoseFilterConfig`] describes when the average restarts.
 ///
-/// The average is sequential: each observation, in that of its like poses that is nearest to the average, moves it by a part
-/// `1 / n` of the way, n being the number of observations in it, at most `samples`. The standard deviation of an error along an
-/// axis is `√(m / (2 · 2.366))`, m being the median of the squared differences between successive observations: differences of
-/// two errors have twice the variance of one, and 2.366 is the median of chi-squared with three degrees of freedom.
+/// The average is sequential. Each observation, in its symmetry-equivalent pose that is nearest to the average, moves the average
+/// by a fraction `1 / n` of their difference, where `n` is the number of averaged observations, at most `samples`. The standard
+/// deviation of an error along one axis is `√(m / (2 · 2.366))`, where `m` is the median of the squared differences between
+/// successive observations: the difference of two errors has twice the variance of one, and 2.366 is the median of the
+/// chi-squared distribution with three degrees of freedom.
 pub struct ObjectEstimate {
     config: Option<PoseFilterConfig>,
     group: SymmetryGroup,
     state: Option<State>,
-    /// Squared differences, translation and rotation.
+    /// Squared differences of translation and rotation.
     differences: VecDeque<(f64, f64)>,
 }
 
 struct State {
     mode: Mode,
-    /// In the frame of the mode.
+    /// Average pose in the frame of the mode.
     average: Isometry3<f64>,
     count: u32,
-    /// Last observation, in the same frame; none where the frame is new.
+    /// Last observation in the same frame, or `None` if the frame has changed since.
     last: Option<Isometry3<f64>>,
 }
 
-/// The frame in which the object rests.
+/// Returns the pose of the frame in which the object is fixed.
 fn frame_of(mode: Mode, eef: &Isometry3<f64>) -> Isometry3<f64> {
     match mode {
         Mode::Transit => Isometry3::identity(),
@@ -55,10 +56,10 @@ fn frame_of(mode: Mode, eef: &Isometry3<f64>) -> Isometry3<f64> {
 }
 
 impl State {
-    /// Goes over to the frame of a mode.
-    fn rest_in(&mut self, mode: Mode, eef: &Isometry3<f64>) {
+    /// Converts the average to the frame of a mode.
+    fn change_mode(&mut self, mode: Mode, eef: &Isometry3<f64>) {
         if self.mode != mode {
-            // The gripper has hardly moved since the mode was the other one.
+            // The gripper has hardly moved since the last step, so its current pose is used for both frames.
             let world = match self.mode {
                 Mode::Transit => self.average,
                 Mode::Transfer => eef * self.average,
@@ -74,7 +75,7 @@ impl State {
 }
 
 impl ObjectEstimate {
-    /// No pose observed yet. Without a configuration every observation is the estimate.
+    /// Creates an estimate without observations. Without a configuration, every observation is used as the estimate.
     pub fn new(config: Option<PoseFilterConfig>, group: SymmetryGroup) -> Self {
         Self {
             config,
@@ -84,57 +85,61 @@ impl ObjectEstimate {
         }
     }
 
-    /// Takes an observation, with the mode at it, and gives the estimate of the object's pose. World frame.
+    /// Adds an observation of the object and returns the estimated object pose. `mode` and `eef` are those at the observation.
+    /// World frame.
     pub fn observe(&mut self, mode: Mode, eef: &Isometry3<f64>, object: &Isometry3<f64>) -> Isometry3<f64> {
         let frame = frame_of(mode, eef);
-        let seen = frame.inv_mul(object);
+        let observed = frame.inv_mul(object);
         let (Some(config), Some(mut state)) = (self.config.clone(), self.state.take()) else {
             self.state = Some(State {
                 mode,
-                average: seen,
+                average: observed,
                 count: 1,
-                last: Some(seen),
+                last: Some(observed),
             });
             return *object;
         };
-        state.rest_in(mode, eef);
-        let (seen, _) = self.group.align(&seen, &state.average);
+        state.change_mode(mode, eef);
+        let (observed, _) = self.group.align(&observed, &state.average);
         if let Some(last) = state.last {
-            let (moved, turned) = pose_distance(&self.group.align(&last, &state.average).0, &seen);
+            let (distance, angle) = pose_distance(&self.group.align(&last, &state.average).0, &observed);
             if self.differences.len() == DIFFERENCES {
                 self.differences.pop_front();
             }
-            self.differences.push_back((moved * moved, turned * turned));
+            self.differences.push_back((distance * distance, angle * angle));
         }
-        state.last = Some(seen);
-        let rests = self.deviations().is_some_and(|(translation, rotation)| {
-            let (off, turned) = pose_distance(&state.average, &seen);
-            // The average has an error of its own.
-            let spread = config.gate * (1.0 + 1.0 / f64::from(state.count)).sqrt();
-            off <= spread * translation && turned <= spread * rotation
+        state.last = Some(observed);
+        let is_still = self.deviations().is_some_and(|(translation, rotation)| {
+            let (distance, angle) = pose_distance(&state.average, &observed);
+            // The variance of the difference includes that of the average, which is 1 / count of a single error's.
+            let limit = config.gate * (1.0 + 1.0 / f64::from(state.count)).sqrt();
+            distance <= limit * translation && angle <= limit * rotation
         });
-        if rests {
+        if is_still {
             state.count = (state.count + 1).min(config.samples.max(1));
-            state.average = pose_between(&state.average, &seen, 1.0 / f64::from(state.count));
+            state.average = pose_between(&state.average, &observed, 1.0 / f64::from(state.count));
         } else {
-            (state.average, state.count) = (seen, 1);
+            (state.average, state.count) = (observed, 1);
         }
         let estimate = frame * state.average;
         self.state = Some(state);
         estimate
     }
 
-    /// The estimate at a step without an observation: the object rests, in the world or in the gripper. None where nothing was
-    /// observed yet. World frame. To be asked at every such step, so that the change of the mode is noticed where it happens.
+    /// Returns the estimate at a control step without an observation, assuming that the object is fixed in the world or in the
+    /// gripper. Returns `None` before the first observation. World frame.
+    ///
+    /// Call this at every such step, so that a change of the mode is noticed when it happens.
     pub fn carry(&mut self, mode: Mode, eef: &Isometry3<f64>) -> Option<Isometry3<f64>> {
         let state = self.state.as_mut()?;
-        state.rest_in(mode, eef);
+        state.change_mode(mode, eef);
         Some(frame_of(mode, eef) * state.average)
     }
 
-    /// Standard deviations of an observation's errors along one axis, in metres and rad; none while too little is known.
+    /// Returns the standard deviations of an observation's errors along one axis, in metres and rad, or `None` if there are too
+    /// few observations.
     pub fn deviations(&self) -> Option<(f64, f64)> {
-        if self.differences.len() < FEWEST {
+        if self.differences.len() < MIN_DIFFERENCES {
             return None;
         }
         let deviation = |of: fn(&(f64, f64)) -> f64| {

@@ -1,11 +1,12 @@
-//! RE4 for an arm with a two-finger gripper and one object, in SE(3): Lift, Can, Square.
+//! RE4 in SE(3) for a robot arm with a two-finger gripper and one object: Lift, Can and Square.
 //!
-//! World frame, metres, radians. The end effector is the *grip site* throughout, in demonstrations, observations and actions:
-//! where a dataset records the orientation of the hand's body, the caller turns it into the site's first. Actions are absolute
-//! goals of the site and a gripper command, below 0 to open and above 0 to close; bridge and way home count as control steps.
+//! Poses are in the world frame, in metres and radians. The end-effector pose is always that of the *grip site*, in
+//! demonstrations, observations and actions. If a dataset records the orientation of the hand body instead, the caller must
+//! convert it to that of the grip site first. An action consists of an absolute goal pose of the grip site and a gripper command,
+//! which is below 0 to open and above 0 to close. The bridge and the return to the home pose count as control steps.
 //!
-//! The mode of a query is transfer where the last gripper command closed, transit otherwise and before the first command
-//! (paper, section "Manipulation Modes": for Robomimic, the sign of the last command).
+//! The mode of a query is transfer if the last gripper command closed the gripper, and transit otherwise, including before the
+//! first command (paper, section "Manipulation Modes": for Robomimic, the sign of the last command).
 
 mod bans;
 mod config;

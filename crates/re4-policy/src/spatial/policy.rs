@@ -1,4 +1,4 @@
-//! The RE4 loop in SE(3) (paper, Algorithm 1), one control step at a time.
+//! The RE4 loop in SE(3) (paper, Algorithm 1), executed one control step at a time.
 
 use std::sync::Arc;
 
@@ -19,16 +19,17 @@ use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
 /// Command that opens the gripper.
 const OPEN: f64 = -1.0;
 
-/// Command that closes it.
+/// Command that closes the gripper.
 const CLOSE: f64 = 1.0;
 
-/// Actions after a change of the gripper's command for which fingers that move are waited for.
-const SETTLE_MOST: u32 = 40;
+/// Maximum number of actions after a change of the gripper command for which a chunk is extended while the fingers move.
+const MAX_SETTLE_STEPS: u32 = 40;
 
-/// A policy in the middle of an episode.
+/// The RE4 policy in SE(3) during one episode.
 ///
-/// When nothing is under way it decides: with the gripper told to close and nothing between the fingers, it goes home;
-/// otherwise it retrieves a frame, bridges to where the chunk starts, and replays. It draws no random numbers.
+/// The policy makes a decision whenever no activity is in progress. If the gripper was commanded to close and there is nothing
+/// between the fingers, the arm returns home. Otherwise the policy retrieves a frame, bridges to the start of the chunk and
+/// replays the chunk. The policy uses no random numbers.
 pub struct SpatialRe4 {
     config: SpatialPolicyConfig,
     knowledge: Arc<SpatialKnowledge>,
@@ -37,77 +38,82 @@ pub struct SpatialRe4 {
     estimate: ObjectEstimate,
     /// Last gripper command.
     gripper: f64,
-    /// Control steps since that command began to close, or ceased to.
+    /// Number of control steps since the gripper command last changed between closing and not closing.
     since_change: u32,
-    /// Distance between the fingers at the last step.
+    /// Distance between the fingers at the last step, in metres.
     separation: Option<f64>,
-    doing: Doing,
-    /// The chunk that was replayed to its end, unless a grasp was lost since.
+    activity: Activity,
+    /// The last chunk that was replayed to its end. `None` after a return home or once the next chunk has started.
     followed: Option<Followed>,
-    /// The demonstration that last closed the gripper.
+    /// The demonstration whose action last closed the gripper.
     grasped_by: Option<u32>,
     newly_banned: Vec<u32>,
     step: u32,
 }
 
-/// What is under way.
-enum Doing {
-    Nothing,
+/// The activity in progress.
+enum Activity {
+    None,
     Home { taken: u32 },
     Chunk(Box<Chunk>),
 }
 
-/// A chunk that is being carried out.
+/// A chunk in execution.
 struct Chunk {
     demo: u32,
     /// First frame.
     start: usize,
     /// Frame of the next action.
     next: usize,
-    /// Last frame.
+    /// Last frame, included.
     end: usize,
     /// Mode of the query.
     mode: Mode,
     carry: Carry,
-    /// The query's object, aligned with the demonstration's: in the world in transit, in the gripper in transfer.
+    /// Object pose, aligned with the demonstration's by the object's symmetry, in the frame in which the object is fixed: the
+    /// world in transit, the gripper in transfer.
     aligned: Isometry3<f64>,
-    /// Whether the way that the chunk is carried stays as it is from here on.
-    measured: bool,
-    /// Steps of the bridge so far; none when it is over.
+    /// Whether the transformation of the chunk is final. If not, it is measured again at every step.
+    is_final: bool,
+    /// Number of steps of the bridge so far, or `None` if the bridge has ended.
     bridge: Option<u32>,
 }
 
-/// A chunk that is over.
+/// A chunk that was replayed to its end.
 #[derive(Clone, Copy)]
 struct Followed {
     demo: u32,
-    /// The frame after its last; none where the demonstration ended.
+    /// The frame after its last frame, or `None` if the demonstration ended.
     next: Option<u32>,
 }
 
-/// Who can still be asked for the object's pose at a step; nobody once it is known.
+/// The observations from which the object pose can still be requested at this step. `None` once the pose is known.
 type PoseObserver<'a> = Option<&'a mut dyn Senses<Space>>;
 
-/// What is seen at a step, with the estimate of the object's pose.
+/// The observation at one step, with the estimate of the object pose. World frame.
 #[derive(Clone, Copy)]
-struct Seen {
+struct Observation {
     mode: Mode,
     eef: Isometry3<f64>,
     object: Isometry3<f64>,
     fingers: [f64; 2],
 }
 
-impl Seen {
+impl Observation {
     fn separation(&self) -> f64 {
         (self.fingers[0] - self.fingers[1]).abs()
     }
 
-    /// Looks, unless the object's pose was told.
-    fn look(&mut self, observer: &mut PoseObserver<'_>, estimate: &mut ObjectEstimate) -> Result<(), PolicyError> {
+    /// Requests the object pose, unless it is already known at this step, and updates the estimate.
+    fn observe_object(
+        &mut self,
+        observer: &mut PoseObserver<'_>,
+        estimate: &mut ObjectEstimate,
+    ) -> Result<(), PolicyError> {
         if let Some(senses) = observer.take() {
             let object = senses.object()?;
             if !is_sound(&object) {
-                return Err(nowhere());
+                return Err(not_finite());
             }
             self.object = estimate.observe(self.mode, &self.eef, &object);
         }
@@ -124,7 +130,7 @@ impl Seen {
 }
 
 impl SpatialRe4 {
-    /// A policy at the beginning of an episode. `home` is the pose of the grip site to go back to when a grasp is lost: that
+    /// Creates the policy for an episode. `home` is the pose to which the grip site returns after a lost grasp; it is the pose
     /// after the reset.
     pub fn new(config: SpatialPolicyConfig, knowledge: Arc<SpatialKnowledge>, home: Isometry3<f64>) -> Self {
         Self {
@@ -138,9 +144,9 @@ impl SpatialRe4 {
             knowledge,
             home,
             gripper: OPEN,
-            since_change: SETTLE_MOST,
+            since_change: MAX_SETTLE_STEPS,
             separation: None,
-            doing: Doing::Nothing,
+            activity: Activity::None,
             followed: None,
             grasped_by: None,
             newly_banned: Vec::new(),
@@ -148,17 +154,17 @@ impl SpatialRe4 {
         }
     }
 
-    /// Demonstrations that are not followed again in this episode.
+    /// Returns the demonstrations that are currently banned.
     pub fn banned(&self) -> impl Iterator<Item = u32> {
         self.bans.set().iter().copied()
     }
 }
 
-/// Starts [`SpatialRe4`].
+/// Starts a [`SpatialRe4`] policy for every episode.
 pub struct SpatialRe4Factory {
-    /// Its settings.
+    /// The settings.
     pub config: SpatialPolicyConfig,
-    /// What it knows.
+    /// The data of the policy.
     pub knowledge: Arc<SpatialKnowledge>,
 }
 
@@ -170,45 +176,48 @@ impl PolicyFactory<Space> for SpatialRe4Factory {
     }
 }
 
-/// A pose that is nowhere.
-fn nowhere() -> PolicyError {
+/// Returns the error for a pose that is not finite.
+fn not_finite() -> PolicyError {
     LookupError::Retrieve(IndexError::QueryNotFinite).into()
 }
 
 impl Policy<Space> for SpatialRe4 {
     type Decision = SpatialDecision;
 
-    /// Where the object's pose is told at every step, every one is taken; else it is asked for where the policy chooses what to
-    /// do next, once a step at the most, and not at other steps.
+    /// Returns the action for the next control step.
+    ///
+    /// If the object pose is available without rendering, the policy observes it at every step. Otherwise it requests the pose
+    /// only when it selects what to do next, at most once per step.
     fn act(&mut self, senses: &mut dyn Senses<Space>) -> Result<Act<Space, SpatialDecision>, PolicyError> {
-        let body = senses.proprio();
-        if !is_sound(&body.eef) || body.fingers.iter().any(|f| !f.is_finite()) {
-            return Err(nowhere());
+        let arm = senses.proprio();
+        if !is_sound(&arm.eef) || arm.fingers.iter().any(|f| !f.is_finite()) {
+            return Err(not_finite());
         }
         let mode = self.mode();
-        let mut seen = Seen {
+        let mut observed = Observation {
             mode,
-            eef: body.eef,
+            eef: arm.eef,
             object: Isometry3::identity(),
-            fingers: body.fingers,
+            fingers: arm.fingers,
         };
-        let mut at_once = senses.observes_object();
+        let mut observe_now = senses.observes_object();
         let mut observer: PoseObserver<'_> = Some(senses);
-        if !at_once {
-            match self.estimate.carry(mode, &body.eef) {
+        if !observe_now {
+            match self.estimate.carry(mode, &arm.eef) {
                 Some(carried) => {
-                    seen.object = carried;
+                    observed.object = carried;
                     if mode == Mode::Transfer && self.config.reframe.held == WhileHeld::Carried {
                         observer = None;
                     }
                 }
-                None => at_once = true,
+                // The first step of an episode needs an observation in any case.
+                None => observe_now = true,
             }
         }
-        if at_once {
-            seen.look(&mut observer, &mut self.estimate)?;
+        if observe_now {
+            observed.observe_object(&mut observer, &mut self.estimate)?;
         }
-        self.step(seen, observer)
+        self.step(observed, observer)
     }
 }
 
@@ -221,30 +230,30 @@ impl SpatialRe4 {
         }
     }
 
-    /// One control step.
+    /// Executes one control step.
     fn step(
         &mut self,
-        mut seen: Seen,
+        mut observed: Observation,
         mut observer: PoseObserver<'_>,
     ) -> Result<Act<Space, SpatialDecision>, PolicyError> {
         let mut decision = None;
-        if self.config.recovery.check == GraspCheck::Step && self.grasp_is_lost(&seen) {
-            decision = Some(self.abort_grasp(&seen));
+        if self.config.recovery.check == GraspCheck::Step && self.grasp_is_lost(&observed) {
+            decision = Some(self.abort_grasp(&observed));
         }
-        // Each pass ends with an action or with another thing to do, and after a decision there is always an action: the way
-        // home has at least one, and so has every chunk.
+        // Every iteration returns an action or starts another activity. The loop ends because a decision is always followed by an
+        // action: a return home and a chunk both have at least one.
         let (action, phase) = loop {
-            match std::mem::replace(&mut self.doing, Doing::Nothing) {
-                Doing::Nothing => decision = Some(self.decide(&mut seen, &mut observer)?),
-                Doing::Home { taken } => {
-                    let arrived = taken > 0 && self.is_at(&seen.eef, &self.home);
+            match std::mem::replace(&mut self.activity, Activity::None) {
+                Activity::None => decision = Some(self.decide(&mut observed, &mut observer)?),
+                Activity::Home { taken } => {
+                    let arrived = taken > 0 && self.is_at(&observed.eef, &self.home);
                     if !arrived && taken < self.config.recovery.home_steps.max(1) {
-                        self.doing = Doing::Home { taken: taken + 1 };
-                        break (self.toward(&seen.eef, &self.home, OPEN), Phase::Home);
+                        self.activity = Activity::Home { taken: taken + 1 };
+                        break (self.servo_toward(&observed.eef, &self.home, OPEN), Phase::Home);
                     }
                 }
-                Doing::Chunk(chunk) => {
-                    let (done, lost) = self.carry_on(chunk, &seen)?;
+                Activity::Chunk(chunk) => {
+                    let (done, lost) = self.continue_chunk(chunk, &observed)?;
                     if let Some(done) = done {
                         break done;
                     }
@@ -259,45 +268,46 @@ impl SpatialRe4 {
             self.since_change.saturating_add(1)
         };
         self.gripper = action.gripper;
-        self.separation = Some(seen.separation());
+        self.separation = Some(observed.separation());
         self.step += 1;
         Ok(Act {
             action,
             phase,
             decision,
-            object: Some(seen.object),
+            object: Some(observed.object),
         })
     }
 
-    /// The next action of a chunk, if there is one left; where a bridge ends without a grasp, the decision to go home.
+    /// Returns the next action of a chunk, if one is left. If a bridge ends and the grasp is lost, returns the decision to return
+    /// home instead.
     #[expect(clippy::type_complexity, reason = "an action with its phase, or a decision")]
-    fn carry_on(
+    fn continue_chunk(
         &mut self,
         mut chunk: Box<Chunk>,
-        seen: &Seen,
+        observed: &Observation,
     ) -> Result<(Option<(ArmAction, Phase)>, Option<SpatialDecision>), LookupError> {
         let knowledge = Arc::clone(&self.knowledge);
         let frames = frames_of(&knowledge, chunk.demo, chunk.start)?;
-        chunk.measured |= chunk.mode != seen.mode;
-        if !chunk.measured {
+        chunk.is_final |= chunk.mode != observed.mode;
+        if !chunk.is_final {
             let start = frames[chunk.start];
-            self.measure(&mut chunk, &start, seen);
+            self.measure(&mut chunk, &start, observed);
         }
         if let Some(taken) = chunk.bridge {
-            if taken < self.config.replan.max_steps && !self.is_at(&seen.eef, &chunk.carry.near) {
+            if taken < self.config.replan.max_steps && !self.is_at(&observed.eef, &chunk.carry.near) {
                 chunk.bridge = Some(taken + 1);
                 let gripper = if chunk.mode == Mode::Transfer { CLOSE } else { OPEN };
-                let action = self.toward(&seen.eef, &chunk.carry.near, gripper);
-                self.doing = Doing::Chunk(chunk);
+                let action = self.servo_toward(&observed.eef, &chunk.carry.near, gripper);
+                self.activity = Activity::Chunk(chunk);
                 return Ok((Some((action, Phase::Bridge)), None));
             }
             chunk.bridge = None;
-            if self.grasp_is_lost(seen) {
-                self.doing = Doing::Chunk(chunk);
-                return Ok((None, Some(self.abort_grasp(seen))));
+            if self.grasp_is_lost(observed) {
+                self.activity = Activity::Chunk(chunk);
+                return Ok((None, Some(self.abort_grasp(observed))));
             }
         }
-        if chunk.next > chunk.end && chunk.next < frames.len() && self.settles(seen) {
+        if chunk.next > chunk.end && chunk.next < frames.len() && self.fingers_are_settling(observed) {
             chunk.end = chunk.next;
         }
         if chunk.next > chunk.end {
@@ -316,36 +326,36 @@ impl SpatialRe4 {
             self.grasped_by = Some(chunk.demo);
         }
         chunk.next += 1;
-        self.doing = Doing::Chunk(chunk);
+        self.activity = Activity::Chunk(chunk);
         Ok((Some((action, Phase::Replay)), None))
     }
 
-    /// Measures anew how the chunk is carried. The object's pose is taken in that of its like ones that is nearest to the one
-    /// taken before, so that the chunk never jumps from one to another.
-    fn measure(&self, chunk: &mut Chunk, start: &SpatialDemoFrame, seen: &Seen) {
-        let frame = frame_of_rest(seen);
+    /// Measures the transformation of the chunk again. Of the symmetry-equivalent object poses, the one nearest to the previous
+    /// measurement is used, so that the transformation does not jump between them.
+    fn measure(&self, chunk: &mut Chunk, start: &SpatialDemoFrame, observed: &Observation) {
+        let frame = rest_frame(observed);
         chunk.aligned = self
             .knowledge
             .group()
-            .align(&frame.inv_mul(&seen.object), &chunk.aligned)
+            .align(&frame.inv_mul(&observed.object), &chunk.aligned)
             .0;
         chunk.carry = reframe_spatial(
             chunk.mode,
             self.config.reframe.transfer,
             (&start.object, &start.eef),
-            (&(frame * chunk.aligned), &seen.eef),
+            (&(frame * chunk.aligned), &observed.eef),
         );
     }
 
-    /// Whether the fingers are still on their way to what the last change of the gripper's command asked for.
-    fn settles(&self, seen: &Seen) -> bool {
+    /// Returns whether the fingers are still moving after the last change of the gripper command.
+    fn fingers_are_settling(&self, observed: &Observation) -> bool {
         let Some(settle) = &self.config.replay.settle else {
             return false;
         };
-        let moves = self
+        let is_moving = self
             .separation
-            .is_some_and(|before| (seen.separation() - before).abs() > settle.finger_speed);
-        self.since_change < settle.steps || (moves && self.since_change < SETTLE_MOST)
+            .is_some_and(|before| (observed.separation() - before).abs() > settle.finger_speed);
+        self.since_change < settle.steps || (is_moving && self.since_change < MAX_SETTLE_STEPS)
     }
 
     fn is_at(&self, eef: &Isometry3<f64>, goal: &Isometry3<f64>) -> bool {
@@ -353,8 +363,8 @@ impl SpatialRe4 {
         distance <= self.config.replan.tolerance_translation && angle <= self.config.replan.tolerance_rotation
     }
 
-    /// One step of the servo that bridges and goes home.
-    fn toward(&self, eef: &Isometry3<f64>, goal: &Isometry3<f64>, gripper: f64) -> ArmAction {
+    /// Returns one step of the closed-loop motion that the bridge and the return home use.
+    fn servo_toward(&self, eef: &Isometry3<f64>, goal: &Isometry3<f64>, gripper: f64) -> ArmAction {
         let replan = &self.config.replan;
         ArmAction {
             goal: step_toward(eef, goal, replan.lead_translation, replan.lead_rotation),
@@ -362,10 +372,10 @@ impl SpatialRe4 {
         }
     }
 
-    /// ObservedPose to close, and nothing between the fingers.
-    fn grasp_is_lost(&self, seen: &Seen) -> bool {
-        let lost_below = self.config.recovery.lost_grasp;
-        seen.mode == Mode::Transfer && lost_below.is_some_and(|minimum| seen.separation() < minimum)
+    /// Returns whether the gripper was commanded to close and there is nothing between the fingers.
+    fn grasp_is_lost(&self, observed: &Observation) -> bool {
+        let threshold = self.config.recovery.lost_grasp;
+        observed.mode == Mode::Transfer && threshold.is_some_and(|threshold| observed.separation() < threshold)
     }
 
     fn ban(&mut self, demo: u32) {
@@ -374,10 +384,11 @@ impl SpatialRe4 {
         }
     }
 
-    /// Goes home, and bans the demonstration that made the grasp and the one that was followed when it was lost.
-    fn abort_grasp(&mut self, seen: &Seen) -> SpatialDecision {
-        let followed = match &self.doing {
-            Doing::Chunk(chunk) => Some(chunk.demo),
+    /// Starts the return home, and bans the demonstration that made the grasp and the one that was being followed when the grasp
+    /// was lost.
+    fn abort_grasp(&mut self, observed: &Observation) -> SpatialDecision {
+        let followed = match &self.activity {
+            Activity::Chunk(chunk) => Some(chunk.demo),
             _ => self.followed.map(|followed| followed.demo),
         };
         let grasped_by = self.grasped_by.take();
@@ -387,20 +398,20 @@ impl SpatialRe4 {
         {
             self.ban(demo);
         }
-        self.go_home(SpatialDecisionKind::GraspLost, seen)
+        self.return_home(SpatialDecisionKind::GraspLost, observed)
     }
 
-    fn go_home(&mut self, kind: SpatialDecisionKind, seen: &Seen) -> SpatialDecision {
+    fn return_home(&mut self, kind: SpatialDecisionKind, observed: &Observation) -> SpatialDecision {
         self.followed = None;
-        self.doing = Doing::Home { taken: 0 };
+        self.activity = Activity::Home { taken: 0 };
         let home = self.home;
-        self.record(kind, seen, None, home, true)
+        self.record(kind, observed, None, home, true)
     }
 
     fn record(
         &mut self,
         kind: SpatialDecisionKind,
-        seen: &Seen,
+        observed: &Observation,
         choice: Option<SpatialChoice>,
         set_point: Isometry3<f64>,
         bridge: bool,
@@ -408,10 +419,10 @@ impl SpatialRe4 {
         SpatialDecision {
             step: self.step,
             kind,
-            mode: seen.mode,
-            eef: seen.eef,
-            object: seen.object,
-            fingers: seen.fingers,
+            mode: observed.mode,
+            eef: observed.eef,
+            object: observed.object,
+            fingers: observed.fingers,
             choice,
             set_point,
             bridge,
@@ -420,40 +431,48 @@ impl SpatialRe4 {
         }
     }
 
-    fn decide(&mut self, seen: &mut Seen, observer: &mut PoseObserver<'_>) -> Result<SpatialDecision, PolicyError> {
-        if self.grasp_is_lost(seen) {
-            return Ok(self.abort_grasp(seen));
+    fn decide(
+        &mut self,
+        observed: &mut Observation,
+        observer: &mut PoseObserver<'_>,
+    ) -> Result<SpatialDecision, PolicyError> {
+        if self.grasp_is_lost(observed) {
+            return Ok(self.abort_grasp(observed));
         }
         if let Some(Followed { demo, next: None }) = self.followed
             && self.config.recovery.end_of_demo == EndOfDemo::GoHome
         {
             self.ban(demo);
-            if seen.mode == Mode::Transit {
-                return Ok(self.go_home(SpatialDecisionKind::DemoEnded, seen));
+            if observed.mode == Mode::Transit {
+                return Ok(self.return_home(SpatialDecisionKind::DemoEnded, observed));
             }
         }
-        // Whatever is chosen from here on depends on where the object is; the way home does not.
-        seen.look(observer, &mut self.estimate)?;
-        let seen = &*seen;
+        // Everything that follows depends on the object pose. Returning home does not, so it needs no observation.
+        observed.observe_object(observer, &mut self.estimate)?;
+        let observed = &*observed;
         let (kind, demo, frame, distances) = loop {
-            let (kind, demo, frame, distances) = self.retrieve(seen)?;
-            if !self.bans.leads_nowhere(seen.mode, demo, frame) {
+            let (kind, demo, frame, distances) = self.retrieve(observed)?;
+            if !self.bans.is_repeated(observed.mode, demo, frame) {
                 break (kind, demo, frame, distances);
             }
             self.ban(demo);
         };
         self.followed = None;
-        Ok(self.start(seen, kind, (demo, frame as usize), distances)?)
+        Ok(self.start(observed, kind, (demo, frame as usize), distances)?)
     }
 
-    /// The frame to go on from: the retrieved one, or the next of the demonstration followed, where that is nearly as near.
-    fn retrieve(&self, seen: &Seen) -> Result<(SpatialDecisionKind, u32, u32, SpatialDistances), LookupError> {
+    /// Returns the frame to continue from: the retrieved frame or, if it is nearly as close, the next frame of the current
+    /// demonstration.
+    fn retrieve(
+        &self,
+        observed: &Observation,
+    ) -> Result<(SpatialDecisionKind, u32, u32, SpatialDistances), LookupError> {
         let knowledge = &self.knowledge;
-        let (query, stage2) = (seen.query(), self.config.retrieve.stage2);
+        let (query, stage2) = (observed.query(), self.config.retrieve.stage2);
         let found = knowledge
             .index()
             .retrieve(&query, stage2, self.bans.set())?
-            .ok_or(LookupError::NoFrameOfMode { mode: seen.mode })?;
+            .ok_or(LookupError::NoFrameOfMode { mode: observed.mode })?;
         if let (Some(margin), Some(Followed { demo, next: Some(next) })) =
             (self.config.retrieve.commit_margin, self.followed)
             && !self.bans.set().contains(&demo)
@@ -461,7 +480,7 @@ impl SpatialRe4 {
             let frames = frames_of(knowledge, demo, next as usize)?;
             let frame = &frames[next as usize];
             let distances = knowledge.index().distances(&query, &frame.eef, &frame.object)?;
-            if frame.mode == seen.mode && distances.d_q <= found.distances.d_q + margin {
+            if frame.mode == observed.mode && distances.d_q <= found.distances.d_q + margin {
                 return Ok((SpatialDecisionKind::Continue, demo, next, distances));
             }
         }
@@ -473,10 +492,10 @@ impl SpatialRe4 {
         ))
     }
 
-    /// Reframe, and the chunk with the bridge to it.
+    /// Performs Reframe and starts the chunk with the bridge to it.
     fn start(
         &mut self,
-        seen: &Seen,
+        observed: &Observation,
         kind: SpatialDecisionKind,
         (demo, start): (u32, usize),
         distances: SpatialDistances,
@@ -484,13 +503,13 @@ impl SpatialRe4 {
         let knowledge = Arc::clone(&self.knowledge);
         let frames = frames_of(&knowledge, demo, start)?;
         let first = &frames[start];
-        let object = knowledge.group().turned(&seen.object, distances.turn);
+        let object = knowledge.group().turned(&observed.object, distances.symmetry_rotation);
         let carry = if self.config.reframe.enabled {
             reframe_spatial(
-                seen.mode,
+                observed.mode,
                 self.config.reframe.transfer,
                 (&first.object, &first.eef),
-                (&object, &seen.eef),
+                (&object, &observed.eef),
             )
         } else {
             without_reframe_spatial(&first.eef)
@@ -500,16 +519,16 @@ impl SpatialRe4 {
         if self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release) {
             end = frames.len() - 1;
         }
-        let bridge = self.config.replan.enabled && !self.is_at(&seen.eef, &carry.near);
-        self.doing = Doing::Chunk(Box::new(Chunk {
+        let bridge = self.config.replan.enabled && !self.is_at(&observed.eef, &carry.near);
+        self.activity = Activity::Chunk(Box::new(Chunk {
             demo,
             start,
             next: start,
             end,
-            mode: seen.mode,
+            mode: observed.mode,
             carry,
-            aligned: frame_of_rest(seen).inv_mul(&object),
-            measured: !self.config.reframe.enabled || self.config.reframe.measure == Measuring::Decision,
+            aligned: rest_frame(observed).inv_mul(&object),
+            is_final: !self.config.reframe.enabled || self.config.reframe.measure == Measuring::Decision,
             bridge: self.config.replan.enabled.then_some(0),
         }));
         let choice = SpatialChoice {
@@ -519,24 +538,24 @@ impl SpatialRe4 {
             d_q: distances.d_q,
             d_o: distances.d_o,
             d_e: distances.d_e,
-            compared: knowledge.index().demos(seen.mode) as u32,
+            compared: knowledge.index().demos(observed.mode) as u32,
             delta: carry.delta,
-            turn: distances.turn,
+            symmetry_rotation: distances.symmetry_rotation,
             replay_steps: (end - start + 1) as u32,
         };
-        Ok(self.record(kind, seen, Some(choice), carry.near, bridge))
+        Ok(self.record(kind, observed, Some(choice), carry.near, bridge))
     }
 }
 
-/// The frame in which the object rests: the world in transit, the gripper in transfer.
-fn frame_of_rest(seen: &Seen) -> Isometry3<f64> {
-    match seen.mode {
+/// Returns the pose of the frame in which the object is fixed: the world in transit, the gripper in transfer.
+fn rest_frame(observed: &Observation) -> Isometry3<f64> {
+    match observed.mode {
         Mode::Transit => Isometry3::identity(),
-        Mode::Transfer => seen.eef,
+        Mode::Transfer => observed.eef,
     }
 }
 
-/// The frames of a demonstration, which hold `frame`.
+/// Returns the frames of a demonstration. It is an error if the demonstration has no frame `frame`.
 fn frames_of(knowledge: &SpatialKnowledge, demo: u32, frame: usize) -> Result<&[SpatialDemoFrame], LookupError> {
     knowledge
         .demos()

@@ -1,39 +1,40 @@
-//! Reframe in SE(3): the retrieved chunk, carried into the frame of the query's object (paper, Algorithm 2).
+//! Reframe in SE(3): transforms the retrieved chunk to the object pose of the query (paper, Algorithm 2).
 
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 
 use crate::spatial::config::TransferReplay;
 
-/// A chunk carried to the query: where it starts and what it commands.
+/// The transformation of a chunk to the query: where it starts and how its goals are transformed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Carry {
-    /// δ = `o_q o_j⁻¹`, the world-frame motion from the demonstration's object to the query's.
+    /// δ = `o_q o_j⁻¹`, the motion in the world frame from the demonstration's object pose to the query's.
     pub delta: Isometry3<f64>,
-    /// End-effector set-point at which the chunk starts, world frame.
+    /// End-effector pose at which the chunk starts, in the world frame.
     pub near: Isometry3<f64>,
-    /// What a recorded goal is multiplied by from the left.
+    /// Left factor of a transformed goal.
     left: Isometry3<f64>,
-    /// What a recorded goal is multiplied by from the right.
+    /// Right factor of a transformed goal.
     right: Isometry3<f64>,
 }
 
 impl Carry {
-    /// The goal to command where the demonstration commanded `recorded`.
+    /// Transforms a recorded goal to the goal to command.
     pub fn goal(&self, recorded: &Isometry3<f64>) -> Isometry3<f64> {
         self.left * recorded * self.right
     }
 }
 
-/// Reframes a chunk that starts with the object at `o_j` and the end effector at `x_j`, for a query with the object at `o_q`
-/// and the end effector at `x_q`. Where the object looks the same after some turns, `o_q` is its pose aligned with `o_j`
-/// (`re4_geometry::spatial::SymmetryGroup::align`). With `a_k` a recorded goal:
+/// Reframes a chunk that starts with the object at `o_j` and the end effector at `x_j`, for a query with the object at `o_q` and
+/// the end effector at `x_q`. For an object with a symmetry, `o_q` must be the symmetry-equivalent pose that is aligned with
+/// `o_j` (`re4_geometry::spatial::SymmetryGroup::align`). Let `a_k` be a recorded goal:
 ///
-/// * Transit: the object rests in the world, and the chunk is carried by δ. `x_near = δ x_j`, so that
+/// * Transit: the object is fixed in the world, and the chunk is transformed by δ. `x_near = δ x_j`, so that
 ///   `o_q⁻¹ x_near = o_j⁻¹ x_j`, and `a_k` becomes `δ a_k`.
-/// * Transfer: the object is held and the goal rests in the world. `x_near = δ⁻¹ x_q` is where the end effector has, with the
-///   grasp that it has, our object on the demonstration's: `x_near x_q⁻¹ o_q = o_j`. Then `a_k` stays (`verbatim`), or
-///   becomes `a_k (x_j⁻¹ o_j) (o_q⁻¹ x_q)` (`grasp_corrected`), which puts our object where `a_k` puts the demonstration's.
+/// * Transfer: the object is held, and the goal is fixed in the world. `x_near = δ⁻¹ x_q` is the end-effector pose at which the
+///   held object, in its current grasp, is at the object pose of the demonstration: `x_near x_q⁻¹ o_q = o_j`. Then `a_k` stays
+///   unchanged (`verbatim`), or becomes `a_k (x_j⁻¹ o_j) (o_q⁻¹ x_q)` (`grasp_corrected`), which moves the held object to where
+///   `a_k` moves the demonstration's object.
 pub fn reframe_spatial(
     mode: Mode,
     transfer: TransferReplay,
@@ -61,7 +62,7 @@ pub fn reframe_spatial(
     }
 }
 
-/// What Reframe amounts to when it is switched off: the demonstration's own world is taken for the query's.
+/// Returns the identity transformation, which is used if Reframe is disabled: the chunk is replayed where it was recorded.
 pub fn without_reframe_spatial(x_j: &Isometry3<f64>) -> Carry {
     let identity = Isometry3::identity();
     Carry {

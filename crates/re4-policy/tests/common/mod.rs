@@ -1,9 +1,10 @@
-//! Random numbers, demonstrations made in the simulator, the real dataset, and the block's distance written anew.
+//! Shared test code: random numbers, demonstrations generated in the simulator, the real dataset, and an independent
+//! implementation of the distance to the block.
 #![allow(
     dead_code,
     clippy::unwrap_used,
     clippy::print_stderr,
-    reason = "each test file uses a part of this one, and tests may end and say why they are skipped"
+    reason = "each test file uses only some of these items, a panic is how a test fails, and skipped tests print the reason"
 )]
 
 use std::path::{Path, PathBuf};
@@ -20,7 +21,7 @@ use re4_policy::{ChunkLibrary, Decision, DemoSet, Knowledge, PolicyConfig, Re4Fa
 use re4_rollout::{Harness, Plane, PushTEnv, Rollout, RolloutError, Source, Start};
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 
-/// Chunks are at most this many frames long, as in the pipelines.
+/// Maximum length of chunks in frames, as in the pipelines.
 pub(crate) const LONGEST: usize = 256;
 
 pub(crate) struct Random(Pcg64);
@@ -30,7 +31,7 @@ impl Random {
         Self(Pcg64::new(u128::from(seed), 23))
     }
 
-    /// Uniform in `[low, high)`.
+    /// Samples uniformly from `[low, high)`.
     pub(crate) fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -45,7 +46,7 @@ impl Random {
     }
 }
 
-/// Outline of the block in its own frame, in pixels: the T of gym-pusht 0.1.8 (`add_tee`, scale 30, length 4).
+/// Outline of the block in the block frame, in pixels: the T of gym-pusht 0.1.8 (`add_tee`, scale 30, length 4).
 pub(crate) const OUTLINE: [[f64; 2]; 8] = [
     [-60.0, 0.0],
     [60.0, 0.0],
@@ -57,7 +58,7 @@ pub(crate) const OUTLINE: [[f64; 2]; 8] = [
     [-60.0, 30.0],
 ];
 
-/// Distance from a point to the block, zero inside: by the even-odd rule and the nearest point of each edge.
+/// Distance from a point to the block, 0 inside. Computed by the even-odd rule and the nearest point of each edge.
 pub(crate) fn distance_to_tee(block: Pose2, p: Point2) -> f64 {
     let (dx, dy) = (p.x - block.x, p.y - block.y);
     let x = dx * block.theta.cos() + dy * block.theta.sin();
@@ -78,8 +79,8 @@ pub(crate) fn distance_to_tee(block: Pose2, p: Point2) -> f64 {
 
 pub(crate) type Demos = Vec<(u32, Vec<(PlanarFrame, Mode)>)>;
 
-/// Demonstrations made in the simulator: the pusher goes to a point beside the block, pushes through the block's middle
-/// and draws back, again and again.
+/// Generates demonstrations in the simulator: the pusher moves to a point beside the block, pushes through the middle of the
+/// block and moves back, several times.
 pub(crate) fn scripted(count: u32) -> Demos {
     let mut random = Random::new(9);
     let mut simulator = PushT::new().unwrap();
@@ -91,10 +92,16 @@ pub(crate) fn scripted(count: u32) -> Demos {
             let mut frames = Vec::new();
             for _ in 0..4 {
                 let angle = random.range(0.0, std::f64::consts::TAU);
-                let away = Point2::new(angle.cos(), angle.sin());
+                let direction = Point2::new(angle.cos(), angle.sin());
                 let middle = now.block.transform_point(Point2::new(0.0, 45.0)) + random.point(-20.0, 20.0);
                 let inside = |p: Point2| Point2::new(p.x.clamp(20.0, 492.0), p.y.clamp(20.0, 492.0));
-                for goal in [middle + away * 130.0, middle - away * 10.0, middle + away * 130.0].map(inside) {
+                for goal in [
+                    middle + direction * 130.0,
+                    middle - direction * 10.0,
+                    middle + direction * 130.0,
+                ]
+                .map(inside)
+                {
                     for _ in 0..15 {
                         let step = goal - now.agent;
                         let action = now.agent + step * (25.0 / step.norm()).min(1.0);
@@ -118,13 +125,15 @@ pub(crate) fn scripted(count: u32) -> Demos {
         .collect()
 }
 
-/// Demonstrations without their modes.
-pub(crate) fn frames_alone(demos: Demos) -> impl Iterator<Item = (u32, Vec<PlanarFrame>)> {
-    let alone = |frames: Vec<(PlanarFrame, Mode)>| frames.into_iter().map(|(frame, _)| frame).collect();
-    demos.into_iter().map(move |(number, frames)| (number, alone(frames)))
+/// Removes the modes from demonstrations.
+pub(crate) fn without_modes(demos: Demos) -> impl Iterator<Item = (u32, Vec<PlanarFrame>)> {
+    let frames_of = |frames: Vec<(PlanarFrame, Mode)>| frames.into_iter().map(|(frame, _)| frame).collect();
+    demos
+        .into_iter()
+        .map(move |(number, frames)| (number, frames_of(frames)))
 }
 
-/// Everything a policy of either selector needs.
+/// Builds the data that a policy with either selector needs.
 pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
     let indexed = demos
         .iter()
@@ -138,7 +147,7 @@ pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
             })
         })
         .collect();
-    let demos = DemoSet::new(frames_alone(demos));
+    let demos = DemoSet::new(without_modes(demos));
     let chunks = ChunkLibrary::build(collect_chunks(&demos, LONGEST)).unwrap();
     Arc::new(Knowledge {
         demos,
@@ -147,13 +156,13 @@ pub(crate) fn knowledge(demos: Demos, angle: AngleMetric) -> Arc<Knowledge> {
     })
 }
 
-/// The benchmark's starts of these seeds.
+/// The benchmark's starts for these seeds.
 pub(crate) fn starts(seeds: &[u32]) -> Vec<Start<Plane>> {
     let start = |&seed| Start::from_seed(SeedScheme::DiffusionPolicy, ResetOrder::Legacy, seed);
     seeds.iter().map(start).collect()
 }
 
-/// Rolls RE4 out with recorded poses.
+/// Rolls out RE4 with recorded poses.
 pub(crate) fn rollouts(
     config: &PolicyConfig,
     knowledge: &Arc<Knowledge>,
@@ -174,7 +183,7 @@ pub(crate) fn rollouts(
     re4_rollout::rollouts(&factory, &harness, starts)
 }
 
-/// The Push-T replay dataset, or `None` with a printed line where it is not there.
+/// The Push-T replay dataset. Returns `None` and prints a line if the dataset does not exist.
 pub(crate) fn pusht() -> Option<Demos> {
     let folder = std::env::var_os("RE4_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
@@ -182,7 +191,7 @@ pub(crate) fn pusht() -> Option<Demos> {
     );
     let dataset = folder.join("pusht/pusht_cchi_v7_replay.zarr");
     if !dataset.exists() {
-        eprintln!("skipped: there is no dataset at {}; set RE4_DATA", dataset.display());
+        eprintln!("skipped: no dataset exists at {}; set RE4_DATA", dataset.display());
         return None;
     }
     let (episodes, _) = PushtReader::open(&dataset)

@@ -1,12 +1,12 @@
-//! What a policy is shown at one step.
-#![allow(dead_code, reason = "each test file uses a part of this one")]
+//! Observations that a test gives a policy at one step.
+#![allow(dead_code, reason = "each test file uses only some of these items")]
 
 use re4_rollout::{Domain, Image, PolicyError, Senses};
 
 pub(crate) struct Shown<'a, D: Domain> {
     pub(crate) proprio: D::Proprio,
-    /// Whether the pose is at hand at every step.
-    pub(crate) tells: bool,
+    /// Whether the pose is available at every step without rendering.
+    pub(crate) observes_object: bool,
     pub(crate) object: &'a mut dyn FnMut() -> Result<D::Pose, PolicyError>,
 }
 
@@ -16,7 +16,7 @@ impl<D: Domain> Senses<D> for Shown<'_, D> {
     }
 
     fn observes_object(&self) -> bool {
-        self.tells
+        self.observes_object
     }
 
     fn object(&mut self) -> Result<D::Pose, PolicyError> {

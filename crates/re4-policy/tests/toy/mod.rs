@@ -1,8 +1,8 @@
-//! A kinematic world in which a gripper picks a block up and places it, and a script that demonstrates it.
+//! A kinematic world in which a gripper picks up a block and places it, and a script that demonstrates the task.
 #![allow(
     dead_code,
     clippy::unwrap_used,
-    reason = "each test file uses a part of this one, and tests may end where they fail"
+    reason = "each test file uses only some of these items, and a panic is how a test fails"
 )]
 
 use std::f64::consts::PI;
@@ -29,7 +29,7 @@ impl Random {
         Self(Pcg64::new(u128::from(seed), 29))
     }
 
-    /// Uniform in `[low, high)`.
+    /// Samples uniformly from `[low, high)`.
     pub(crate) fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -49,40 +49,40 @@ pub(crate) fn yaw(angle: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
-/// Half the width of the block, and the height of its origin when it lies on the table.
+/// Half the width of the block, which is also the height of its origin when it is on the table. Metres.
 pub(crate) const HALF: f64 = 0.02;
 
-/// Where the block is to be placed.
+/// Target position of the block.
 pub(crate) const TARGET: [f64; 3] = [0.3, 0.2, HALF];
 
-/// The gripper pointing down, above the table: where every episode starts.
+/// Initial pose of every episode: the gripper points down above the table.
 pub(crate) fn home() -> Isometry3<f64> {
     Isometry3::from_parts(at(0.0, 0.0, 0.3), down(0.0))
 }
 
-/// Pointing down, turned about the vertical.
+/// The rotation of a gripper that points down, rotated about the vertical axis.
 pub(crate) fn down(angle: f64) -> UnitQuaternion<f64> {
     yaw(angle) * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI)
 }
 
-/// The block on the table.
+/// Pose of the block on the table.
 pub(crate) fn block(x: f64, y: f64, angle: f64) -> Isometry3<f64> {
     Isometry3::from_parts(at(x, y, HALF), yaw(angle))
 }
 
-/// The world: the grip site moves toward its goal with a lag, fingers move at a constant speed, a block between closed
-/// fingers is held rigidly, and one that is let go falls flat on the table.
+/// The world. The grip site moves toward its goal with a lag, and the fingers move at a constant speed. A block between closed
+/// fingers is held rigidly, and a released block falls flat on the table.
 #[derive(Clone)]
 pub(crate) struct World {
     pub(crate) eef: Isometry3<f64>,
     pub(crate) object: Isometry3<f64>,
     pub(crate) separation: f64,
-    /// The block in the gripper.
+    /// Pose of the held block in the frame of the grip site.
     pub(crate) held: Option<Isometry3<f64>>,
     pub(crate) lifted: bool,
-    /// How far, in metres, the grip site may be off the block's middle for the fingers to catch it.
+    /// Maximum distance in metres from the grip site to the centre of the block at which the fingers catch the block.
     pub(crate) catch: f64,
-    /// Steps until which every grasp fails.
+    /// Whether every grasp fails.
     pub(crate) slippery: bool,
 }
 
@@ -99,7 +99,7 @@ impl World {
         }
     }
 
-    pub(crate) fn feel(&self) -> ArmState {
+    pub(crate) fn arm_state(&self) -> ArmState {
         ArmState {
             eef: self.eef,
             fingers: [0.5 * self.separation, -0.5 * self.separation],
@@ -107,16 +107,16 @@ impl World {
     }
 
     pub(crate) fn step(&mut self, action: &ArmAction) {
-        // A third of the way, at most 2.5 cm and 0.25 rad a step.
-        let part = pose_between(&self.eef, &action.goal, 0.33);
-        self.eef = step_toward(&self.eef, &part, 0.025, 0.25);
+        // The grip site covers a third of the distance, at most 2.5 cm and 0.25 rad per step.
+        let target = pose_between(&self.eef, &action.goal, 0.33);
+        self.eef = step_toward(&self.eef, &target, 0.025, 0.25);
         if action.gripper > 0.0 {
-            let seen = self.eef.inv_mul(&self.object);
-            // Fingers close along the gripper's y axis, over sides of the block that face them.
+            let eef_from_object = self.eef.inv_mul(&self.object);
+            // The fingers close along the gripper's y axis and can only grasp sides of the block that face them.
             let angle = rotation_vector(&(self.object.rotation.inverse() * self.eef.rotation * down(0.0).inverse())).z;
             let quarter = angle.rem_euclid(PI / 2.0);
             let square = quarter.min(PI / 2.0 - quarter) < 0.25;
-            let between = seen.translation.vector.norm() < self.catch && square && !self.slippery;
+            let between = eef_from_object.translation.vector.norm() < self.catch && square && !self.slippery;
             let minimum = if between || self.held.is_some() {
                 2.0 * HALF
             } else {
@@ -124,7 +124,7 @@ impl World {
             };
             self.separation = (self.separation - 0.01).max(minimum);
             if between && self.separation <= 2.0 * HALF && self.held.is_none() {
-                self.held = Some(seen);
+                self.held = Some(eef_from_object);
             }
         } else if action.gripper < 0.0 {
             self.separation = (self.separation + 0.01).min(0.08);
@@ -139,27 +139,27 @@ impl World {
         }
     }
 
-    /// The block lies at the target, let go, after it was lifted.
+    /// Returns whether the block was lifted, released, and is at the target.
     pub(crate) fn success(&self) -> bool {
         let off = self.object.translation.vector - Vector3::from(TARGET);
         self.lifted && self.held.is_none() && off.xy().norm() < 0.02 && off.z.abs() < 0.01
     }
 }
 
-/// Demonstrates: above the block, down, close, up, across, down, open, up. The gripper takes the block turned by `grasp` quarter
-/// turns.
+/// Demonstrates the task: above the block, down, close, up, across, down, open, up. `grasp` rotates the gripper by multiples of
+/// 90 degrees relative to the block.
 pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemoFrame> {
     let mut world = World::new(object);
     let (_, _, angle) = object.rotation.euler_angles();
-    let turned = down(angle + f64::from(grasp) * PI / 2.0);
-    let pose = |p: Vector3<f64>, z: f64| Isometry3::from_parts(at(p.x, p.y, z), turned);
+    let rotation = down(angle + f64::from(grasp) * PI / 2.0);
+    let pose = |p: Vector3<f64>, z: f64| Isometry3::from_parts(at(p.x, p.y, z), rotation);
     let (from, to) = (object.translation.vector, Vector3::from(TARGET));
     let mut frames = Vec::new();
     let mut closed = false;
     let mut go = |world: &mut World, goal: Isometry3<f64>, gripper: f64, steps: Option<usize>| {
         for i in 0..80 {
-            let (off, turn) = pose_distance(&world.eef, &goal);
-            if steps.map_or(off < 0.002 && turn < 0.02, |steps| i >= steps) {
+            let (distance, angle) = pose_distance(&world.eef, &goal);
+            if steps.map_or(distance < 0.002 && angle < 0.02, |steps| i >= steps) {
                 return;
             }
             let goal = step_toward(&world.eef, &goal, 0.04, 0.4);
@@ -167,7 +167,7 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
             let frame = SpatialFrame {
                 eef: world.eef,
                 object: world.object,
-                fingers: world.feel().fingers,
+                fingers: world.arm_state().fingers,
                 delta: [0.0; 6],
                 goal: [
                     goal.translation.x,
@@ -199,7 +199,7 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
     frames
 }
 
-/// Demonstrations from placements in a square, yaws within `spread` rad.
+/// Generates demonstrations from random placements in a square, with yaws within `spread` rad.
 pub(crate) fn demonstrations(count: u32, spread: f64, seed: u64) -> SpatialDemoSet {
     let mut random = Random::new(seed);
     SpatialDemoSet::new((0..count).map(|number| {
@@ -220,7 +220,7 @@ pub(crate) fn knowledge(
     Arc::new(SpatialKnowledge::new(demos, &config.retrieve, symmetry, |_, _| false).unwrap())
 }
 
-/// What came of an episode.
+/// The result of an episode.
 pub(crate) struct Episode {
     pub(crate) success: bool,
     pub(crate) acts: Vec<SpatialAct>,
@@ -238,7 +238,7 @@ impl Episode {
     }
 }
 
-/// What a policy does that is told a pose of the object.
+/// Returns the action of a policy that receives the object pose at every step.
 pub(crate) fn observe_and_act(
     policy: &mut SpatialRe4,
     proprio: ArmState,
@@ -246,28 +246,28 @@ pub(crate) fn observe_and_act(
 ) -> Result<SpatialAct, PolicyError> {
     policy.act(&mut Shown {
         proprio,
-        tells: true,
+        observes_object: true,
         object: &mut || Ok(object),
     })
 }
 
-/// Runs a policy until success or 400 steps; `meddle` may change the world before each.
+/// Runs a policy until success or for 400 steps. `disturb` may change the world before each step.
 pub(crate) fn episode(
     config: &SpatialPolicyConfig,
     knowledge: &Arc<SpatialKnowledge>,
     object: Isometry3<f64>,
     mut noise: Option<PoseNoise>,
-    mut meddle: impl FnMut(usize, &mut World),
+    mut disturb: impl FnMut(usize, &mut World),
 ) -> Episode {
     let mut world = World::new(object);
     let mut policy = SpatialRe4::new(config.clone(), Arc::clone(knowledge), world.eef);
     let mut acts: Vec<SpatialAct> = Vec::new();
     while acts.len() < 400 && !world.success() {
-        meddle(acts.len(), &mut world);
+        disturb(acts.len(), &mut world);
         let object = noise
             .as_mut()
             .map_or(world.object, |noise| noise.perturb(&world.object));
-        let act = observe_and_act(&mut policy, world.feel(), object).unwrap();
+        let act = observe_and_act(&mut policy, world.arm_state(), object).unwrap();
         world.step(&act.action);
         acts.push(act);
     }
