@@ -41,15 +41,20 @@ pub struct RetrieveConfig {
     /// Rule that selects the frame.
     pub selector: Selector,
     /// `two_stage`: how block angles are compared.
+    #[schemars(extend("only_with" = { "policy.retrieve.selector": "two_stage" }))]
     pub angle: AngleMetric,
     /// `two_stage`: tolerance on `d_o` in normalised units. Stage 1 considers only frames whose `d_o` exceeds the minimum `d_o`
     /// of their demonstration by at most this value.
+    #[schemars(extend("only_with" = { "policy.retrieve.selector": "two_stage" }))]
     pub epsilon: f64,
     /// `outcome`: number of chunks, nearest in outcome, whose cost is computed.
+    #[schemars(extend("only_with" = { "policy.retrieve.selector": "outcome" }))]
     pub candidates: usize,
     /// `outcome`: cost of one control step, in pixels of expected misalignment.
+    #[schemars(extend("only_with" = { "policy.retrieve.selector": "outcome" }))]
     pub step_cost: f64,
     /// `outcome`: expected increase of the misalignment per pixel that the object is pushed.
+    #[schemars(extend("only_with" = { "policy.retrieve.selector": "outcome" }))]
     pub motion_cost: f64,
 }
 
@@ -78,17 +83,23 @@ pub struct ReplanConfig {
     /// Whether Replan is enabled. If not, the chunk is replayed from the current end-effector position.
     pub enabled: bool,
     /// The planner.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub planner: Planner,
     /// Minimum distance from the pusher's centre to the block, in pixels.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub keepout: f64,
     /// `rrt`: length of one extension of the tree, in pixels.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true, "policy.replan.planner": "rrt" }))]
     pub step: f64,
     /// `rrt`: maximum number of extensions.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true, "policy.replan.planner": "rrt" }))]
     pub iterations: u32,
     /// `rrt`: fraction of the samples that are the goal itself.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true, "policy.replan.planner": "rrt" }))]
     pub goal_bias: f64,
     /// Maximum distance between the waypoints that are executed, one per control step, in pixels. The vertices of the plan are
     /// always waypoints.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub spacing: f64,
 }
 
@@ -112,8 +123,10 @@ pub struct ReplayConfig {
     /// Number of commands executed before the next Retrieve (n in the paper).
     pub horizon: usize,
     /// `actions`: only every `stride`-th recorded action is executed.
+    #[schemars(extend("only_with" = { "policy.replay.tracking": "actions" }))]
     pub stride: usize,
     /// `path`: maximum travel of the pusher per control step, in pixels.
+    #[schemars(extend("only_with" = { "policy.replay.tracking": "path" }))]
     pub speed: f64,
     /// Maximum deviation of the object from the recorded motion before the chunk is abandoned, as a root mean square over the
     /// object's points, in pixels. If absent, a chunk is never abandoned.

@@ -16,9 +16,11 @@ pub struct SegmentConfig {
     pub rule: Rule,
     /// `rigid_motion`: a step is rigid when the end effector moves less than this as seen from the object. The paper's
     /// epsilon. Greater than 0.
+    #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub translation_epsilon: f64,
     /// `rigid_motion`: a step is rigid when the end effector turns less than this as seen from the object. Without effect
     /// where the end effector is a point. Greater than 0.
+    #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub rotation_epsilon: f64,
     /// The object moves when its origin moves further than this in a step ...
     pub minimum_motion: f64,
@@ -26,6 +28,7 @@ pub struct SegmentConfig {
     #[serde(alias = "minimum_turn")]
     pub minimum_rotation: f64,
     /// `rigid_motion`: where the object's distance is measured that is compared with the end effector's.
+    #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub object_distance: ObjectDistance,
     /// What is read from the gripper; robosuite's tasks only, which get the defaults where it is left out.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -261,7 +261,20 @@ fn defaults<K: Kinds>(kinds: &[&str]) -> Vec<Defaults> {
 }
 
 fn text(value: &Value) -> String {
-    value["description"].as_str().unwrap_or_default().to_owned()
+    let mut text = value["description"].as_str().unwrap_or_default().to_owned();
+    let conditions = value.get("only_with").and_then(Value::as_object);
+    let conditions: Vec<String> = conditions
+        .into_iter()
+        .flatten()
+        .map(|(path, needed)| match needed {
+            Value::Null => format!("without a table `[{path}]`"),
+            needed => format!("with `{path} = {needed}`"),
+        })
+        .collect();
+    if !conditions.is_empty() {
+        text += &format!(" Used only {}.", conditions.join(" and "));
+    }
+    text
 }
 
 /// A value as it is written in TOML, as code.

@@ -96,6 +96,14 @@ impl Runner {
             );
         }
         let store = Store::open(artifacts)?;
+        let mut warnings = Vec::new();
+        for message in &pipeline.without_effect {
+            let warning = json!({ "stage": "pipeline", "code": "setting_without_effect", "message": message });
+            settings
+                .notes
+                .note(&format!("{:>10}  {}", "warning", warning_text(&warning)));
+            warnings.push(warning);
+        }
         debug!(artifacts = %artifacts.display(), threads = rayon::current_num_threads(), "store open");
         Ok(Self {
             pipeline,
@@ -103,7 +111,7 @@ impl Runner {
             interrupt: Interrupt::listen(Some(&store)),
             store,
             notes: settings.notes,
-            warnings: Mutex::default(),
+            warnings: Mutex::new(warnings),
         })
     }
 

@@ -88,8 +88,10 @@ pub struct SpatialReframeConfig {
     /// Whether Reframe is enabled. If not, the demonstration is replayed where it was recorded.
     pub enabled: bool,
     /// How a chunk is replayed while the object is held.
+    #[schemars(extend("only_with" = { "policy.reframe.enabled": true }))]
     pub transfer: TransferReplay,
     /// When the motion between the two object poses is measured.
+    #[schemars(extend("only_with" = { "policy.reframe.enabled": true }))]
     pub measure: Measuring,
     /// Object pose to use while the gripper holds the object. Applies only to poses from images.
     #[serde(default, skip_serializing_if = "WhileHeld::is_default")]
@@ -123,14 +125,19 @@ pub struct SpatialReplanConfig {
     /// Whether Replan is enabled. If not, the chunk is replayed from the current end-effector pose.
     pub enabled: bool,
     /// Maximum distance from the end effector to the set-point, in metres.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub lead_translation: f64,
     /// Maximum angle from the end effector to the set-point, in rad.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub lead_rotation: f64,
     /// Distance to the start at which the bridge has arrived, in metres.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub tolerance_translation: f64,
     /// Angle to the start at which the bridge has arrived, in rad.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub tolerance_rotation: f64,
     /// Maximum number of control steps of the bridge. The chunk is then replayed even if the bridge has not arrived.
+    #[schemars(extend("only_with" = { "policy.replan.enabled": true }))]
     pub max_steps: u32,
 }
 

@@ -47,20 +47,22 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     }
     refuse_not_finite(&document, "").with_context(unusable)?;
     move_policy(&mut document).with_context(unusable)?;
+    let given = document.clone();
     let planar = document.get("task").and_then(Value::as_str).unwrap_or("pusht") == "pusht";
     let policy = if planar {
-        read_policy::<PlanePolicy>(&mut document, "plane").map(|policy| policy.map(Policy::Plane))
+        read_policy::<PlanePolicy>(&mut document, "plane").map(|(policy, schema)| (policy.map(Policy::Plane), schema))
     } else {
         complete_robosuite(&mut document)?;
-        read_policy::<SpacePolicy>(&mut document, "space").map(|policy| policy.map(Policy::Space))
+        read_policy::<SpacePolicy>(&mut document, "space").map(|(policy, schema)| (policy.map(Policy::Space), schema))
     };
-    let policy = policy.with_context(unusable)?;
+    let (policy, schema) = policy.with_context(unusable)?;
     let mut pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
         let place = error.path().to_string();
         placed(&place, &error.into_inner()).at(format!("cannot use the pipeline file {}: ", path.display()))
     })?;
     pipeline.policy = policy;
     checks::check(&pipeline).with_context(unusable)?;
+    pipeline.without_effect = without_effect(&schema, &given, &pipeline)?;
     Ok(pipeline)
 }
 
@@ -204,14 +206,14 @@ fn move_policy(document: &mut Value) -> Result<()> {
 
 /// Refuses keys that nobody knows, and takes the policy out of the document: the defaults of its kind, with the file's own
 /// settings in their place.
-fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<Option<K>> {
+fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<(Option<K>, Value)> {
     let kind = document.get("policy").map(kind_of::<K>).transpose()?;
     let schema = schema_with::<K>(kind.as_deref());
     refuse_unknown(&Walk { root: &schema, domain }, &schema, document, "")?;
     let (Some(kind), Some(Value::Object(mut own))) =
         (kind, document.as_object_mut().and_then(|map| map.remove("policy")))
     else {
-        return Ok(None);
+        return Ok((None, schema));
     };
     own.remove("kind");
     let mut defaults = serde_json::to_value(K::defaults(&kind))?;
@@ -221,7 +223,7 @@ fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<Option<K>
     let settings = merge(defaults, Some(Value::Object(own))).unwrap_or_default();
     let mut track = serde_path_to_error::Track::new();
     let read = K::read(&kind, serde_path_to_error::Deserializer::new(settings, &mut track));
-    read.map(Some)
+    read.map(|policy| (Some(policy), schema))
         .map_err(|error| placed(&format!("policy.{}", track.path()), &error).into())
 }
 
@@ -312,6 +314,49 @@ fn refuse_unknown(walk: &Walk<'_>, schema: &Value, document: &Value, place: &str
     Ok(())
 }
 
+/// Finds the settings of a file, or of the command line, that nothing reads because of the value of another setting. A field
+/// of a config says so with `#[schemars(extend("only_with" = { "path.of.another": value }))]`; all of these have to agree.
+fn without_effect(schema: &Value, given: &Value, pipeline: &Pipeline) -> Result<Vec<String>> {
+    let mut effective = serde_json::to_value(pipeline)?;
+    effective["policy"] = serde_json::to_value(&pipeline.policy)?;
+    let mut found = Vec::new();
+    walk_given(schema, schema, given, "", &mut |path, field| {
+        let conditions = field.get("only_with").and_then(Value::as_object);
+        let unmet = conditions.into_iter().flatten().find_map(|(other, needed)| {
+            let value = other.split('.').try_fold(&effective, |value, key| value.get(key));
+            let value = value.unwrap_or(&Value::Null);
+            let agrees = value == needed;
+            (!agrees).then_some((other, needed, value))
+        });
+        if let Some((other, needed, value)) = unmet {
+            let why = match (needed, value) {
+                (Value::Null, _) => format!("the pipeline has a table [{other}]"),
+                (_, Value::Null) => format!("{other} is not {needed}"),
+                (needed, value) => format!("{other} is {value}, not {needed}"),
+            };
+            found.push(format!("{path} has no effect, because {why}; remove it"));
+        }
+    });
+    Ok(found)
+}
+
+/// Calls `each` for every setting that a document gives, with its path and its schema.
+fn walk_given(root: &Value, schema: &Value, given: &Value, place: &str, each: &mut dyn FnMut(&str, &Value)) {
+    let properties = resolve(root, schema).get("properties").and_then(Value::as_object);
+    for (key, value) in given.as_object().into_iter().flatten() {
+        let Some(field) = properties.and_then(|properties| properties.get(key)) else {
+            continue;
+        };
+        let path = if place.is_empty() {
+            key.clone()
+        } else {
+            format!("{place}.{key}")
+        };
+        each(&path, field);
+        walk_given(root, field, value, &path, each);
+    }
+}
+
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
     // An optional table is one of the table and null.
     let table = schema.get("anyOf").and_then(|schemas| schemas.get(0));
@@ -330,4 +375,61 @@ fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Strin
         .filter(|(likeness, _)| *likeness > 0.75)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(String::new, |(_, candidate)| format!(" (did you mean {candidate}?)"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::{parse, read_pipeline};
+
+    #[test]
+    fn settings_that_nothing_reads_are_named() {
+        let text = include_str!("../../../../pipelines/pusht-state.toml");
+        let with = |overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+            parse(text, Path::new("x.toml"), &overrides).unwrap().without_effect
+        };
+        assert_eq!(with(&[]), Vec::<String>::new());
+        assert_eq!(
+            with(&["policy.retrieve.epsilon=0.2"]),
+            [
+                "policy.retrieve.epsilon has no effect, because policy.retrieve.selector is \"outcome\", not \"two_stage\"; remove it"
+            ]
+        );
+        assert_eq!(
+            with(&["policy.kind=paper", "policy.retrieve.epsilon=0.2"]),
+            Vec::<String>::new()
+        );
+        let off = with(&["policy.replan.enabled=false", "policy.replan.keepout=20"]);
+        assert!(
+            off.iter()
+                .any(|text| text.starts_with("policy.replan.keepout has no effect")),
+            "{off:?}"
+        );
+        let scenes = with(&["scenes.kind=sparse_observations", "rollout.reset=pose"]);
+        assert!(
+            scenes
+                .iter()
+                .any(|text| text.contains("the pipeline has a table [scenes]")),
+            "{scenes:?}"
+        );
+    }
+
+    #[test]
+    fn no_pipeline_of_the_repository_has_settings_that_nothing_reads() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines");
+        let mut seen = 0;
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            assert_eq!(
+                read_pipeline(&path, &[]).unwrap().without_effect,
+                Vec::<String>::new(),
+                "{}",
+                path.display()
+            );
+            seen += 1;
+        }
+        assert!(seen > 10);
+    }
 }

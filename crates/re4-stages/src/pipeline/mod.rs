@@ -56,6 +56,9 @@ pub struct Pipeline {
     /// `index` to `rollouts`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutSection>,
+    /// One sentence for each setting of the file, or of the command line, that has no effect.
+    #[serde(skip)]
+    pub without_effect: Vec<String>,
 }
 
 impl Pipeline {

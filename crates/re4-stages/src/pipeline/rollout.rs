@@ -62,11 +62,13 @@ pub struct RolloutSection {
     /// Push-T: whose seeds, that is which generator makes the scene of a seed.
     #[serde(default = "diffusion_policy")]
     #[schemars(extend("domain" = "plane"))]
+    #[schemars(extend("only_with" = { "scenes": null }))]
     pub seed_scheme: SeedScheme,
     /// Push-T: in which order a reset to the scene of a seed sets the block's position and angle. The block of a scene from
     /// `[scenes]` always arrives at the pose that the scene says.
     #[serde(default)]
     #[schemars(extend("domain" = "plane"))]
+    #[schemars(extend("only_with" = { "scenes": null }))]
     pub reset: ResetOrder,
     /// robosuite tasks: turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's
     /// object: four quarters of a turn for the cube, any turn for the can, none for the nut; with other policies none. With

@@ -71,10 +71,12 @@ pub struct PoseSection {
     pub source: PoseSource,
     /// For `log_polar`: whether the block's outline is aligned with the image after the paper's closed-form estimate.
     #[serde(default = "yes")]
+    #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
     pub refine: bool,
     /// For `log_polar`: goal pose of the task as x and y in px and theta in rad, which calibrates the anchor. Push-T's own by
     /// default.
     #[serde(default = "goal")]
+    #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
     pub goal: [f64; 3],
     /// For `encoder`: the encoder and how it is trained; the paper's settings by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
