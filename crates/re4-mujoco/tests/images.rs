@@ -1,5 +1,5 @@
 //! Images of a small scene: trimming does not change them, and threads do not affect each other.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 use std::path::PathBuf;
 

@@ -1,5 +1,5 @@
 //! Comparison of the offsets and sizes of MuJoCo's structures with its own headers.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 use std::fmt::Write as _;
 use std::fs;

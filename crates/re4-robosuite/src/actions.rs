@@ -67,10 +67,15 @@ pub enum ActionError {
 /// The scales of an `OSC_POSE` controller: the motions that its minimum and maximum commands mean.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Osc {
+    /// Minimum command of each axis.
     input_min: [f64; 6],
+    /// Maximum command of each axis.
     input_max: [f64; 6],
+    /// Motion (metres or radians per step) per unit of command.
     gain: [f64; 6],
+    /// Command in the middle of its range.
     input_middle: [f64; 6],
+    /// Motion (metres or radians per step) for the command in the middle of its range.
     output_middle: [f64; 6],
 }
 
@@ -233,6 +238,7 @@ impl Osc {
     }
 }
 
+/// Checks that there is one pose per action and all numbers are finite.
 fn check(actions: &[Action], site: &[Isometry3<f64>]) -> Result<(), ActionError> {
     if actions.len() != site.len() {
         return Err(ActionError::Lengths {

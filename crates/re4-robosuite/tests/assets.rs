@@ -1,5 +1,5 @@
 //! Rewriting the paths of a model's meshes and textures to paths on this machine.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::fs;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Detection of the unit, offset, direction and frame of actions. The data comes from a simple simulation of an end effector that
 //! follows robosuite's controller.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;

@@ -1,5 +1,5 @@
 //! Parsing of the declarations in files of different versions.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use re4_robosuite::actions::Osc;
 use re4_robosuite::conventions::{ActionKind, RobosuiteTask};

@@ -1,5 +1,5 @@
 //! Kinematics of a small model with poses that were computed by hand, and of broken models.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

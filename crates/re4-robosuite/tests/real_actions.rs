@@ -1,5 +1,5 @@
 //! Comparison of converted absolute actions with the controller's own goals, on real files.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 

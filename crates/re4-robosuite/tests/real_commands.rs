@@ -1,6 +1,6 @@
 //! Detection of the unit, offset, direction and frame of actions on real files, on changed copies of them, and on files from other
 //! tools.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 

@@ -1,5 +1,5 @@
 //! Conventions of human demonstrations in robosuite's raw layout: observations are computed from the states.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 

@@ -133,11 +133,13 @@ impl Lines {
         }
     }
 
+    /// The line through the translations, if it is significant.
     fn translation_line(&self) -> Option<Line> {
         self.translation
             .filter(|line| line.unexplained <= TRANSLATION_UNEXPLAINED && self.frames >= ROWS)
     }
 
+    /// Whether the gains of the lines agree with the hypothesis.
     fn unit_fit(&self) -> UnitFit {
         let Some(translation) = self.translation_line() else {
             return UnitFit::Undecided;
@@ -170,7 +172,7 @@ const SCALE: &str =
     "factor between the end effector's motion and the motion that the controller makes for its commands";
 
 /// A proof with explicit candidates (value and residual).
-#[allow(clippy::too_many_arguments, reason = "a row has as many columns")]
+#[allow(clippy::too_many_arguments, reason = "one argument per part of the proof")]
 pub(super) fn proof(
     convention: &str,
     value: String,
@@ -224,6 +226,7 @@ pub(super) struct ActionTests<'a, 'd> {
 }
 
 impl ActionTests<'_, '_> {
+    /// The sums over all demonstrations.
     pub(super) fn total(&self, sums: impl Fn(&ValidDemo<'_>, &[[f64; 6]]) -> Sums) -> Sums {
         let mut total = Sums::default();
         for demo in self.demos {
@@ -237,6 +240,7 @@ impl ActionTests<'_, '_> {
         demo.arrays.actions.iter().map(|action| reading.read(action)).collect()
     }
 
+    /// Lines for deltas with this conversion.
     fn lines(&self, controls: &Controls, reading: &ActionReading) -> Lines {
         Lines::of(&self.total(|demo, steps| deltas(controls, steps, &Self::as_read(demo, reading))))
     }

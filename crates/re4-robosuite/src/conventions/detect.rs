@@ -258,6 +258,7 @@ impl<'a> File<'a> {
             object_quaternion: None,
             action_kind: kind,
             gripper_sign,
+            // The first two proofs are about the actions and the gripper, the next two about the end effector.
             eef_proven: by_data(&proofs[2..]),
             object_proven: false,
             allow_actions_beyond_range: settings.allow_actions_beyond_range,
@@ -287,6 +288,7 @@ impl<'a> File<'a> {
                 Some(&robosuite(env, QuaternionOrder::Xyzw)),
             )?;
             proofs.push(proof);
+            // The proofs from index 4 on are about the object vector.
             conventions.object_proven = by_data(&proofs[4..]);
             conventions.object_layout = Some(layout);
             conventions.object_quaternion = Some(object_quaternion);
@@ -295,6 +297,7 @@ impl<'a> File<'a> {
                 .min_by(|a, b| a.1.high.total_cmp(&b.1.high))
                 .map_or(RelativeLag::Current, |(relation, _)| relation.lag);
         }
+        // The tests of the actions come last, because they need the conventions of the end effector.
         proofs.push(range);
         let tests = self.action_tests(demos, eef_quaternion, eef_orientation);
         let (reading, rows) = match kind {

@@ -74,6 +74,8 @@ pub(super) fn gripper_range(demos: &[ValidDemo<'_>], settings: &Settings) -> Res
         rival: 0.2,
         frames: 5,
     };
+    // Finger travel in metres: in total, under sustained commands of 0, and consistent with "a command above 0.5 opens". Then the
+    // number of commands outside 0 to 1, and of all commands.
     let [mut all, mut held, mut with, mut outside, mut commands] = [0.0_f64; 5];
     let mut frames = 0;
     for demo in demos {

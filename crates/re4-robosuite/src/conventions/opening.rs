@@ -134,6 +134,8 @@ fn fraction_to_reset(
     known: &[(&ValidDemo<'_>, Isometry3<f64>, Isometry3<f64>)],
 ) -> (f64, usize) {
     let (response, osc) = (&controls.response, &controls.osc);
+    // The normal equation of the fit `left - asked = fraction * part`: `left` is the measured side of the equation of motion,
+    // `asked` its other side for a controller that holds the first pose, and `part` what holding the reset pose adds to it.
     let [mut along, mut square] = [0.0_f64; 2];
     let mut rows = 0;
     for (demo, first, reset) in known {

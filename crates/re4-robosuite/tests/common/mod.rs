@@ -4,7 +4,7 @@
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::print_stdout,
-    reason = "helpers of tests may fail like tests"
+    reason = "test helpers may panic"
 )]
 
 use std::path::{Path, PathBuf};
