@@ -200,6 +200,7 @@ fn as_json(text: &str) -> Cow<'_, str> {
     Cow::Owned(json)
 }
 
+/// Parses the JSON of an attribute.
 fn read(attribute: &'static str, json: &str) -> Result<Value, EnvArgsError> {
     serde_json::from_str(&as_json(json)).map_err(|error| EnvArgsError::Json {
         attribute,
@@ -215,6 +216,7 @@ fn string(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
+/// The error for an entry with an invalid value, which is shortened to 60 characters.
 fn entry<T>(
     attribute: &'static str,
     entry: &'static str,

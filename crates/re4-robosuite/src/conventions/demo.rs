@@ -189,6 +189,7 @@ fn check_recorded(arrays: &DemoArrays<'_>) -> Result<(), Contradiction> {
     Ok(())
 }
 
+/// Checks that all numbers of a dataset are finite.
 fn finite<R: AsRef<[f64]>>(
     demo: &str,
     dataset: &'static str,

@@ -153,6 +153,7 @@ impl<'a> File<'a> {
         })
     }
 
+    /// Validates a demonstration and converts its actions.
     fn validate<'d>(&self, demo: &DemoArrays<'d>) -> Result<ValidDemo<'d>, Contradiction> {
         ValidDemo::new(demo, self.task, &self.reading)
     }
@@ -417,6 +418,7 @@ fn robosuite<V>(env: &EnvArgs, value: V) -> Declared<V> {
     }
 }
 
+/// The kind of actions that `env_args` declares.
 fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
     let value = env.controller.as_ref()?.declared?;
     Some(Declared {
@@ -426,6 +428,7 @@ fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
     })
 }
 
+/// Sums over all demonstrations for distinguishing deltas from goals.
 fn kinds(demos: &[ValidDemo<'_>]) -> Kinds {
     let mut kinds = Kinds::default();
     for demo in demos {
@@ -434,6 +437,7 @@ fn kinds(demos: &[ValidDemo<'_>]) -> Kinds {
     kinds
 }
 
+/// Tests both kinds of actions.
 fn action_kind(kinds: &Kinds) -> Verdict<ActionKind> {
     let fit = |kind: ActionKind| (kind, Fit::whole(kinds.unexplained(kind), kinds.frames()));
     Verdict::new(MOTION, [fit(ActionKind::Delta), fit(ActionKind::Absolute)])

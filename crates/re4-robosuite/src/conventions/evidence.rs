@@ -169,6 +169,7 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         fit.median >= self.test.rival && fit.frames >= self.test.frames
     }
 
+    /// The test and the residuals of all hypotheses.
     fn evidence(&self) -> Evidence {
         Evidence {
             test: self.test.name.to_owned(),
@@ -189,6 +190,7 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         }
     }
 
+    /// Formats the test and the residuals for an error message.
     fn residuals(&self) -> String {
         let each: Vec<String> = self
             .fits
@@ -204,6 +206,7 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         )
     }
 
+    /// Describes why no value is proven, as a clause for messages.
     fn why(&self) -> String {
         let Some((_, fit)) = self.fits.first() else {
             return "there is no data to test it with".to_owned();

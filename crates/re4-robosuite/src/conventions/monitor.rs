@@ -431,6 +431,7 @@ impl Conventions {
     }
 }
 
+/// The larger of two optional values, or the only one.
 fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     match (a, b) {
         (Some(a), Some(b)) => Some(a.max(b)),
@@ -438,6 +439,7 @@ fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     }
 }
 
+/// Difference of a quaternion's norm from 1.
 fn norm_error(quaternion: &[f64; 4]) -> f64 {
     (quaternion.iter().map(|value| value * value).sum::<f64>().sqrt() - 1.0).abs()
 }

@@ -65,6 +65,7 @@ pub(super) fn object_kinematics(
     Some(difference(&stored, &known))
 }
 
+/// Object pose (world frame) in a row of `obs/object`. Returns `None` if the norm of the quaternion is zero.
 fn object_pose(row: &[f64], layout: ObjectLayout, order: QuaternionOrder) -> Option<Isometry3<f64>> {
     let start = layout.pose_start();
     Some(pose(part(row, start)?, order.rotation(part(row, start + 3)?)?))

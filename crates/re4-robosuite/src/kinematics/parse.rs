@@ -74,10 +74,12 @@ pub(super) fn parse(text: &str) -> Result<Model, KinematicsError> {
     Ok(parser.model)
 }
 
+/// The child elements with this tag.
 fn elements<'a, 'input: 'a>(node: Node<'a, 'input>, name: &'static str) -> impl Iterator<Item = Node<'a, 'input>> {
     node.children().filter(move |child| child.has_tag_name(name))
 }
 
+/// Reads the element `compiler`. Without it MJCF's defaults apply: degrees and the sequence `xyz`.
 fn compiler(root: Node<'_, '_>) -> Result<Compiler, KinematicsError> {
     let mut result = Compiler {
         degrees: true,
@@ -181,6 +183,7 @@ impl<'a> Parser<'a> {
         Ok(of_element.and_then(|attributes| attributes.get(attribute).copied()))
     }
 
+    /// The vector in an element's attribute, or a default.
     fn vector(
         &self,
         node: Node<'a, 'a>,
@@ -287,6 +290,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
+    /// Adds a joint to a body.
     fn read_joint(&mut self, node: Node<'a, 'a>, body: usize, class: &str) -> Result<(), KinematicsError> {
         let kind = if node.has_tag_name("freejoint") {
             JointKind::Free
@@ -339,6 +343,7 @@ impl<'a> Parser<'a> {
     }
 }
 
+/// Normalises the vector of an attribute.
 fn unit(node: Node<'_, '_>, attribute: &str, vector: Vector3<f64>) -> Result<Unit<Vector3<f64>>, KinematicsError> {
     match Unit::try_new(vector, 1e-12) {
         Some(unit) => Ok(unit),
