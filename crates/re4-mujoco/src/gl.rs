@@ -77,11 +77,13 @@ impl Loaded {
 /// Allows only one thread at a time to make or free contexts, because MuJoCo then fills its global table of OpenGL functions.
 pub(crate) static MAKING: Mutex<()> = Mutex::new(());
 
+/// The library of this process. The first call loads it.
 fn loaded() -> Result<&'static Loaded, MujocoError> {
     static LOADED: OnceLock<Result<Loaded, MujocoError>> = OnceLock::new();
     LOADED.get_or_init(load).as_ref().map_err(Clone::clone)
 }
 
+/// Loads the library that the environment variable names, or the first one that is available.
 fn load() -> Result<Loaded, MujocoError> {
     let chosen = match std::env::var(VARIABLE).ok().as_deref() {
         None | Some("") => None,

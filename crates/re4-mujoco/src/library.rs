@@ -149,6 +149,7 @@ impl Library {
         Ok(library)
     }
 
+    /// Loads a library, checks its version and installs handlers for warnings and errors.
     fn load(path: &Path, version: Version) -> Result<Self, MujocoError> {
         let refused = |error: &libloading::Error| MujocoError::Load {
             path: path.to_owned(),

@@ -44,6 +44,7 @@ fn minus(a: Vector, b: Vector) -> Vector {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
+/// `a + factor * b`.
 fn plus(a: Vector, b: Vector, factor: f64) -> Vector {
     [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]]
 }
@@ -88,6 +89,7 @@ impl View {
         }
     }
 
+    /// All cells of a grid with `parts` rows and columns.
     fn cells(&self, parts: usize) -> impl Iterator<Item = Self> + '_ {
         (0..parts * parts).map(move |number| self.cell(parts, number / parts, number % parts))
     }
@@ -173,6 +175,7 @@ impl Geom {
         (kind == GEOM).then(|| usize::try_from(id).ok()).flatten()
     }
 
+    /// Whether MuJoCo would render reflections in the geom.
     fn reflects(&self) -> bool {
         // SAFETY: the field is a `float`.
         matches!(self.kind(), PLANE | BOX) && unsafe { self.get::<f32>(self.layout.geom_reflectance) } > 0.0
