@@ -203,7 +203,10 @@ fn unrecorded_rows_are_reported_or_left_out() {
     };
     let refused = ingest(&cut_off, &reading("lift", Settings::default())).err().unwrap();
     println!("{refused}");
-    assert!(refused.contains("demo_2: rows 53 to 79 are zeros"), "{refused}");
+    assert!(
+        refused.contains("demo_2: rows 53 to 79 contain only zeros"),
+        "{refused}"
+    );
     let reader = open(&cut_off).unwrap();
     let reading = reading("lift", Settings::default());
     let (_, left_out) = Interpreter::learn(&reader, &reading).unwrap();

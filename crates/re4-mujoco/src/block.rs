@@ -1,8 +1,8 @@
-//! One of MuJoCo's structures, in memory of this side.
+//! Memory for MuJoCo's C structures.
 
 use std::ffi::c_void;
 
-/// One of MuJoCo's structures, of a size that the version says, aligned as C wants it.
+/// Memory for one of MuJoCo's structures. The size depends on the version. The memory is aligned to 8 bytes.
 pub(crate) struct Block(Vec<u64>);
 
 impl Block {
@@ -10,13 +10,13 @@ impl Block {
         Self(vec![0; size.div_ceil(8)])
     }
 
-    /// A copy of a structure; what it points to is not copied.
+    /// Copies a structure, but not the data that it points to.
     ///
     /// # Safety
-    /// There are so many bytes at the pointer.
+    /// The pointer must be valid for reads of `size` bytes.
     pub(crate) unsafe fn copy(structure: *const c_void, size: usize) -> Self {
         let mut block = Self::new(size);
-        // SAFETY: by the caller, and the block is no smaller.
+        // SAFETY: the caller guarantees the source, and the block has at least this size.
         unsafe { std::ptr::copy_nonoverlapping(structure.cast::<u8>(), block.pointer().cast(), size) };
         block
     }
@@ -25,26 +25,30 @@ impl Block {
         self.0.as_mut_ptr().cast()
     }
 
+    /// Writes a field.
+    ///
     /// # Safety
-    /// The structure has `T` at this offset.
+    /// The structure must have a field of type `T` at this offset.
     pub(crate) unsafe fn set<T>(&mut self, offset: usize, value: T) {
         debug_assert!(offset + size_of::<T>() <= self.0.len() * 8);
-        // SAFETY: by the caller.
+        // SAFETY: the caller guarantees the field.
         unsafe { self.pointer().byte_add(offset).cast::<T>().write(value) }
     }
 
+    /// Reads a field.
+    ///
     /// # Safety
-    /// As for [`Block::set`].
+    /// The same as for [`Block::set`].
     pub(crate) unsafe fn get<T: Copy>(&mut self, offset: usize) -> T {
         debug_assert!(offset + size_of::<T>() <= self.0.len() * 8);
-        // SAFETY: by the caller.
+        // SAFETY: the caller guarantees the field.
         unsafe { self.pointer().byte_add(offset).cast::<T>().read() }
     }
 
-    /// The bytes of some fields of it.
+    /// The bytes of the fields in this range of offsets.
     pub(crate) fn bytes(&mut self, fields: std::ops::Range<usize>) -> &mut [u8] {
         let size = self.0.len() * 8;
-        // SAFETY: these are all bytes of the block, and numbers have no padding.
+        // SAFETY: these are exactly the bytes of the block, and `u64` has no padding.
         let bytes = unsafe { std::slice::from_raw_parts_mut(self.pointer().cast::<u8>(), size) };
         &mut bytes[fields]
     }

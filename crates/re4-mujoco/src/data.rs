@@ -7,8 +7,8 @@ use crate::layout::Layout;
 use crate::library::{Functions, last_warning};
 use crate::{Model, MujocoError};
 
-/// The three warnings that tell of numbers that are not finite or too large: positions, velocities,
-/// accelerations (`mjWARN_BADQPOS`, ...).
+/// The indices of the three warnings about numbers that are not finite or too large: in positions, velocities and accelerations
+/// (`mjWARN_BADQPOS`, `mjWARN_BADQVEL`, `mjWARN_BADQACC`).
 const BAD_NUMBERS: std::ops::Range<usize> = 4..7;
 
 /// One simulation of a model.
@@ -17,7 +17,7 @@ pub struct Data {
     pointer: NonNull<c_void>,
 }
 
-// SAFETY: the library keeps nothing of a simulation outside of its data.
+// SAFETY: the library keeps the whole state of a simulation in its `mjData`.
 unsafe impl Send for Data {}
 
 impl Drop for Data {
@@ -27,7 +27,7 @@ impl Drop for Data {
     }
 }
 
-/// Reads and writes of whole arrays.
+/// Defines accessors for whole arrays of `mjData`.
 macro_rules! arrays {
     ($($(#[$doc:meta])* $read:ident $(/ $write:ident)?: $field:ident, $length:expr;)*) => {
         impl Data {
@@ -40,7 +40,7 @@ macro_rules! arrays {
                     unsafe { std::slice::from_raw_parts(self.field(self.layout().$field), length(&self.model)) }
                 }
                 $(
-                    /// The same, to be written.
+                    /// Mutable access to the same array.
                     pub fn $write(&mut self) -> &mut [f64] {
                         let length: fn(&Model) -> usize = $length;
                         // SAFETY: as above, and the borrow is exclusive.
@@ -53,33 +53,33 @@ macro_rules! arrays {
 }
 
 arrays! {
-    /// Generalised coordinates.
+    /// Generalised coordinates (`qpos`).
     qpos / qpos_mut: qpos, Model::nq;
-    /// Velocities of the degrees of freedom.
+    /// Velocities of the degrees of freedom (`qvel`).
     qvel / qvel_mut: qvel, Model::nv;
-    /// Controls of the actuators.
+    /// Controls of the actuators (`ctrl`).
     ctrl / ctrl_mut: ctrl, Model::nu;
-    /// Accelerations that the solver of constraints starts from in the next step: those of the step before, or zeros.
+    /// Accelerations from which the constraint solver starts in the next step: those of the previous step, or zeros.
     qacc_warmstart / qacc_warmstart_mut: qacc_warmstart, Model::nv;
     /// Gravity, Coriolis and centrifugal forces on the degrees of freedom.
     qfrc_bias: qfrc_bias, Model::nv;
-    /// Positions of all sites in the world, three numbers each.
+    /// Positions (metres) of all sites in the world frame, three numbers each.
     site_xpos: site_xpos, |model| 3 * model.sites();
-    /// Rotations of all sites in the world, nine numbers each, row by row.
+    /// Rotation matrices of all sites in the world frame, nine numbers each, in row-major order.
     site_xmat: site_xmat, |model| 9 * model.sites();
-    /// Positions of all bodies in the world, three numbers each.
+    /// Positions (metres) of all bodies in the world frame, three numbers each.
     xpos: xpos, |model| 3 * model.bodies();
-    /// Rotations of all bodies in the world as quaternions `w, x, y, z`.
+    /// Orientations of all bodies in the world frame as quaternions `w, x, y, z`.
     xquat: xquat, |model| 4 * model.bodies();
 }
 
 impl Data {
-    /// A simulation in the model's initial state.
+    /// Makes a simulation in the model's initial state.
     ///
     /// # Errors
-    /// When there is no memory.
+    /// If there is not enough memory.
     pub fn new(model: &Model) -> Result<Self, MujocoError> {
-        // SAFETY: the model is whole.
+        // SAFETY: the pointer is that of a valid model.
         let pointer = unsafe { (model.library().functions().mj_makeData)(model.pointer()) };
         Ok(Self {
             model: model.clone(),
@@ -87,7 +87,7 @@ impl Data {
         })
     }
 
-    /// Its model.
+    /// The model of the simulation.
     #[must_use]
     pub fn model(&self) -> &Model {
         &self.model
@@ -105,9 +105,9 @@ impl Data {
         self.model.library().version().layout()
     }
 
-    /// The pointer that a field holds.
+    /// The pointer in the field at this offset.
     fn field(&self, offset: usize) -> *mut f64 {
-        // SAFETY: fields of the layout are pointers to doubles, set when the data were made and never changed.
+        // SAFETY: the fields that this is called for are pointers to doubles, which `mj_makeData` sets and nothing changes.
         unsafe { self.pointer().byte_add(offset).cast::<*mut f64>().read() }
     }
 
@@ -124,26 +124,26 @@ impl Data {
         unsafe { self.pointer().byte_add(self.layout().time).cast::<f64>().write(time) }
     }
 
-    /// Everything as when it was made (`mj_resetData`).
+    /// Resets the simulation to the model's initial state (`mj_resetData`).
     pub fn reset(&mut self) {
         // SAFETY: data and model belong together.
         unsafe { (self.functions().mj_resetData)(self.model.pointer(), self.pointer()) }
     }
 
-    /// Everything that follows from positions, velocities and controls (`mj_forward`).
+    /// Computes all quantities that depend on positions, velocities and controls (`mj_forward`).
     pub fn forward(&mut self) {
         // SAFETY: data and model belong together.
         unsafe { (self.functions().mj_forward)(self.model.pointer(), self.pointer()) }
     }
 
-    /// One step (`mj_step`).
+    /// Simulates one time step (`mj_step`).
     pub fn step(&mut self) {
         // SAFETY: data and model belong together.
         unsafe { (self.functions().mj_step)(self.model.pointer(), self.pointer()) }
     }
 
-    /// Everything that follows from positions (`mj_fwdPosition`), then what follows from velocities too (`mj_fwdVelocity`):
-    /// the first part of [`Data::forward`] and of [`Data::step`], without sensors.
+    /// Computes the quantities that depend on positions (`mj_fwdPosition`), then those that also depend on velocities
+    /// (`mj_fwdVelocity`). This is the first part of [`Data::forward`] and [`Data::step`], without sensors.
     pub fn motion_stages(&mut self) {
         // SAFETY: data and model belong together.
         unsafe {
@@ -152,20 +152,20 @@ impl Data {
         }
     }
 
-    /// Divides every quaternion of generalised coordinates by its length (`mj_normalizeQuat`), as MuJoCo 2.3.7 does with those
-    /// of a state wherever it computes poses. Once need not be enough: a quaternion of length 1 may change in its last bits.
+    /// Normalises every quaternion in generalised coordinates (`mj_normalizeQuat`), as MuJoCo 2.3.7 does before it computes poses.
+    /// The operation is not idempotent: normalising a quaternion of length 1 again may change its last bits.
     ///
     /// # Panics
-    /// When there are not [`Model::nq`] coordinates.
+    /// If the number of coordinates differs from [`Model::nq`].
     pub fn normalize_quaternions(&self, coordinates: &mut [f64]) {
         assert!(coordinates.len() == self.model.nq());
-        // SAFETY: the slice holds all coordinates.
+        // SAFETY: the slice contains all coordinates.
         unsafe { (self.functions().mj_normalizeQuat)(self.model.pointer(), coordinates.as_mut_ptr()) }
     }
 
-    /// Actuation, acceleration and constraint forces (`mj_fwdActuation`, `mj_fwdAcceleration`, `mj_fwdConstraint`): the second
-    /// part of [`Data::forward`], without sensors. It may be repeated with other controls while the state stays; every time it
-    /// warm-starts the solver with its last result.
+    /// Computes actuation, acceleration and constraint forces (`mj_fwdActuation`, `mj_fwdAcceleration`, `mj_fwdConstraint`).
+    /// This is the second part of [`Data::forward`], without sensors. It can be repeated with other controls in the same state.
+    /// Each call warm-starts the solver with the result of the previous one.
     pub fn force_stages(&mut self) {
         // SAFETY: data and model belong together.
         unsafe {
@@ -175,20 +175,20 @@ impl Data {
         }
     }
 
-    /// Moves on by one step of semi-implicit Euler integration, with the accelerations as they are (`mj_Euler`).
+    /// Integrates one time step with the semi-implicit Euler method and the current accelerations (`mj_Euler`).
     pub fn euler(&mut self) {
         // SAFETY: data and model belong together.
         unsafe { (self.functions().mj_Euler)(self.model.pointer(), self.pointer()) }
     }
 
-    /// Jacobians of a site: translation and rotation, three rows of [`Model::nv`] numbers each.
+    /// Computes the Jacobians of a site for translation and rotation: three rows of [`Model::nv`] numbers each.
     ///
     /// # Panics
-    /// When a slice has another length.
+    /// If a slice has another length, or the site does not exist.
     pub fn jacobian(&self, site: usize, translation: &mut [f64], rotation: &mut [f64]) {
         let length = 3 * self.model.nv();
         assert!(translation.len() == length && rotation.len() == length && site < self.model.sites());
-        // SAFETY: both slices hold three rows, and the site exists.
+        // SAFETY: both slices have three rows, and the site exists.
         unsafe {
             (self.functions().mj_jacSite)(
                 self.model.pointer(),
@@ -200,22 +200,22 @@ impl Data {
         }
     }
 
-    /// The inertia matrix, [`Model::nv`] rows of as many numbers.
+    /// Computes the inertia matrix: [`Model::nv`] rows and columns.
     ///
     /// # Panics
-    /// When the slice has another length.
+    /// If the slice has another length.
     pub fn inertia(&self, matrix: &mut [f64]) {
         let nv = self.model.nv();
         assert!(matrix.len() == nv * nv);
-        // SAFETY: the slice holds the whole matrix, and `qM` is the packed one of this data.
+        // SAFETY: the slice has the size of the whole matrix, and `qM` is the packed matrix of this simulation.
         unsafe { (self.functions().mj_fullM)(self.model.pointer(), matrix.as_mut_ptr(), self.field(self.layout().q_m)) }
     }
 
-    /// The library's warning when the simulation came to numbers that are not finite or too large, after which the library
-    /// has reset it. `None` while all is well.
+    /// The library's warning if the simulation reached numbers that are not finite or too large, after which the library resets
+    /// it. `None` if that did not happen.
     #[must_use]
     pub fn diverged(&self) -> Option<String> {
-        // SAFETY: the field is an array of `mjWarningStat`, two `int`s each: the last information, and the count.
+        // SAFETY: the field is an array of `mjWarningStat`, which consist of two `int`s: the last information and the count.
         let counts = unsafe {
             let start = self.pointer().byte_add(self.layout().warning).cast::<[c_int; 2]>();
             std::slice::from_raw_parts(start, BAD_NUMBERS.end)

@@ -1,89 +1,89 @@
-//! What can go wrong with the library, a model or a simulation.
+//! Errors of the library, models, simulations and renderers.
 
 use re4_fault::Remedy;
 use std::path::PathBuf;
 
 use crate::Gl;
 
-/// Why MuJoCo cannot be used.
+/// Reasons why MuJoCo cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Remedy)]
 #[non_exhaustive]
 pub enum MujocoError {
-    /// There is no library.
-    #[error("MuJoCo's library is not at {}", path.display())]
+    /// The library does not exist.
+    #[error("MuJoCo's library does not exist at {}", path.display())]
     #[remedy(
-        "run scripts/setup-simulators.sh, or name the folder that it made in the environment variable RE4_SIMULATORS"
+        "run scripts/setup-simulators.sh, or set the environment variable RE4_SIMULATORS to the folder that it created"
     )]
     Missing {
-        /// Where it was looked for.
+        /// The path where it was looked for.
         path: PathBuf,
     },
-    /// The file cannot be loaded.
+    /// The library cannot be loaded.
     #[error("cannot load MuJoCo's library {}: {reason}", path.display())]
     #[remedy("remove it and run scripts/setup-simulators.sh")]
     Load {
-        /// The file.
+        /// Path of the library.
         path: PathBuf,
-        /// The system's words.
+        /// The system's message.
         reason: String,
     },
-    /// The library is one whose structures are not known.
+    /// The library is another version of MuJoCo.
     #[error("the library {} is MuJoCo {found}, not {expected}", path.display())]
     #[remedy("remove it and run scripts/setup-simulators.sh")]
     Version {
-        /// The file.
+        /// Path of the library.
         path: PathBuf,
-        /// What it says it is.
+        /// Its version.
         found: String,
-        /// What was looked for.
+        /// The expected version.
         expected: String,
     },
     /// A model does not compile.
     #[error("MuJoCo cannot compile the model: {reason}")]
     Model {
-        /// MuJoCo's words.
+        /// MuJoCo's message.
         reason: String,
     },
-    /// The model cannot be handed over as a file.
+    /// The temporary file for passing the model to MuJoCo cannot be written.
     #[error("cannot write the model for MuJoCo to a temporary file: {reason}")]
     #[remedy("free some space in the folder for temporary files")]
     Temporary {
-        /// The system's words.
+        /// The system's message.
         reason: String,
     },
-    /// A name that the model lacks.
+    /// The model has no element with this name.
     #[error("the model has no {kind} {name}")]
     NoSuch {
-        /// What was looked for.
+        /// Kind of the element.
         kind: &'static str,
         /// Its name.
         name: String,
     },
-    /// Neither of the OpenGL libraries is there.
-    #[error("cannot draw images: {reason}")]
+    /// None of the OpenGL libraries can be loaded.
+    #[error("cannot render images, because no OpenGL library can be loaded: {reason}")]
     #[remedy("install the Debian package libosmesa6, or libegl1 and libgl1-mesa-dri")]
     NoGl {
-        /// What was tried, and the system's words.
+        /// The libraries that were tried, with the system's messages.
         reason: String,
     },
-    /// The environment variable that chooses between them says something else.
-    #[error("the environment variable RE4_GL is {found}")]
-    #[remedy("set it to osmesa or egl, or leave it out to take what is there")]
+    /// The environment variable that chooses the OpenGL library has an invalid value.
+    #[error("the environment variable RE4_GL has the invalid value {found}")]
+    #[remedy("set it to osmesa or egl, or unset it to use the first library that is available")]
     GlName {
-        /// What it says.
+        /// Its value.
         found: String,
     },
-    /// OpenGL refuses to work.
-    #[error("cannot draw images with {gl}: {reason}")]
+    /// An OpenGL operation failed.
+    #[error("cannot render images with {gl}: {reason}")]
     #[remedy("choose the other library with the environment variable RE4_GL (osmesa or egl)")]
     Gl {
-        /// `osmesa` or `egl`.
+        /// The library: `osmesa` or `egl`.
         gl: Gl,
         /// What failed.
         reason: &'static str,
     },
-    /// There is no memory for a simulation.
-    #[error("MuJoCo has no memory for a simulation")]
+    /// MuJoCo cannot allocate a simulation.
+    #[error("MuJoCo cannot allocate the memory for a simulation")]
     #[remedy("run with fewer jobs")]
     Memory,
 }

@@ -1,5 +1,5 @@
-//! A context to draw in without a screen: `OSMesa`, or EGL without a surface. Both are Mesa's software renderer where there is no
-//! graphics card, and are loaded at run time.
+//! OpenGL contexts for off-screen rendering, with `OSMesa` or with EGL without a surface. Both are loaded at run time. Without a
+//! graphics card both use Mesa's software renderer.
 
 use std::cell::Cell;
 use std::ffi::{c_int, c_uint, c_void};
@@ -12,15 +12,15 @@ use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_NOW};
 
 use crate::MujocoError;
 
-/// Names one of the two libraries.
+/// Environment variable that chooses one of the two libraries.
 const VARIABLE: &str = "RE4_GL";
 
-/// Libraries that draw without a screen.
+/// Libraries for off-screen rendering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Gl {
-    /// Mesa's off-screen library (Debian's `libosmesa6`): always software.
+    /// Mesa's off-screen library (Debian package `libosmesa6`). It always renders in software.
     OsMesa,
-    /// EGL on a device without a display (Debian's `libegl1` and `libgl1-mesa-dri`).
+    /// EGL on a device without a display (Debian packages `libegl1` and `libgl1-mesa-dri`).
     Egl,
 }
 
@@ -34,17 +34,17 @@ impl fmt::Display for Gl {
 }
 
 impl Gl {
-    /// The library that this process draws with: the one that the environment variable `RE4_GL` names, else the first that is
-    /// there, `OSMesa` before EGL. It is loaded by the first call and stays.
+    /// The library that this process renders with: the one that the environment variable `RE4_GL` names, else the first one
+    /// that can be loaded, in the order `OSMesa`, EGL. The first call loads it, and it stays loaded.
     ///
     /// # Errors
-    /// When there is none, or the variable names another.
+    /// If no library can be loaded, or the variable has another value.
     pub fn of_process() -> Result<Self, MujocoError> {
         Ok(loaded()?.kind())
     }
 }
 
-/// The library's functions.
+/// The functions of the loaded library.
 enum Loaded {
     OsMesa(OsMesa),
     Egl(Egl),
@@ -58,10 +58,12 @@ impl Loaded {
         }
     }
 
+    /// Releases the current context of this thread. Returns whether that succeeded.
+    ///
     /// # Safety
-    /// A context of the library is current in this thread.
+    /// A context of the library must be current in this thread.
     unsafe fn make_none_current(&self) -> bool {
-        // SAFETY: by the caller; null stands for none.
+        // SAFETY: the caller guarantees the context, and null means no context.
         unsafe {
             match self {
                 // 0x1406 is GL_FLOAT.
@@ -72,14 +74,16 @@ impl Loaded {
     }
 }
 
-/// Contexts are made and unmade by one thread at a time: MuJoCo then fills its table of OpenGL's functions.
+/// Allows only one thread at a time to make or free contexts, because MuJoCo then fills its global table of OpenGL functions.
 pub(crate) static MAKING: Mutex<()> = Mutex::new(());
 
+/// The library of this process. The first call loads it.
 fn loaded() -> Result<&'static Loaded, MujocoError> {
     static LOADED: OnceLock<Result<Loaded, MujocoError>> = OnceLock::new();
     LOADED.get_or_init(load).as_ref().map_err(Clone::clone)
 }
 
+/// Loads the library that the environment variable names, or the first one that is available.
 fn load() -> Result<Loaded, MujocoError> {
     let chosen = match std::env::var(VARIABLE).ok().as_deref() {
         None | Some("") => None,
@@ -102,7 +106,7 @@ fn load() -> Result<Loaded, MujocoError> {
         };
         match result {
             Ok(loaded) => return Ok(loaded),
-            Err(reason) => refused.push(format!("{gl} says {reason}")),
+            Err(reason) => refused.push(format!("{gl} failed ({reason})")),
         }
     }
     Err(MujocoError::NoGl {
@@ -110,11 +114,11 @@ fn load() -> Result<Loaded, MujocoError> {
     })
 }
 
-/// The first of the files that loads. Its symbols are for all, because MuJoCo looks for them in the whole process.
+/// Loads the first of these files that can be loaded. Its symbols are global, because MuJoCo looks them up in the whole process.
 fn open(names: &[&str]) -> Result<Library, String> {
     let mut reason = String::new();
     for name in names {
-        // SAFETY: initialisers of OpenGL libraries only fill tables of their own.
+        // SAFETY: initialisers of OpenGL libraries only fill their own tables.
         match unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) } {
             Ok(library) => return Ok(library),
             Err(error) => reason = error.to_string(),
@@ -123,7 +127,7 @@ fn open(names: &[&str]) -> Result<Library, String> {
     Err(reason)
 }
 
-/// Takes functions from a library that is never unloaded.
+/// Looks up functions in a library that is never unloaded.
 macro_rules! take {
     ($library:expr, $kind:ident { $($field:ident: $symbol:literal),* $(,)? }) => {
         $kind {
@@ -152,6 +156,7 @@ impl OsMesa {
                 destroy: "OSMesaDestroyContext",
             }
         );
+        // The library must never be unloaded, because the functions are copied.
         std::mem::forget(library);
         Ok(functions)
     }
@@ -171,14 +176,14 @@ unsafe impl Send for Egl {}
 // SAFETY: as above.
 unsafe impl Sync for Egl {}
 
-/// Names of what is asked of EGL (`egl.h`, `eglext.h`).
+/// Constants of EGL (`egl.h`, `eglext.h`).
 mod egl {
     use std::ffi::{c_int, c_uint};
 
     pub(super) const PLATFORM_DEVICE: c_uint = 0x313F;
     pub(super) const PLATFORM_SURFACELESS: c_uint = 0x31DD;
     pub(super) const OPENGL_API: c_uint = 0x30A2;
-    /// 8 bits a colour, 24 of depth, 8 of stencil, full OpenGL.
+    /// 8 bits per colour, 24 bits of depth, 8 bits of stencil, full OpenGL.
     pub(super) const CONFIG: [c_int; 17] = [
         0x3024, 8, 0x3023, 8, 0x3022, 8, 0x3021, 8, 0x3025, 24, 0x3026, 8, 0x3033, 1, 0x3040, 8, 0x3038,
     ];
@@ -210,9 +215,9 @@ impl Egl {
                 destroy: "eglDestroyContext",
             }
         )
-        .with(null_mut());
-        // SAFETY: both names end in zero; the functions have these signatures (`EGL_EXT_platform_base`,
-        // `EGL_EXT_device_enumeration`), and null says that they are not there.
+        .with_display(null_mut());
+        // SAFETY: both names are null-terminated. The functions have these signatures (`EGL_EXT_platform_base`,
+        // `EGL_EXT_device_enumeration`), and null means that they do not exist.
         let (display_of, devices_of) = unsafe {
             let display = (start.proc_address)(c"eglGetPlatformDisplayEXT".as_ptr().cast());
             let devices = (start.proc_address)(c"eglQueryDevicesEXT".as_ptr().cast());
@@ -222,12 +227,12 @@ impl Egl {
             )
         };
         let Some(display_of) = display_of else {
-            return Err("that it has no display without a screen".to_owned());
+            return Err("it does not support displays without a screen".to_owned());
         };
         let mut candidates = Vec::new();
         if let Some(devices_of) = devices_of {
             let (mut devices, mut count) = ([null_mut(); 16], 0);
-            // SAFETY: the array has the length that is told.
+            // SAFETY: the array has the given length.
             if unsafe { devices_of(16, devices.as_mut_ptr(), &raw mut count) } != 0 {
                 let found = devices.into_iter().take(usize::try_from(count).unwrap_or(0));
                 candidates.extend(found.map(|device| (egl::PLATFORM_DEVICE, device)));
@@ -235,16 +240,16 @@ impl Egl {
         }
         candidates.push((egl::PLATFORM_SURFACELESS, null_mut()));
         for (platform, device) in candidates {
-            // SAFETY: the device is one of the library's own, or null, and no attributes are given.
+            // SAFETY: the device is from the library or null, and no attributes are given.
             let display = unsafe { display_of(platform, device, std::ptr::null()) };
-            // SAFETY: the display is one, and the version is not asked for.
+            // SAFETY: the display is valid, and null means that the version is not requested.
             if !display.is_null() && unsafe { (start.initialize)(display, null_mut(), null_mut()) } != 0 {
                 loaded.display = display;
                 std::mem::forget(library);
                 return Ok(loaded);
             }
         }
-        Err("that no device can be opened".to_owned())
+        Err("no device can be opened".to_owned())
     }
 }
 
@@ -258,7 +263,7 @@ struct EglFunctions {
 }
 
 impl EglFunctions {
-    fn with(self, display: *mut c_void) -> Egl {
+    fn with_display(self, display: *mut c_void) -> Egl {
         Egl {
             display,
             choose_config: self.choose_config,
@@ -275,20 +280,25 @@ thread_local! {
     static CURRENT: Cell<*mut c_void> = const { Cell::new(null_mut()) };
 }
 
-/// Side of the buffer that `OSMesa` wants: images are drawn to one of MuJoCo's.
+/// Side length (pixels) of the buffer that `OSMesa` requires. It can be small, because images are rendered to MuJoCo's own buffer.
 const SIDE: usize = 16;
 
-/// An OpenGL context. It stays in the thread that made it, unless it is handed on with [`Context::release_current`].
+/// An OpenGL context. It belongs to the thread that made it, until [`Context::release_current`] releases it for another thread.
 pub(crate) struct Context {
     loaded: &'static Loaded,
     pointer: *mut c_void,
-    /// Where `OSMesa` draws to when nothing else is chosen: four floats a pixel.
+    /// The default buffer of `OSMesa`, with four floats per pixel. Empty for EGL.
     buffer: Vec<[f32; 4]>,
-    stays: PhantomData<*const ()>,
+    /// Keeps the type from being `Send`.
+    not_send: PhantomData<*const ()>,
 }
 
 impl Context {
-    /// A new one, current in this thread. It may share textures and display lists with another, which need not be current.
+    /// Makes a context that is current in this thread. It can share textures and display lists with another context, which need
+    /// not be current.
+    ///
+    /// # Errors
+    /// If no library can be loaded, or the library cannot make a context.
     pub(crate) fn new(shares: Option<&Self>) -> Result<Self, MujocoError> {
         let loaded = loaded()?;
         let refused = |reason| MujocoError::Gl {
@@ -298,12 +308,12 @@ impl Context {
         let shares = shares.map_or(null_mut(), |other| other.pointer);
         let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
         let pointer = match loaded {
-            // 0x1908 is GL_RGBA; 24 bits of depth, 8 of stencil, none to accumulate.
-            // SAFETY: the other context is one of this library, or null.
+            // 0x1908 is GL_RGBA. The context has 24 bits of depth, 8 bits of stencil and no accumulation buffer.
+            // SAFETY: the other context is from this library or null.
             Loaded::OsMesa(library) => unsafe { (library.create)(0x1908, 24, 8, 0, shares) },
             Loaded::Egl(library) => {
                 let (mut config, mut count) = (null_mut(), 0);
-                // SAFETY: the attributes end as they should, and there is room for one configuration.
+                // SAFETY: the attributes are terminated by EGL_NONE (0x3038), and there is room for one configuration.
                 let chosen = unsafe {
                     (library.bind_api)(egl::OPENGL_API) != 0
                         && (library.choose_config)(
@@ -315,14 +325,14 @@ impl Context {
                         ) != 0
                 };
                 if !chosen || count < 1 {
-                    return Err(refused("no configuration of it has depth and stencil"));
+                    return Err(refused("it has no configuration with depth and stencil buffers"));
                 }
-                // SAFETY: display and configuration are the library's own, and so is the other context, or it is null.
+                // SAFETY: the display and the configuration are from the library, and so is the other context unless it is null.
                 unsafe { (library.create)(library.display, config, shares, std::ptr::null()) }
             }
         };
         if pointer.is_null() {
-            return Err(refused("it gives no context"));
+            return Err(refused("it cannot make a context"));
         }
         let buffer = match loaded {
             Loaded::OsMesa(_) => vec![[0.0; 4]; SIDE * SIDE],
@@ -332,13 +342,16 @@ impl Context {
             loaded,
             pointer,
             buffer,
-            stays: PhantomData,
+            not_send: PhantomData,
         };
         context.make_current()?;
         Ok(context)
     }
 
-    /// Makes it the one that this thread draws to.
+    /// Makes it the current context of this thread.
+    ///
+    /// # Errors
+    /// If the library refuses.
     pub(crate) fn make_current(&mut self) -> Result<(), MujocoError> {
         if CURRENT.get() == self.pointer {
             return Ok(());
@@ -350,7 +363,7 @@ impl Context {
                 let side = SIDE as c_int;
                 (library.make_current)(self.pointer, self.buffer.as_mut_ptr().cast(), 0x1406, side, side) != 0
             },
-            // SAFETY: no surface is needed.
+            // SAFETY: the display and the context are valid, and no surface is needed.
             Loaded::Egl(library) => unsafe {
                 (library.bind_api)(egl::OPENGL_API);
                 (library.make_current)(library.display, null_mut(), null_mut(), self.pointer) != 0
@@ -366,12 +379,15 @@ impl Context {
         Ok(())
     }
 
-    /// Lets other threads make it current: this thread then has none.
+    /// Releases it, so that other threads can make it current. This thread then has no current context.
+    ///
+    /// # Errors
+    /// If the library refuses.
     pub(crate) fn release_current(&mut self) -> Result<(), MujocoError> {
         if CURRENT.get() != self.pointer {
             return Ok(());
         }
-        // SAFETY: none instead of the one that is current.
+        // SAFETY: this context is current, as checked above.
         if !unsafe { self.loaded.make_none_current() } {
             return Err(MujocoError::Gl {
                 gl: self.loaded.kind(),
@@ -386,7 +402,7 @@ impl Context {
 impl Drop for Context {
     fn drop(&mut self) {
         let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the context is this thread's own and is not used again; it may be current, and then is not any more.
+        // SAFETY: the context belongs to this thread and is not used again. If it is current, it is released first.
         unsafe {
             if CURRENT.get() == self.pointer {
                 self.loaded.make_none_current();

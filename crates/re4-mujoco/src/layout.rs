@@ -1,21 +1,21 @@
-//! Where MuJoCo's structures keep what is read and written here.
+//! Offsets of the fields of MuJoCo's structures that this crate reads and writes.
 //!
-//! Offsets in bytes, from the headers in MuJoCo's wheels for 64-bit Linux; `tests/layout.rs` compiles those headers, where
-//! they are at hand, and compares.
+//! Offsets are in bytes, from the headers in MuJoCo's wheels for 64-bit Linux. If the headers are available, `tests/layout.rs`
+//! compiles them and compares the offsets.
 
 use std::fmt;
 
-/// A version of MuJoCo whose structures are known.
+/// A supported version of MuJoCo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Version {
-    /// 2.3.7, which robosuite 1.4.1 runs on.
+    /// 2.3.7, which robosuite 1.4.1 uses.
     V2_3_7,
-    /// 3.2.7, which robosuite 1.5.1 runs on.
+    /// 3.2.7, which robosuite 1.5.1 uses.
     V3_2_7,
 }
 
 impl Version {
-    /// All of them.
+    /// All supported versions.
     pub const ALL: [Self; 2] = [Self::V2_3_7, Self::V3_2_7];
 
     /// The number that `mj_version` returns.
@@ -33,15 +33,15 @@ impl Version {
         }
     }
 
-    /// Every offset by the name of its field, as a C expression in `mjModel` (`m`), `mjData` (`d`), `mjvOption` (`option`),
-    /// `mjvCamera` (`camera`), `mjvScene` (`scene`), `mjvGeom` (`geom`), `mjvGLCamera` (`eye`) or `mjrContext` (`context`):
-    /// for tests against the headers.
+    /// All offsets with the names of their fields, for tests that compare them with the headers. A name is a C expression in
+    /// `mjModel` (`m`), `mjData` (`d`), `mjvOption` (`option`), `mjvCamera` (`camera`), `mjvScene` (`scene`), `mjvGeom` (`geom`),
+    /// `mjvGLCamera` (`eye`) or `mjrContext` (`context`).
     #[must_use]
     pub fn offsets(self) -> Vec<(&'static str, usize)> {
         self.layout().named()
     }
 
-    /// Sizes of whole structures, in bytes, by their names: for tests against the headers.
+    /// Sizes (bytes) of structures with their names, for tests that compare them with the headers.
     #[must_use]
     pub fn sizes(self) -> Vec<(&'static str, usize)> {
         self.layout().sizes.named()
@@ -62,7 +62,7 @@ macro_rules! layout {
         /// Offsets of fields.
         pub(crate) struct Layout {
             $($(#[$doc])* pub(crate) $field: usize,)*
-            /// Sizes of structures that are made here.
+            /// Sizes of structures.
             pub(crate) sizes: Sizes,
         }
 
@@ -108,7 +108,7 @@ layout! {
     nv = "m.nv",
     /// Number of actuators.
     nu = "m.nu",
-    /// Number of activations.
+    /// Number of activation states.
     na = "m.na",
     /// Number of bodies.
     nbody = "m.nbody",
@@ -118,13 +118,13 @@ layout! {
     nsite = "m.nsite",
     /// Time step, in seconds.
     timestep = "m.opt.timestep",
-    /// Type of a joint.
+    /// Types of joints.
     jnt_type = "m.jnt_type",
-    /// First coordinate of a joint.
+    /// First coordinates of joints.
     jnt_qposadr = "m.jnt_qposadr",
-    /// First degree of freedom of a joint.
+    /// First degrees of freedom of joints.
     jnt_dofadr = "m.jnt_dofadr",
-    /// Minimum and maximum control of an actuator.
+    /// Minimum and maximum controls of actuators.
     actuator_ctrlrange = "m.actuator_ctrlrange",
     /// Simulated time.
     time = "d.time",
@@ -134,83 +134,83 @@ layout! {
     qvel = "d.qvel",
     /// Controls.
     ctrl = "d.ctrl",
-    /// Accelerations that the solver starts from.
+    /// Accelerations from which the solver starts.
     qacc_warmstart = "d.qacc_warmstart",
     /// Gravity, Coriolis and centrifugal forces.
     qfrc_bias = "d.qfrc_bias",
-    /// Inertia, packed.
+    /// Packed inertia matrix.
     q_m = "d.qM",
-    /// Positions of sites.
+    /// World positions of sites.
     site_xpos = "d.site_xpos",
-    /// Rotations of sites.
+    /// World rotation matrices of sites.
     site_xmat = "d.site_xmat",
-    /// Positions of bodies.
+    /// World positions of bodies.
     xpos = "d.xpos",
-    /// Rotations of bodies.
+    /// World orientations (quaternions) of bodies.
     xquat = "d.xquat",
-    /// Counts of warnings.
+    /// Statistics of warnings.
     warning = "d.warning",
-    /// Which groups of geoms are drawn.
+    /// Flags for the groups of geoms that are rendered.
     geomgroup = "option.geomgroup",
-    /// Which groups of sites are drawn.
+    /// Flags for the groups of sites that are rendered.
     sitegroup = "option.sitegroup",
-    /// Kind of camera.
+    /// Type of a camera.
     camera_type = "camera.type",
-    /// Number of a camera of the model.
+    /// Index of the model's camera that is used.
     fixedcamid = "camera.fixedcamid",
-    /// Number of things to draw.
+    /// Number of geoms in a scene.
     scene_ngeom = "scene.ngeom",
-    /// Things to draw.
+    /// Geoms of a scene.
     scene_geoms = "scene.geoms",
-    /// Both eyes.
+    /// The two cameras (eyes) of a scene.
     scene_camera = "scene.camera",
-    /// Width of the buffer.
+    /// Width of the off-screen buffer.
     context_width = "context.offWidth",
-    /// Which buffer is drawn to.
+    /// The buffer that is rendered to.
     context_buffer = "context.currentBuffer",
     /// Number of cameras.
     ncam = "m.ncam",
-    /// What is drawn how.
+    /// Rendering flags.
     scene_flags = "scene.flags",
-    /// Kind of a thing.
+    /// Type of a geom.
     geom_type = "geom.type",
-    /// What it shows.
+    /// Type of the model's element that a geom shows.
     geom_objtype = "geom.objtype",
-    /// Number of what it shows.
+    /// Index of the model's element that a geom shows.
     geom_objid = "geom.objid",
-    /// Sizes.
+    /// Size of a geom.
     geom_size = "geom.size",
-    /// Position.
+    /// Position of a geom.
     geom_pos = "geom.pos",
-    /// Orientation.
+    /// Rotation matrix of a geom.
     geom_mat = "geom.mat",
-    /// Colour.
+    /// Colour of a geom.
     geom_rgba = "geom.rgba",
-    /// How much it reflects.
+    /// Reflectance of a geom.
     geom_reflectance = "geom.reflectance",
     /// Position of an eye.
     eye_pos = "eye.pos",
-    /// Where it looks to.
+    /// Viewing direction of an eye.
     eye_forward = "eye.forward",
-    /// Its upward direction.
+    /// Upward direction of an eye.
     eye_up = "eye.up",
-    /// Shift of its image.
+    /// Horizontal centre of an eye's frustum at the near plane.
     eye_center = "eye.frustum_center",
-    /// Lower edge of its image.
+    /// Lower edge of an eye's frustum at the near plane.
     eye_bottom = "eye.frustum_bottom",
-    /// Upper edge of its image.
+    /// Upper edge of an eye's frustum at the near plane.
     eye_top = "eye.frustum_top",
-    /// Distance of the image.
+    /// Depth of the near plane.
     eye_near = "eye.frustum_near",
     /// Number of geoms.
     ngeom = "m.ngeom",
     /// Bounding boxes of geoms.
     geom_aabb = "m.geom_aabb",
-    /// Kinds of geoms.
+    /// Types of geoms.
     model_geom_type = "m.geom_type",
     /// Sizes of geoms.
     model_geom_size = "m.geom_size",
-    /// Radii of spheres around geoms.
+    /// Radii of bounding spheres of geoms.
     model_geom_rbound = "m.geom_rbound",
     /// Number of lights.
     nlight = "m.nlight",
@@ -222,23 +222,23 @@ layout! {
     nmeshface = "m.nmeshface",
     /// Number of textures.
     ntex = "m.ntex",
-    /// Kind of a texture.
+    /// Types of textures.
     tex_type = "m.tex_type",
-    /// Its rows.
+    /// Numbers of rows of textures.
     tex_height = "m.tex_height",
-    /// Its columns.
+    /// Numbers of columns of textures.
     tex_width = "m.tex_width",
-    /// Side of the map of shadows, in pixels.
+    /// Side length of the shadow map, in pixels.
     shadowsize = "m.vis.quality.shadowsize",
-    /// Samples of a pixel.
+    /// Number of samples per pixel.
     offsamples = "m.vis.quality.offsamples",
-    /// Width of the buffer that is drawn to.
+    /// Width of the off-screen buffer.
     offwidth = "m.vis.global.offwidth",
-    /// Its height.
+    /// Height of the off-screen buffer.
     offheight = "m.vis.global.offheight",
-    /// Names of textures that were uploaded.
+    /// OpenGL names of the uploaded textures.
     context_texture = "context.texture",
-    /// First display list of planes, behind the names of textures.
+    /// First display list of planes. This field follows the names of textures.
     context_base_plane = "context.basePlane",
     /// First display list of meshes.
     context_base_mesh = "context.baseMesh",

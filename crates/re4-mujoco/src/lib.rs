@@ -1,11 +1,11 @@
-//! MuJoCo's C library, found at run time.
+//! A binding to MuJoCo's C library, which is loaded at run time.
 //!
-//! The library is not part of the program: it comes in MuJoCo's own wheel for Python, and its folder is named by the caller.
-//! A program that never simulates robots never needs it. [`Library::open`] loads it once a process and checks its version:
-//! the layout of MuJoCo's structures differs from version to version, and is known here for [`Version::ALL`].
+//! The library is not part of the program. It comes with MuJoCo's Python wheel, and the caller gives its folder. A program that
+//! simulates no robots does not need it. [`Library::open`] loads the library once per process and checks its version, because the
+//! layout of MuJoCo's structures differs between versions. The versions in [`Version::ALL`] are supported.
 //!
-//! A [`Model`] is a compiled MJCF file and may be shared between threads; a [`Data`] is one simulation of it. The same calls
-//! in the same order give the same bits. Units are MuJoCo's: metres, radians, seconds, newtons; quaternions are `w, x, y, z`.
+//! A [`Model`] is a compiled MJCF file that threads can share. A [`Data`] is one simulation of a model. The same calls in the same
+//! order give bit-exact results. Units are MuJoCo's: metres, radians, seconds, newtons. Quaternions are `w, x, y, z`.
 
 #![expect(unsafe_code, reason = "this crate is the binding to a C library")]
 
@@ -17,7 +17,7 @@ mod layout;
 mod library;
 mod model;
 mod render;
-mod stage;
+mod shared_assets;
 mod trim;
 mod view;
 

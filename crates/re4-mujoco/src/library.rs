@@ -1,4 +1,4 @@
-//! The library and its functions.
+//! Loading the library and its functions.
 
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::fs::File;
@@ -23,7 +23,7 @@ pub(crate) struct Viewport {
 
 macro_rules! functions {
     ($($name:ident: fn($($argument:ty),*) $(-> $result:ty)?;)*) => {
-        /// The library's functions, as `mujoco.h` declares them; models and data are passed as untyped pointers.
+        /// The library's functions, as `mujoco.h` declares them. Models and data are untyped pointers.
         #[expect(non_snake_case, reason = "the names are the library's")]
         pub(crate) struct Functions {
             $(pub(crate) $name: unsafe extern "C" fn($($argument),*) $(-> $result)?,)*
@@ -31,7 +31,7 @@ macro_rules! functions {
 
         impl Functions {
             /// # Safety
-            /// The library is MuJoCo of a known version.
+            /// The library must be a supported version of MuJoCo.
             unsafe fn load(library: &libloading::Library) -> Result<Self, libloading::Error> {
                 Ok(Self {
                     $($name: unsafe { *library.get(concat!(stringify!($name), "\0").as_bytes())? },)*
@@ -79,29 +79,29 @@ functions! {
 pub(crate) struct Inner {
     pub(crate) functions: Functions,
     pub(crate) version: Version,
-    /// Keeps the functions where they are.
+    /// Keeps the library loaded, so that the functions stay valid.
     _library: libloading::Library,
 }
 
-/// MuJoCo, loaded. Cheap to clone.
+/// The loaded MuJoCo library. Cheap to clone.
 #[derive(Clone)]
 pub struct Library {
     pub(crate) inner: Arc<Inner>,
 }
 
-/// The libraries that this process has loaded; one of a kind is enough.
+/// The libraries that this process has loaded, by path. Each is loaded only once.
 static LOADED: Mutex<Vec<(PathBuf, Library)>> = Mutex::new(Vec::new());
 
-/// The last warning of the library, for messages.
+/// The last warning of a library, for messages.
 static WARNING: Mutex<String> = Mutex::new(String::new());
 
-/// Compiling a model touches state of the whole process (the locale), so it is done by one thread at a time.
+/// Allows only one thread at a time to compile a model, because compiling changes state of the whole process (the locale).
 static COMPILING: Mutex<()> = Mutex::new(());
 
-/// Whether a file is a shared library to its end: the system's loader would end the process on one that was cut short. The
-/// table of sections, whose place the first 64 bytes of a 64-bit ELF file give, is the last thing in it.
-fn whole(path: &Path) -> Result<(), String> {
-    const CUT: &str = "the file is cut short";
+/// Checks that a file is a complete shared library. The system's loader would crash the process on a truncated file. The section
+/// header table is at the end of the file, and the first 64 bytes of a 64-bit ELF file give its offset and size.
+fn check_complete(path: &Path) -> Result<(), String> {
+    const CUT: &str = "the file is truncated";
     let mut file = File::open(path).map_err(|error| error.to_string())?;
     let length = file.metadata().map_err(|error| error.to_string())?.len();
     let mut header = [0; 64];
@@ -109,7 +109,7 @@ fn whole(path: &Path) -> Result<(), String> {
     let offset = u64::from_le_bytes(std::array::from_fn(|i| header[0x28 + i]));
     let [size, count] = [0x3a, 0x3c].map(|at| u64::from(u16::from_le_bytes([header[at], header[at + 1]])));
     if header[..4] != *b"\x7fELF" {
-        Err("the file is no shared library".to_owned())
+        Err("the file is not a shared library".to_owned())
     } else if offset.saturating_add(size * count) > length {
         Err(CUT.to_owned())
     } else {
@@ -118,10 +118,10 @@ fn whole(path: &Path) -> Result<(), String> {
 }
 
 impl Library {
-    /// Loads `libmujoco.so` from `folder`, or hands out the one that was loaded from there before.
+    /// Loads `libmujoco.so` from `folder`. If it is already loaded, returns the same library.
     ///
     /// # Errors
-    /// When it is not there, does not load, or is another version.
+    /// If it does not exist, cannot be loaded, or is another version.
     pub fn open(folder: &Path, version: Version) -> Result<Self, MujocoError> {
         let path = folder.join(FILE);
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -140,7 +140,7 @@ impl Library {
         if !path.is_file() {
             return Err(MujocoError::Missing { path });
         }
-        whole(&path).map_err(|reason| MujocoError::Load {
+        check_complete(&path).map_err(|reason| MujocoError::Load {
             path: path.clone(),
             reason,
         })?;
@@ -149,12 +149,13 @@ impl Library {
         Ok(library)
     }
 
+    /// Loads a library, checks its version and installs handlers for warnings and errors.
     fn load(path: &Path, version: Version) -> Result<Self, MujocoError> {
         let refused = |error: &libloading::Error| MujocoError::Load {
             path: path.to_owned(),
             reason: error.to_string(),
         };
-        // SAFETY: MuJoCo's library runs no initialiser but those of the C++ runtime and of its own plug-in table.
+        // SAFETY: MuJoCo's library only runs initialisers of the C++ runtime and of its own plug-in table.
         let library = unsafe { libloading::Library::new(path) }.map_err(|error| refused(&error))?;
         // SAFETY: `mj_version` has this signature in every version.
         let number = unsafe {
@@ -172,19 +173,19 @@ impl Library {
                 expected: version.to_string(),
             });
         }
-        // SAFETY: the version is the one asked for.
+        // SAFETY: the version was checked above.
         let functions = unsafe { Functions::load(&library) }.map_err(|error| refused(&error))?;
-        // SAFETY: both variables are pointers to functions of this signature (`mujoco.h`), set before any other call. Without
-        // them MuJoCo prints, and writes a file to the current folder.
+        // Without handlers MuJoCo prints messages and writes a file to the current folder. SAFETY: both variables are pointers
+        // to functions with this signature (`mujoco.h`), and they are set before any other call.
         unsafe {
             let handler = library
                 .get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_warning\0")
                 .map_err(|error| refused(&error))?;
-            **handler = Some(remember);
+            **handler = Some(on_warning);
             let handler = library
                 .get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_error\0")
                 .map_err(|error| refused(&error))?;
-            **handler = Some(give_up);
+            **handler = Some(on_error);
         }
         Ok(Self {
             inner: Arc::new(Inner {
@@ -195,7 +196,7 @@ impl Library {
         })
     }
 
-    /// Version of the library.
+    /// The version of the library.
     #[must_use]
     pub fn version(&self) -> Version {
         self.inner.version
@@ -205,51 +206,54 @@ impl Library {
         &self.inner.functions
     }
 
+    /// Waits until no other thread compiles a model, and keeps other threads from doing so.
     pub(crate) fn compiling() -> MutexGuard<'static, ()> {
         COMPILING.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Gives memory that is free back to the system, which the C library otherwise keeps for the next allocation.
-pub(crate) fn give_back_free_memory() {
+/// Returns free memory to the system. The C library otherwise keeps it for later allocations.
+pub(crate) fn release_free_memory() {
     #[cfg(target_env = "gnu")]
     {
         unsafe extern "C" {
             fn malloc_trim(pad: usize) -> c_int;
         }
-        // SAFETY: memory that is in use stays as it is.
+        // SAFETY: the function does not affect memory that is in use.
         unsafe { malloc_trim(0) };
     }
 }
 
-/// The library's last warning, such as that a simulation became unstable; empty when there was none.
+/// The last warning of a library, for example that a simulation became unstable. Empty if there was none.
 pub(crate) fn last_warning() -> String {
     WARNING.lock().unwrap_or_else(PoisonError::into_inner).clone()
 }
 
-unsafe extern "C" fn remember(message: *const c_char) {
+/// The handler of warnings: stores the message.
+unsafe extern "C" fn on_warning(message: *const c_char) {
     if !message.is_null() {
-        // SAFETY: the library passes a string that ends in zero.
+        // SAFETY: the library passes a null-terminated string.
         let text = unsafe { CStr::from_ptr(message) }.to_string_lossy().into_owned();
         *WARNING.lock().unwrap_or_else(PoisonError::into_inner) = text;
     }
 }
 
-/// The library cannot go on after this: it would end the process itself, with a file in the current folder.
+/// The handler of fatal errors: prints the message and ends the process. The library cannot continue after such an error. Without
+/// a handler it would write a file to the current folder and end the process itself.
 #[expect(
     clippy::exit,
     clippy::print_stderr,
     reason = "the handler must not return, and has no caller to tell"
 )]
-unsafe extern "C" fn give_up(message: *const c_char) {
+unsafe extern "C" fn on_error(message: *const c_char) {
     let text = if message.is_null() {
         String::new()
     } else {
-        // SAFETY: the library passes a string that ends in zero.
+        // SAFETY: the library passes a null-terminated string.
         unsafe { CStr::from_ptr(message) }.to_string_lossy().into_owned()
     };
     eprintln!(
-        "error: MuJoCo cannot go on: {text}; nothing half-written is left, run with fewer jobs or report the model"
+        "error: MuJoCo cannot continue: {text}; run with fewer jobs or report the model (no incomplete artifact was left)"
     );
     std::process::exit(2);
 }

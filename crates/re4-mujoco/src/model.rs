@@ -6,13 +6,13 @@ use std::ptr::NonNull;
 use std::sync::{Arc, PoisonError};
 
 use crate::block::Block;
-use crate::stage::{Place, Stage};
+use crate::shared_assets::{SharedAssets, Slot};
 use crate::{Library, MujocoError, Version};
 
 /// `mjGEOM_BOX`.
 const BOX: c_int = 6;
 
-/// Kinds of things that have names.
+/// Kinds of named elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// A body.
@@ -30,7 +30,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Its number in `mjtObj`.
+    /// The value in `mjtObj`.
     fn number(self, version: Version) -> c_int {
         match self {
             Self::Body => 1,
@@ -38,13 +38,13 @@ impl Kind {
             Self::Geom => 5,
             Self::Site => 6,
             Self::Camera => 7,
-            // Flexible bodies came in between.
+            // Version 3 inserted flexible bodies before actuators.
             Self::Actuator if version == Version::V2_3_7 => 18,
             Self::Actuator => 19,
         }
     }
 
-    fn word(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Body => "body",
             Self::Joint => "joint",
@@ -56,7 +56,7 @@ impl Kind {
     }
 }
 
-/// A compiled model. Cheap to clone; never changed after it is made.
+/// A compiled model. It is immutable and cheap to clone.
 #[derive(Clone)]
 pub struct Model {
     inner: Arc<Inner>,
@@ -65,21 +65,21 @@ pub struct Model {
 struct Inner {
     library: Library,
     pointer: NonNull<c_void>,
-    /// The same in models that look the same but for sizes of boxes.
-    family: Arc<Place>,
+    /// The data that renderers share. Models that differ only in box sizes have the same one.
+    family: Arc<Slot>,
     memory: Memory,
 }
 
-/// Whose the memory of a model is.
+/// Owner of a model's memory.
 enum Memory {
-    /// The library's.
+    /// The library allocated it.
     Compiled,
-    /// Its structure and some arrays are its own, all others another model's.
-    Resized(#[expect(dead_code, reason = "it is kept for as long as the model lives")] Box<Resized>),
+    /// This program allocated the structure and some arrays. All other arrays belong to another model.
+    Resized(#[expect(dead_code, reason = "it must live as long as the model")] Box<Resized>),
 }
 
 struct Resized {
-    /// Keeps all other arrays where they are.
+    /// Keeps all other arrays alive.
     _base: Model,
     structure: Block,
     sizes: Vec<[f64; 3]>,
@@ -87,7 +87,7 @@ struct Resized {
     boxes: Vec<[f64; 6]>,
 }
 
-// SAFETY: the library only reads a model that it simulates or draws, and this crate never writes to one.
+// SAFETY: simulating and rendering only read the model, and this crate never writes to one.
 unsafe impl Send for Inner {}
 // SAFETY: as above.
 unsafe impl Sync for Inner {}
@@ -95,17 +95,17 @@ unsafe impl Sync for Inner {}
 impl Drop for Inner {
     fn drop(&mut self) {
         if let Memory::Compiled = self.memory {
-            // SAFETY: the pointer came from `mj_loadXML`, and every `Data` holds the model alive.
+            // SAFETY: the pointer came from `mj_loadXML`, and every `Data` keeps the model alive.
             unsafe { (self.library.functions().mj_deleteModel)(self.pointer.as_ptr()) }
         }
     }
 }
 
 impl Model {
-    /// Compiles a model from MJCF text. Files that it names must be absolute.
+    /// Compiles a model from MJCF text. Paths of files in it must be absolute.
     ///
     /// # Errors
-    /// When the library refuses it, with the library's words.
+    /// If the library refuses the model, with the library's message, or the temporary file cannot be written.
     pub fn compile(library: &Library, mjcf: &str) -> Result<Self, MujocoError> {
         let temporary = |error: std::io::Error| MujocoError::Temporary {
             reason: error.to_string(),
@@ -123,7 +123,7 @@ impl Model {
             })?;
         let mut message = [0 as c_char; 1000];
         let _alone = Library::compiling();
-        // SAFETY: the path ends in zero, no virtual file system is given, and the length of the message is its own.
+        // SAFETY: the path is null-terminated, no virtual file system is given, and the length is that of the message buffer.
         let pointer = unsafe {
             (library.functions().mj_loadXML)(
                 path.as_ptr(),
@@ -132,10 +132,11 @@ impl Model {
                 message.len() as c_int,
             )
         };
-        // SAFETY: it frees what the library keeps of the text, several times a model's memory; nobody asks for that.
+        // The library keeps a copy of the parsed text, which takes several times a model's memory and is not used.
+        // SAFETY: the function only frees that copy.
         unsafe { (library.functions().mj_freeLastXML)() };
         let Some(pointer) = NonNull::new(pointer) else {
-            // SAFETY: the library ends its message with zero, and the array started as zeros.
+            // SAFETY: the library null-terminates its message, and the array was initialised with zeros.
             let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
             return Err(MujocoError::Model {
                 reason: text.split_whitespace().collect::<Vec<_>>().join(" "),
@@ -151,16 +152,16 @@ impl Model {
         })
     }
 
-    /// The same model with other half sizes of named boxes, in metres: for images alone, since masses and inertias stay as
-    /// they were. That takes moments and hardly any memory, where compiling takes seconds, and a
-    /// [`Renderer`](crate::Renderer) of one model draws the other, too.
+    /// A copy of the model with other half sizes (metres) of named boxes. It is only suitable for images, because masses and
+    /// inertias are not changed. It is much faster than compiling a model, which takes seconds, and needs little memory. A
+    /// [`Renderer`](crate::Renderer) of one model can also render the other.
     ///
     /// # Errors
-    /// When a name is not that of a box.
+    /// If a name is not that of a box.
     pub fn with_boxes<'a>(&self, boxes: impl IntoIterator<Item = (&'a str, [f64; 3])>) -> Result<Self, MujocoError> {
         let layout = self.layout();
         let geoms = self.count(layout.ngeom);
-        // SAFETY: the fields are arrays with a place for every geom, of an `int` and of three, one and six doubles.
+        // SAFETY: the fields are arrays with one entry per geom, which consists of an `int`, or of three, one or six doubles.
         let (kinds, mut resized) = unsafe {
             let resized = Box::new(Resized {
                 _base: self.clone(),
@@ -191,7 +192,7 @@ impl Model {
             boxes,
             ..
         } = &mut *resized;
-        // SAFETY: the fields are pointers to these arrays, which stay where they are as long as the structure.
+        // SAFETY: the fields are pointers to these arrays, which live as long as the structure and do not move.
         unsafe {
             structure.set(layout.model_geom_size, sizes.as_mut_ptr());
             structure.set(layout.model_geom_rbound, radii.as_mut_ptr());
@@ -207,7 +208,7 @@ impl Model {
         })
     }
 
-    /// Whether both are the same but for [`Model::with_boxes`].
+    /// Whether both models are the same apart from [`Model::with_boxes`].
     #[must_use]
     pub fn looks_like(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.inner.family, &other.inner.family)
@@ -223,41 +224,41 @@ impl Model {
         self.inner.pointer.as_ptr()
     }
 
-    /// A copy of its structure, with pointers to the same arrays.
+    /// A copy of its `mjModel` structure, with pointers to the same arrays.
     pub(crate) fn structure(&self) -> Block {
-        // SAFETY: the structure has this size in this version.
+        // SAFETY: `mjModel` has this size in this version.
         unsafe { Block::copy(self.pointer(), self.layout().sizes.model) }
     }
 
-    /// What its renderers share.
+    /// The textures and meshes that its renderers share. The first call uploads them.
     ///
     /// # Errors
-    /// When there is no OpenGL library, or it refuses to work.
-    pub(crate) fn stage(&self) -> Result<Arc<Stage>, MujocoError> {
-        let mut place = self.inner.family.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(stage) = place.upgrade() {
-            return Ok(stage);
+    /// If there is no OpenGL library, or an OpenGL operation fails.
+    pub(crate) fn shared_assets(&self) -> Result<Arc<SharedAssets>, MujocoError> {
+        let mut slot = self.inner.family.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(shared) = slot.upgrade() {
+            return Ok(shared);
         }
-        let stage = Arc::new(Stage::new(self)?);
-        *place = Arc::downgrade(&stage);
-        Ok(stage)
+        let shared = Arc::new(SharedAssets::new(self)?);
+        *slot = Arc::downgrade(&shared);
+        Ok(shared)
     }
 
-    /// Whether a light of it casts shadows.
+    /// Whether any of its lights casts shadows.
     pub(crate) fn casts_shadows(&self) -> bool {
         // SAFETY: the array has a byte for every light.
         let lights = unsafe { self.array::<u8>(self.layout().light_castshadow, self.count(self.layout().nlight)) };
         lights.iter().any(|&casts| casts != 0)
     }
 
-    /// Bytes that it takes, without what it shares with the model whose boxes were resized.
+    /// The size of the model in bytes, as MuJoCo computes it.
     pub(crate) fn bytes(&self) -> u64 {
-        // SAFETY: the model is whole.
+        // SAFETY: the pointer is that of a valid model.
         let bytes = unsafe { (self.library().functions().mj_sizeModel)(self.pointer()) };
         u64::try_from(bytes).unwrap_or(0)
     }
 
-    /// Kind, rows and columns of every texture.
+    /// Kind (`mjtTexture`), rows and columns of every texture.
     pub(crate) fn textures(&self) -> Vec<(c_int, u64, u64)> {
         let layout = self.layout();
         let count = self.count(layout.ntex);
@@ -275,7 +276,7 @@ impl Model {
         self.count(self.layout().nmeshface) as u64
     }
 
-    /// Side of the map of shadows, and samples of a pixel.
+    /// Side length of the shadow map, and the number of samples per pixel.
     pub(crate) fn quality(&self) -> [u64; 2] {
         [self.layout().shadowsize, self.layout().offsamples].map(|offset| self.count(offset) as u64)
     }
@@ -284,16 +285,19 @@ impl Model {
         self.inner.library.version().layout()
     }
 
+    /// The value of an integer field.
     fn count(&self, offset: usize) -> usize {
         // SAFETY: the field is an `int` at this offset in this version.
         let value = unsafe { self.pointer().byte_add(offset).cast::<c_int>().read() };
         usize::try_from(value).unwrap_or(0)
     }
 
+    /// The array that the field at this offset points to.
+    ///
     /// # Safety
-    /// The field at the offset is a pointer to at least `length` values of `T`.
+    /// The field must be a pointer to at least `length` values of type `T`.
     unsafe fn array<T>(&self, offset: usize, length: usize) -> &[T] {
-        // SAFETY: by the caller; arrays live as long as the model, and nobody writes to them.
+        // SAFETY: the caller guarantees the field. Arrays live as long as the model and are never written to.
         unsafe {
             let start = self.pointer().byte_add(offset).cast::<*const T>().read();
             std::slice::from_raw_parts(start, length)
@@ -318,7 +322,7 @@ impl Model {
         self.count(self.layout().nu)
     }
 
-    /// Number of activations of actuators.
+    /// Number of activation states of actuators.
     #[must_use]
     pub fn na(&self) -> usize {
         self.count(self.layout().na)
@@ -360,29 +364,29 @@ impl Model {
         unsafe { self.pointer().byte_add(self.layout().timestep).cast::<f64>().read() }
     }
 
-    /// Number of the thing of this name.
+    /// Index of the element with this name.
     ///
     /// # Errors
-    /// When the model has none.
+    /// If the model has no such element.
     pub fn id(&self, kind: Kind, name: &str) -> Result<usize, MujocoError> {
         let missing = || MujocoError::NoSuch {
-            kind: kind.word(),
+            kind: kind.name(),
             name: name.to_owned(),
         };
         let text = CString::new(name).map_err(|_| missing())?;
         let number = kind.number(self.library().version());
-        // SAFETY: the name ends in zero.
+        // SAFETY: the name is null-terminated.
         let id = unsafe { (self.library().functions().mj_name2id)(self.pointer(), number, text.as_ptr()) };
         usize::try_from(id).map_err(|_| missing())
     }
 
-    /// First coordinate and first degree of freedom of a joint.
+    /// Indices of a joint's first generalised coordinate and first degree of freedom.
     ///
     /// # Errors
-    /// When the model has no joint of this name.
+    /// If the model has no joint with this name.
     pub fn joint(&self, name: &str) -> Result<(usize, usize), MujocoError> {
         let id = self.id(Kind::Joint, name)?;
-        // SAFETY: both arrays have an `int` for every joint, and the id is that of one.
+        // SAFETY: both arrays have an `int` for every joint, and the index is that of a joint.
         let (coordinate, freedom) = unsafe {
             (
                 self.array::<c_int>(self.layout().jnt_qposadr, self.joints())[id],
@@ -392,13 +396,14 @@ impl Model {
         Ok((coordinate.max(0) as usize, freedom.max(0) as usize))
     }
 
-    /// Whether the joint of this name is a free one: seven coordinates, six degrees of freedom.
+    /// Whether the joint with this name is a free joint, which has seven coordinates and six degrees of freedom.
     ///
     /// # Errors
-    /// When the model has no joint of this name.
+    /// If the model has no joint with this name.
     pub fn joint_is_free(&self, name: &str) -> Result<bool, MujocoError> {
         let id = self.id(Kind::Joint, name)?;
-        // SAFETY: the array has an `int` for every joint, and the id is that of one. Free is 0 in `mjtJoint`.
+        // `mjJNT_FREE` is 0.
+        // SAFETY: the array has an `int` for every joint, and the index is that of a joint.
         Ok(unsafe { self.array::<c_int>(self.layout().jnt_type, self.joints())[id] } == 0)
     }
 

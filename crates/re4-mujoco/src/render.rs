@@ -1,4 +1,4 @@
-//! Images of a simulation, as robosuite draws them.
+//! Rendering images of a simulation in the same way as robosuite.
 
 use std::ffi::c_int;
 use std::sync::{Arc, PoisonError};
@@ -6,78 +6,78 @@ use std::sync::{Arc, PoisonError};
 use crate::block::Block;
 use crate::gl::{Context, MAKING};
 use crate::library::Viewport;
-use crate::stage::{Drawn, Stage};
+use crate::shared_assets::{RenderContext, SharedAssets};
 use crate::trim::{REFLECTION, trim};
 use crate::{Data, Gl, Kind, Model, MujocoError, View};
 
-/// Things that a scene may hold, as robosuite has it.
+/// Maximum number of geoms in a scene, as in robosuite.
 const MAX_GEOMS: c_int = 1_000;
 
 /// `mjFB_OFFSCREEN`.
 const OFFSCREEN: c_int = 1;
 
-/// `mjCAMERA_FIXED`: one of the model's.
+/// `mjCAMERA_FIXED`: a camera of the model.
 const FIXED: c_int = 2;
 
 /// `mjCAT_ALL`.
 const ALL: c_int = 7;
 
-/// Groups of geoms and of sites (`mjNGROUP`).
+/// Number of groups of geoms and of sites (`mjNGROUP`).
 const GROUPS: usize = 6;
 
-/// `mjTEXTURE_2D`; all other kinds have six sides.
+/// `mjTEXTURE_2D`. All other kinds of textures have six sides.
 const FLAT: c_int = 0;
 
-/// Memory that renderers of a model take, in bytes: where OpenGL draws in software all of it is the process's own.
+/// Estimate of the memory that renderers of a model use, in bytes. With software rendering all of it is memory of the process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Footprint {
-    /// The model, and what all its renderers share.
+    /// Memory of the model and of the data that all its renderers share.
     pub shared: u64,
-    /// What each of them takes beside that.
+    /// Additional memory per renderer.
     pub each: u64,
 }
 
-/// A triangle in a display list of Mesa: three corners of eight numbers and their indices, and what is set aside in vain.
+/// Bytes per triangle in a display list of Mesa: three corners of eight numbers with their indices, and unused space.
 const TRIANGLE: u64 = 130;
 
-/// What each context of Mesa takes at most, its buffers left out: scenes that it sorts before it draws them, above all.
+/// Maximum memory (bytes) of a context of Mesa without its buffers. Most of it is for scenes that Mesa sorts before rendering.
 const CONTEXT: u64 = 36 << 20;
 
-/// Draws simulations of one model, and of those that look like it, in the thread that made it.
+/// Renders simulations of one model and of models with the same appearance, in the thread that made it.
 ///
-/// Images are those of robosuite's off-screen renderer: geoms of group 0 (what collides) and sites are left out, everything
-/// else is as MuJoCo has it by default. Renderers of models that look alike share meshes and textures, in whatever thread they
-/// are.
+/// The images are those of robosuite's off-screen renderer: geoms of group 0 (collision geoms) and sites are not shown, and all
+/// other options have MuJoCo's default values. Renderers of models with the same appearance share meshes and textures, even in
+/// different threads.
 pub struct Renderer {
     model: Model,
     option: Block,
     perturb: Block,
     camera: Block,
     scene: Block,
-    drawn: Drawn,
+    context: RenderContext,
     width: usize,
     height: usize,
     trimmed: bool,
     gl: Context,
-    /// Dropped last.
-    _stage: Arc<Stage>,
+    /// Dropped last, because `context` uses its textures and meshes.
+    _shared: Arc<SharedAssets>,
 }
 
 impl Renderer {
-    /// A renderer of images of this size, in pixels.
+    /// Makes a renderer for images of this size, in pixels.
     ///
     /// # Errors
-    /// When there is no OpenGL library, or it refuses to work.
+    /// If there is no OpenGL library, or an OpenGL operation fails.
     pub fn new(model: &Model, width: usize, height: usize) -> Result<Self, MujocoError> {
-        let stage = model.stage()?;
-        let (gl, mut drawn) = stage.context(model, width, height)?;
+        let shared = model.shared_assets()?;
+        let (gl, mut context) = shared.context(model, width, height)?;
         let layout = model.library().version().layout();
         let functions = model.library().functions();
         let sizes = &layout.sizes;
         let [mut option, mut perturb, mut camera, mut scene] =
             [sizes.option, sizes.perturb, sizes.camera, sizes.scene].map(Block::new);
-        // SAFETY: each structure has the size and the fields of this version, the OpenGL context is current, and the scene and
-        // the drawing context are freed when the renderer is dropped.
+        // SAFETY: each structure has the size and the fields of this version, the OpenGL context is current, and `Drop` frees
+        // the scene and the rendering context.
         unsafe {
             (functions.mjv_defaultOption)(option.pointer());
             option.set(layout.geomgroup, 0_u8);
@@ -87,7 +87,7 @@ impl Renderer {
             camera.set(layout.camera_type, FIXED);
             (functions.mjv_defaultScene)(scene.pointer());
             (functions.mjv_makeScene)(model.pointer(), scene.pointer(), MAX_GEOMS);
-            (functions.mjr_setBuffer)(OFFSCREEN, drawn.context.pointer());
+            (functions.mjr_setBuffer)(OFFSCREEN, context.structure.pointer());
         }
         let mut renderer = Self {
             model: model.clone(),
@@ -95,28 +95,28 @@ impl Renderer {
             perturb,
             camera,
             scene,
-            drawn,
+            context,
             width,
             height,
             trimmed: true,
             gl,
-            _stage: stage,
+            _shared: shared,
         };
         // SAFETY: the field is an `int`.
-        if unsafe { renderer.drawn.context.get::<c_int>(layout.context_buffer) } != OFFSCREEN {
+        if unsafe { renderer.context.structure.get::<c_int>(layout.context_buffer) } != OFFSCREEN {
             return Err(MujocoError::Gl {
                 gl: Gl::of_process()?,
-                reason: "it has no buffers to draw to without a screen",
+                reason: "it has no off-screen buffers",
             });
         }
         Ok(renderer)
     }
 
-    /// About how much memory renderers of images of this size take. Shadows take by far the most of what each renderer has
-    /// for itself; where no light casts any, as in robosuite's scenes, there is no map of them.
+    /// Estimates the memory of renderers for images of this size (pixels). The shadow map is by far the largest part of each
+    /// renderer. There is none if no light casts shadows, as in robosuite's scenes.
     #[must_use]
     pub fn footprint(model: &Model, width: usize, height: usize) -> Footprint {
-        // Four bytes a pixel, and a third for smaller copies.
+        // Four bytes per pixel, and a third more for mipmaps.
         let textures = model.textures().into_iter().map(|(kind, rows, columns)| {
             let pixels = if kind == FLAT {
                 rows * columns
@@ -127,7 +127,7 @@ impl Renderer {
         });
         let [shadow, samples] = model.quality();
         let map = if model.casts_shadows() { 4 * shadow * shadow } else { 0 };
-        // Colour and depth of every sample, and once more without samples.
+        // Colour and depth for every sample, and once more for the resolved image.
         let buffers = 8 * (samples + 1) * (width * height) as u64;
         Footprint {
             shared: model.bytes() + textures.sum::<u64>() + TRIANGLE * model.triangles(),
@@ -135,8 +135,8 @@ impl Renderer {
         }
     }
 
-    /// Whether what cannot be seen in an image is left out before it is drawn, which changes no pixel and takes half of the
-    /// time or less; so it is unless told otherwise.
+    /// Sets whether meshes that are not visible in the image are removed before rendering, which is the default. It changes no
+    /// pixel and takes half of the time or less.
     pub fn set_trimmed(&mut self, trimmed: bool) {
         self.trimmed = trimmed;
     }
@@ -153,20 +153,20 @@ impl Renderer {
         (self.width, self.height)
     }
 
-    /// What the camera of the last image saw; none before the first one.
+    /// The view of the camera in the last image, or `None` before the first image.
     pub fn view(&mut self) -> Option<View> {
-        // SAFETY: the scene was made for the model and is whole; before the first image its eyes are zeros.
+        // SAFETY: the scene is valid and was made for the model. Before the first image its cameras are zeros.
         unsafe { View::of_scene(self.scene.pointer(), &self.model) }
     }
 
-    /// Draws what a camera of the model sees: rows from top to bottom, three bytes (red, green, blue) a pixel. Poses must be up
-    /// to date ([`Data::forward`]).
+    /// Renders the image of a camera of the model: rows from top to bottom, three bytes (red, green, blue) per pixel. Poses
+    /// must be up to date ([`Data::forward`]).
     ///
     /// # Errors
-    /// When the model has no such camera, or OpenGL does not work in this thread.
+    /// If the model has no such camera, or OpenGL does not work in this thread.
     ///
     /// # Panics
-    /// When the simulation is of a model that looks otherwise ([`Model::looks_like`]).
+    /// If the simulation's model has another appearance ([`Model::looks_like`]).
     pub fn draw(&mut self, data: &mut Data, camera: &str) -> Result<Vec<u8>, MujocoError> {
         let mut pixels = vec![0; 3 * self.width * self.height];
         let id = self.model.id(Kind::Camera, camera)?;
@@ -174,14 +174,14 @@ impl Renderer {
         Ok(pixels)
     }
 
-    /// [`Renderer::draw`] for a camera of this number, into a buffer.
+    /// Does the same as [`Renderer::draw`] for a camera with this index, and writes the image to a buffer.
     ///
     /// # Errors
-    /// When OpenGL does not work in this thread.
+    /// If OpenGL does not work in this thread.
     ///
     /// # Panics
-    /// When the simulation is of a model that looks otherwise, the model has no camera of this number, or the buffer has
-    /// another length than an image.
+    /// If the simulation's model has another appearance, the model has no camera with this index, or the length of the buffer
+    /// differs from that of an image.
     pub fn draw_into(&mut self, data: &mut Data, camera: usize, pixels: &mut [u8]) -> Result<(), MujocoError> {
         assert!(data.model().looks_like(&self.model) && camera < self.model.cameras());
         assert!(pixels.len() == 3 * self.width * self.height);
@@ -195,8 +195,8 @@ impl Renderer {
             width: self.width as c_int,
             height: self.height as c_int,
         };
-        // SAFETY: all structures are those of this version and were made for this model, the context is current, and the
-        // buffer has the size of the image.
+        // SAFETY: all structures are of this version and were made for this model, the context is current, and the buffer has
+        // the size of the image.
         unsafe {
             self.camera.set(library.version().layout().fixedcamid, camera as c_int);
             (functions.mjv_updateScene)(
@@ -213,12 +213,12 @@ impl Renderer {
             if self.trimmed {
                 trim(self.scene.pointer(), &model, self.width as f64 / self.height as f64);
             }
-            (functions.mjr_render)(viewport, self.scene.pointer(), self.drawn.context.pointer());
+            (functions.mjr_render)(viewport, self.scene.pointer(), self.context.structure.pointer());
             (functions.mjr_readPixels)(
                 pixels.as_mut_ptr(),
                 std::ptr::null_mut(),
                 viewport,
-                self.drawn.context.pointer(),
+                self.context.structure.pointer(),
             );
         }
         flip(pixels, 3 * self.width);
@@ -231,20 +231,20 @@ impl Drop for Renderer {
         let library = self.model.library().clone();
         let functions = library.functions();
         let current = self.gl.make_current().is_ok();
-        self.drawn.part(library.version().layout());
+        self.context.detach(library.version().layout());
         let _alone = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: both were made by the renderer and are not used again. What lies in OpenGL's memory goes with its context,
-        // should that not be current.
+        // If the OpenGL context is not current, its data is freed together with it.
+        // SAFETY: the renderer made the scene and the rendering context, and they are not used again.
         unsafe {
             (functions.mjv_freeScene)(self.scene.pointer());
             if current {
-                (functions.mjr_freeContext)(self.drawn.context.pointer());
+                (functions.mjr_freeContext)(self.context.structure.pointer());
             }
         }
     }
 }
 
-/// OpenGL's rows go from bottom to top.
+/// Reverses the order of the rows, because OpenGL's rows are from bottom to top.
 fn flip(pixels: &mut [u8], row: usize) {
     let mut rows = pixels.chunks_exact_mut(row);
     while let (Some(top), Some(bottom)) = (rows.next(), rows.next_back()) {

@@ -1,11 +1,11 @@
-//! Leaving out of a scene what cannot touch a single pixel.
+//! Removes geoms from a scene that do not affect any pixel of the image.
 //!
-//! Drawing time goes into the robot's meshes, a hundred thousand triangles, most of which are out of the image when a camera
-//! looks at a table; and they are drawn twice where something reflects. Meshes whose bounding box lies outside of what the
-//! camera sees, directly and in the mirror, are taken out of the scene; the mirror pass is left out where one box covers the
-//! whole image. What is drawn stays the same to the last bit. In scenes that are not understood nothing is left out.
+//! Most of the rendering time is spent on the robot's meshes, which have a hundred thousand triangles. Most of them are outside
+//! the image if a camera looks at a table, and they are rendered twice if something reflects. Meshes with a bounding box
+//! outside the camera's view, both directly and in the mirror, are removed from the scene. The mirror pass is skipped if boxes
+//! hide the mirror in the whole image. The image stays bit-exact. Unsupported scenes are left unchanged.
 //!
-//! MuJoCo reflects in one thing: the first plane or box of the scene whose material reflects.
+//! MuJoCo renders reflections in only one geom: the first plane or box in the scene with a reflecting material.
 
 use std::ffi::{c_int, c_void};
 
@@ -23,14 +23,15 @@ const GEOM: c_int = 5;
 /// `mjRND_REFLECTION`.
 pub(crate) const REFLECTION: usize = 2;
 
-/// The frustum and bounding boxes are taken larger by this factor, so that rounding decides nothing.
+/// The frustum and bounding boxes are enlarged by this factor, so that rounding never removes a visible mesh.
 const MARGIN: f64 = 1.02;
 
-/// Boxes that cover something are taken smaller by this factor, for the same reason.
+/// Boxes that hide something are reduced by this factor, for the same reason.
 const COVER: f64 = 1.005;
 
-/// The image is looked at in this many cells a side, and each of them in halves, so many times, where no box fills it.
+/// Number of cells along each side of the image for finding visible parts of the mirror.
 const CELLS: usize = 16;
+/// Maximum number of times that a cell is split into halves along each side if no box fills it.
 const HALVINGS: usize = 3;
 
 type Vector = [f64; 3];
@@ -43,38 +44,39 @@ fn minus(a: Vector, b: Vector) -> Vector {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
+/// `a + factor * b`.
 fn plus(a: Vector, b: Vector, factor: f64) -> Vector {
     [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]]
 }
 
-/// What a camera sees, or a part of it: a pyramid.
+/// The frustum of a camera, or a part of it.
 #[derive(Clone, Copy)]
 struct View {
     position: Vector,
     forward: Vector,
     up: Vector,
     right: Vector,
-    /// Lower and upper edge at depth one.
+    /// Lower and upper edge of the image at depth one.
     vertical: [f64; 2],
-    /// Left and right edge at depth one.
+    /// Left and right edge of the image at depth one.
     horizontal: [f64; 2],
     near: f64,
 }
 
 impl View {
-    /// The same in a mirror.
+    /// The frustum mirrored at the plane through a point with this unit normal.
     fn mirrored(&self, point: Vector, normal: Vector) -> Self {
-        let turn = |v: Vector| plus(v, normal, -2.0 * dot(v, normal));
+        let mirror = |v: Vector| plus(v, normal, -2.0 * dot(v, normal));
         Self {
             position: plus(self.position, normal, -2.0 * dot(minus(self.position, point), normal)),
-            forward: turn(self.forward),
-            up: turn(self.up),
-            right: turn(self.right),
+            forward: mirror(self.forward),
+            up: mirror(self.up),
+            right: mirror(self.right),
             ..*self
         }
     }
 
-    /// One of `parts` times `parts` equal cells.
+    /// One cell of a grid with `parts` rows and columns of equal size.
     fn cell(&self, parts: usize, row: usize, column: usize) -> Self {
         let part = |[from, to]: [f64; 2], number: usize| {
             let edge = |number: usize| from + (to - from) * number as f64 / parts as f64;
@@ -87,11 +89,12 @@ impl View {
         }
     }
 
+    /// All cells of a grid with `parts` rows and columns.
     fn cells(&self, parts: usize) -> impl Iterator<Item = Self> + '_ {
         (0..parts * parts).map(move |number| self.cell(parts, number / parts, number % parts))
     }
 
-    /// Whether no part of a box (centre, half axes) can be seen.
+    /// Whether a box (centre, half axes) is completely outside the frustum. May return false for boxes that are outside.
     fn misses(&self, centre: Vector, axes: &[Vector; 3]) -> bool {
         let away = minus(centre, self.position);
         let [bottom, top] = self.vertical;
@@ -110,20 +113,20 @@ impl View {
         })
     }
 
-    /// Whether a box is all that is seen, or hidden by what is nearer: as it is convex, the rays along four edges tell.
+    /// Whether a box covers the whole frustum. Since a box is convex, it suffices that the rays along the four edges hit it.
     fn filled_by(&self, (centre, axes): &(Vector, [Vector; 3])) -> bool {
         let away = minus(*centre, self.position);
         self.vertical.into_iter().all(|y| {
             self.horizontal.into_iter().all(|x| {
-                // Its parameter is depth.
+                // The ray's parameter is the depth.
                 let ray = plus(plus(self.forward, self.up, y), self.right, x);
                 let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
                 for &axis in axes {
                     let half = dot(axis, axis) / COVER;
                     let (start, step) = (dot(away, axis), dot(ray, axis));
                     let sides = [(start - half) / step, (start + half) / step];
-                    // A ray along a side gives infinities, or no number, which then counts for nothing here: below it is
-                    // no hit.
+                    // If the ray is parallel to a side, these are infinities or NaN. `min` and `max` ignore NaN, and without
+                    // any number the result below is false.
                     enter = enter.max(sides[0].min(sides[1]));
                     leave = leave.min(sides[0].max(sides[1]));
                 }
@@ -132,24 +135,26 @@ impl View {
         })
     }
 
-    /// Whether boxes hide everything.
+    /// Whether boxes together cover the whole frustum, which is split up to `halvings` times.
     fn filled(&self, boxes: &[(Vector, [Vector; 3])], halvings: usize) -> bool {
         boxes.iter().any(|filling| self.filled_by(filling))
             || halvings > 0 && self.cells(2).all(|cell| cell.filled(boxes, halvings - 1))
     }
 }
 
-/// A thing of a scene.
+/// A geom of a scene (`mjvGeom`).
 struct Geom {
     pointer: *const c_void,
     layout: &'static Layout,
 }
 
 impl Geom {
+    /// Reads a field.
+    ///
     /// # Safety
-    /// The thing has `T` at this offset.
+    /// The structure must have a field of type `T` at this offset.
     unsafe fn get<T>(&self, offset: usize) -> T {
-        // SAFETY: by the caller.
+        // SAFETY: the caller guarantees the field.
         unsafe { self.pointer.byte_add(offset).cast::<T>().read() }
     }
 
@@ -158,7 +163,7 @@ impl Geom {
         unsafe { self.get(self.layout.geom_type) }
     }
 
-    /// Number of the model's geom that it shows.
+    /// Index of the model's geom that it shows, or `None` if it shows something else.
     fn geom(&self) -> Option<usize> {
         // SAFETY: both fields are `int`s.
         let (kind, id) = unsafe {
@@ -170,19 +175,20 @@ impl Geom {
         (kind == GEOM).then(|| usize::try_from(id).ok()).flatten()
     }
 
+    /// Whether MuJoCo would render reflections in the geom.
     fn reflects(&self) -> bool {
         // SAFETY: the field is a `float`.
         matches!(self.kind(), PLANE | BOX) && unsafe { self.get::<f32>(self.layout.geom_reflectance) } > 0.0
     }
 
     fn opaque(&self) -> bool {
-        // SAFETY: the field is four `float`s.
+        // SAFETY: the field consists of four `float`s.
         let colour: [f32; 4] = unsafe { self.get(self.layout.geom_rgba) };
         colour[3] >= 1.0
     }
 
     fn vector(&self, offset: usize) -> Vector {
-        // SAFETY: callers ask for fields of three `float`s.
+        // SAFETY: callers only ask for fields of three `float`s.
         unsafe { self.get::<[f32; 3]>(offset) }.map(f64::from)
     }
 
@@ -190,23 +196,23 @@ impl Geom {
         self.vector(self.layout.geom_pos)
     }
 
-    /// Its axes in the world.
+    /// Its axes in the world frame: the columns of its rotation matrix.
     fn axes(&self) -> [Vector; 3] {
-        // SAFETY: the field is nine `float`s, row by row.
+        // SAFETY: the field consists of nine `float`s in row-major order.
         let rows = unsafe { self.get::<[f32; 9]>(self.layout.geom_mat) }.map(f64::from);
         [0, 1, 2].map(|axis| [rows[axis], rows[3 + axis], rows[6 + axis]])
     }
 }
 
-/// Leaves out of a scene, which was updated for the model, what cannot be seen in an image of this aspect (width by height):
-/// meshes, and where nothing of the mirror is seen, the flag [`REFLECTION`].
+/// Removes the meshes from a scene that are not visible in an image with this aspect ratio (width / height). Also clears the flag
+/// [`REFLECTION`] if no part of the mirror is visible.
 ///
 /// # Safety
-/// The scene is one of this model, whole.
+/// The scene must be a valid `mjvScene` that was made and updated for this model.
 pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
     let layout = model.library().version().layout();
     let size = layout.sizes.geom;
-    // SAFETY: by the caller, and by the layout.
+    // SAFETY: the caller guarantees the scene, and the layout gives the offsets of its fields.
     unsafe {
         let Some(seen) = crate::View::of_scene(scene, model) else {
             return;
@@ -220,7 +226,7 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
             layout,
         };
         let mirror = (0..count).map(geom).find(Geom::reflects);
-        // Parts of the image in which something of the mirror may be seen, in the mirror.
+        // The parts of the frustum in which the mirror may be visible, mirrored.
         let mut mirrored = Vec::new();
         if let Some(mirror) = mirror {
             if mirror.kind() != PLANE || !mirror.opaque() {
@@ -258,7 +264,7 @@ pub(crate) unsafe fn trim(scene: *mut c_void, model: &Model, aspect: f64) {
     }
 }
 
-/// What an image of this aspect shows, and a margin beside it.
+/// The frustum of an image with this aspect ratio, enlarged by a margin.
 fn view_of(seen: &crate::View, aspect: f64) -> View {
     let half = MARGIN * seen.half;
     View {
@@ -272,7 +278,8 @@ fn view_of(seen: &crate::View, aspect: f64) -> View {
     }
 }
 
-/// Centre and half axes of a geom's bounding box (centre and half sizes in its frame).
+/// World centre and half axes of a geom's bounding box, which is given by centre and half sizes in the geom's frame. Enlarged by a
+/// margin.
 fn bounds(geom: &Geom, [x, y, z, a, b, c]: [f64; 6]) -> (Vector, [Vector; 3]) {
     let axes = geom.axes();
     let mut centre = geom.position();
@@ -286,7 +293,7 @@ fn bounds(geom: &Geom, [x, y, z, a, b, c]: [f64; 6]) -> (Vector, [Vector; 3]) {
     (centre, half)
 }
 
-/// Centre and half axes of the thing, where it is a box between camera and mirror.
+/// Centre and half axes of a geom, if it is an opaque box on the camera's side of the mirror.
 fn cover_of(cover: &Geom, view: &View, point: Vector, normal: Vector) -> Option<(Vector, [Vector; 3])> {
     if cover.kind() != BOX || !cover.opaque() {
         return None;
@@ -306,7 +313,7 @@ fn cover_of(cover: &Geom, view: &View, point: Vector, normal: Vector) -> Option<
 mod tests {
     use super::*;
 
-    /// Looks down from two metres above the origin; x to the right, 90 degrees wide but for the margin.
+    /// A camera that looks down from two metres above the origin, with x to the right and a field of view of 90 degrees.
     const VIEW: View = View {
         position: [0.0, 0.0, 2.0],
         forward: [0.0, 0.0, -1.0],
@@ -322,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn boxes_are_missed_beyond_the_edges_only() {
+    fn only_boxes_outside_the_frustum_are_missed() {
         for (centre, missed) in [
             ([0.0, 0.0, 0.0], false),
             ([2.1, 0.0, 0.0], false),
@@ -338,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirror_turns_the_view_over() {
+    fn a_mirrored_view_looks_up() {
         let mirrored = VIEW.mirrored([5.0, 5.0, 0.5], [0.0, 0.0, 1.0]);
         assert_eq!(mirrored.position, [0.0, 0.0, -1.0]);
         assert_eq!(mirrored.forward, [0.0, 0.0, 1.0]);
@@ -355,16 +362,16 @@ mod tests {
     }
 
     #[test]
-    fn a_box_fills_the_image_or_not() {
+    fn boxes_that_fill_the_image_are_recognised() {
         let table = |x: f64, half: f64| ([x, 0.0, 0.0], [[half, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.1]]);
-        // Its top is 1.9 below the camera, so 1.9 is seen of it.
+        // Its top is 1.9 m below the camera, so the image shows 1.9 m to each side.
         assert!(VIEW.filled_by(&table(0.0, 2.0)));
         assert!(!VIEW.filled_by(&table(0.0, 1.9)));
         assert!(!VIEW.filled_by(&table(0.5, 2.0)));
-        // Around the camera, and behind it.
+        // A box around the camera, and one behind it.
         let around = |z: f64| ([0.0, 0.0, z], cube(9.0));
         assert!(!VIEW.filled_by(&around(2.0)) && !VIEW.filled_by(&around(12.0)));
-        // Two that overlap hide what is below, two with a gap do not.
+        // Two boxes that overlap fill the image, two boxes with a gap do not.
         assert!(VIEW.filled(&[table(-1.0, 1.3), table(1.0, 1.3)], 4));
         assert!(!VIEW.filled(&[table(-1.0, 1.3), table(1.0, 1.3)], 0));
         assert!(!VIEW.filled(&[table(-1.0, 1.0), table(1.0, 0.99)], 6));

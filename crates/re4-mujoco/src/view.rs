@@ -1,4 +1,4 @@
-//! Where a camera's image shows points of the world.
+//! Projection of points in the world to pixels of a camera image.
 
 use std::ffi::{c_int, c_void};
 
@@ -18,29 +18,30 @@ fn cross(a: Vector, b: Vector) -> Vector {
     ]
 }
 
-/// What a camera sees: an upright pyramid, as all of robosuite's cameras have it. World frame, metres.
+/// The pose and the field of view of a camera. The frustum is symmetric about the optical axis, as for all cameras of robosuite.
+/// World frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
     pub(crate) position: Vector,
-    /// Unit vector along the camera's axis.
+    /// Unit vector along the optical axis.
     pub(crate) forward: Vector,
     /// Unit vector towards the upper edge of the image.
     pub(crate) up: Vector,
-    /// Half the image's height at depth one: the tangent of half the vertical field of view.
+    /// Half of the image height at depth one: the tangent of half the vertical field of view.
     pub(crate) half: f64,
-    /// What is nearer is not drawn.
+    /// Depth of the near plane. Nearer points are not rendered.
     pub(crate) near: f64,
 }
 
 impl View {
-    /// What the camera of a scene sees; none where it is not such a pyramid, or nothing was drawn yet.
+    /// The view of a scene's camera. Returns `None` if the frustum is not symmetric, or nothing was rendered yet.
     ///
     /// # Safety
-    /// The scene is one of this model, whole.
+    /// The scene must be a valid `mjvScene` that was made for this model.
     pub(crate) unsafe fn of_scene(scene: *const c_void, model: &Model) -> Option<Self> {
         let version = model.library().version();
         let layout = version.layout();
-        // SAFETY: by the caller: the scene has two eyes, which have three vectors and then numbers.
+        // SAFETY: the caller guarantees the scene. It has two cameras (`mjvGLCamera`) with these vectors and numbers.
         let (eyes, parallel) = unsafe {
             let start = scene.byte_add(layout.scene_camera);
             let eyes = [0, layout.sizes.eye].map(|offset| {
@@ -62,6 +63,7 @@ impl View {
                 )
             });
             let parallel = match version {
+                // In version 2.3.7 `mjvGLCamera` has no flag for orthographic projection.
                 Version::V2_3_7 => 0,
                 Version::V3_2_7 => start
                     .byte_add(layout.sizes.eye - size_of::<c_int>())
@@ -72,8 +74,8 @@ impl View {
         };
         let [([left, forward, up], numbers), ([right, ..], others)] = eyes;
         let [_, bottom, top, near] = numbers;
+        // The mean of both eyes cancels the shift of stereo images.
         let off_centre = (numbers[0] + others[0]).abs() / 2.0 + (bottom + top).abs();
-        // Not so near as to be off by rounding, and without the shift of a stereo image.
         if parallel != 0 || near <= 0.0 || top <= 0.0 || off_centre > 1e-6 * top {
             return None;
         }
@@ -91,9 +93,9 @@ impl View {
         cross(self.forward, self.up)
     }
 
-    /// Where an image of this size shows a point: pixels to the right and down from the corner at the top left, so that the
-    /// first pixel's centre is at (0.5, 0.5). Points beside the image have places outside of it; what is behind the camera,
-    /// or nearer than anything is drawn, has none.
+    /// Projects a point in the world frame (metres) to an image of this size. Returns `[column, row]` in pixels from the top left
+    /// corner, so that the centre of the first pixel is at (0.5, 0.5). The result is outside the image for points that the image
+    /// does not show. Returns `None` for points behind the camera or nearer than the near plane.
     #[must_use]
     pub fn pixel(&self, point: [f64; 3], width: usize, height: usize) -> Option<[f64; 2]> {
         let away = std::array::from_fn(|k| point[k] - self.position[k]);
@@ -102,7 +104,7 @@ impl View {
             return None;
         }
         let (width, height) = (width as f64, height as f64);
-        // Pixels are square: one length for both directions.
+        // Pixels are square, so both directions have the same scale.
         let scale = height / (2.0 * self.half * depth);
         Some([
             0.5 * width + scale * dot(away, self.right()),
@@ -115,7 +117,7 @@ impl View {
 mod tests {
     use super::*;
 
-    /// Two metres before the origin, at a height of one, a field of view of 90 degrees.
+    /// A camera two metres in front of the origin, at a height of one metre, with a field of view of 90 degrees.
     const VIEW: View = View {
         position: [2.0, 0.0, 1.0],
         forward: [-1.0, 0.0, 0.0],
@@ -125,7 +127,7 @@ mod tests {
     };
 
     #[test]
-    fn points_are_where_a_image_shows_them() {
+    fn points_are_projected_to_the_right_pixels() {
         let near = |point: [f64; 3], expected: [f64; 2]| {
             let found = VIEW.pixel(point, 80, 60).unwrap();
             assert!(
@@ -134,7 +136,7 @@ mod tests {
             );
         };
         near([0.0, 0.0, 1.0], [40.0, 30.0]);
-        // At a depth of two the image is four metres high: 15 px a metre. The camera looks along -x: +y is to its right.
+        // At a depth of 2 m the image is 4 m high, so a metre has 15 pixels. The camera looks along -x, so +y is to its right.
         near([0.0, 1.0, 1.0], [55.0, 30.0]);
         near([0.0, 0.0, 3.0], [40.0, 0.0]);
         near([1.0, -1.0, 0.0], [10.0, 60.0]);

@@ -1,12 +1,12 @@
-//! Images of a small scene: what is left out of it changes nothing, and threads do not disturb each other.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+//! Images of a small scene: trimming does not change them, and threads do not affect each other.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 use std::path::PathBuf;
 
 use re4_mujoco::{Data, Gl, Library, Model, MujocoError, Renderer, Version};
 
-/// A table over a floor that reflects; a red box of a free joint over it, a box that collides (group 0), and a site. One wedge
-/// is seen in the mirror alone.
+/// A table above a reflecting floor. Above the table there is a body with a free joint, a red box, a collision box (group 0) and a
+/// site. One of the two wedges is only visible in the mirror.
 const SCENE: &str = r#"<mujoco>
   <asset>
     <material name="mirror" reflectance="0.5" rgba="0.3 0.3 0.3 1"/>
@@ -29,7 +29,7 @@ const SCENE: &str = r#"<mujoco>
   </worldbody>
 </mujoco>"#;
 
-/// Compiles the scene, where there is a library, and something to draw with.
+/// Compiles the scene, if the library and an OpenGL library are available.
 fn model(version: Version) -> Option<Model> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../data/simulators");
     let folder = std::env::var_os("RE4_SIMULATORS").map_or(beside, PathBuf::from);
@@ -45,7 +45,7 @@ fn model(version: Version) -> Option<Model> {
     Some(Model::compile(&library.unwrap(), SCENE).unwrap())
 }
 
-/// The first scene with a texture on the table, and with a light that casts shadows, or does not.
+/// The scene with a texture on the table, a sky, and a light that optionally casts shadows.
 fn decorated(shadows: bool) -> String {
     SCENE
         .replace(
@@ -65,7 +65,7 @@ fn decorated(shadows: bool) -> String {
         )
 }
 
-/// Images of the cube at some heights, from both cameras.
+/// Images of the cube at different heights, from both cameras.
 fn images(renderer: &mut Renderer, model: &Model) -> Vec<Vec<u8>> {
     let mut data = Data::new(model).unwrap();
     let mut images = Vec::new();
@@ -85,7 +85,7 @@ fn count(image: &[u8], colour: impl Fn([u8; 3]) -> bool) -> usize {
 }
 
 #[test]
-fn what_robosuite_shows_is_shown_the_right_way_up() {
+fn images_are_upright_and_show_what_robosuite_shows() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let mut renderer = Renderer::new(&model, 60, 40).unwrap();
         let mut data = Data::new(&model).unwrap();
@@ -97,7 +97,7 @@ fn what_robosuite_shows_is_shown_the_right_way_up() {
         let (top, bottom) = image.split_at(60 * 20 * 3);
         assert!(
             count(top, red) > 10 && count(top, red) > count(bottom, red),
-            "the cube is above the middle"
+            "the cube is in the upper half"
         );
         let white = |pixel: [u8; 3]| pixel.iter().all(|&part| part > 150);
         assert_eq!(count(&image, white), 0, "geoms of group 0 and sites are not shown");
@@ -109,10 +109,10 @@ fn what_robosuite_shows_is_shown_the_right_way_up() {
 }
 
 #[test]
-fn what_is_seen_is_where_its_view_says() {
+fn views_project_points_to_the_pixels_that_show_them() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let mut renderer = Renderer::new(&model, 90, 60).unwrap();
-        assert_eq!(renderer.view(), None, "nothing was drawn yet");
+        assert_eq!(renderer.view(), None, "nothing was rendered yet");
         let mut data = Data::new(&model).unwrap();
         for centre in [[0.0, 0.0, 1.2], [0.3, -0.4, 1.0], [-0.2, 0.2, 1.1]] {
             data.qpos_mut()[..3].copy_from_slice(&centre);
@@ -124,15 +124,15 @@ fn what_is_seen_is_where_its_view_says() {
                 .collect();
             let mean = |of: fn(usize) -> usize| red.iter().map(|&i| of(i) as f64 + 0.5).sum::<f64>() / red.len() as f64;
             let found = [mean(|i| i % 90), mean(|i| i / 90)];
-            let told = renderer.view().unwrap().pixel(centre, 90, 60).unwrap();
-            let away = (found[0] - told[0]).hypot(found[1] - told[1]);
-            assert!(red.len() > 10 && away < 1.5, "{centre:?}: {found:?}, {told:?}");
+            let projected = renderer.view().unwrap().pixel(centre, 90, 60).unwrap();
+            let distance = (found[0] - projected[0]).hypot(found[1] - projected[1]);
+            assert!(red.len() > 10 && distance < 1.5, "{centre:?}: {found:?}, {projected:?}");
         }
     }
 }
 
 #[test]
-fn leaving_out_what_is_not_seen_changes_nothing() {
+fn trimming_does_not_change_images() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let mut renderer = Renderer::new(&model, 84, 84).unwrap();
         let trimmed = images(&mut renderer, &model);
@@ -140,18 +140,18 @@ fn leaving_out_what_is_not_seen_changes_nothing() {
         let whole = images(&mut renderer, &model);
         assert!(trimmed == whole);
         let green = |pixel: [u8; 3]| pixel[1] > pixel[0].max(pixel[2]) + 5;
-        assert!(count(&whole[0], green) > 0, "the wedge is seen in the mirror");
+        assert!(count(&whole[0], green) > 0, "the wedge is visible in the mirror");
     }
 }
 
 #[test]
-fn renderers_in_many_threads_draw_the_same() {
+fn renderers_in_several_threads_give_the_same_images() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let alone = images(&mut Renderer::new(&model, 84, 84).unwrap(), &model);
         std::thread::scope(|scope| {
             for _ in 0..4 {
                 scope.spawn(|| {
-                    // Two in one thread, used in turn, and one of them gone before the other.
+                    // Two renderers in one thread are used alternately, and one is dropped before the other.
                     let mut first = Renderer::new(&model, 84, 84).unwrap();
                     let mut second = Renderer::new(&model, 84, 84).unwrap();
                     assert!(images(&mut second, &model) == alone && images(&mut first, &model) == alone);
@@ -164,7 +164,7 @@ fn renderers_in_many_threads_draw_the_same() {
 }
 
 #[test]
-fn boxes_of_another_size_look_as_if_compiled() {
+fn resized_boxes_give_the_same_images_as_compiled_ones() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let resized = model.with_boxes([("cube", [0.2, 0.05, 0.1])]).unwrap();
         assert!(resized.looks_like(&model));
@@ -180,7 +180,7 @@ fn boxes_of_another_size_look_as_if_compiled() {
     }
 }
 
-/// Holds the tiles against where they are on the table, each 0.1 m wide, as seen from above with the cube out of view.
+/// Checks the colours of the tiles on the table, each 0.1 m wide, in an image from above with the cube out of view.
 fn assert_tiles(renderer: &mut Renderer, model: &Model) {
     let mut data = Data::new(model).unwrap();
     data.qpos_mut()[0] = 9.0;
@@ -190,7 +190,7 @@ fn assert_tiles(renderer: &mut Renderer, model: &Model) {
     let blue: Vec<bool> = (0..16)
         .map(|tile| {
             let [x, y] = [tile / 4, tile % 4].map(|number| -0.15 + 0.1 * f64::from(number));
-            let [column, row] = view.pixel([x, y, 0.55], 84, 84).unwrap().map(|place| place as usize);
+            let [column, row] = view.pixel([x, y, 0.55], 84, 84).unwrap().map(|pixel| pixel as usize);
             image[3 * (84 * row + column) + 2] > 40
         })
         .collect();
@@ -200,7 +200,7 @@ fn assert_tiles(renderer: &mut Renderer, model: &Model) {
 }
 
 #[test]
-fn textures_and_shadows_are_seen_by_every_renderer() {
+fn all_renderers_show_textures_and_shadows() {
     for plain in Version::ALL.into_iter().filter_map(model) {
         let compile = |shadows| Model::compile(plain.library(), &decorated(shadows)).unwrap();
         let (lit, shaded) = (compile(false), compile(true));
@@ -217,7 +217,7 @@ fn textures_and_shadows_are_seen_by_every_renderer() {
         assert_tiles(&mut first, &lit);
         let shadows = images(&mut Renderer::new(&shaded, 84, 84).unwrap(), &shaded);
         assert!(alone != shadows);
-        // One that shares with the first, in another thread, after the first is gone.
+        // A renderer in another thread shares textures with the first one, and is still used after the first one is dropped.
         let (made, wait) = std::sync::mpsc::channel();
         let (gone, go) = std::sync::mpsc::channel();
         std::thread::scope(|scope| {
@@ -232,7 +232,7 @@ fn textures_and_shadows_are_seen_by_every_renderer() {
             drop(first);
             gone.send(()).unwrap();
         });
-        // And after all were gone.
+        // New renderers, after all others were dropped.
         assert_tiles(&mut Renderer::new(&lit, 84, 84).unwrap(), &lit);
         assert!(images(&mut Renderer::new(&lit, 84, 84).unwrap(), &lit) == alone);
         assert!(images(&mut Renderer::new(&shaded, 84, 84).unwrap(), &shaded) == shadows);

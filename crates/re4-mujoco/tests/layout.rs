@@ -1,5 +1,5 @@
-//! Offsets and sizes of MuJoCo's structures against its own headers.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+//! Comparison of the offsets and sizes of MuJoCo's structures with its own headers.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 use std::fmt::Write as _;
 use std::fs;
@@ -8,7 +8,7 @@ use std::process::Command;
 
 use re4_mujoco::Version;
 
-/// Types of what offsets are named after.
+/// The structures that the names of offsets begin with.
 const TYPES: [(&str, &str); 8] = [
     ("m", "mjModel"),
     ("d", "mjData"),
@@ -20,7 +20,7 @@ const TYPES: [(&str, &str); 8] = [
     ("context", "mjrContext"),
 ];
 
-/// The headers of a version, where `scripts/setup-simulators.sh` has put them.
+/// The folder with the headers of a version, if `scripts/setup-simulators.sh` has installed them.
 fn headers(version: Version) -> Option<PathBuf> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../data/simulators");
     let folder = std::env::var_os("RE4_SIMULATORS").map_or(beside, PathBuf::from);
@@ -35,7 +35,7 @@ fn headers(version: Version) -> Option<PathBuf> {
     Some(headers)
 }
 
-/// A C program that prints what the headers say, line by line.
+/// A C program that prints the offsets and sizes in the headers, one per line.
 fn program(version: Version) -> String {
     let mut text = "#include <stdio.h>\n#include <stddef.h>\n#include <mujoco/mujoco.h>\nint main(void) {\n".to_owned();
     for (name, _) in version.offsets() {
@@ -50,15 +50,15 @@ fn program(version: Version) -> String {
 }
 
 #[test]
-fn offsets_and_sizes_are_those_of_the_headers() {
+fn offsets_and_sizes_match_the_headers() {
     if Command::new("cc").arg("--version").output().is_err() {
         println!("skipped: no C compiler cc");
         return;
     }
     for version in Version::ALL {
         let Some(headers) = headers(version) else { continue };
-        let place = tempfile::tempdir().unwrap();
-        let (source, binary) = (place.path().join("layout.c"), place.path().join("layout"));
+        let folder = tempfile::tempdir().unwrap();
+        let (source, binary) = (folder.path().join("layout.c"), folder.path().join("layout"));
         fs::write(&source, program(version)).unwrap();
         let compiled = Command::new("cc")
             .arg("-I")

@@ -1,12 +1,14 @@
-//! Actions of robosuite's operational-space controller (`OSC_POSE`): deltas to absolute goals and back.
+//! Conversion between delta actions and absolute goals of robosuite's operational-space controller (`OSC_POSE`).
 //!
-//! A delta action is a translation and a rotation vector in world axes, each within [-1, 1], and the gripper's command. It
-//! makes the goal `p_goal = p_site + t * output_max[..3]`, `R_goal = exp(r * output_max[3..]) R_site`. An absolute action is
-//! the goal itself: position in metres, rotation vector of the grip site's orientation, gripper's command, all in the world.
+//! A delta action consists of a translation `t` and a rotation vector `r` in world axes, each within [-1, 1], and the gripper
+//! command. Its goal is `p_goal = p_site + t * output_max[..3]`, `R_goal = exp(r * output_max[3..]) R_site`. An absolute action
+//! is the goal itself: position (metres) and rotation vector (radians) of the grip site in the world frame, and the gripper
+//! command.
 //!
-//! A delta without any rotation leaves the goal's orientation where it was: not at the site's orientation, but at the last
-//! goal. So conversion needs a demo in order, from its first step. Source: robosuite 1.4.1, `controllers/osc.py`
-//! (`set_goal`); the rotation of the grip site is [`hand_to_site`](crate::hand_to_site) from the recorded one.
+//! A delta with zero rotation leaves the goal orientation unchanged: it remains the orientation of the last goal, not the
+//! current orientation of the site. Therefore the conversion needs all steps of a demonstration in order, from the first one.
+//! Source: robosuite 1.4.1, `controllers/osc.py` (`set_goal`). The orientation of the grip site follows from the recorded one
+//! with [`hand_to_site`](crate::hand_to_site).
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -15,25 +17,25 @@ use thiserror::Error;
 
 use crate::env_args::EnvArgs;
 
-/// An action: translation or position, rotation vector, gripper.
+/// An action: translation or position (3), rotation vector (3), gripper command (1).
 pub type Action = [f64; 7];
 
-/// Goals closer than this (in radians) count as the same orientation.
+/// Maximum angle (radians) between two goals that count as the same orientation.
 const SAME_ORIENTATION: f64 = 1e-9;
 
-/// Why actions cannot be converted.
+/// Reasons why actions cannot be converted.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ActionError {
-    /// The controller's scales are not declared.
+    /// The scales of the controller are not declared.
     #[error(
-        "env_args declares no {0} of the controller, so the size of its steps is unknown: only OSC_POSE with its scales can be converted"
+        "env_args declares no {0} of the controller, so the size of its steps is unknown: only OSC_POSE actions with declared scales can be converted"
     )]
     NoScale(&'static str),
-    /// The controller is of another kind.
+    /// The controller is not `OSC_POSE`.
     #[error("env_args declares the controller {0}, but only OSC_POSE actions can be converted")]
     Kind(String),
-    /// The scales are not usable.
-    #[error("the controller's axis {axis} goes from {min} to {max}, which is no range")]
+    /// The minimum of a scale is not below its maximum, or one of them is not finite.
+    #[error("the range of the controller's axis {axis} is {min} to {max}, which is not a valid range")]
     Range {
         /// Index of the axis, 0 to 5.
         axis: usize,
@@ -42,7 +44,7 @@ pub enum ActionError {
         /// Its maximum value.
         max: f64,
     },
-    /// Actions and poses do not belong together.
+    /// The numbers of actions and poses differ.
     #[error("there are {actions} actions but {poses} poses of the grip site")]
     Lengths {
         /// Number of actions.
@@ -50,7 +52,7 @@ pub enum ActionError {
         /// Number of poses.
         poses: usize,
     },
-    /// A number that is NaN or infinite.
+    /// A number is NaN or infinite.
     #[error("actions[{frame}, {column}] is {value}, not a finite number")]
     NotFinite {
         /// Row.
@@ -62,21 +64,26 @@ pub enum ActionError {
     },
 }
 
-/// The scales of an `OSC_POSE` controller: what its minimum and maximum commands mean.
+/// The scales of an `OSC_POSE` controller: the motions that its minimum and maximum commands mean.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Osc {
+    /// Minimum command of each axis.
     input_min: [f64; 6],
+    /// Maximum command of each axis.
     input_max: [f64; 6],
+    /// Motion (metres or radians per step) per unit of command.
     gain: [f64; 6],
+    /// Command in the middle of its range.
     input_middle: [f64; 6],
+    /// Motion (metres or radians per step) for the command in the middle of its range.
     output_middle: [f64; 6],
 }
 
 impl Osc {
-    /// A controller whose commands in [-1, 1] mean at most `position` metres and `rotation` radians a step on each axis.
+    /// A controller whose commands in [-1, 1] mean up to `position` metres and `rotation` radians per step on each axis.
     ///
     /// # Errors
-    /// When a scale is not a number above zero.
+    /// If a scale is not a finite number above zero.
     pub fn symmetric(position: f64, rotation: f64) -> Result<Self, ActionError> {
         let max = [position, position, position, rotation, rotation, rotation];
         Self::new([-1.0; 6], [1.0; 6], max.map(|value| -value), max)
@@ -84,10 +91,10 @@ impl Osc {
 
     /// The controller that a file declares.
     ///
-    /// The axes of a rotated base are not known here: robosuite's single-arm tasks have none.
+    /// Rotated bases are not supported: the robots in robosuite's single-arm tasks are not rotated.
     ///
     /// # Errors
-    /// When it is no `OSC_POSE` or declares no scales.
+    /// If the controller is not `OSC_POSE` or declares no scales.
     pub fn from_env(env: &EnvArgs) -> Result<Self, ActionError> {
         let controller = env
             .controller
@@ -124,7 +131,8 @@ impl Osc {
         })
     }
 
-    /// Metres (0..3) and radians (3..6) that a command asks for; commands beyond the controller's range are cut, as it does.
+    /// The motion that a command asks for: metres (0..3) and radians (3..6) per step. Commands outside the controller's range
+    /// are clipped, as in robosuite.
     #[must_use]
     pub fn motion(&self, action: &Action) -> [f64; 6] {
         std::array::from_fn(|i| {
@@ -133,13 +141,14 @@ impl Osc {
         })
     }
 
-    /// Metres and radians a step that a command of 1 adds to one of 0, on each axis.
+    /// The motion per unit of command on each axis: metres (0..3) and radians (3..6) per step.
     #[must_use]
     pub fn unit(&self) -> [f64; 6] {
         self.gain
     }
 
-    /// Gain and offset of each axis that take metres and radians a step to the commands that ask for them.
+    /// The gain and the offset of each axis that convert a motion (metres and radians per step) to its command:
+    /// `command = gain * motion + offset`.
     #[must_use]
     pub fn commands_of_motion(&self) -> ([f64; 6], [f64; 6]) {
         let gain = self.gain.map(|gain| 1.0 / gain);
@@ -147,19 +156,19 @@ impl Osc {
         (gain, offset)
     }
 
-    /// The command that asks for a motion, not cut.
+    /// The command that asks for a motion, without clipping.
     fn command(&self, motion: [f64; 6]) -> [f64; 6] {
         std::array::from_fn(|i| (motion[i] - self.output_middle[i]) / self.gain[i] + self.input_middle[i])
     }
 
-    /// Absolute actions of a demo's delta actions, in order from its first step.
+    /// Converts the delta actions of a demonstration to absolute actions. The actions must be in order from the first step.
     ///
-    /// `site[t]` is the grip site's pose at the observation of action `t`. `initial` is the pose that the controller holds
-    /// before the first step; none takes `site[0]`. Demos that were reset to a recorded state have a stale one at their first
-    /// step: the robot's pose before that reset.
+    /// `site[t]` is the grip site's pose in the world frame at the observation of action `t`. `initial` is the pose that the
+    /// controller holds before the first step, or `None` for `site[0]`. In demonstrations that start from a recorded state, the
+    /// controller holds a stale pose in the first step: the pose of the robot before that state was loaded.
     ///
     /// # Errors
-    /// When lengths differ or an action is not finite.
+    /// If the lengths differ or an action is not finite.
     pub fn to_absolute(
         &self,
         delta: &[Action],
@@ -185,13 +194,14 @@ impl Osc {
             .collect())
     }
 
-    /// Delta actions of a demo's absolute actions, in order from its first step: the inverse of [`Osc::to_absolute`].
+    /// Converts the absolute actions of a demonstration to delta actions: the inverse of [`Osc::to_absolute`]. The actions must be
+    /// in order from the first step.
     ///
-    /// A goal orientation that stays as it was becomes a delta without rotation. Commands are not cut: one beyond the
-    /// controller's range has no exact delta.
+    /// An unchanged goal orientation becomes a delta without rotation. Commands are not clipped, so they can be outside the
+    /// controller's range. Such goals have no exact delta.
     ///
     /// # Errors
-    /// When lengths differ or an action is not finite.
+    /// If the lengths differ or an action is not finite.
     pub fn to_delta(
         &self,
         absolute: &[Action],
@@ -207,17 +217,17 @@ impl Osc {
             .map(|(t, (action, site))| {
                 let site = if t == 0 { initial.unwrap_or(site) } else { site };
                 let goal = rotation(action);
-                let mut turn = Vector3::zeros();
+                let mut rotation = Vector3::zeros();
                 if goal.angle_to(&held) > SAME_ORIENTATION {
-                    turn = (goal * site.rotation.inverse()).scaled_axis();
-                    if turn == Vector3::zeros() {
-                        // No rotation at all would mean to hold the last goal instead.
-                        turn.x = SAME_ORIENTATION;
+                    rotation = (goal * site.rotation.inverse()).scaled_axis();
+                    if rotation == Vector3::zeros() {
+                        // A delta of exactly zero would keep the orientation of the last goal.
+                        rotation.x = SAME_ORIENTATION;
                     }
                 }
                 held = goal;
                 let shift = position(action) - site.translation.vector;
-                let command = self.command([shift.x, shift.y, shift.z, turn.x, turn.y, turn.z]);
+                let command = self.command([shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z]);
                 join(
                     Vector3::new(command[0], command[1], command[2]),
                     Vector3::new(command[3], command[4], command[5]),
@@ -228,6 +238,7 @@ impl Osc {
     }
 }
 
+/// Checks that there is one pose per action and all numbers are finite.
 fn check(actions: &[Action], site: &[Isometry3<f64>]) -> Result<(), ActionError> {
     if actions.len() != site.len() {
         return Err(ActionError::Lengths {
@@ -248,20 +259,20 @@ fn join(first: Vector3<f64>, second: Vector3<f64>, gripper: f64) -> Action {
     [first.x, first.y, first.z, second.x, second.y, second.z, gripper]
 }
 
-/// Position of an absolute action.
+/// Goal position (metres) of an absolute action.
 #[must_use]
 pub fn position(absolute: &Action) -> Vector3<f64> {
     Vector3::new(absolute[0], absolute[1], absolute[2])
 }
 
-/// Orientation of an absolute action.
+/// Goal orientation of an absolute action.
 #[must_use]
 pub fn rotation(absolute: &Action) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(Vector3::new(absolute[3], absolute[4], absolute[5]))
 }
 
-/// Distance between two absolute actions: metres and radians. Rotation vectors near a half turn differ in sign and mean the
-/// same orientation; this compares orientations.
+/// Distance (metres) and angle (radians) between two absolute actions. It compares orientations, because rotation vectors with
+/// opposite signs mean nearly the same orientation if their angles are near 180 degrees.
 #[must_use]
 pub fn distance(a: &Action, b: &Action) -> (f64, f64) {
     ((position(a) - position(b)).norm(), rotation(a).angle_to(&rotation(b)))

@@ -1,4 +1,4 @@
-//! Attributes that say how demonstrations were recorded.
+//! Parsing of the attributes that describe how demonstrations were recorded.
 
 use std::borrow::Cow;
 
@@ -9,15 +9,15 @@ use thiserror::Error;
 
 use crate::conventions::ActionKind;
 
-/// Why an attribute cannot be used.
+/// Reasons why an attribute cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum EnvArgsError {
     /// The text is not JSON.
-    #[error("the attribute {attribute} is not readable as JSON: {reason}")]
+    #[error("the attribute {attribute} is not valid JSON: {reason}")]
     Json {
         /// `env_args` or `env_info`.
         attribute: &'static str,
-        /// The parser's own words.
+        /// The parser's message.
         reason: String,
     },
     /// The JSON lacks the environment's name.
@@ -26,67 +26,67 @@ pub enum EnvArgsError {
         /// `env_args` or `env_info`.
         attribute: &'static str,
     },
-    /// An entry is not what it should be.
-    #[error("the attribute {attribute} has {entry} = {found}, not {need}")]
+    /// An entry has an invalid value.
+    #[error("the attribute {attribute} has {entry} = {found}, which must be {need}")]
     Entry {
         /// `env_args` or `env_info`.
         attribute: &'static str,
-        /// The entry.
+        /// Name of the entry.
         entry: &'static str,
-        /// What is there.
+        /// Its value.
         found: String,
-        /// What should be.
+        /// Description of the valid values.
         need: &'static str,
     },
 }
 
-/// The arm's controller as the file declares it.
+/// The controller of the arm as the file declares it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Controller {
-    /// `OSC_POSE`, `JOINT_POSITION`, ...
+    /// Type of the controller, for example `OSC_POSE` or `JOINT_POSITION`.
     pub kind: Option<String>,
     /// Minimum command of each axis (3 translations, 3 rotations).
     pub input_min: [f64; 6],
     /// Maximum command of each axis.
     pub input_max: [f64; 6],
-    /// What the minimum command means, in metres and radians a step; none where it is not declared.
+    /// Motion that the minimum command means, in metres and radians per step, or `None` if it is not declared.
     pub output_min: Option<[f64; 6]>,
-    /// What the maximum command means, in metres and radians a step; none where it is not declared.
+    /// Motion that the maximum command means, in metres and radians per step, or `None` if it is not declared.
     pub output_max: Option<[f64; 6]>,
-    /// Delta or absolute, by `control_delta` (1.4) or `input_type` (1.5). Converted files keep it as it was: a declaration,
-    /// no proof.
+    /// Declared kind of actions, from `control_delta` (1.4) or `input_type` (1.5). It proves nothing, because converters leave it
+    /// unchanged.
     pub declared: Option<ActionKind>,
     /// `world` or `base` (1.5 only).
     pub input_ref_frame: Option<String>,
-    /// Stiffness of the translations; none where it is not declared.
+    /// Stiffness of translations, or `None` if it is not declared.
     pub kp: Option<f64>,
-    /// Damping ratio of the translations (`damping_ratio`, or `damping` as older versions call it); none where it is not
-    /// declared.
+    /// Damping ratio of translations (`damping_ratio`, or `damping` in older versions), or `None` if it is not declared.
     pub damping_ratio: Option<f64>,
 }
 
-/// What a file says of itself. Everything but the name of the environment may be missing.
+/// The declarations of a file. Everything except the name of the environment may be missing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EnvArgs {
     /// robosuite's name of the environment, e.g. `PickPlaceCan`.
     pub env_name: String,
     /// robosuite's version, e.g. `1.4.1`.
     pub env_version: Option<String>,
-    /// Robots, e.g. `Panda`.
+    /// Names of the robots, e.g. `Panda`.
     pub robots: Vec<String>,
     /// Actions per second.
     pub control_freq: Option<f64>,
-    /// The first arm's controller.
+    /// Controller of the first arm.
     pub controller: Option<Controller>,
-    /// Kind of the environment by robomimic's numbers: 1 for robosuite, 2 for gym (Isaac Lab's files, too); none in raw files.
+    /// robomimic's number for the type of the environment: 1 for robosuite, 2 for gym (also in Isaac Lab's files). `None` in raw
+    /// files.
     pub kind: Option<i64>,
 }
 
 impl EnvArgs {
-    /// Reads robomimic's attribute `env_args` of `/data`.
+    /// Parses robomimic's attribute `env_args` of `/data`.
     ///
     /// # Errors
-    /// When it is no JSON, lacks `env_name`, or an entry that is read has another type than it should.
+    /// If the text is not JSON, has no `env_name`, or an entry that is used has the wrong type.
     pub fn parse(json: &str) -> Result<Self, EnvArgsError> {
         let attribute = "env_args";
         let value = read(attribute, json)?;
@@ -98,10 +98,10 @@ impl EnvArgs {
         })
     }
 
-    /// Reads the attributes of a raw robosuite file: `env`, `env_info` and `repository_version` of `/data`.
+    /// Parses the attributes of a raw robosuite file: `env`, `env_info` and `repository_version` of `/data`.
     ///
     /// # Errors
-    /// As [`EnvArgs::parse`].
+    /// The same as [`EnvArgs::parse`].
     pub fn parse_raw(
         env: Option<&str>,
         env_info: Option<&str>,
@@ -152,13 +152,13 @@ impl EnvArgs {
         })
     }
 
-    /// Whether robomimic's number of the environment's kind says that it is not robosuite's.
+    /// Whether robomimic's environment type declares an environment that is not robosuite's.
     #[must_use]
     pub fn is_foreign(&self) -> bool {
         self.kind.is_some_and(|kind| kind != ROBOSUITE)
     }
 
-    /// Major and minor number of the declared robosuite version.
+    /// Major and minor number of the declared robosuite version, or `None` if it is missing or not a version.
     #[must_use]
     pub fn version(&self) -> Option<(u32, u32)> {
         let mut parts = self.env_version.as_deref()?.trim_start_matches('v').split('.');
@@ -169,8 +169,8 @@ impl EnvArgs {
 /// robomimic's number for robosuite's environments (`EnvType.ROBOSUITE_TYPE`).
 const ROBOSUITE: i64 = 1;
 
-/// JSON as Python's `json` writes and reads it: NaN and infinities count as numbers there. None of what is read here may be
-/// one, so that they become null.
+/// Converts the output of Python's `json` module to standard JSON: `NaN`, `Infinity` and `-Infinity`, which that module writes for
+/// such numbers, become `null`. No entry that is used here may have such a value.
 fn as_json(text: &str) -> Cow<'_, str> {
     const WORDS: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
     if !WORDS.iter().any(|word| text.contains(word)) {
@@ -186,7 +186,7 @@ fn as_json(text: &str) -> Cow<'_, str> {
                 rest = &rest[word.len()..];
                 continue;
             }
-            // What is escaped ends no text.
+            // Take the escaped character as well: an escaped quote does not end a string.
             (None, '\\') if quoted => rest.chars().take(2).map(char::len_utf8).sum(),
             (None, '"') => {
                 quoted = !quoted;
@@ -200,11 +200,12 @@ fn as_json(text: &str) -> Cow<'_, str> {
     Cow::Owned(json)
 }
 
+/// Parses the JSON of an attribute.
 fn read(attribute: &'static str, json: &str) -> Result<Value, EnvArgsError> {
     serde_json::from_str(&as_json(json)).map_err(|error| EnvArgsError::Json {
         attribute,
         reason: if json.trim_start().starts_with("{'") {
-            "it is written as Python prints a dict, not by json.dumps".to_owned()
+            "it is the text of a Python dict, not the output of json.dumps".to_owned()
         } else {
             error.to_string()
         },
@@ -215,6 +216,7 @@ fn string(value: &Value) -> Option<String> {
     value.as_str().map(str::to_owned)
 }
 
+/// The error for an entry with an invalid value, which is shortened to 60 characters.
 fn entry<T>(
     attribute: &'static str,
     entry: &'static str,
@@ -233,7 +235,7 @@ fn entry<T>(
     })
 }
 
-/// The controller's table: flat in robosuite 1.4, below `body_parts.right` (or the only part) in 1.5.
+/// Parses the controller's configuration: flat in robosuite 1.4, in `body_parts.right` (or the only part) in 1.5.
 fn controller(attribute: &'static str, configs: &Value) -> Result<Controller, EnvArgsError> {
     let parts = ["body_parts", "body_parts_controller_configs"].map(|name| &configs[name]);
     let parts = parts
@@ -274,7 +276,7 @@ fn controller(attribute: &'static str, configs: &Value) -> Result<Controller, En
     })
 }
 
-/// A number, or the first of several.
+/// The value if it is a number, or the first number of an array.
 fn first_number(value: &Value) -> Option<f64> {
     value
         .as_array()
@@ -283,7 +285,8 @@ fn first_number(value: &Value) -> Option<f64> {
         .as_f64()
 }
 
-/// Six finite numbers, or one for all; none where nothing is declared or the controller has another number of axes.
+/// Six numbers, or one number for all six axes. Returns `None` if nothing is declared or the controller has another number of
+/// axes.
 fn six(attribute: &'static str, name: &'static str, value: &Value) -> Result<Option<[f64; 6]>, EnvArgsError> {
     match value {
         Value::Null => Ok(None),
@@ -292,9 +295,9 @@ fn six(attribute: &'static str, name: &'static str, value: &Value) -> Result<Opt
             let numbers: Option<Vec<f64>> = values.iter().map(Value::as_f64).collect();
             match numbers {
                 Some(numbers) => Ok(numbers.try_into().ok()),
-                None => entry(attribute, name, value, "numbers"),
+                None => entry(attribute, name, value, "an array of numbers"),
             }
         }
-        _ => entry(attribute, name, value, "a number or six of them"),
+        _ => entry(attribute, name, value, "a number or an array of six numbers"),
     }
 }

@@ -1,8 +1,8 @@
-//! A demonstration's `model_file` on another machine than the one that recorded it.
+//! Adapts the `model_file` of a demonstration to another machine than the one that recorded it.
 //!
-//! The model names meshes and textures by absolute paths below robosuite's package, wherever that was installed. As robosuite
-//! itself does when it loads a demonstration, everything up to and including the last path element `robosuite` is replaced by
-//! the folder that holds the same files here.
+//! The model refers to meshes and textures by absolute paths inside robosuite's package, wherever it was installed. Everything up
+//! to and including the last path element `robosuite` is replaced by the folder that contains the same files on this machine.
+//! robosuite does the same when it loads a demonstration.
 
 use re4_fault::Remedy;
 use std::fmt::Write as _;
@@ -14,41 +14,43 @@ use thiserror::Error;
 /// Path element after which a path is the same on every machine.
 const PACKAGE: &str = "robosuite";
 
-/// Why the files that a model names cannot be found. The caller says in which file and demonstration the model is.
+/// Reasons why the files that a model refers to cannot be found. The caller adds the names of the file and the demonstration.
 #[derive(Debug, Clone, PartialEq, Eq, Error, Remedy)]
 pub enum AssetsError {
     /// The text is not XML.
-    #[error("the model is not readable as XML: {0}")]
+    #[error("the model is not valid XML: {0}")]
     Xml(String),
-    /// The XML is something else.
+    /// The XML is not an MJCF model.
     #[error("the model's root element is <{0}>, not <mujoco>")]
     Root(String),
-    /// Another file would become part of the model.
+    /// The model includes another file.
     #[error("the model includes another file ({0})")]
-    #[remedy("give one that is whole, as mj_saveLastXML writes it")]
+    #[remedy("use a complete model, as mj_saveLastXML writes it")]
     Include(String),
-    /// The path does not lead through robosuite's package.
-    #[error("the model names the file {0}, which is not below a folder {PACKAGE}, so its place here is unknown")]
+    /// The path of a file has no element `robosuite`.
+    #[error(
+        "the model refers to the file {0}, which is not in a folder {PACKAGE}, so its path on this machine is unknown"
+    )]
     Foreign(String),
-    /// The file is not there.
-    #[error("the model names the file {named}, which is not at {}", path.display())]
+    /// A file does not exist.
+    #[error("the model refers to the file {named}, which does not exist at {}", path.display())]
     #[remedy(
-        "run scripts/setup-simulators.sh, or name the folder that it made in the environment variable RE4_SIMULATORS"
+        "run scripts/setup-simulators.sh, or set the environment variable RE4_SIMULATORS to the folder that it created"
     )]
     Missing {
-        /// As the model has it.
+        /// The path in the model.
         named: String,
-        /// Where it was looked for.
+        /// The path on this machine.
         path: PathBuf,
     },
 }
 
-/// The model with the paths of its meshes, textures and height fields rewritten to files below `folder`, which stands for the
-/// folder `robosuite` of the package: `/any/where/robosuite/models/assets/x.stl` becomes `folder/models/assets/x.stl`. The
-/// rest of the text is kept as it is, byte for byte.
+/// Rewrites the paths of meshes, textures and height fields in a model to paths in `folder`, which replaces the folder
+/// `robosuite` of the package: `/any/where/robosuite/models/assets/x.stl` becomes `folder/models/assets/x.stl`. The rest of the
+/// text is kept byte for byte.
 ///
 /// # Errors
-/// When the text is no MJCF, includes another file, or names a file that is not below `folder`.
+/// If the text is not MJCF, includes another file, or refers to a file that is not in `folder`.
 pub fn with_assets(mjcf: &str, folder: &Path) -> Result<String, AssetsError> {
     let document = Document::parse(mjcf).map_err(|error| AssetsError::Xml(error.to_string()))?;
     let root = document.root_element();
@@ -77,23 +79,23 @@ pub fn with_assets(mjcf: &str, folder: &Path) -> Result<String, AssetsError> {
     Ok(rewritten)
 }
 
-/// What a model looks like, apart from the sizes of its boxes.
+/// The appearance of a model, with the sizes of its boxes separated from the rest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Looks {
-    /// The text without those sizes; models with the same one differ in `boxes` alone, as far as images go.
+    /// The text of the model without the sizes of named boxes. Images of two models with the same text differ only because of
+    /// `boxes`.
     pub rest: String,
-    /// Names and half sizes of the boxes, in metres.
+    /// Names and half sizes (metres) of the boxes.
     pub boxes: Vec<(String, [f64; 3])>,
 }
 
-/// Takes a model apart into sizes of named boxes and the rest. robosuite draws the size of Lift's cube anew for every
-/// demonstration, so that each has a model of its own.
+/// Splits a model into the sizes of its named boxes and the rest. robosuite samples the size of Lift's cube for every
+/// demonstration, so each demonstration has its own model.
 ///
-/// The mean size of everything (attribute `meansize` of `statistic`) is left out, too: only marks that are not drawn depend
-/// on it.
+/// The mean size (attribute `meansize` of `statistic`) is left out as well: only decorations that are not rendered depend on it.
 ///
 /// # Errors
-/// When the text is not XML.
+/// If the text is not XML.
 pub fn looks(mjcf: &str) -> Result<Looks, AssetsError> {
     let document = Document::parse(mjcf).map_err(|error| AssetsError::Xml(error.to_string()))?;
     let mut boxes = Vec::new();
@@ -122,16 +124,17 @@ pub fn looks(mjcf: &str) -> Result<Looks, AssetsError> {
     Ok(Looks { rest, boxes })
 }
 
-/// Where a file that a model names is here.
+/// The path on this machine of a file that a model refers to.
 fn place(named: &str, folder: &Path) -> Result<PathBuf, AssetsError> {
     let foreign = || AssetsError::Foreign(named.to_owned());
-    // A model that was recorded on Windows has backslashes between the elements, or both.
+    // Models that were recorded on Windows use backslashes, or a mixture of both.
     let elements: Vec<&str> = named.split(['/', '\\']).collect();
     let package = elements
         .iter()
         .rposition(|&element| element == PACKAGE)
         .ok_or_else(foreign)?;
-    // `arenas/../textures` is taken by its words: the folder here may lack what no model uses.
+    // `arenas/../textures` is resolved without the file system: `folder` may contain only those files that models use, so `arenas`
+    // may not exist.
     let mut below: Vec<&str> = Vec::new();
     for &element in &elements[package + 1..] {
         match element {
@@ -153,7 +156,7 @@ fn place(named: &str, folder: &Path) -> Result<PathBuf, AssetsError> {
     Ok(path)
 }
 
-/// As the value of an attribute in either kind of quotes.
+/// Escapes a text for an attribute value in single or double quotes.
 fn escape(text: &str, out: &mut String) {
     for letter in text.chars() {
         match letter {

@@ -1,18 +1,19 @@
-//! The part of a model that physics depends on.
+//! Reduces a model to the parts that physics depends on.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
 
 use roxmltree::{Document, Node};
 
-/// A model without what is only drawn: geoms that touch nothing and add no weight, textures, materials, and the meshes that no
-/// other geom has. It compiles much faster, and moves as the whole model does, to the bit.
+/// Removes the purely visual parts of a model: geoms without contacts and mass, textures, materials, and meshes that no other
+/// geom uses. The reduced model compiles much faster, and its motion is bit-exact with that of the whole model.
 ///
-/// A geom of no mass stays where the weight of a moving body comes from its geoms: MuJoCo turns the inertia of a body with
-/// several geoms to its principal axes by iteration, with an error of some 10⁻⁶ that the body would otherwise not have.
+/// A geom without mass is kept if the mass of a moving body comes from its geoms. For a body with several geoms, MuJoCo computes
+/// the principal axes of inertia by iteration, with an error of about 10⁻⁶. Without one of its geoms, the body might not have this
+/// error.
 ///
 /// # Errors
-/// When the text is not XML, with the parser's words.
+/// If the text is not XML. The error is the parser's message.
 pub fn without_images(mjcf: &str) -> Result<String, String> {
     let document = Document::parse(mjcf).map_err(|error| error.to_string())?;
     let elements = || document.descendants().filter(Node::is_element);
@@ -20,7 +21,7 @@ pub fn without_images(mjcf: &str) -> Result<String, String> {
     let mut cuts: Vec<Range<usize>> = Vec::new();
     for node in elements() {
         match node.tag_name().name() {
-            "geom" if only_drawn(&node) => cuts.push(node.range()),
+            "geom" if is_visual(&node) => cuts.push(node.range()),
             name => {
                 if name == "geom" {
                     used.extend(node.attribute("mesh"));
@@ -32,13 +33,13 @@ pub fn without_images(mjcf: &str) -> Result<String, String> {
     }
     for asset in elements().filter(|node| node.has_tag_name("asset")) {
         for node in asset.children().filter(Node::is_element) {
-            let drawn = match node.tag_name().name() {
+            let visual = match node.tag_name().name() {
                 "texture" | "material" => true,
-                // A mesh without a name has that of its file.
+                // A mesh without a name is kept: its name is that of its file, so geoms may refer to it.
                 "mesh" => node.attribute("name").is_some_and(|name| !used.contains(name)),
                 _ => false,
             };
-            if drawn {
+            if visual {
                 cuts.push(node.range());
             }
         }
@@ -47,7 +48,7 @@ pub fn without_images(mjcf: &str) -> Result<String, String> {
     let mut text = String::with_capacity(mjcf.len());
     let mut copied = 0;
     for cut in cuts {
-        // An attribute of an element that is cut out itself.
+        // Skip attributes of elements that are cut themselves.
         if cut.start < copied {
             continue;
         }
@@ -58,10 +59,10 @@ pub fn without_images(mjcf: &str) -> Result<String, String> {
     Ok(text)
 }
 
-/// A model in which the geoms of some bodies, by name, touch nothing. Their weight stays.
+/// Disables the contacts of all geoms of the named bodies and their descendants. Their masses stay.
 ///
 /// # Errors
-/// When the text is not XML, with the parser's words.
+/// If the text is not XML. The error is the parser's message.
 pub fn without_contacts(mjcf: &str, bodies: &[impl AsRef<str>]) -> Result<String, String> {
     let document = Document::parse(mjcf).map_err(|error| error.to_string())?;
     let mut edits: Vec<(Range<usize>, &str)> = Vec::new();
@@ -82,6 +83,7 @@ pub fn without_contacts(mjcf: &str, bodies: &[impl AsRef<str>]) -> Result<String
             edits.push((after..after, " contype=\"0\" conaffinity=\"0\""));
         }
     }
+    // From the end to the start, so that edits do not move the ranges of those that follow.
     edits.sort_by_key(|(range, _)| std::cmp::Reverse(range.start));
     let mut text = mjcf.to_owned();
     for (range, with) in edits {
@@ -90,14 +92,14 @@ pub fn without_contacts(mjcf: &str, bodies: &[impl AsRef<str>]) -> Result<String
     Ok(text)
 }
 
-/// Whether a geom neither touches anything nor takes part in the weight of a body that moves.
-fn only_drawn(geom: &Node) -> bool {
+/// Whether a geom has no contacts and does not contribute to the inertia of a moving body.
+fn is_visual(geom: &Node) -> bool {
     let zero = |name: &str| {
         geom.attribute(name)
             .is_some_and(|value| value.trim().parse() == Ok(0.0))
     };
-    // The weight of a body that says it itself does not come from its geoms.
-    let weighed = geom
+    // If a body has an element `inertial`, its inertia does not come from its geoms.
+    let explicit_inertia = geom
         .parent()
         .is_some_and(|body| body.children().any(|child| child.has_tag_name("inertial")));
     let fixed = geom.parent().is_some_and(|body| {
@@ -106,7 +108,7 @@ fn only_drawn(geom: &Node) -> bool {
                 .any(|child| child.has_tag_name("joint") || child.has_tag_name("freejoint"))
         })
     });
-    zero("contype") && zero("conaffinity") && (weighed || fixed)
+    zero("contype") && zero("conaffinity") && (explicit_inertia || fixed)
 }
 
 #[cfg(test)]
@@ -114,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keeps_what_touches_or_weighs() {
+    fn geoms_with_contacts_or_mass_are_kept() {
         let model = r#"<mujoco><asset><texture name="t"/><material name="m" texture="t"/><mesh name="seen"/><mesh name="felt"/></asset>
             <worldbody><geom name="floor" material="m"/><body><joint/>
             <geom name="a" mesh="felt" material="m" rgba="1 0 0 1"/>

@@ -1,5 +1,5 @@
-//! Delta actions to absolute ones and back.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Conversion of delta actions to absolute actions and back.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -16,8 +16,8 @@ fn pose(x: f64, axis: [f64; 3]) -> Isometry3<f64> {
 }
 
 #[test]
-fn a_delta_turns_about_world_axes_and_scales() {
-    // The site is turned by 90 degrees about x: turning about the world's z is not turning about its own.
+fn a_delta_is_scaled_and_rotates_about_world_axes() {
+    // The site is rotated by 90 degrees about x, so a rotation about the world's z axis differs from one about its own.
     let site = pose(0.2, [std::f64::consts::FRAC_PI_2, 0.0, 0.0]);
     let delta = [1.0, -0.5, 0.0, 0.0, 0.0, 1.0, -1.0];
     let [absolute] = osc().to_absolute(&[delta], &[site], None).unwrap()[..] else {
@@ -30,17 +30,19 @@ fn a_delta_turns_about_world_axes_and_scales() {
 }
 
 #[test]
-fn without_rotation_the_last_goal_is_held() {
+fn a_delta_without_rotation_keeps_the_last_goal_orientation() {
     let sites = [
         pose(0.0, [0.0; 3]),
         pose(0.1, [0.1, 0.0, 0.0]),
         pose(0.2, [0.3, 0.2, 0.0]),
     ];
     let still = [0.0; 7];
-    let turn = [0.0, 0.0, 0.0, 0.0, 0.4, 0.0, 0.0];
+    let rotating = [0.0, 0.0, 0.0, 0.0, 0.4, 0.0, 0.0];
     let reset = pose(-0.3, [0.0, 0.0, 0.7]);
-    let goals = osc().to_absolute(&[still, turn, still], &sites, Some(&reset)).unwrap();
-    // The first step's position is the held one too.
+    let goals = osc()
+        .to_absolute(&[still, rotating, still], &sites, Some(&reset))
+        .unwrap();
+    // The position of the first goal is also relative to the initial pose.
     assert_eq!(goals[0][..3], [-0.3, 0.1, 1.0]);
     assert!(rotation(&goals[0]).angle_to(&reset.rotation) < 1e-12);
     assert_eq!(goals[2][3..6], goals[1][3..6]);
@@ -53,23 +55,23 @@ fn without_rotation_the_last_goal_is_held() {
         (vec![0.0; 3], vec![0.0; 3])
     );
     assert!((back[1][4] - 0.4).abs() < 1e-12);
-    // A goal that returns to the site's own orientation is not the last goal: it needs a rotation, however small.
-    let home = [goals[1], [0.2, 0.1, 1.0, 0.3, 0.2, 0.0, 0.0]];
-    let back = osc().to_delta(&home, &sites[1..], None).unwrap();
+    // A goal with the current orientation of the site differs from the last goal, so its delta needs a rotation other than zero.
+    let at_site = [goals[1], [0.2, 0.1, 1.0, 0.3, 0.2, 0.0, 0.0]];
+    let back = osc().to_delta(&at_site, &sites[1..], None).unwrap();
     assert_ne!(back[1][3..6], [0.0; 3]);
     let again = osc().to_absolute(&back, &sites[1..], None).unwrap();
-    assert!(distance(&again[1], &home[1]).1 < 1e-8);
+    assert!(distance(&again[1], &at_site[1]).1 < 1e-8);
 }
 
 #[test]
-fn commands_beyond_the_range_are_cut_as_the_controller_does() {
+fn commands_outside_the_range_are_clipped() {
     let site = pose(0.0, [0.0; 3]);
     let goals = osc()
         .to_absolute(&[[3.0, -3.0, 0.0, 0.0, 0.0, 0.0, 5.0]], &[site], None)
         .unwrap();
     assert!((goals[0][0] - 0.05).abs() < 1e-15 && (goals[0][1] - 0.05).abs() < 1e-15);
     assert_eq!(goals[0][6], 5.0);
-    // Ranges need not be symmetric: [0, 2] to [-0.1, 0.3].
+    // Ranges may be asymmetric: here [0, 2] is scaled to [-0.1, 0.3].
     let env = EnvArgs::parse(
         r#"{"env_name": "Lift", "env_kwargs": {"controller_configs": {"type": "OSC_POSE", "input_min": 0,
             "input_max": 2, "output_min": -0.1, "output_max": 0.3}}}"#,
@@ -84,7 +86,7 @@ fn commands_beyond_the_range_are_cut_as_the_controller_does() {
 }
 
 #[test]
-fn what_cannot_be_converted_is_said() {
+fn errors_name_what_cannot_be_converted() {
     let site = pose(0.0, [0.0; 3]);
     let error = osc().to_absolute(&[[0.0; 7]], &[site, site], None).unwrap_err();
     assert_eq!(error, ActionError::Lengths { actions: 1, poses: 2 });
@@ -125,7 +127,7 @@ fn what_cannot_be_converted_is_said() {
 
 fn step() -> impl Strategy<Value = (Action, Isometry3<f64>)> {
     let action = prop::array::uniform7(-1.0_f64..=1.0);
-    // A half turn and more: hands that point down have rotation vectors near pi.
+    // Up to pi and more: end effectors that point down have rotation vectors near pi.
     let place = (
         prop::array::uniform3(-1.0_f64..1.0),
         prop::array::uniform3(-2.5_f64..2.5),
@@ -144,7 +146,7 @@ fn step() -> impl Strategy<Value = (Action, Isometry3<f64>)> {
 
 proptest! {
     #[test]
-    fn there_and_back_is_exact_to_rounding(steps in prop::collection::vec(step(), 1..40), reset in prop::option::of(step())) {
+    fn round_trips_are_exact_up_to_rounding(steps in prop::collection::vec(step(), 1..40), reset in prop::option::of(step())) {
         let (actions, sites): (Vec<Action>, Vec<_>) = steps.into_iter().unzip();
         let reset = reset.map(|(_, pose)| pose);
         let absolute = osc().to_absolute(&actions, &sites, reset.as_ref()).unwrap();

@@ -1,5 +1,5 @@
-//! Paths of a model's meshes and textures, rewritten to this machine.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Rewriting the paths of a model's meshes and textures to paths on this machine.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ fn model(file: &str) -> String {
     format!("<mujoco>\n  <asset><mesh name=\"a\" file='{file}'/></asset> <!-- kept -->\n</mujoco>\n")
 }
 
-/// A folder with one mesh and one texture, its name one that XML has to escape.
+/// A folder with one mesh and one texture. Its name contains characters that must be escaped in XML.
 fn folder() -> (tempfile::TempDir, std::path::PathBuf) {
     let holder = tempfile::tempdir().unwrap();
     let folder = holder.path().join("a & 'b\"");
@@ -30,7 +30,7 @@ fn written(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_last_robosuite_counts_and_the_rest_stays() {
+fn paths_are_rewritten_after_the_last_robosuite_and_the_rest_is_kept() {
     let (_holder, folder) = folder();
     let mesh = folder.join("models/assets/meshes/a.stl");
     let texture = folder.join("models/assets/textures/b.png");
@@ -52,14 +52,14 @@ fn the_last_robosuite_counts_and_the_rest_stays() {
 }
 
 #[test]
-fn what_cannot_be_found_is_said() {
+fn files_that_cannot_be_found_are_errors() {
     let (_holder, folder) = folder();
     let refused = |text: &str| with_assets(text, &folder).unwrap_err();
     assert!(matches!(
         refused(&model("/a/robosuite/models/assets/meshes/c.stl")),
         AssetsError::Missing { path, .. } if path == folder.join("models/assets/meshes/c.stl")
     ));
-    // A folder is no file.
+    // A folder is not a file.
     assert!(matches!(
         refused(&model("/a/robosuite/models")),
         AssetsError::Missing { .. }
@@ -75,7 +75,7 @@ fn what_cannot_be_found_is_said() {
 }
 
 #[test]
-fn models_that_differ_in_boxes_look_alike() {
+fn models_that_differ_only_in_box_sizes_have_the_same_rest() {
     let model = |mean: &str, size: &str| {
         format!(
             "<mujoco><statistic meansize=\"{mean}\" extent=\"2\"/><geom name=\"a\" type=\"box\" size=\"{size}\"/><geom type=\"box\" size=\"1 1 1\"/><geom name=\"b\" size=\"3\"/></mujoco>"
@@ -85,7 +85,7 @@ fn models_that_differ_in_boxes_look_alike() {
     assert_eq!(one.rest, other.rest);
     assert_eq!(one.boxes, [("a".to_owned(), [0.1, 0.2, 0.3])]);
     assert_eq!(other.boxes, [("a".to_owned(), [1.0, 2.0, 0.3])]);
-    // Boxes without a name or a size of three numbers, and everything else, are part of the rest.
+    // Boxes without a name or with a size of other than three numbers are part of the rest, like everything else.
     assert!(
         one.rest.contains("size=\"1 1 1\"") && one.rest.contains("size=\"3\"") && one.rest.contains("extent=\"2\"")
     );

@@ -1,5 +1,6 @@
-//! Unit, offset, direction and frame of the actions of a simulated hand that follows robosuite's controller.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Detection of the unit, offset, direction and frame of actions. The data comes from a simple simulation of an end effector that
+//! follows robosuite's controller.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -10,7 +11,7 @@ use re4_robosuite::conventions::{
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::hand_to_site;
 
-/// What is done to each action.
+/// A change of each action.
 type Change = fn(&[f64; 7]) -> [f64; 7];
 
 const FRAMES: usize = 90;
@@ -27,17 +28,17 @@ struct Demo {
     goals: Vec<[f64; 7]>,
 }
 
-/// Anything between a hand that moves freely and one that is held back.
+/// Parameters of the simulation: the end effector moves freely or is held back to some degree.
 #[derive(Debug, Clone, Copy)]
 struct World {
     seed: u64,
-    /// Part of the controller's forces that friction leaves of translations, and of rotations.
+    /// Fraction of the controller's forces that remains after friction, for translations and rotations.
     strength: (f64, f64),
-    /// Part of the frames with a command of 0.
+    /// Fraction of the frames with a command of 0.
     idle: f64,
 }
 
-/// Numbers in [0, 1) that depend on the seed alone.
+/// A generator of random numbers in [0, 1) that depend only on the seed.
 struct Random(u64);
 
 impl Random {
@@ -50,7 +51,7 @@ impl Random {
     }
 }
 
-/// robosuite's controller, step by step: the goal is set once a step, forces follow it 25 times.
+/// Simulates robosuite's controller. The goal is set once per step, and the forces are computed 25 times per step.
 fn demo(world: World, number: u64) -> Demo {
     let mut random = Random(world.seed.wrapping_mul(1_000_003).wrapping_add(number * 7919 + 17));
     random.next();
@@ -65,7 +66,7 @@ fn demo(world: World, number: u64) -> Demo {
     let phases: [f64; 12] = std::array::from_fn(|_| 6.3 * random.next());
     let mut position = Vector3::new(0.1 * random.next(), 0.1 * random.next(), 1.0);
     let mut site = UnitQuaternion::from_scaled_axis(Vector3::new(3.1, 0.1 * random.next(), 0.1));
-    let (mut speed, mut turning) = (Vector3::zeros(), Vector3::zeros());
+    let (mut speed, mut angular_velocity) = (Vector3::zeros(), Vector3::zeros());
     let mut held = site;
     let mut opening = 0.02_f64;
     let mut idle = 0;
@@ -99,16 +100,23 @@ fn demo(world: World, number: u64) -> Demo {
         if arm[3..] != [0.0; 3] {
             held = UnitQuaternion::from_scaled_axis(Vector3::new(arm[3], arm[4], arm[5]) * OUTPUT[3]) * site;
         }
-        let turn = held.scaled_axis();
-        demo.goals
-            .push([goal.x, goal.y, goal.z, turn.x, turn.y, turn.z, demo.actions[t][6]]);
+        let rotation = held.scaled_axis();
+        demo.goals.push([
+            goal.x,
+            goal.y,
+            goal.z,
+            rotation.x,
+            rotation.y,
+            rotation.z,
+            demo.actions[t][6],
+        ]);
         for _ in 0..25 {
             let force = (goal - position) * 150.0 - speed * 2.0 * 150.0_f64.sqrt();
             speed += force * (world.strength.0 * 0.002);
             position += speed * 0.002;
-            let torque = (held * site.inverse()).scaled_axis() * 150.0 - turning * 2.0 * 150.0_f64.sqrt();
-            turning += torque * (world.strength.1 * 0.002);
-            site = UnitQuaternion::from_scaled_axis(turning * 0.002) * site;
+            let torque = (held * site.inverse()).scaled_axis() * 150.0 - angular_velocity * 2.0 * 150.0_f64.sqrt();
+            angular_velocity += torque * (world.strength.1 * 0.002);
+            site = UnitQuaternion::from_scaled_axis(angular_velocity * 0.002) * site;
             opening = (opening + if closes { -2e-4 } else { 2e-4 }).clamp(0.0, 0.04);
         }
     }
@@ -134,7 +142,7 @@ impl Demo {
         }
     }
 
-    /// The same with other actions.
+    /// A copy with changed actions.
     fn with(&self, change: impl Fn(&[f64; 7]) -> [f64; 7]) -> Self {
         Self {
             actions: self.actions.iter().map(change).collect(),
@@ -159,7 +167,7 @@ fn env(version: &str) -> EnvArgs {
     EnvArgs::parse(&text).unwrap()
 }
 
-/// What nothing tells of without states and object.
+/// Settings for the conventions that cannot be detected without states and object.
 fn known() -> Settings {
     Settings {
         eef_quaternion: Some(QuaternionOrder::Xyzw),
@@ -173,7 +181,7 @@ fn detect(demos: &[Demo], settings: &Settings) -> Result<(Conventions, Vec<Proof
     Conventions::detect(&arrays, &env("1.4.1"), settings)
 }
 
-/// The convention and the sentence of a refusal.
+/// The convention and the message of the error.
 fn refused(demos: &[Demo], settings: &Settings) -> (String, String) {
     let error = detect(demos, settings).unwrap_err();
     let convention = match &error {
@@ -203,8 +211,8 @@ fn worlds() -> impl Strategy<Value = World> {
     })
 }
 
-/// Times a factor that is not near 1, either way. A hand may be held back, and go a third of the way, or turn a sixth in a
-/// single demonstration, but nothing takes it further than it is asked to go.
+/// Factors that are not near 1, in either direction. In a single demonstration, an end effector that is held back may move only
+/// a third of the commanded distance or rotate by a sixth of the commanded angle. It never moves further than commanded.
 fn factors() -> impl Strategy<Value = f64> {
     prop_oneof![6.5_f64..40.0, (2.5_f64..40.0).prop_map(|factor| 1.0 / factor)]
 }
@@ -223,7 +231,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn what_the_controller_takes_is_proven(world in worlds()) {
+    fn actions_of_the_controller_are_proven(world in worlds()) {
         let demos = demos(world);
         let (conventions, proofs) = detect(&demos, &known()).unwrap();
         prop_assert!(conventions.actions.is_plain());
@@ -246,7 +254,7 @@ proptest! {
     }
 
     #[test]
-    fn deltas_in_metres_are_named_and_read_by_a_setting(world in worlds()) {
+    fn deltas_in_metres_are_recognised_and_accepted_by_a_setting(world in worlds()) {
         let right = demos(world);
         let metres: Vec<Demo> = right.iter().map(|demo| demo.with(|action| scaled(action, OUTPUT, [0.0; 6]))).collect();
         let (convention, sentence) = refused(&metres, &known());
@@ -261,10 +269,10 @@ proptest! {
                 prop_assert!(read.iter().zip(action).all(|(read, action)| (read - action).abs() < 1e-12));
             }
             conventions.check(&metres.arrays()).unwrap();
-            // A single demo of the other unit.
+            // A single demonstration in the other unit.
             prop_assert!(conventions.check(&right.arrays()).is_err());
         }
-        // The setting on a file of the controller's own unit.
+        // The setting for a file in the controller's own unit.
         let (convention, sentence) = refused(&right, &settings);
         prop_assert_eq!(&convention, "action_scale", "{}", sentence);
         prop_assert!(sentence.contains("action_scale = \"controller\" fits"), "{}", sentence);
@@ -277,7 +285,7 @@ proptest! {
         let settings = Settings { allow_actions_beyond_range: true, ..known() };
         for (factors, first) in [
             ([factor; 6], "moves"),
-            ([1.0, 1.0, 1.0, rotation, rotation, rotation], "turns"),
+            ([1.0, 1.0, 1.0, rotation, rotation, rotation], "rotates"),
         ] {
             let other: Vec<Demo> = right.iter().map(|demo| demo.with(|action| scaled(action, factors, [0.0; 6]))).collect();
             let (convention, sentence) = refused(&other, &settings);
@@ -315,7 +323,7 @@ proptest! {
     }
 
     #[test]
-    fn the_other_direction_of_rotation_is_told(world in worlds()) {
+    fn reversed_rotations_are_recognised(world in worlds()) {
         let other: Vec<Demo> = demos(world)
             .iter()
             .map(|demo| demo.with(|action| scaled(action, [1.0, 1.0, 1.0, -1.0, -1.0, -1.0], [0.0; 6])))
@@ -329,7 +337,7 @@ proptest! {
         for demo in &other {
             conventions.check(&demo.arrays()).unwrap();
         }
-        // robosuite 1.0 turned that way.
+        // robosuite 1.0 rotated in this direction.
         let arrays: Vec<DemoArrays<'_>> = other.iter().map(Demo::arrays).collect();
         let (conventions, proofs) = Conventions::detect(&arrays, &env("1.0.0"), &known()).unwrap();
         prop_assert_eq!(conventions.actions.rotation, ActionRotation::Reversed);
@@ -349,18 +357,18 @@ proptest! {
             let settings = Settings { action_kind: kind, ..known() };
             let (convention, sentence) = refused(&other, &settings);
             prop_assert_eq!(&convention, "action_frame", "{}", sentence);
-            prop_assert!(sentence.contains("beside where the hand goes"), "{}", sentence);
+            prop_assert!(sentence.contains("from the end effector's motion"), "{}", sentence);
         }
         let (conventions, _) = detect(&right, &known()).unwrap();
         let error = conventions.check(&other[1].arrays()).unwrap_err();
-        prop_assert!(error.to_string().contains("demonstration of another frame"), "{}", error);
-        // No model says where the base is.
+        prop_assert!(error.to_string().contains("demonstration with another frame"), "{}", error);
+        // Without a model the pose of the base is not known.
         let settings = Settings { action_frame: Some(ActionFrame::Base), ..known() };
         prop_assert!(matches!(detect(&other, &settings), Err(Unproven::Settings(_))));
     }
 
     #[test]
-    fn orientations_in_angles_are_refused(world in worlds()) {
+    fn orientations_as_euler_angles_are_refused(world in worlds()) {
         let other: Vec<Demo> = demos(world)
             .iter()
             .map(Demo::absolute)
@@ -370,7 +378,7 @@ proptest! {
                 [action[0], action[1], action[2], roll, pitch, yaw, action[6]]
             }))
             .collect();
-        // Where the site hardly turns from straight down, both forms are nearly the same numbers.
+        // If the site points nearly straight down all the time, both representations have nearly the same numbers.
         match detect(&other, &known()) {
             Err(error) => prop_assert!(error.to_string().contains("roll, pitch and yaw"), "{}", error),
             Ok((_, proofs)) => {
@@ -382,7 +390,7 @@ proptest! {
     }
 
     #[test]
-    fn gripper_commands_from_0_to_1_are_named(world in worlds(), opens in any::<bool>()) {
+    fn gripper_commands_from_0_to_1_are_recognised(world in worlds(), opens in any::<bool>()) {
         let right = demos(world);
         let other: Vec<Demo> = right
             .iter()
@@ -411,7 +419,7 @@ proptest! {
             let same = |(other, right): (&[f64; 7], &[f64; 7])| conventions.actions.read(other)[6] == sign * right[6];
             prop_assert!(rows.into_iter().all(same));
         }
-        // One of them among demos as robosuite writes them, and one of those among them.
+        // A demonstration with either range is refused among demonstrations with the other one.
         let (plain, _) = detect(&right, &known()).unwrap();
         prop_assert!(plain.check(&other[0].arrays()).is_err());
         prop_assert!(conventions.check(&right[0].arrays()).is_err());
@@ -419,9 +427,9 @@ proptest! {
         prop_assert_eq!(&convention, "gripper_range", "{}", sentence);
     }
 
-    /// robosuite uses the sign alone.
+    /// robosuite uses only the sign.
     #[test]
-    fn gripper_commands_of_any_size_are_taken(world in worlds(), size in 0.05_f64..3.0) {
+    fn gripper_commands_of_any_magnitude_are_accepted(world in worlds(), size in 0.05_f64..3.0) {
         let other: Vec<Demo> = demos(world)
             .iter()
             .map(|demo| demo.with(|action| {
@@ -445,14 +453,14 @@ const PLAIN: World = World {
     idle: 0.2,
 };
 
-/// One demo with numbers that decide a pooled proof, among others that are right.
+/// One demonstration is wrong, and its numbers are large enough to dominate a proof from all demonstrations.
 #[test]
-fn one_odd_demo_is_named_and_can_be_left_out() {
+fn a_single_wrong_demonstration_is_named_and_can_be_left_out() {
     let right: Vec<Demo> = (0..5).map(|number| demo(PLAIN, number)).collect();
     let changes: [(Change, &str); 3] = [
         (
             |action| scaled(action, [-0.9; 6], [0.0; 6]),
-            "the hand goes the other way",
+            "the end effector moves opposite to its commands",
         ),
         (
             |action| scaled(action, [0.02; 6], [0.0; 6]),
@@ -473,13 +481,13 @@ fn one_odd_demo_is_named_and_can_be_left_out() {
         let arrays: Vec<DemoArrays<'_>> = mixed.iter().map(Demo::arrays).collect();
         let learned = Conventions::detect_leaving_out(&arrays, &env("1.4.1"), &known()).unwrap();
         match Conventions::detect(&arrays, &env("1.4.1"), &known()) {
-            // Named at once.
+            // Either the detection names it,
             Err(Unproven::Odd(odd)) => {
                 assert_eq!((odd.len(), odd[0].place, odd[0].demo.as_str()), (1, 3, "demo_3"));
                 assert!(odd[0].why.contains(sentence), "{}", odd[0].why);
                 assert_eq!(learned.odd, odd);
             }
-            // Or held against what the others prove.
+            // or it contradicts the conventions that the others prove.
             Ok((conventions, _)) => {
                 assert!(learned.odd.is_empty());
                 let error = conventions.check(&arrays[3]).unwrap_err();
@@ -491,7 +499,7 @@ fn one_odd_demo_is_named_and_can_be_left_out() {
             learned.conventions.check(&arrays[at]).unwrap();
         }
     }
-    // Of two demos, nobody can tell which is the odd one.
+    // With only two demonstrations, it is not possible to decide which one is wrong.
     let pair = [
         right[0].clone(),
         right[1].with(|action| scaled(action, [-30.0; 6], [0.0; 6])),
@@ -501,7 +509,7 @@ fn one_odd_demo_is_named_and_can_be_left_out() {
 }
 
 #[test]
-fn rows_that_were_never_recorded_are_named_before_anything_else() {
+fn rows_that_were_never_recorded_are_reported_first() {
     let mut demos = demos(PLAIN);
     for t in 70..FRAMES {
         demos[2].actions[t] = [0.0; 7];
@@ -522,7 +530,9 @@ fn rows_that_were_never_recorded_are_named_before_anything_else() {
         "{error}"
     );
     assert!(
-        error.to_string().starts_with("demo_2: rows 70 to 89 are zeros"),
+        error
+            .to_string()
+            .starts_with("demo_2: rows 70 to 89 contain only zeros"),
         "{error}"
     );
     let arrays: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
@@ -530,7 +540,7 @@ fn rows_that_were_never_recorded_are_named_before_anything_else() {
     assert_eq!(learned.odd.len(), 1);
     assert_eq!((learned.odd[0].place, learned.odd[0].demo.as_str()), (2, "demo_2"));
     assert!(
-        learned.odd[0].why.starts_with("rows 70 to 89 are zeros"),
+        learned.odd[0].why.starts_with("rows 70 to 89 contain only zeros"),
         "{}",
         learned.odd[0].why
     );
@@ -585,9 +595,9 @@ fn settings_that_exclude_each_other_are_refused() {
     }
 }
 
-/// Keys of artifacts that were made before a setting existed stay the same.
+/// Keys of artifacts that are older than a setting must stay the same.
 #[test]
-fn settings_that_are_not_given_are_not_written() {
+fn newer_settings_are_serialised_only_if_given() {
     let text = serde_json::to_string(&Settings::default()).unwrap();
     assert_eq!(
         text,

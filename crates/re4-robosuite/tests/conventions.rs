@@ -1,5 +1,5 @@
-//! Conventions of made-up demos, whatever they are.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Detection of all combinations of conventions from synthetic demonstrations.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -29,7 +29,7 @@ fn stored(rotation: UnitQuaternion<f64>, order: QuaternionOrder) -> [f64; 4] {
     }
 }
 
-/// A hand that goes about and closes around an object, written down under these conventions.
+/// An end effector that moves around and closes its gripper on an object, recorded with these conventions.
 fn demo(conventions: &Conventions, phase: f64) -> Demo {
     let mut demo = Demo {
         eef_pos: vec![],
@@ -41,9 +41,9 @@ fn demo(conventions: &Conventions, phase: f64) -> Demo {
     let hand_at = |t: f64| {
         let s = t / 9.0 + phase;
         let down = UnitQuaternion::from_scaled_axis(Vector3::new(3.0, 0.2, 0.1));
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3 * s.sin(), 0.2 * s.cos(), 0.5 * s));
-        let place = Translation3::new(0.1 * s.sin(), 0.1 * (1.3 * s).cos(), 1.0 + 0.05 * (0.7 * s).sin());
-        Isometry3::from_parts(place, turn * down)
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(0.3 * s.sin(), 0.2 * s.cos(), 0.5 * s));
+        let position = Translation3::new(0.1 * s.sin(), 0.1 * (1.3 * s).cos(), 1.0 + 0.05 * (0.7 * s).sin());
+        Isometry3::from_parts(position, rotation * down)
     };
     let object_at = |t: f64| {
         let yaw = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, phase + 0.02 * t));
@@ -77,7 +77,7 @@ fn demo(conventions: &Conventions, phase: f64) -> Demo {
             ObjectLayout::PoseFirst => demo.object.extend(pose.iter().chain(&relative_part)),
             ObjectLayout::RelativeFirst => demo.object.extend(relative_part.iter().chain(&pose)),
         }
-        // Opens from half to full, then closes.
+        // The gripper opens from half to full, then closes.
         let opening = (0.02 + 0.004 * t).min(0.04).min(0.2 - 0.004 * t).max(0.01);
         demo.gripper_qpos.push([opening, -opening]);
         let closes = if frame < 30 { -1.0 } else { 1.0 };
@@ -145,7 +145,7 @@ fn env(version: Option<&str>) -> EnvArgs {
     }
 }
 
-/// Accepts everything that is as it says.
+/// Settings that agree with these conventions.
 fn settings_of(conventions: &Conventions) -> Settings {
     Settings {
         object_layout: conventions.object_layout,
@@ -196,7 +196,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn every_combination_is_proven(conventions in any_conventions(), phase in 0.2_f64..1.2) {
+    fn every_combination_is_proven_from_the_data(conventions in any_conventions(), phase in 0.2_f64..1.2) {
         let demos = [demo(&conventions, phase), demo(&conventions, phase + 2.0)];
         let arrays = [demos[0].arrays(14), demos[1].arrays(14)];
         let (proven, proofs) = Conventions::detect(&arrays, &env(None), &settings_of(&conventions)).unwrap();
@@ -226,7 +226,7 @@ proptest! {
 }
 
 #[test]
-fn lift_differs_in_the_sign_alone() {
+fn layouts_of_lift_are_distinguished_by_their_sign() {
     for (layout, version) in [
         (ObjectLayout::LiftEefMinusCube, "1.2.0"),
         (ObjectLayout::LiftCubeMinusEef, "1.5.0"),
@@ -242,7 +242,7 @@ fn lift_differs_in_the_sign_alone() {
             env_name: "Lift".to_owned(),
             ..env(Some(version))
         };
-        // Without states and velocities nothing tells about the hand's quaternion.
+        // Without states and velocities the data does not determine the order of the end effector's quaternion.
         let error = Conventions::detect(&arrays, &lift, &Settings::default()).unwrap_err();
         assert!(
             matches!(
@@ -271,7 +271,7 @@ fn lift_differs_in_the_sign_alone() {
 }
 
 #[test]
-fn rows_are_taken_apart_without_a_change() {
+fn object_rows_are_decomposed_without_changes() {
     let conventions = Conventions {
         object_layout: Some(ObjectLayout::RelativeFirst),
         object_quaternion: Some(QuaternionOrder::Wxyz),
@@ -292,7 +292,7 @@ fn rows_are_taken_apart_without_a_change() {
         assert_eq!(conventions.decompose(&values), None);
     }
     assert_eq!(conventions.decompose(&values[..10]), None);
-    // The hand's frame and the site's are at one place, a quarter turn apart.
+    // Both frames have the same position and differ by a rotation of 90 degrees.
     let hand = conventions.hand_pose([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 2.0]).unwrap();
     let site = conventions.site_pose([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 2.0]).unwrap();
     assert_eq!(hand.translation, site.translation);
@@ -300,7 +300,7 @@ fn rows_are_taken_apart_without_a_change() {
 }
 
 #[test]
-fn arrays_that_do_not_fit_together_are_refused() {
+fn arrays_of_inconsistent_shapes_are_refused() {
     let good = demo(&standard(), 0.5);
     let detect = |demo: &Demo, columns: usize| {
         let error = Conventions::detect(&[demo.arrays(columns)], &env(Some("1.4.1")), &Settings::default());
@@ -332,29 +332,29 @@ fn arrays_that_do_not_fit_together_are_refused() {
     assert!(
         detect(&wide, 15)
             .to_string()
-            .contains("15 columns, but the task's has 14")
+            .contains("15 columns, but the task needs 14")
     );
     assert!(Rows::new(&[0.0; 5], 2).is_none() && Rows::new(&[], 0).is_none());
     let nothing = Conventions::detect(&[], &env(None), &Settings::default()).unwrap_err();
     assert!(matches!(nothing, Unproven::Undecided { .. }), "{nothing}");
 }
 
-/// Keyboards give commands far beyond the range; the controller cuts them, and so does the proof.
+/// Keyboard teleoperation records commands far outside the range. The controller clips them, and so does the test.
 #[test]
-fn commands_beyond_the_range_count_as_the_maximum() {
-    let mut cut = demo(&standard(), 0.5);
-    for action in &mut cut.actions {
+fn commands_outside_the_range_are_clipped() {
+    let mut clipped = demo(&standard(), 0.5);
+    for action in &mut clipped.actions {
         action[..3]
             .iter_mut()
             .for_each(|command| *command = (4.0 * *command).clamp(-1.0, 1.0));
     }
-    let mut beyond = cut.clone();
+    let mut beyond = clipped.clone();
     for (index, action) in beyond.actions.iter_mut().enumerate() {
         let factor = if index.is_multiple_of(5) { 40.0 } else { 1.0 };
         let maximum = action[..3].iter_mut().filter(|command| command.abs() == 1.0);
         maximum.for_each(|command| *command *= factor);
     }
-    let (cut, beyond) = (cut.arrays(14), beyond.arrays(14));
+    let (clipped, beyond) = (clipped.arrays(14), beyond.arrays(14));
     let allowed = Conventions {
         allow_actions_beyond_range: true,
         ..standard()
@@ -362,21 +362,21 @@ fn commands_beyond_the_range_count_as_the_maximum() {
     let residuals = allowed.check(&beyond).unwrap();
     assert_eq!(
         residuals.motion_unexplained,
-        allowed.check(&cut).unwrap().motion_unexplained
+        allowed.check(&clipped).unwrap().motion_unexplained
     );
     assert_eq!(residuals.beyond_range, Some(39.0));
     let error = standard().check(&beyond).unwrap_err().to_string();
     assert!(error.contains("allow_actions_beyond_range"), "{error}");
 }
 
-/// Half of the demos of one layout, half of the other: no layout of the file.
+/// If half of the demonstrations have one layout and half have the other, no layout is proven.
 #[test]
-fn a_mixture_is_no_convention() {
-    let late = Conventions {
+fn mixed_layouts_are_not_proven() {
+    let other = Conventions {
         object_layout: Some(ObjectLayout::RelativeFirst),
         ..standard()
     };
-    let demos = [demo(&standard(), 0.5), demo(&late, 1.5)];
+    let demos = [demo(&standard(), 0.5), demo(&other, 1.5)];
     let arrays = [demos[0].arrays(14), demos[1].arrays(14)];
     let settings = Settings {
         eef_quaternion: Some(QuaternionOrder::Xyzw),
@@ -394,11 +394,14 @@ fn a_mixture_is_no_convention() {
         ),
         "{error}"
     );
-    assert!(error.to_string().contains("no hypothesis fits"), "{error}");
+    assert!(
+        error.to_string().contains("no hypothesis has a residual of at most"),
+        "{error}"
+    );
 }
 
 #[test]
-fn proofs_and_settings_are_data() {
+fn proofs_and_settings_are_serialised() {
     let demos = [demo(&standard(), 0.5)];
     let (conventions, proofs) =
         Conventions::detect(&[demos[0].arrays(14)], &env(Some("1.4.1")), &Settings::default()).unwrap();
@@ -428,7 +431,7 @@ fn proofs_and_settings_are_data() {
         "first_pose",
     ];
     assert_eq!(values, expected);
-    // No controller is declared, and there are no models.
+    // These conventions need a declared controller or models, and there are none.
     assert!(proofs[7..].iter().all(|proof| proof.basis == Basis::Declared));
     for proof in &proofs[..7] {
         let evidence = &proof.evidence;
@@ -437,14 +440,14 @@ fn proofs_and_settings_are_data() {
         assert!(evidence.candidates[1].median >= evidence.rival_threshold);
         assert_eq!(evidence.candidates[0].value, proof.value);
     }
-    // Each proof's name and value is a setting that agrees.
+    // The name and value of each proof form a setting that agrees with it.
     let settings: serde_json::Value = proofs[..6]
         .iter()
         .map(|proof| (proof.convention.clone(), serde_json::json!(proof.value)))
         .collect();
     let settings: Settings = serde_json::from_value(settings).unwrap();
     assert_eq!(settings, settings_of(&conventions));
-    // JSON has no infinity, which stands for what could not be measured.
+    // The other proofs have infinite residuals (not measured), which JSON cannot represent.
     let proofs = proofs[..7].to_vec();
     let text = serde_json::to_string(&(conventions, &proofs)).unwrap();
     assert_eq!(

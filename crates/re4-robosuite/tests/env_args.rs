@@ -1,12 +1,12 @@
-//! What files say of themselves, in the forms of different versions.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Parsing of the declarations in files of different versions.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use re4_robosuite::actions::Osc;
 use re4_robosuite::conventions::{ActionKind, RobosuiteTask};
 use re4_robosuite::env_args::EnvArgs;
 
 #[test]
-fn the_flat_controller_of_1_4() {
+fn the_flat_controller_of_1_4_is_parsed() {
     let env = EnvArgs::parse(
         r#"{"env_name": "PickPlaceCan", "env_version": "1.4.1", "type": 1, "env_kwargs": {"control_freq": 20,
             "robots": ["Panda"], "controller_configs": {"type": "OSC_POSE", "input_max": 1, "input_min": -1,
@@ -26,7 +26,7 @@ fn the_flat_controller_of_1_4() {
 }
 
 #[test]
-fn the_nested_controller_of_1_5() {
+fn the_nested_controller_of_1_5_is_parsed() {
     let text = |input: &str| {
         format!(
             r#"{{"env_name": "Lift", "env_version": "1.5.1", "env_kwargs": {{"robots": "Panda", "controller_configs":
@@ -50,7 +50,7 @@ fn the_nested_controller_of_1_5() {
 }
 
 #[test]
-fn the_attributes_of_raw_files() {
+fn the_attributes_of_raw_files_are_parsed() {
     let info = r#"{"env_name": "Lift", "robots": "Panda", "controller_configs": {"type": "OSC_POSE", "output_max": 0.05,
         "control_delta": false}}"#;
     let env = EnvArgs::parse_raw(Some("Lift"), Some(info), Some("1.0.0")).unwrap();
@@ -69,20 +69,20 @@ fn the_attributes_of_raw_files() {
 }
 
 #[test]
-fn what_is_missing_is_missing_and_what_is_wrong_is_said() {
+fn missing_entries_are_none_and_invalid_entries_are_errors() {
     let env = EnvArgs::parse(r#"{"env_name": "ToolHang"}"#).unwrap();
     assert_eq!((env.env_version, env.controller, env.robots.len()), (None, None, 0));
-    // Six axes of another controller are not those of a pose.
+    // A controller with another number of axes has no scales for a pose.
     let joints =
         EnvArgs::parse(r#"{"env_name": "A", "env_kwargs": {"controller_configs": {"output_max": [1, 2]}}}"#).unwrap();
     assert_eq!(joints.controller.unwrap().output_max, None);
     for (text, part) in [
-        ("", "not readable as JSON"),
+        ("", "not valid JSON"),
         ("[]", "no env_name"),
         (r#"{"env_name": 3}"#, "no env_name"),
         (
             r#"{"env_name": "A", "env_kwargs": {"control_freq": 0}}"#,
-            "control_freq = 0, not a number above zero",
+            "control_freq = 0, which must be a number above zero",
         ),
         (
             r#"{"env_name": "A", "env_kwargs": {"controller_configs": {"output_max": "big"}}}"#,
@@ -94,7 +94,7 @@ fn what_is_missing_is_missing_and_what_is_wrong_is_said() {
         ),
     ] {
         let error = EnvArgs::parse(text).unwrap_err().to_string();
-        assert!(error.contains(part), "{error:?} has not {part:?}");
+        assert!(error.contains(part), "{error:?} does not contain {part:?}");
     }
     for version in ["", "1", "one.two", "v"] {
         let env = EnvArgs::parse_raw(Some("A"), None, Some(version)).unwrap();
@@ -102,9 +102,9 @@ fn what_is_missing_is_missing_and_what_is_wrong_is_said() {
     }
 }
 
-/// As Python's `json` writes what is not finite, and not within texts.
+/// Python's `json` writes `NaN` and `Infinity` for numbers that are not finite. The same words in strings stay unchanged.
 #[test]
-fn numbers_that_are_none_are_read_as_python_writes_them() {
+fn non_finite_numbers_of_python_are_parsed() {
     let text = r#"{"env_name": "Lift", "type": 1, "env_kwargs": {"note": "to Infinity \" and NaN", "horizon": -Infinity,
         "controller_configs": {"type": "OSC_POSE", "output_max": 0.05, "kp": 150, "damping": 1,
         "position_limits": [[NaN, -Infinity, -Infinity], [Infinity, Infinity, Infinity]]}}}"#;
@@ -113,7 +113,7 @@ fn numbers_that_are_none_are_read_as_python_writes_them() {
     let controller = env.controller.unwrap();
     assert_eq!((controller.kp, controller.damping_ratio), (Some(150.0), Some(1.0)));
     assert_eq!(controller.output_max, Some([0.05; 6]));
-    // What is none cannot be a scale, and words are no numbers anywhere else.
+    // A number that is not finite cannot be a scale, and similar words are not numbers.
     let scale = text.replace("\"output_max\": 0.05", "\"output_max\": [Infinity, 1, 1, 1, 1, 1]");
     assert!(EnvArgs::parse(&scale).unwrap_err().to_string().contains("output_max"));
     assert!(EnvArgs::parse(r#"{"env_name": Infinite}"#).is_err());
@@ -122,14 +122,14 @@ fn numbers_that_are_none_are_read_as_python_writes_them() {
 }
 
 #[test]
-fn environments_of_other_kinds_are_foreign() {
+fn environments_of_other_simulators_are_foreign() {
     let isaac = EnvArgs::parse(r#"{"env_name": "Isaac-Stack-Cube-Franka-IK-Rel-v0", "type": 2}"#).unwrap();
     assert!(isaac.is_foreign());
     assert!(!EnvArgs::parse(r#"{"env_name": "Lift"}"#).unwrap().is_foreign());
 }
 
 #[test]
-fn mimicgen_s_names_are_of_the_scene_that_they_name() {
+fn mimicgen_names_give_task_and_distribution() {
     let tasks = [
         ("Lift", Some("lift"), None),
         ("PickPlaceCan", Some("can"), None),
@@ -160,7 +160,7 @@ fn mimicgen_s_names_are_of_the_scene_that_they_name() {
 }
 
 #[test]
-fn composite_controllers_are_found_under_other_names() {
+fn composite_controllers_are_found_under_all_known_names() {
     for text in [
         r#"{"env_name": "Lift", "env_kwargs": {"controller_configs": {"type": "HYBRID", "body_parts_controller_configs":
             {"right": {"type": "OSC_POSE", "output_max": 0.05}}}}}"#,

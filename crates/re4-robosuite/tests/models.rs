@@ -1,5 +1,5 @@
-//! Kinematics on small models whose poses are known by hand, and on broken ones.
-#![allow(clippy::unwrap_used, reason = "a test may stop where it fails")]
+//! Kinematics of a small model with poses that were computed by hand, and of broken models.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -7,7 +7,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_robosuite::kinematics::{KinematicsError, Model, PANDA_RESET};
 
-/// A robot of one arm joint, and a cube; angles in degrees, as MJCF has them unless told otherwise.
+/// A robot with one arm joint, a cube and a door. Angles are in degrees, which is MJCF's default.
 const SMALL: &str = r#"<mujoco>
   <compiler eulerseq="xyz"/>
   <default>
@@ -35,7 +35,7 @@ fn near(a: Vector3<f64>, b: [f64; 3]) {
 }
 
 #[test]
-fn poses_are_those_worked_out_by_hand() {
+fn poses_match_a_computation_by_hand() {
     let model = Model::parse(SMALL).unwrap();
     assert_eq!(
         (model.positions(), model.velocities(), model.state_width()),
@@ -45,17 +45,17 @@ fn poses_are_those_worked_out_by_hand() {
     assert_eq!(robot.fingers, Some([1, 2]));
     let cube = model.object("cube").unwrap();
     let mut qpos = [0.0; 15];
-    // The arm leans by 90 degrees about the base's y axis (the world's -x), at the foot of the hand's link.
+    // The arm is rotated by 90 degrees about the base's y axis (the world's -x axis), at the lower end of the hand's link.
     qpos[0] = FRAC_PI_2;
     qpos[1] = 0.02;
     qpos[2] = 0.5;
-    // Not normalised, and w first.
+    // The quaternion is not normalised and has w first.
     qpos[3..10].copy_from_slice(&[1.0, 2.0, 3.0, 2.0, 2.0, 0.0, 0.0]);
     qpos[10] = FRAC_PI_2;
     let poses = model.forward(&qpos).unwrap();
     let hand = poses.body(robot.hand);
     near(hand.translation.vector, [1.0, 1.0, 0.0]);
-    // The hand's z axis lies along the world's y; its x axis points down.
+    // The hand's z axis is the world's y axis; its x axis points down.
     near(hand.rotation * Vector3::z(), [0.0, 1.0, 0.0]);
     near(hand.rotation * Vector3::x(), [0.0, 0.0, -1.0]);
     let site = poses.site(robot.grip_site);
@@ -63,7 +63,7 @@ fn poses_are_those_worked_out_by_hand() {
     assert!(site.rotation.angle_to(&(hand.rotation * re4_robosuite::hand_to_site())) < 1e-12);
     near(poses.body(cube).translation.vector, [1.0, 2.0, 3.0]);
     near(poses.body(cube).rotation * Vector3::y(), [0.0, 0.0, 1.0]);
-    // The reference of the door's hinge is 90 degrees, where it stands as drawn; its ball joint is all zeros: no rotation.
+    // The door's hinge is at its reference of 90 degrees, and its ball joint is all zeros, so both rotations are zero.
     let names: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
     assert_eq!(names, ["cube_main"]);
     assert_eq!(robot.gripper_qpos(&qpos), Some([0.02, 0.5]));
@@ -82,11 +82,10 @@ fn poses_are_those_worked_out_by_hand() {
     assert_eq!(joints, expected);
 }
 
-/// World position of the tip, of the door's rotation angle, under a joint's value.
 #[test]
-fn slides_move_along_their_normalised_axis_and_hinges_turn_from_their_reference() {
+fn slides_use_the_normalised_axis_and_hinges_rotate_from_their_reference() {
     let mut text = SMALL.replace(r#"<body name="door""#, r#"<body name="door_main""#);
-    // Any body can be asked for when it carries the hand's name.
+    // The pose of any body can be queried by giving it the hand body's name.
     text = text
         .replace("robot0_right_hand", "link")
         .replace("door_main", "robot0_right_hand");
@@ -95,15 +94,15 @@ fn slides_move_along_their_normalised_axis_and_hinges_turn_from_their_reference(
     let mut qpos = [0.0; 15];
     qpos[6] = 1.0;
     qpos[10] = FRAC_PI_2;
-    let turned = |qpos: &[f64; 15]| model.forward(qpos).unwrap().body(robot.hand).rotation;
-    assert!(turned(&qpos).angle() < 1e-12);
+    let rotation = |qpos: &[f64; 15]| model.forward(qpos).unwrap().body(robot.hand).rotation;
+    assert!(rotation(&qpos).angle() < 1e-12);
     qpos[10] = PI;
-    let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2);
-    assert!(turned(&qpos).angle_to(&quarter) < 1e-12);
-    // Then the ball turns about the turned axes.
+    let by_hinge = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2);
+    assert!(rotation(&qpos).angle_to(&by_hinge) < 1e-12);
+    // The ball joint then rotates about the axes that the hinge has rotated.
     qpos[11..15].copy_from_slice(&[0.0, 3.0, 0.0, 0.0]);
-    let half = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
-    assert!(turned(&qpos).angle_to(&(quarter * half)) < 1e-12);
+    let by_ball = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    assert!(rotation(&qpos).angle_to(&(by_hinge * by_ball)) < 1e-12);
 
     let moved = SMALL
         .replace("gripper0_right_grip_site", "other")
@@ -115,19 +114,20 @@ fn slides_move_along_their_normalised_axis_and_hinges_turn_from_their_reference(
     let at = |qpos: &[f64; 15]| model.forward(qpos).unwrap().site(robot.grip_site).translation.vector;
     let before = at(&qpos);
     qpos[1] = 0.02;
-    // The axis "2 0 0" is a direction: 0.02 m, not 0.04. Base +90 and gripper -90 degrees about z cancel.
+    // The axis "2 0 0" is only a direction, so the motion is 0.02 m, not 0.04 m. The rotations of the base (+90 degrees about
+    // z) and of the gripper (-90 degrees) cancel.
     near(at(&qpos) - before, [0.02, 0.0, 0.0]);
 }
 
 #[test]
-fn unusable_models_are_refused_in_a_sentence() {
+fn unusable_models_are_refused_with_a_message_of_one_line() {
     let broken = |from: &str, to: &str| {
         assert!(SMALL.contains(from));
         Model::parse(&SMALL.replace(from, to)).unwrap_err().to_string()
     };
     let body = |inner: &str| format!("<mujoco><worldbody>{inner}</worldbody></mujoco>");
     let cases = [
-        (Model::parse("").unwrap_err().to_string(), "not readable as XML"),
+        (Model::parse("").unwrap_err().to_string(), "not valid XML"),
         (
             Model::parse("<robot/>").unwrap_err().to_string(),
             "<robot>, not <mujoco>",
@@ -139,12 +139,12 @@ fn unusable_models_are_refused_in_a_sentence() {
         ),
         (broken("pos=\"1 0 0\"", "pos=\"1 0 0 0\""), "not 3 finite numbers"),
         (broken("pos=\"1 0 0\"", "pos=\"1 0 inf\""), "not 3 finite numbers"),
-        (broken("euler=\"0 0 90\"", "quat=\"0 0 0 0\""), "has no direction"),
+        (broken("euler=\"0 0 90\"", "quat=\"0 0 0 0\""), "which is zero"),
         (
             broken("euler=\"0 0 90\"", "zaxis=\"0 0 1\""),
-            "zaxis, which is not known",
+            "zaxis, which is not supported",
         ),
-        (broken("axis=\"2 0 0\"", "axis=\"0 0 0\""), "axis without a direction"),
+        (broken("axis=\"2 0 0\"", "axis=\"0 0 0\""), "a zero vector as axis"),
         (broken("type=\"ball\"", "type=\"screw\""), "type=\"screw\", not free"),
         (
             broken("childclass=\"finger\"", "childclass=\"thumb\""),
@@ -162,7 +162,7 @@ fn unusable_models_are_refused_in_a_sentence() {
         ),
         (
             Model::parse(&body("<frame><body/></frame>")).unwrap_err().to_string(),
-            "<frame>, which is not known",
+            "<frame>, which is not supported",
         ),
         (
             Model::parse(&body("<joint/>")).unwrap_err().to_string(),
@@ -170,7 +170,7 @@ fn unusable_models_are_refused_in_a_sentence() {
         ),
     ];
     for (sentence, part) in cases {
-        assert!(sentence.contains(part), "{sentence:?} has not {part:?}");
+        assert!(sentence.contains(part), "{sentence:?} does not contain {part:?}");
         assert!(!sentence.contains('\n'), "{sentence}");
     }
     let deep = format!("{}{}", "<body>".repeat(100_000), "</body>".repeat(100_000));
@@ -183,7 +183,7 @@ fn unusable_models_are_refused_in_a_sentence() {
 }
 
 #[test]
-fn what_cannot_be_found_is_said_with_what_there_is() {
+fn errors_about_missing_parts_list_the_existing_names() {
     let model = Model::parse(SMALL).unwrap();
     let error = model.object("Can").unwrap_err().to_string();
     assert!(
@@ -196,7 +196,7 @@ fn what_cannot_be_found_is_said_with_what_there_is() {
         error.contains("gripper0_grip_site, gripper0_right_grip_site") && error.contains("cube_site"),
         "{error}"
     );
-    // The only name with the ending will do, two are ambiguous.
+    // A single name with the right suffix is accepted, two are ambiguous.
     let other = SMALL.replace("gripper0_right_grip_site", "right_hand_grip_site");
     assert!(Model::parse(&other).unwrap().robot(0).is_ok());
     let two = other.replace("cube_site", "left_grip_site");
@@ -233,7 +233,7 @@ fn states_of_another_model_are_refused() {
 
 proptest! {
     #[test]
-    fn changed_models_never_panic(edits in prop::collection::vec((0..SMALL.len(), any::<u8>()), 1..8), cut in 0..SMALL.len()) {
+    fn corrupted_models_never_panic(edits in prop::collection::vec((0..SMALL.len(), any::<u8>()), 1..8), cut in 0..SMALL.len()) {
         let mut bytes = SMALL.as_bytes().to_vec();
         for (index, byte) in edits {
             bytes[index] = byte;

@@ -1,5 +1,5 @@
-//! Absolute actions against the controller's own goals, on the real files.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+//! Comparison of converted absolute actions with the controller's own goals, on real files.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 
@@ -16,9 +16,9 @@ struct Errors {
 
 impl Errors {
     fn print(&mut self, what: &str) {
-        let shares =
-            |values: &mut Vec<f64>| [0.5, 0.9, 0.99, 1.0].map(|share| format!("{:.1e}", quantile(values, share)));
-        let (mm, degrees) = (shares(&mut self.mm), shares(&mut self.degrees));
+        let quantiles =
+            |values: &mut Vec<f64>| [0.5, 0.9, 0.99, 1.0].map(|fraction| format!("{:.1e}", quantile(values, fraction)));
+        let (mm, degrees) = (quantiles(&mut self.mm), quantiles(&mut self.degrees));
         println!(
             "{what}, {} steps: p50 p90 p99 max {} mm, {} deg",
             self.mm.len(),
@@ -29,7 +29,7 @@ impl Errors {
 }
 
 #[test]
-fn deltas_become_the_goals_of_the_controller() {
+fn converted_deltas_equal_the_goals_of_the_controller() {
     for task in TASKS {
         let (Some(deltas), Some(goals)) = (scripted(task, "low_dim.hdf5"), scripted(task, "low_dim_abs.hdf5")) else {
             return;
@@ -45,29 +45,29 @@ fn deltas_become_the_goals_of_the_controller() {
             let (demo, known) = (deltas.demo(&name), goals.actions(&name));
             let sites = demo.sites();
             let absolute = osc.to_absolute(&demo.actions, &sites, None).unwrap();
-            // The controller's own pose at its first step is that of the reset robot.
+            // In the first step the controller holds the pose of the reset.
             let reset = demo.model.site_at(&PANDA_RESET).unwrap();
             let informed = osc.to_absolute(&demo.actions, &sites, Some(&reset)).unwrap();
-            let unturned = demo
+            let before_rotation = demo
                 .actions
                 .iter()
                 .take_while(|action| action[3..6] == [0.0; 3])
                 .count();
             for (t, theirs) in known.iter().enumerate() {
                 let (metres, radians) = distance(&absolute[t], theirs);
-                let sort = match t {
+                let errors = match t {
                     0 => &mut first,
-                    t if t < unturned => &mut opening,
+                    t if t < before_rotation => &mut opening,
                     _ => &mut later,
                 };
-                sort.mm.push(metres * 1e3);
-                sort.degrees.push(radians.to_degrees());
+                errors.mm.push(metres * 1e3);
+                errors.degrees.push(radians.to_degrees());
                 let (metres, radians) = distance(&informed[t], theirs);
                 all_known.mm.push(metres * 1e3);
                 all_known.degrees.push(radians.to_degrees());
                 assert_eq!(absolute[t][6], theirs[6]);
             }
-            // And back, as the controller had them.
+            // Back to the recorded deltas.
             let back = osc.to_delta(&known, &sites, Some(&reset)).unwrap();
             for (ours, theirs) in back.iter().zip(&demo.actions) {
                 for (ours, theirs) in ours.iter().zip(theirs) {

@@ -1,5 +1,6 @@
-//! Unit, offset, direction and frame of actions on the real files, on changed copies of them, and on files of other hands.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+//! Detection of the unit, offset, direction and frame of actions on real files, on changed copies of them, and on files from other
+//! tools.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 
@@ -14,7 +15,7 @@ use re4_robosuite::conventions::{
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::hand_to_site;
 
-/// What is done to each action.
+/// A change of each action.
 type Change = fn(&[f64; 7]) -> [f64; 7];
 type Boxed<'a> = Box<dyn Fn(&[f64; 7]) -> [f64; 7] + 'a>;
 
@@ -73,7 +74,7 @@ fn arm(action: &[f64; 7], change: impl Fn(usize, f64) -> f64) -> [f64; 7] {
 }
 
 #[test]
-fn right_files_of_all_kinds_are_proven_whole() {
+fn all_conventions_of_scripted_files_are_proven() {
     for task in TASKS {
         for (file, count) in [
             ("low_dim.hdf5", 10),
@@ -105,9 +106,10 @@ fn right_files_of_all_kinds_are_proven_whole() {
     }
 }
 
-/// Human demonstrations: idle much, keyboards saturate, hands push; those of robosuite 1.0 turn the other way.
+/// Human demonstrations have many idle frames, saturated keyboard commands and pushing contacts. Those of robosuite 1.0 have
+/// reversed rotations.
 #[test]
-fn human_files_are_proven_whole() {
+fn all_conventions_of_human_files_are_proven() {
     let folders = [
         ("1.4.1-demos/lift", ActionRotation::Forward),
         ("1.0.1-demos/lift/panda", ActionRotation::Reversed),
@@ -127,7 +129,7 @@ fn human_files_are_proven_whole() {
         print(folder, &proofs);
         assert_eq!(row(&proofs, "action_scale").basis, Basis::Data, "{folder}");
         assert_eq!(conventions.actions.rotation, rotation, "{folder}");
-        // The controller starts from the pose of the reset here, too, as the hand's own motion shows.
+        // The end effector's motion shows that the controller starts from the reset pose here as well.
         assert_eq!(conventions.initial_goal, InitialGoal::ResetPose, "{folder}");
         assert_eq!(row(&proofs, "initial_goal").basis, Basis::Data, "{folder}");
         for demo in &demos {
@@ -136,9 +138,9 @@ fn human_files_are_proven_whole() {
     }
 }
 
-/// The pose that the controller holds at first, in observations beside the same states as in the raw file.
+/// A file with live observations has the same initial goal as the raw file with the same states.
 #[test]
-fn observations_of_live_recordings_start_as_their_raw_twins() {
+fn live_observations_have_the_same_initial_goal_as_the_raw_file() {
     let (Some(live), Some((env, demos))) = (foreign("h76_live_observations"), raw("1.4.1-demos/lift")) else {
         return;
     };
@@ -168,11 +170,11 @@ fn observations_of_live_recordings_start_as_their_raw_twins() {
 }
 
 #[test]
-fn faults_of_single_demonstrations_are_the_planted_ones() {
+fn exactly_the_planted_faults_are_found() {
     let Some(source) = Source::open("audit-truth/lift_faults.hdf5") else {
         return;
     };
-    // Three of the first ten have rows that stand still although the states go on.
+    // Three of the first ten demonstrations have frozen rows although their states continue.
     let demos = source.demos(10);
     let arrays: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
     let learned = Conventions::detect_leaving_out(&arrays, &source.env, &Settings::default()).unwrap();
@@ -188,13 +190,13 @@ fn faults_of_single_demonstrations_are_the_planted_ones() {
         }
     }
     assert!(odd.iter().all(|odd| refused.contains(*odd)));
-    // Pose frozen (0, 1, 9), object's pose frozen (25, 49), rows in reverse (28), actions halved (41), gripper's sign (59).
+    // Frozen pose (0, 1, 9), frozen object pose (25, 49), reversed rows (28), halved actions (41), gripper sign (59).
     let planted = [0, 1, 9, 25, 28, 41, 49, 59].map(|number| format!("demo_{number}"));
     assert_eq!(refused, BTreeSet::from(planted));
 }
 
 #[test]
-fn changed_actions_are_refused_with_what_they_are() {
+fn errors_describe_changed_actions() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -225,12 +227,12 @@ fn changed_actions_are_refused_with_what_they_are() {
                 (
                     "rotation a tenth",
                     Box::new(|a| arm(a, |i, v| if i < 3 { v } else { 0.1 * v })),
-                    "the hand turns",
+                    "the end effector rotates",
                 ),
                 (
-                    "radians alone",
+                    "radians only",
                     Box::new(|a| arm(a, |i, v| if i < 3 { v } else { 0.5 * v })),
-                    "the hand turns",
+                    "the end effector rotates",
                 ),
                 (
                     "its own range",
@@ -271,7 +273,7 @@ fn changed_actions_are_refused_with_what_they_are() {
 }
 
 #[test]
-fn changed_goals_are_refused_with_what_they_are() {
+fn errors_describe_changed_goals() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim_abs.hdf5") else {
             return;
@@ -279,7 +281,8 @@ fn changed_goals_are_refused_with_what_they_are() {
         let demos = source.demos(10);
         let base = demos[0].model.base().unwrap();
         let goal = |a: &[f64; 7]| UnitQuaternion::from_scaled_axis(Vector3::new(a[3], a[4], a[5]));
-        let turned = |a: &[f64; 7], turn: Vector3<f64>| [a[0], a[1], a[2], turn.x, turn.y, turn.z, a[6]];
+        let with_rotation =
+            |a: &[f64; 7], rotation: Vector3<f64>| [a[0], a[1], a[2], rotation.x, rotation.y, rotation.z, a[6]];
         let in_base = with(&demos, |a| {
             arm(a, |i, v| if i < 3 { v - base.translation.vector[i] } else { v })
         });
@@ -292,10 +295,10 @@ fn changed_goals_are_refused_with_what_they_are() {
             println!("{task}: {error}");
             assert!(error.contains("action_frame = \"base\""), "{error}");
             assert!(error.contains("fit in the frame of the robot's base"), "{error}");
-            let aside = with(&demos, |a| arm(a, |i, v| if i == 0 { v + 0.15 } else { v }));
-            let error = detect(&aside, &source.env, &settings).unwrap_err().to_string();
+            let shifted = with(&demos, |a| arm(a, |i, v| if i == 0 { v + 0.15 } else { v }));
+            let error = detect(&shifted, &source.env, &settings).unwrap_err().to_string();
             assert!(
-                error.contains("(0.15") && error.contains("another frame than the world's"),
+                error.contains("(0.15") && error.contains("they are not in the world frame"),
                 "{error}"
             );
         }
@@ -320,7 +323,7 @@ fn changed_goals_are_refused_with_what_they_are() {
         let error = detect(&demos, &source.env, &settings).unwrap_err().to_string();
         assert!(error.contains("contradicted by the data"), "{error}");
         let hand = with(&demos, |a| {
-            turned(a, (goal(a) * hand_to_site().inverse()).scaled_axis())
+            with_rotation(a, (goal(a) * hand_to_site().inverse()).scaled_axis())
         });
         let error = detect(&hand, &source.env, &Settings::default())
             .unwrap_err()
@@ -328,7 +331,7 @@ fn changed_goals_are_refused_with_what_they_are() {
         assert!(error.contains("rotation vectors of the hand body"), "{error}");
         let angles = with(&demos, |a| {
             let (roll, pitch, yaw) = goal(a).euler_angles();
-            turned(a, Vector3::new(roll, pitch, yaw))
+            with_rotation(a, Vector3::new(roll, pitch, yaw))
         });
         let error = detect(&angles, &source.env, &Settings::default())
             .unwrap_err()
@@ -339,12 +342,12 @@ fn changed_goals_are_refused_with_what_they_are() {
 }
 
 #[test]
-fn files_of_other_hands_are_named_and_read_by_their_setting() {
+fn files_from_other_tools_are_recognised_and_accepted_by_a_setting() {
     let cases: [(&str, &str, &str, Settings); 3] = [
         (
             "h26_deltas_in_metres",
             "h00_control_can",
-            "output_max 0.05 does: these are deltas in metres and radians",
+            "output_max 0.05: the actions are deltas in metres and radians",
             Settings {
                 action_scale: Some(ActionScale::Metres),
                 ..Settings::default()
@@ -396,7 +399,7 @@ fn files_of_other_hands_are_named_and_read_by_their_setting() {
             }
         }
     }
-    // A kind of action that most of the motion contradicts is no kind.
+    // A setting for the kind of action is refused if it contradicts most of the motion.
     let Some(source) = foreign("h24_absolute_in_base_frame") else {
         return;
     };
@@ -421,7 +424,7 @@ fn files_of_other_hands_are_named_and_read_by_their_setting() {
             .to_string();
         println!("h23: {error}");
         assert!(
-            error.contains("leaves most of the hand's motion unexplained") || error.contains("contradicted"),
+            error.contains("leaves most of the end effector's motion unexplained") || error.contains("contradicted"),
             "{error}"
         );
     }
@@ -431,7 +434,7 @@ fn files_of_other_hands_are_named_and_read_by_their_setting() {
     let error = detect(&cut_off.demos(4), &cut_off.env, &Settings::default())
         .unwrap_err()
         .to_string();
-    assert!(error.starts_with("demo_2: rows 53 to 79 are zeros"), "{error}");
+    assert!(error.starts_with("demo_2: rows 53 to 79 contain only zeros"), "{error}");
     let Some(square) = foreign("h01_mimicgen_square_d0") else {
         return;
     };
@@ -439,9 +442,9 @@ fn files_of_other_hands_are_named_and_read_by_their_setting() {
     assert!(conventions.object_layout.is_some());
 }
 
-/// A single demonstration of another kind among right ones, wherever it is.
+/// A single demonstration with other conventions, among correct ones.
 #[test]
-fn a_demonstration_of_another_kind_is_named() {
+fn a_demonstration_with_other_conventions_is_named() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -450,13 +453,13 @@ fn a_demonstration_of_another_kind_is_named() {
         let changes: [(&str, Change); 5] = [
             ("metres", |a| arm(a, |i, v| v * OUTPUT[i])),
             ("a tenth", |a| arm(a, |_, v| 0.1 * v)),
-            ("the other way round", |a| arm(a, |i, v| if i < 3 { v } else { -v })),
+            ("reversed rotations", |a| arm(a, |i, v| if i < 3 { v } else { -v })),
             ("gripper from 0", |a| {
                 let mut a = *a;
                 a[6] = f64::midpoint(a[6], 1.0);
                 a
             }),
-            ("gripper turned round", |a| {
+            ("gripper negated", |a| {
                 let mut a = *a;
                 a[6] = -a[6];
                 a

@@ -1,5 +1,5 @@
-//! Proofs on the real files and on changed copies of them.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+//! Detection of conventions on real files and on changed copies of them.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 
@@ -13,14 +13,14 @@ use re4_robosuite::hand_to_site;
 
 type Outcome = Result<(Conventions, Vec<Proof>), Unproven>;
 
-/// With and without states.
+/// Detects the conventions with and without states.
 fn detect_both(demos: &[Demo], env: &EnvArgs, settings: Settings) -> [Outcome; 2] {
     let full: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
     let alone: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays_alone).collect();
     [full, alone].map(|arrays| Conventions::detect(&arrays, env, &settings))
 }
 
-/// Deltas and a cube do not tell the frame of the hand's orientation without states.
+/// Without states, deltas and a cube do not determine the frame of the end effector's orientation, so it is set for Lift.
 fn known_frame(task: &str) -> Settings {
     Settings {
         eef_orientation: (task == "lift").then_some(EefOrientation::HandBody),
@@ -35,7 +35,8 @@ fn declare(env: &EnvArgs, version: &str) -> EnvArgs {
     }
 }
 
-/// What robosuite 1.5 would have observed: the relative part first and one observation late, or with the other sign.
+/// The observations that robosuite 1.5 would have recorded: the relative part is first and delayed by one observation, or (Lift)
+/// has the opposite sign.
 fn as_written_by_1_5(demo: &Demo) -> Demo {
     let mut new = demo.clone();
     let columns = demo.object_columns;
@@ -85,7 +86,7 @@ fn proof<'a>(proofs: &'a [Proof], convention: &str) -> &'a Proof {
 }
 
 #[test]
-fn scripted_files_are_proven_and_every_demo_follows() {
+fn conventions_of_scripted_files_are_proven_and_fit_all_demonstrations() {
     for task in TASKS {
         for (file, kind) in [
             ("low_dim.hdf5", ActionKind::Delta),
@@ -120,7 +121,7 @@ fn scripted_files_are_proven_and_every_demo_follows() {
                     ObjectLayout::PoseFirst
                 };
                 assert_eq!(conventions.object_layout, Some(layout));
-                // Converted files keep control_delta as it was; users are told.
+                // Converters leave control_delta unchanged, which causes a warning.
                 let warned = proof(&proofs, "action_kind").warning.is_some();
                 assert_eq!(warned, kind == ActionKind::Absolute);
                 let set = |proof: &&Proof| proof.basis == Basis::Setting;
@@ -159,7 +160,7 @@ fn scripted_files_are_proven_and_every_demo_follows() {
 }
 
 #[test]
-fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
+fn the_1_5_layout_is_proven_if_declared_and_refused_otherwise() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -220,7 +221,7 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
             assert_eq!(proof.basis, Basis::Data);
             assert!(proof.warning.as_ref().unwrap().contains("1.4.1"));
         }
-        // The layout of another file, one demo of it among many.
+        // A single demonstration with the layout of another file.
         let arrays: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
         let (conventions, _) =
             Conventions::detect(&arrays, &declare(&source.env, "1.5.1"), &Settings::default()).unwrap();
@@ -230,9 +231,9 @@ fn the_1_5_layout_is_proven_where_declared_and_refused_where_not() {
     }
 }
 
-/// Where observations were computed twice at each state: only the first row is not yet there.
+/// If observations were computed twice at each state, the relative part is current and only the first row contains zeros.
 #[test]
-fn relative_parts_of_1_5_may_be_current_again() {
+fn relative_parts_of_1_5_may_be_current() {
     let Some(source) = scripted("square", "low_dim.hdf5") else {
         return;
     };
@@ -248,7 +249,7 @@ fn relative_parts_of_1_5_may_be_current_again() {
         assert_eq!(conventions.object_layout, Some(ObjectLayout::RelativeFirst));
         assert_eq!(conventions.relative_lag, RelativeLag::Current);
         conventions.check(&demos[0].arrays()).unwrap();
-        // Zeros anywhere else are no orientation.
+        // Zeros in any other row are not a valid orientation.
         let mut later = demos[1].clone();
         later.object[14 * 5..14 * 5 + 7].fill(0.0);
         let error = conventions.check(&later.arrays()).unwrap_err().to_string();
@@ -263,9 +264,9 @@ fn relative_parts_of_1_5_may_be_current_again() {
     }
 }
 
-/// A relative part that nothing explains: only a setting takes it, and it then refuses no demo.
+/// A relative part that fits no hypothesis is accepted only with a setting. It is then measured, but no demonstration is refused.
 #[test]
-fn what_only_a_setting_says_is_measured_and_not_refused() {
+fn conventions_from_settings_are_measured_but_refuse_no_demonstration() {
     let Some(source) = scripted("can", "low_dim.hdf5") else {
         return;
     };
@@ -299,7 +300,7 @@ fn what_only_a_setting_says_is_measured_and_not_refused() {
 }
 
 #[test]
-fn quaternions_with_the_scalar_first_are_detected() {
+fn scalar_first_quaternions_are_detected() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -355,7 +356,7 @@ fn quaternions_with_the_scalar_first_are_detected() {
 }
 
 #[test]
-fn the_site_s_orientation_is_told_from_the_hand_s() {
+fn orientations_of_site_and_hand_body_are_distinguished() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim_abs.hdf5") else {
             return;
@@ -378,7 +379,7 @@ fn the_site_s_orientation_is_told_from_the_hand_s() {
 }
 
 #[test]
-fn the_other_gripper_sign_is_detected() {
+fn the_opposite_gripper_sign_is_detected() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -418,7 +419,7 @@ fn the_other_gripper_sign_is_detected() {
 }
 
 #[test]
-fn settings_against_the_data_are_refused() {
+fn settings_that_contradict_the_data_are_refused() {
     let Some(source) = scripted("can", "low_dim.hdf5") else {
         return;
     };
@@ -480,7 +481,7 @@ fn settings_against_the_data_are_refused() {
 }
 
 #[test]
-fn a_demo_without_motion_proves_nothing() {
+fn a_demonstration_without_motion_proves_nothing() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -489,7 +490,7 @@ fn a_demo_without_motion_proves_nothing() {
         demo.cut(3);
         let demos = [demo];
         let mut settings = Settings::default();
-        // One convention after the other is asked for, until all are set.
+        // Each error asks for one more convention, until all are set.
         let mut asked = Vec::new();
         loop {
             let [outcome, _] = detect_both(&demos, &source.env, settings);
@@ -530,7 +531,7 @@ fn a_demo_without_motion_proves_nothing() {
 }
 
 #[test]
-fn faults_of_single_demos_are_named() {
+fn errors_name_the_faulty_demonstration() {
     let Some(source) = Source::open("malformed/ok_3demos.hdf5") else {
         return;
     };
@@ -549,7 +550,7 @@ fn faults_of_single_demos_are_named() {
         (
             "object_9_columns",
             "demo_0",
-            "obs/object has 9 columns, but the task's has 10",
+            "obs/object has 9 columns, but the task needs 10",
         ),
     ];
     for (file, name, sentence) in faults {
@@ -558,7 +559,7 @@ fn faults_of_single_demos_are_named() {
         println!("{error}");
         assert!(error.starts_with(&format!("{name}: {sentence}")), "{error}");
     }
-    // States of another row: the observations no longer belong to them.
+    // The states are shifted by a row, so they do not match the observations.
     let mut shifted = demos[0].clone();
     let columns = shifted.state_columns;
     shifted.states.rotate_left(columns);

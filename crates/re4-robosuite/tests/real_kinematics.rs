@@ -1,5 +1,5 @@
-//! Poses from states against what robosuite observed, on the real files.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+//! Comparison of poses from states with robosuite's observations, on real files.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 
@@ -9,7 +9,7 @@ use re4_robosuite::conventions::QuaternionOrder;
 use re4_robosuite::kinematics::Model;
 
 #[test]
-fn poses_equal_the_recorded_observations_of_all_scripted_demos() {
+fn poses_equal_the_observations_of_all_scripted_demonstrations() {
     for task in TASKS {
         let Some(source) = scripted(task, "low_dim.hdf5") else {
             return;
@@ -19,7 +19,13 @@ fn poses_equal_the_recorded_observations_of_all_scripted_demos() {
             "can" => "Can",
             _ => "SquareNut",
         };
-        let [mut eef, mut turn, mut gripper, mut place, mut object_rotation] = [0.0_f64; 5];
+        let [
+            mut eef,
+            mut rotation_error,
+            mut gripper,
+            mut position,
+            mut object_rotation,
+        ] = [0.0_f64; 5];
         let mut frames = 0;
         let names = source.names();
         assert_eq!(names.len(), 200);
@@ -31,28 +37,28 @@ fn poses_equal_the_recorded_observations_of_all_scripted_demos() {
                 let row = arrays.object.unwrap().row(t);
                 let rotation = |q: &[f64]| QuaternionOrder::Xyzw.rotation(q.try_into().unwrap()).unwrap();
                 eef = eef.max((known.site.translation.vector - Vector3::from(demo.eef_pos[t])).norm());
-                turn = turn.max(known.hand.rotation.angle_to(&rotation(&demo.eef_quat[t])));
+                rotation_error = rotation_error.max(known.hand.rotation.angle_to(&rotation(&demo.eef_quat[t])));
                 let fingers = known.gripper_qpos.unwrap();
                 gripper = gripper.max((fingers[0] - demo.gripper_qpos[t][0]).abs());
                 gripper = gripper.max((fingers[1] - demo.gripper_qpos[t][1]).abs());
                 let pose = known.object.unwrap();
-                place = place.max((pose.translation.vector - Vector3::from_column_slice(&row[..3])).norm());
+                position = position.max((pose.translation.vector - Vector3::from_column_slice(&row[..3])).norm());
                 object_rotation = object_rotation.max(pose.rotation.angle_to(&rotation(&row[3..7])));
                 frames += 1;
             }
         }
         println!(
-            "{task}: {frames} frames, eef {eef:.1e} m {turn:.1e} rad, gripper {gripper:.1e} m, object {place:.1e} m {object_rotation:.1e} rad"
+            "{task}: {frames} frames, eef {eef:.1e} m {rotation_error:.1e} rad, gripper {gripper:.1e} m, object {position:.1e} m {object_rotation:.1e} rad"
         );
-        for worst in [eef, turn, gripper, place, object_rotation] {
+        for worst in [eef, rotation_error, gripper, position, object_rotation] {
             assert!(worst <= 1e-9, "{task}: {worst:e}");
         }
     }
 }
 
 #[test]
-fn models_of_other_versions_are_understood() {
-    // Free bodies and widths of states, as recorded beside the models.
+fn models_of_other_versions_are_parsed() {
+    // The widths of the states and the names of the free bodies that belong to each model.
     let models = [
         ("robosuite-1.0.1-demos/lift/panda", 32, vec!["cube"]),
         ("robosuite-1.0.1-demos/stack/panda", 45, vec!["cubeA", "cubeB"]),
@@ -87,6 +93,6 @@ fn models_of_other_versions_are_understood() {
     assert_eq!((left.fingers, right.fingers), (Some([7, 8]), Some([16, 17])));
     assert!(
         model.object("hammer").unwrap_err().to_string().contains("hammer_root"),
-        "it is called hammer_root"
+        "the body is named hammer_root"
     );
 }

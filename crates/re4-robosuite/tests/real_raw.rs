@@ -1,14 +1,14 @@
 //! Conventions of human demonstrations in robosuite's raw layout: observations are computed from the states.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may stop where it fails")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests may panic")]
 
 mod common;
 
 use common::{Demo, raw};
 use re4_robosuite::conventions::{ActionKind, Basis, Contradiction, Conventions, GripperSign, Settings, Unproven};
 
-/// The door is opened by its handle with the gripper open all the way: three frames of opening at the start are too few.
+/// The gripper stays fully open while it opens the door by its handle. Three frames of opening at the start are too few.
 #[test]
-fn a_gripper_that_hardly_moves_proves_nothing() {
+fn a_gripper_that_hardly_moves_does_not_prove_the_sign() {
     let Some((env, demos)) = raw("1.0.1-demos/door/panda") else {
         return;
     };
@@ -31,7 +31,7 @@ fn a_gripper_that_hardly_moves_proves_nothing() {
 }
 
 #[test]
-fn actions_of_human_demos_are_proven_from_states_alone() {
+fn actions_of_human_demonstrations_are_proven_from_states_only() {
     let folders = [
         "1.4.1-demos/lift",
         "1.0.1-demos/lift/panda",
@@ -61,7 +61,7 @@ fn actions_of_human_demos_are_proven_from_states_alone() {
         for demo in &demos {
             match conventions.check(&demo.arrays()) {
                 Ok(residuals) => assert!(residuals.fingers_against.unwrap() < 0.1),
-                // The keyboard gave commands of 3.75.
+                // Keyboard teleoperation recorded commands of 3.75.
                 Err(error) => {
                     println!("{folder}: {error}");
                     assert_eq!(folder, "1.4.1-demos/lift");

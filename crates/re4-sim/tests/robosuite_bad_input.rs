@@ -41,8 +41,8 @@ fn a_missing_library_is_reported() {
         assert_eq!(
             sentence(Library::open(folder, version)),
             format!(
-                "MuJoCo's library is not at {}/libmujoco.so; run scripts/setup-simulators.sh, or name the folder that it made \
-                 in the environment variable RE4_SIMULATORS",
+                "MuJoCo's library does not exist at {}/libmujoco.so; run scripts/setup-simulators.sh, or set the environment variable \
+                 RE4_SIMULATORS to the folder that it created",
                 folder.display()
             )
         );
@@ -75,7 +75,7 @@ fn a_truncated_library_is_reported() {
             assert_eq!(
                 sentence(Library::open(folder, version)),
                 format!(
-                    "cannot load MuJoCo's library {}/libmujoco.so: the file is cut short; remove it and run \
+                    "cannot load MuJoCo's library {}/libmujoco.so: the file is truncated; remove it and run \
                      scripts/setup-simulators.sh",
                     folder.display()
                 )
@@ -91,7 +91,7 @@ fn a_truncated_library_is_reported() {
         assert_eq!(
             sentence(Library::open(folder, version)),
             format!(
-                "cannot load MuJoCo's library {}/libmujoco.so: the file is no shared library; remove it and run \
+                "cannot load MuJoCo's library {}/libmujoco.so: the file is not a shared library; remove it and run \
                  scripts/setup-simulators.sh",
                 folder.display()
             )
@@ -115,7 +115,7 @@ fn a_model_that_does_not_parse_is_reported() {
     );
     assert_eq!(
         sentence(with_assets("<mujoco><worldbody>", &simulators)),
-        "the model is not readable as XML: the root node was opened but never closed"
+        "the model is not valid XML: the root node was opened but never closed"
     );
     assert_eq!(
         sentence(with_assets("<robot/>", &simulators)),
@@ -141,8 +141,8 @@ fn a_missing_mesh_is_reported() {
     assert_eq!(
         sentence(with_assets(&mjcf, &assets)),
         format!(
-            "the model names the file {lost}, which is not at {}; run scripts/setup-simulators.sh, or name the folder that it \
-             made in the environment variable RE4_SIMULATORS",
+            "the model refers to the file {lost}, which does not exist at {}; run scripts/setup-simulators.sh, or set the \
+             environment variable RE4_SIMULATORS to the folder that it created",
             lost.replacen("robosuite", &std::path::absolute(&assets).unwrap().to_string_lossy(), 1)
         )
     );

@@ -1,4 +1,4 @@
-//! Unit, offset, direction and frame of actions, and the range of the gripper's command, held against what the hand does.
+//! Detection of the unit, the offset and the direction of delta actions from the end effector's motion.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::demo::Sound;
+use super::demo::ValidDemo;
 use super::evidence::{Basis, Candidate, Declared, Evidence, Fit, Proof, Test, Verdict, name};
 use super::reading::{ActionReading, ActionRotation, ActionScale};
 use super::response::{Line, ROTATION, Response, Sums, TRANSLATION};
@@ -14,17 +14,17 @@ use super::{EefOrientation, QuaternionOrder, Settings, Unproven};
 use crate::actions::{Action, Osc};
 use crate::env_args::EnvArgs;
 
-/// The controller that actions go to.
+/// The controller that executes the actions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Controls {
-    /// What its commands mean.
+    /// Scales of its commands.
     pub osc: Osc,
-    /// How the hand follows.
+    /// Motion of the end effector in response to commands.
     pub response: Response,
 }
 
 impl Controls {
-    /// Those that a file declares; none where it declares no scales.
+    /// The controller that a file declares, or `None` if it declares no scales.
     pub(super) fn of(env: &EnvArgs) -> Option<Self> {
         Some(Self {
             osc: Osc::from_env(env).ok()?,
@@ -33,37 +33,41 @@ impl Controls {
     }
 }
 
-/// Deltas that ask for more than this many times of what the controller can do are not in metres.
+/// If a translation exceeds the controller's maximum step by more than this factor, the deltas are not in metres.
 const BEYOND: f64 = 10.0;
-/// A unit fits this many times better than another one, or the data does not tell the two apart.
+/// Minimum factor by which one unit must fit better than another. Below it the data does not decide between the two.
 const BETTER: f64 = 2.0;
-/// Rows that a line needs.
+/// Minimum number of rows for fitting a line.
 pub(super) const ROWS: usize = 20;
-/// A hand goes at most this many times as far as robosuite's controller takes it: 1.01 is the most that was seen.
+/// Maximum gain of translations: the end effector moves at most this many times as far as robosuite's controller would move it.
+/// The largest gain observed is 1.01.
 pub(super) const FURTHER: f64 = 1.6;
-/// It may be held back: 0.41 is the minimum that was seen, of a hand that opens a door.
+/// Inverse of the minimum gain of translations. Contacts may hold the end effector back: the smallest gain observed is 0.41,
+/// for an end effector that opens a door.
 pub(super) const LESS: f64 = 3.0;
-/// Fraction of the translation that a line may leave unexplained and still tell the unit.
-pub(super) const TRANSLATION_TOLD: f64 = 0.6;
-/// The same for rotations. Translations turn the hand a little, too, which looks like a gain of 1.4 where hardly any rotation
-/// is commanded, and leaves half of it unexplained.
-pub(super) const ROTATION_TOLD: f64 = 0.35;
-/// Rotations go at most this many times as far: 1.02 is the most that was seen.
-pub(super) const TURNS_FURTHER: f64 = 1.3;
-/// A line this flat tells that commands are too large even where it explains little.
-const TURNS_LESS: (f64, f64) = (0.25, 0.75);
-/// Commands that are further from 0 where the hand rests are shifted (in the controller's commands): friction and weight
-/// make up to 0.034 over several demonstrations.
+/// Maximum fraction of the translation that a line may leave unexplained. Beyond it the line does not determine the unit.
+pub(super) const TRANSLATION_UNEXPLAINED: f64 = 0.6;
+/// The same for rotations. It is smaller because translations rotate the end effector slightly. If hardly any rotation is
+/// commanded, this looks like a gain of 1.4 that leaves half of the rotation unexplained.
+pub(super) const ROTATION_UNEXPLAINED: f64 = 0.35;
+/// Maximum gain of rotations. The largest gain observed is 1.02.
+pub(super) const ROTATES_FURTHER: f64 = 1.3;
+/// Maximum gain and unexplained fraction of a rotation line that shows that commands are too large, although it explains
+/// little of the rotation.
+const ROTATES_LESS: (f64, f64) = (0.25, 0.75);
+/// Maximum absolute command (in controller commands) at which the end effector may rest. Beyond it the actions are shifted.
+/// Friction and weight cause up to 0.034 over several demonstrations.
 const SHIFTED: f64 = 0.15;
-/// Fraction of its motion that the line of one axis may leave unexplained and still tell where the hand rests.
-const AXIS_TOLD: f64 = 0.5;
+/// Maximum fraction of the motion along one axis that a line may leave unexplained to determine where the end effector rests.
+const AXIS_UNEXPLAINED: f64 = 0.5;
 /// Minimum gain of such a line.
 const AXIS_GAIN: f64 = 0.05;
-/// Frames at rest under one and the same command that tell a shift.
+/// Minimum number of frames at rest under the same command that show a shift.
 const RESTS: usize = 10;
 
-/// Steps of the hand: translations, and rotation vectors in world axes.
-pub(super) fn steps(demo: &Sound<'_>, order: QuaternionOrder) -> Vec<[f64; 6]> {
+/// Motion of the end effector in each step: translation (metres) and rotation vector (radians) in world axes. Returns one row
+/// less than the demonstration has.
+pub(super) fn steps(demo: &ValidDemo<'_>, order: QuaternionOrder) -> Vec<[f64; 6]> {
     let parts = |[a, b, c, d]: [f64; 4]| match order {
         QuaternionOrder::Xyzw => (Vector3::new(a, b, c), d),
         QuaternionOrder::Wxyz => (Vector3::new(b, c, d), a),
@@ -72,32 +76,34 @@ pub(super) fn steps(demo: &Sound<'_>, order: QuaternionOrder) -> Vec<[f64; 6]> {
     poses
         .map(|(positions, quaternions)| {
             let ((v, w), (next, next_w)) = (parts(quaternions[0]), parts(quaternions[1]));
-            let turn = next * w - v * next_w - next.cross(&v);
-            // Twice the sine of half the angle is the angle to a ten-thousandth, as steps are small.
+            let rotation = next * w - v * next_w - next.cross(&v);
+            // Steps are small, so twice the sine of half the angle approximates the angle to 1e-4. The sign of the factor selects
+            // the shorter of the two rotations that the quaternions allow.
             let factor = if next_w * w + next.dot(&v) < 0.0 { -2.0 } else { 2.0 };
             let [before, now] = [positions[0], positions[1]];
-            let [rx, ry, rz] = [turn.x, turn.y, turn.z].map(|value| factor * value);
+            let [rx, ry, rz] = [rotation.x, rotation.y, rotation.z].map(|value| factor * value);
             [now[0] - before[0], now[1] - before[1], now[2] - before[2], rx, ry, rz]
         })
         .collect()
 }
 
-/// What these actions ask for as deltas of the controller.
+/// Sums for actions that are read as controller commands.
 pub(super) fn deltas(controls: &Controls, steps: &[[f64; 6]], actions: &[Action]) -> Sums {
     Sums::of(&controls.response, steps, |t| controls.osc.motion(&actions[t]))
 }
 
-/// The line that tells about rotations, over all three axes or over the one that tells most; none where none tells.
+/// The line through the rotations about all three axes, or the one about the single axis that explains most if the common line
+/// leaves too much unexplained. Returns `None` if no line is significant.
 pub(super) fn rotation_line(sums: &Sums) -> Option<Line> {
     let significant =
-        |line: Option<Line>| line.filter(|line| line.unexplained <= ROTATION_TOLD && sums.frames() >= ROWS);
+        |line: Option<Line>| line.filter(|line| line.unexplained <= ROTATION_UNEXPLAINED && sums.frames() >= ROWS);
     significant(sums.line(&ROTATION)).or_else(|| {
         let axes = ROTATION.iter().filter_map(|axis| significant(sums.line(&[*axis])));
         axes.min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))
     })
 }
 
-/// Lines of a hypothesis about deltas.
+/// The fitted lines for one hypothesis about the unit of deltas.
 struct Lines {
     translation: Option<Line>,
     rotation: Option<Line>,
@@ -105,15 +111,16 @@ struct Lines {
     frames: usize,
 }
 
-/// What lines say of a hypothesis.
+/// Result of testing a hypothesis about the unit of deltas.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Says {
+enum UnitFit {
     Fits,
-    /// Translations are of another unit.
+    /// Translations have another unit.
     NotTranslation,
-    /// Only rotations are of another unit.
+    /// Only rotations have another unit.
     NotRotation,
-    Nothing,
+    /// The end effector moves too little, or its motion does not follow the actions.
+    Undecided,
 }
 
 impl Lines {
@@ -126,27 +133,30 @@ impl Lines {
         }
     }
 
+    /// The line through the translations, if it is significant.
     fn translation_line(&self) -> Option<Line> {
         self.translation
-            .filter(|line| line.unexplained <= TRANSLATION_TOLD && self.frames >= ROWS)
+            .filter(|line| line.unexplained <= TRANSLATION_UNEXPLAINED && self.frames >= ROWS)
     }
 
-    fn says(&self) -> Says {
+    /// Whether the gains of the lines agree with the hypothesis.
+    fn unit_fit(&self) -> UnitFit {
         let Some(translation) = self.translation_line() else {
-            return Says::Nothing;
+            return UnitFit::Undecided;
         };
         if !(1.0 / LESS..=FURTHER).contains(&translation.gain) {
-            return Says::NotTranslation;
+            return UnitFit::NotTranslation;
         }
-        let turns = |line: &Line| !(1.0 / LESS..=TURNS_FURTHER).contains(&line.gain.abs());
-        let flat = |line: &Line| line.gain.abs() < TURNS_LESS.0 && line.unexplained <= TURNS_LESS.1;
-        if self.rotation_line.is_some_and(|line| turns(&line)) || self.rotation.is_some_and(|line| flat(&line)) {
-            return Says::NotRotation;
+        let other_unit = |line: &Line| !(1.0 / LESS..=ROTATES_FURTHER).contains(&line.gain.abs());
+        let flat = |line: &Line| line.gain.abs() < ROTATES_LESS.0 && line.unexplained <= ROTATES_LESS.1;
+        if self.rotation_line.is_some_and(|line| other_unit(&line)) || self.rotation.is_some_and(|line| flat(&line)) {
+            return UnitFit::NotRotation;
         }
-        Says::Fits
+        UnitFit::Fits
     }
 
-    /// How many times further or less far the hand moves than asked.
+    /// Factor, at least 1, between the distance that the end effector moves and the commanded distance, in either direction.
+    /// It is infinite if there is no significant line or the end effector moves backwards.
     fn factor(&self) -> f64 {
         self.translation_line().map_or(f64::INFINITY, |line| {
             if line.gain > 0.0 {
@@ -158,10 +168,11 @@ impl Lines {
     }
 }
 
-const SCALE: &str = "how many times further or less far the hand moves than the controller takes it for its commands";
+const SCALE: &str =
+    "factor between the end effector's motion and the motion that the controller makes for its commands";
 
-/// A proof with candidates of its own.
-#[allow(clippy::too_many_arguments, reason = "a row has as many columns")]
+/// A proof with explicit candidates (value and residual).
+#[allow(clippy::too_many_arguments, reason = "one argument per part of the proof")]
 pub(super) fn proof(
     convention: &str,
     value: String,
@@ -193,7 +204,7 @@ pub(super) fn proof(
     }
 }
 
-/// Candidates with their residuals, as a sentence lists them.
+/// Formats candidates with their residuals for a message.
 pub(super) fn listed(candidates: &[(String, f64)], digits: usize) -> String {
     let each: Vec<String> = candidates
         .iter()
@@ -202,20 +213,21 @@ pub(super) fn listed(candidates: &[(String, f64)], digits: usize) -> String {
     each.join(", ")
 }
 
-/// What is known when actions are judged.
-pub(super) struct Judge<'a, 'd> {
-    pub(super) demos: &'a [Sound<'d>],
+/// Tests the unit, offset, direction and frame of the actions of some demonstrations.
+pub(super) struct ActionTests<'a, 'd> {
+    pub(super) demos: &'a [ValidDemo<'d>],
     pub(super) controls: Option<Controls>,
     pub(super) settings: &'a Settings,
     pub(super) env: &'a EnvArgs,
-    /// How actions were read so far: by the settings.
+    /// Conversion that the settings ask for.
     pub(super) reading: ActionReading,
     pub(super) order: QuaternionOrder,
     pub(super) orientation: EefOrientation,
 }
 
-impl Judge<'_, '_> {
-    pub(super) fn total(&self, sums: impl Fn(&Sound<'_>, &[[f64; 6]]) -> Sums) -> Sums {
+impl ActionTests<'_, '_> {
+    /// The sums over all demonstrations.
+    pub(super) fn total(&self, sums: impl Fn(&ValidDemo<'_>, &[[f64; 6]]) -> Sums) -> Sums {
         let mut total = Sums::default();
         for demo in self.demos {
             total.add(&sums(demo, &steps(demo, self.order)));
@@ -223,17 +235,20 @@ impl Judge<'_, '_> {
         total
     }
 
-    /// Recorded actions under another reading than that of the settings.
-    pub(super) fn as_read(demo: &Sound<'_>, reading: &ActionReading) -> Vec<Action> {
+    /// Recorded actions, converted in another way than the settings ask for.
+    pub(super) fn as_read(demo: &ValidDemo<'_>, reading: &ActionReading) -> Vec<Action> {
         demo.arrays.actions.iter().map(|action| reading.read(action)).collect()
     }
 
+    /// Lines for deltas with this conversion.
     fn lines(&self, controls: &Controls, reading: &ActionReading) -> Lines {
         Lines::of(&self.total(|demo, steps| deltas(controls, steps, &Self::as_read(demo, reading))))
     }
 
-    /// Lines of deltas in metres and radians. A controller would cut what is beyond its range, but nobody asks for ten times
-    /// of what it can do: cut to it, commands of any other unit would look like ones that always ask for the most.
+    /// Lines for deltas that are read as metres and radians.
+    ///
+    /// The controller clips commands to its range. If some deltas exceed that range by a factor of [`BEYOND`], they are not
+    /// clipped here: otherwise deltas of any larger unit would look like commands that are always at the limit.
     fn metres(&self, controls: &Controls) -> Lines {
         let plain = ActionReading {
             gain: [1.0; 6],
@@ -260,7 +275,7 @@ impl Judge<'_, '_> {
         }))
     }
 
-    /// Unit, offset and direction of deltas.
+    /// Determines the unit, the offset and the direction of deltas.
     pub(super) fn deltas(&self) -> Result<(ActionReading, Vec<Proof>), Unproven> {
         let mut reading = self.reading;
         let Some(controls) = self.controls else {
@@ -296,32 +311,32 @@ impl Judge<'_, '_> {
         candidates.push((name(ActionScale::Metres), metres.factor()));
         candidates.sort_by(|a, b| a.1.total_cmp(&b.1));
         let frames = own.frames;
-        let numbers = || format!("{SCALE}: {} times, over {frames} frames", listed(&candidates, 2));
-        let says = own.says();
-        if matches!(says, Says::NotTranslation | Says::NotRotation) {
+        let numbers = || format!("{SCALE}: {}, over {frames} frames", listed(&candidates, 2));
+        let fit = own.unit_fit();
+        if matches!(fit, UnitFit::NotTranslation | UnitFit::NotRotation) {
             let others = [(ActionScale::Controller, &plain), (ActionScale::Metres, &metres)];
             let mut others = others.into_iter().filter(|(scale, _)| *scale != reading.scale);
             let better = others
-                .find(|(_, lines)| lines.says() == Says::Fits && BETTER * lines.factor() <= own.factor())
+                .find(|(_, lines)| lines.unit_fit() == UnitFit::Fits && BETTER * lines.factor() <= own.factor())
                 .map(|(scale, _)| scale);
-            return Err(self.another_unit(&controls, &own, says, better, numbers()));
+            return Err(self.another_unit(&controls, &own, fit, better, numbers()));
         }
-        self.shifted(&controls, &total)?;
-        let (basis, warning) = match (says, set) {
-            (Says::Fits, true) if plain.says() != Says::Fits || plain.factor() >= BETTER * own.factor() => {
+        self.check_shift(&controls, &total)?;
+        let (basis, warning) = match (fit, set) {
+            (UnitFit::Fits, true) if plain.unit_fit() != UnitFit::Fits || plain.factor() >= BETTER * own.factor() => {
                 (Basis::Data, None)
             }
-            (Says::Fits, false) if metres.factor() >= BETTER * own.factor() => (Basis::Data, None),
-            (Says::Fits, true) => {
+            (UnitFit::Fits, false) if metres.factor() >= BETTER * own.factor() => (Basis::Data, None),
+            (UnitFit::Fits, true) => {
                 let text = format!(
-                    "taken from the setting action_scale: the controller's own unit fits, too ({})",
+                    "taken from the setting action_scale: the controller's own unit also fits ({})",
                     numbers()
                 );
                 (Basis::Setting, Some(text))
             }
             (_, true) => {
                 let text = format!(
-                    "taken from the setting action_scale: the hand moves too little for a proof ({})",
+                    "taken from the setting action_scale: the end effector moves too little for a proof ({})",
                     numbers()
                 );
                 (Basis::Setting, Some(text))
@@ -344,46 +359,46 @@ impl Judge<'_, '_> {
         Ok((reading, rows))
     }
 
-    /// The sentence for deltas that are in another unit than they were read in.
+    /// The error for deltas that are in another unit than the one that they were read in.
     fn another_unit(
         &self,
         controls: &Controls,
         own: &Lines,
-        says: Says,
+        fit: UnitFit,
         better: Option<ActionScale>,
         evidence: String,
     ) -> Unproven {
         let unit = controls.osc.unit();
         let steady = controls.response.steady();
         let set = self.settings.states_scale();
-        let (what, line, unit, axes) = match says {
-            Says::NotRotation => ("turns", own.rotation_line.or(own.rotation), unit[3], "rad"),
+        let (verb, line, unit, axes) = match fit {
+            UnitFit::NotRotation => ("rotates", own.rotation_line.or(own.rotation), unit[3], "rad"),
             _ => ("moves", own.translation, unit[0], "m"),
         };
         let gain = line.map_or(0.0, |line| line.gain.abs());
         let moves = format!(
-            "the hand {what} {:.3} {axes} a step per unit of command, {gain:.2} times what a controller with output_max {unit} does",
+            "the end effector {verb} {:.3} {axes} per step and unit of command, {gain:.2} times as far as with a controller with output_max {unit}",
             gain * steady * unit
         );
         let (what, fix) = match (better, set) {
             (Some(ActionScale::Metres), false) => (
-                format!("{moves}: these are deltas in metres and radians"),
+                format!("{moves}: the actions are deltas in metres and radians"),
                 "set action_scale = \"metres\"".to_owned(),
             ),
             (Some(better), _) => (
                 format!(
-                    "{moves} under the settings for the scale of actions, and action_scale = \"{}\" fits",
+                    "{moves} with the settings for the scale of actions, but action_scale = \"{}\" fits",
                     name(better)
                 ),
                 "correct the setting".to_owned(),
             ),
             (None, true) => (
-                format!("{moves} under the settings for the scale of actions"),
+                format!("{moves} with the settings for the scale of actions"),
                 "correct action_scale, action_gain or action_offset".to_owned(),
             ),
             (None, false) => (
-                format!("{moves}: these are deltas in another unit"),
-                "give the numbers that take them to the controller's commands as action_gain and action_offset, six of each (command = gain * recorded + offset)"
+                format!("{moves}: the actions are deltas in another unit"),
+                "set action_gain and action_offset to the six numbers each that convert them to controller commands (command = gain * recorded + offset)"
                     .to_owned(),
             ),
         };
@@ -395,8 +410,8 @@ impl Judge<'_, '_> {
         }
     }
 
-    /// Refuses commands that are not 0 where the hand rests.
-    fn shifted(&self, controls: &Controls, total: &Sums) -> Result<(), Unproven> {
+    /// Refuses deltas under which the end effector rests at commands other than 0.
+    fn check_shift(&self, controls: &Controls, total: &Sums) -> Result<(), Unproven> {
         let names = [
             "x",
             "y",
@@ -409,18 +424,18 @@ impl Judge<'_, '_> {
         let mut worst: Option<(usize, f64, f64)> = None;
         for (axis, unit) in unit.into_iter().enumerate() {
             let Some(line) = total.line(&[axis]) else { continue };
-            if line.unexplained > AXIS_TOLD || line.gain.abs() < AXIS_GAIN || total.frames() < ROWS {
+            if line.unexplained > AXIS_UNEXPLAINED || line.gain.abs() < AXIS_GAIN || total.frames() < ROWS {
                 continue;
             }
             let shift = total.at_rest(&controls.response, axis, line.gain) / unit;
-            if shift.abs() > SHIFTED && worst.is_none_or(|(_, most, _)| shift.abs() > most.abs()) {
+            if shift.abs() > SHIFTED && worst.is_none_or(|(_, largest, _)| shift.abs() > largest.abs()) {
                 worst = Some((axis, shift, line.unexplained));
             }
         }
         let fix = if self.settings.states_scale() {
             "correct action_gain and action_offset"
         } else {
-            "give the numbers that undo it as action_gain and action_offset, six of each (command = gain * recorded + offset)"
+            "set action_gain and action_offset to the six numbers each that undo the shift (command = gain * recorded + offset)"
         };
         let refuse = |what: String, evidence: String| Unproven::Actions {
             convention: "action_scale",
@@ -431,45 +446,46 @@ impl Judge<'_, '_> {
         if let Some((axis, shift, unexplained)) = worst {
             return Err(refuse(
                 format!(
-                    "the hand rests where the command for {} is {shift:.2}, and the controller's rests at 0: the actions are shifted, as by a normalisation to their own range or mean",
+                    "the end effector rests when the command for {} is {shift:.2}, but the controller rests at 0: the actions are shifted, for example by a normalisation to their range or mean",
                     names[axis]
                 ),
                 format!(
-                    "commands against the hand's motion, axis by axis: a line leaves {unexplained:.2} of the motion unexplained, over {} frames",
+                    "a line fitted to commands and motion along this axis leaves a fraction of {unexplained:.2} of the motion unexplained, over {} frames",
                     total.frames()
                 ),
             ));
         }
         let rests = self.rests();
         let zero = rests.get(&[0_u64; 6]).copied().unwrap_or(0);
-        // Ties are broken by the command, not by the order of a hash table.
-        let most = rests.iter().max_by_key(|(command, count)| (**count, **command));
-        if let Some((command, &count)) = most {
+        // The bits of the command break ties, because the order of a hash table differs from run to run.
+        let most_frequent = rests.iter().max_by_key(|(command, count)| (**count, **command));
+        if let Some((command, &count)) = most_frequent {
             let command = command.map(f64::from_bits);
-            let maximum = command.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+            let maximum = command.iter().fold(0.0_f64, |maximum, value| maximum.max(value.abs()));
             if count >= RESTS && count > 2 * zero && (1e-3..0.99).contains(&maximum) {
                 let shown: Vec<String> = command.iter().map(|value| format!("{value:.3}")).collect();
                 return Err(refuse(
                     format!(
-                        "the hand rests under the command ({}), and the controller's rests at 0: the actions are shifted, as by a normalisation to their own range or mean",
+                        "the end effector rests under the command ({}), but the controller rests at 0: the actions are shifted, for example by a normalisation to their range or mean",
                         shown.join(", ")
                     ),
-                    format!("{count} frames at rest have that very command, and {zero} have 0"),
+                    format!("{count} frames at rest have exactly this command, and {zero} have the command 0"),
                 ));
             }
         }
         Ok(())
     }
 
-    /// Arm commands under which the hand stays where it is, and how often, by their bits.
+    /// Arm commands (as bits) under which the end effector does not move, with the number of frames.
     fn rests(&self) -> HashMap<[u64; 6], usize> {
         let mut rests = HashMap::new();
         for demo in self.demos {
             let steps = steps(demo, self.order);
             let arm = |t: usize| -> [u64; 6] {
-                // A negative zero is a zero.
+                // Adding 0 makes negative zeros positive, so that both kinds count as the same command.
                 std::array::from_fn(|axis| (demo.actions[t][axis] + 0.0).to_bits())
             };
+            // Less than 0.2 mm and 1 mrad in a step.
             let still = |step: &[f64; 6]| {
                 let sum = |axes: [usize; 3]| axes.iter().map(|axis| step[*axis] * step[*axis]).sum::<f64>();
                 sum(TRANSLATION) < 4e-8 && sum(ROTATION) < 1e-6
@@ -483,10 +499,10 @@ impl Judge<'_, '_> {
         rests
     }
 
-    /// Which way deltas turn.
+    /// Determines the direction in which deltas rotate.
     fn rotation(&self, own: &Lines) -> Result<(ActionRotation, Proof), Unproven> {
         let test = Test {
-            name: "the hand's rotation against the rotation vectors of its commands: 0 where it turns as they say, 1 where it turns the other way",
+            name: "direction of the end effector's rotation relative to the commanded one (0: same, 1: opposite)",
             unit: "",
             threshold: 0.25,
             rival: 0.75,
@@ -498,7 +514,7 @@ impl Judge<'_, '_> {
         } else {
             ActionRotation::Forward
         };
-        // Read by a setting, what was turned round is turned back.
+        // `own` was fitted to converted actions. If the setting already reverses them, the gain changes its sign back.
         let read = |gain: f64| match self.reading.rotation {
             ActionRotation::Forward => gain,
             ActionRotation::Reversed => -gain,

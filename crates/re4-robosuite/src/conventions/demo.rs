@@ -1,4 +1,4 @@
-//! The arrays of one demo, borrowed.
+//! The borrowed arrays of one demonstration.
 
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
@@ -7,7 +7,7 @@ use super::{ActionReading, Contradiction, RobosuiteTask};
 use crate::actions::Action;
 use crate::kinematics::{Model, Observed};
 
-/// Rows of numbers, one after the other.
+/// A row-major table of numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rows<'a> {
     values: &'a [f64],
@@ -15,13 +15,13 @@ pub struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Rows of `columns` numbers; none where the numbers do not fill whole rows.
+    /// A table with rows of `columns` numbers. Returns `None` if the numbers do not fill whole rows.
     #[must_use]
     pub fn new(values: &'a [f64], columns: usize) -> Option<Self> {
         (columns > 0 && values.len().is_multiple_of(columns)).then_some(Self { values, columns })
     }
 
-    /// Numbers of a row.
+    /// Number of columns.
     #[must_use]
     pub fn columns(&self) -> usize {
         self.columns
@@ -33,13 +33,13 @@ impl<'a> Rows<'a> {
         self.values.len() / self.columns
     }
 
-    /// Whether there is no row.
+    /// Whether there are no rows.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
 
-    /// A row.
+    /// The row with this index.
     #[must_use]
     pub fn row(&self, index: usize) -> &'a [f64] {
         &self.values[index * self.columns..(index + 1) * self.columns]
@@ -51,40 +51,40 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// One demo's arrays, a row for each action.
+/// The arrays of one demonstration, with one row per action.
 #[derive(Debug, Clone, Copy)]
 pub struct DemoArrays<'a> {
     /// Name for messages, e.g. `demo_12`.
     pub name: &'a str,
-    /// `obs/robot0_eef_pos`: metres, world.
+    /// `obs/robot0_eef_pos`, in metres in the world frame.
     pub eef_pos: &'a [[f64; 3]],
     /// `obs/robot0_eef_quat`.
     pub eef_quat: &'a [[f64; 4]],
     /// `obs/object`.
     pub object: Option<Rows<'a>>,
-    /// `obs/robot0_gripper_qpos`: metres.
+    /// `obs/robot0_gripper_qpos`, in metres.
     pub gripper_qpos: &'a [[f64; 2]],
     /// `actions`.
     pub actions: &'a [Action],
-    /// `obs/robot0_eef_vel_ang`: radians a second, world.
+    /// `obs/robot0_eef_vel_ang`, in radians per second in the world frame.
     pub eef_vel_ang: Option<&'a [[f64; 3]]>,
-    /// `states`, used where `model` is there too.
+    /// `states`, used only together with `model`.
     pub states: Option<Rows<'a>>,
-    /// The demo's `model_file`, used where `states` are there too.
+    /// The model of the attribute `model_file`, used only together with `states`.
     pub model: Option<&'a Model>,
 }
 
-/// A demo whose arrays are known to be of one length and finite, with what its states say.
+/// A demonstration whose arrays have the same length and finite numbers, with the poses that follow from its states.
 #[derive(Clone)]
-pub(super) struct Sound<'a> {
+pub(super) struct ValidDemo<'a> {
     pub(super) arrays: DemoArrays<'a>,
-    /// The actions as they are read: commands of the controller, or goals in the world.
+    /// The converted actions: controller commands, or goals in the world frame.
     pub(super) actions: Cow<'a, [Action]>,
-    /// Empty without states or model.
+    /// Poses in each state. Empty without states or model.
     pub(super) observed: Vec<Observed>,
 }
 
-impl<'a> Sound<'a> {
+impl<'a> ValidDemo<'a> {
     pub(super) fn new(
         arrays: &DemoArrays<'a>,
         task: Option<RobosuiteTask>,
@@ -126,7 +126,7 @@ impl<'a> Sound<'a> {
                 });
             }
         }
-        recorded(arrays)?;
+        check_recorded(arrays)?;
         let mut observed = Vec::new();
         if let (Some(states), Some(model)) = (arrays.states, arrays.model) {
             length("states", states.len())?;
@@ -151,8 +151,8 @@ impl<'a> Sound<'a> {
     }
 }
 
-/// Rows in which everything is zero, as in arrays that were allocated ahead and never filled: the first such block. `rows`
-/// are what no recording has zeros in: states or quaternions.
+/// Finds the first block of rows in which the action and all numbers of `rows` are zero, as in arrays that were allocated in
+/// advance and never filled. `rows` must be data that is never zero in a recording: states or quaternions.
 pub fn zero_rows<R: AsRef<[f64]>>(actions: &[Action], rows: &[R]) -> Option<RangeInclusive<usize>> {
     let zero = |t: usize| {
         let all = |row: &[f64]| row.iter().all(|value| *value == 0.0);
@@ -163,11 +163,12 @@ pub fn zero_rows<R: AsRef<[f64]>>(actions: &[Action], rows: &[R]) -> Option<Rang
     Some(first..=end - 1)
 }
 
-/// Rows that a hand which is never still in simulation may have of one pose.
+/// Minimum number of identical rows that count as a dataset that was never updated. In simulation the end effector is never
+/// exactly at rest.
 const FROZEN: usize = 20;
 
-/// Refuses arrays that were never filled.
-fn recorded(arrays: &DemoArrays<'_>) -> Result<(), Contradiction> {
+/// Refuses arrays that were never filled or updated.
+fn check_recorded(arrays: &DemoArrays<'_>) -> Result<(), Contradiction> {
     if let Some(rows) = zero_rows(arrays.actions, arrays.eef_quat) {
         return Err(Contradiction::zeros(arrays.name, &rows));
     }
@@ -188,6 +189,7 @@ fn recorded(arrays: &DemoArrays<'_>) -> Result<(), Contradiction> {
     Ok(())
 }
 
+/// Checks that all numbers of a dataset are finite.
 fn finite<R: AsRef<[f64]>>(
     demo: &str,
     dataset: &'static str,

@@ -1,9 +1,9 @@
-//! Proving all conventions of a file from some of its demos.
+//! Detection of all conventions of a file from some of its demonstrations.
 
 use nalgebra::Isometry3;
 
-use super::commands::{Controls, Judge};
-use super::demo::Sound;
+use super::commands::{ActionTests, Controls};
+use super::demo::ValidDemo;
 use super::eef::{OBJECT, at_rest, eef, relations};
 use super::evidence::{Basis, Declared, Fit, Test, Verdict};
 use super::gripper;
@@ -16,51 +16,53 @@ use super::{
 };
 use crate::env_args::EnvArgs;
 
-/// Fraction of the hand's motion that inertia and contacts leave unexplained by the action.
+/// Maximum fraction of the end effector's motion that actions of the right kind leave unexplained. Inertia and contacts cause it.
 pub(super) const UNEXPLAINED: f64 = 0.6;
-/// The same for the wrong kind of action.
+/// Minimum fraction that actions of the wrong kind leave unexplained.
 pub(super) const NOT_EXPLAINED: f64 = 0.8;
 
 const MOTION: Test = Test {
-    name: "the hand's motion over four frames left unexplained by their actions, as deltas and as goals",
+    name: "motion of the end effector over four frames that the actions leave unexplained, read as deltas and as goals",
     unit: "of the motion",
     threshold: UNEXPLAINED,
     rival: NOT_EXPLAINED,
     frames: 20,
 };
 
-/// A demo that cannot be used beside the others.
+/// A demonstration that cannot be used together with the others.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Odd {
-    /// Its place among those that were given.
+    /// Its index among the given demonstrations.
     pub place: usize,
     /// Its name.
     pub demo: String,
-    /// What is wrong with it, a clause without its name.
+    /// What is wrong with it, as a clause without its name.
     pub why: String,
 }
 
-/// Conventions with what they rest on.
+/// Conventions with their evidence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learned {
     /// The conventions.
     pub conventions: Conventions,
     /// Their proofs, in a fixed order.
     pub proofs: Vec<Proof>,
-    /// Demos that were left out, in order.
+    /// Demonstrations that were left out, in the given order.
     pub odd: Vec<Odd>,
 }
 
 impl Conventions {
-    /// Proves the conventions of a file from some of its demos (ten are plenty).
+    /// Proves the conventions of a file from some of its demonstrations (ten are enough).
     ///
-    /// The proofs come in a fixed order. `env` gives the task and what is declared; nothing else is believed.
+    /// The proofs are in a fixed order. `env` gives the task and the declared values.
     ///
     /// # Errors
-    /// The first convention that is not proven, with the setting that would accept it; one that is proven to be other than
-    /// the file declares; a setting that the data contradicts; a demo with arrays of other lengths or numbers that are not
-    /// finite. Where most of at least three demos prove everything, and the others contradict them, those
-    /// others.
+    /// * A convention is not proven. The error names the settings that would accept it.
+    /// * A proven convention differs from the declared one.
+    /// * The data contradicts a setting.
+    /// * A demonstration has arrays of different lengths or numbers that are not finite.
+    /// * There are at least three demonstrations, most of them prove everything, and the others contradict them. The error names
+    ///   the others.
     pub fn detect(
         demos: &[DemoArrays<'_>],
         env: &EnvArgs,
@@ -69,43 +71,43 @@ impl Conventions {
         let file = File::new(demos, env, settings)?;
         let demos = demos
             .iter()
-            .map(|demo| file.sound(demo))
+            .map(|demo| file.validate(demo))
             .collect::<Result<Vec<_>, _>>()?;
         file.prove(&demos).map_err(|error| {
             let places: Vec<usize> = (0..demos.len()).collect();
-            file.odd_ones(&demos, &places)
+            file.prove_by_majority(&demos, &places)
                 .map_or(error, |learned| Unproven::Odd(learned.odd))
         })
     }
 
-    /// As [`Conventions::detect`], but leaves out demos that cannot be used, and those that contradict what most of
-    /// the others prove.
+    /// Does the same as [`Conventions::detect`], but leaves out demonstrations that cannot be used and demonstrations that
+    /// contradict the majority.
     ///
     /// # Errors
-    /// As there, where the other demos do not prove everything either.
+    /// The same as [`Conventions::detect`], if the remaining demonstrations do not prove everything either.
     pub fn detect_leaving_out(
         demos: &[DemoArrays<'_>],
         env: &EnvArgs,
         settings: &Settings,
     ) -> Result<Learned, Unproven> {
         let file = File::new(demos, env, settings)?;
-        let (mut sound, mut places, mut odd) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut valid, mut places, mut odd) = (Vec::new(), Vec::new(), Vec::new());
         for (place, demo) in demos.iter().enumerate() {
-            match file.sound(demo) {
+            match file.validate(demo) {
                 Ok(demo) => {
-                    sound.push(demo);
+                    valid.push(demo);
                     places.push(place);
                 }
                 Err(contradiction) => odd.push(Odd::of(place, &contradiction)),
             }
         }
-        let mut learned = match file.prove(&sound) {
+        let mut learned = match file.prove(&valid) {
             Ok((conventions, proofs)) => Learned {
                 conventions,
                 proofs,
                 odd: Vec::new(),
             },
-            Err(error) => file.odd_ones(&sound, &places).ok_or(error)?,
+            Err(error) => file.prove_by_majority(&valid, &places).ok_or(error)?,
         };
         learned.odd.extend(odd);
         learned.odd.sort_by_key(|odd| odd.place);
@@ -125,15 +127,15 @@ impl Odd {
     }
 }
 
-/// What is known of a file beside its demos.
+/// The properties of a file that do not come from single demonstrations.
 struct File<'a> {
     task: Option<RobosuiteTask>,
     env: &'a EnvArgs,
     settings: &'a Settings,
     controls: Option<Controls>,
-    /// Pose of the robot's base, where a model gives it.
+    /// Pose of the robot's base in the world frame, if a model gives it.
     base: Option<Isometry3<f64>>,
-    /// How actions are read by the settings alone.
+    /// Conversion of actions that the settings ask for.
     reading: ActionReading,
 }
 
@@ -151,56 +153,59 @@ impl<'a> File<'a> {
         })
     }
 
-    fn sound<'d>(&self, demo: &DemoArrays<'d>) -> Result<Sound<'d>, Contradiction> {
-        Sound::new(demo, self.task, &self.reading)
+    /// Validates a demonstration and converts its actions.
+    fn validate<'d>(&self, demo: &DemoArrays<'d>) -> Result<ValidDemo<'d>, Contradiction> {
+        ValidDemo::new(demo, self.task, &self.reading)
     }
 
-    /// What most of at least three demos prove while the others contradict it; none where there are no such demos.
-    fn odd_ones(&self, demos: &[Sound<'_>], places: &[usize]) -> Option<Learned> {
+    /// Proves the conventions from a majority of at least three demonstrations, and lists the others, which contradict it. Returns
+    /// `None` if there is no such majority.
+    fn prove_by_majority(&self, demos: &[ValidDemo<'_>], places: &[usize]) -> Option<Learned> {
         if demos.len() < 3 {
             return None;
         }
-        let some = |chosen: &[usize]| -> Vec<Sound<'_>> { chosen.iter().map(|at| demos[*at].clone()).collect() };
-        // One demo may be too short to prove anything, two seldom are.
+        let some = |chosen: &[usize]| -> Vec<ValidDemo<'_>> { chosen.iter().map(|at| demos[*at].clone()).collect() };
+        // Each demonstration and each pair serves as a starting point: a single demonstration may be too short to prove anything,
+        // two together rarely are.
         let single = (0..demos.len()).map(|at| vec![at]);
         let pairs = (0..demos.len()).flat_map(|a| (a + 1..demos.len()).map(move |b| vec![a, b]));
-        let mut most: Vec<usize> = Vec::new();
+        let mut majority: Vec<usize> = Vec::new();
         for seed in single.chain(pairs) {
             let Ok((conventions, _)) = self.prove(&some(&seed)) else {
                 continue;
             };
-            let follow = |at: &usize| conventions.check_sound(&demos[*at]).is_ok();
+            let follow = |at: &usize| conventions.check_valid(&demos[*at]).is_ok();
             let following: Vec<usize> = (0..demos.len()).filter(follow).collect();
-            if following.len() > most.len() {
-                most = following;
+            if following.len() > majority.len() {
+                majority = following;
             }
-            if most.len() + 1 >= demos.len() {
+            if majority.len() + 1 >= demos.len() {
                 break;
             }
         }
-        if 2 * most.len() <= demos.len() || most.len() == demos.len() {
+        if 2 * majority.len() <= demos.len() || majority.len() == demos.len() {
             return None;
         }
-        let (conventions, proofs) = self.prove(&some(&most)).ok()?;
-        let told = |names: &[&str]| {
+        let (conventions, proofs) = self.prove(&some(&majority)).ok()?;
+        let proven = |names: &[&str]| {
             let mut rows = proofs.iter().filter(|proof| names.contains(&proof.convention.as_str()));
             rows.all(|proof| proof.basis != Basis::Declared)
         };
         let mut odd = Vec::new();
-        for (at, demo) in demos.iter().enumerate().filter(|(at, _)| !most.contains(at)) {
-            let contradiction = conventions.check_sound(demo).err()?;
-            // The others have to tell what this one contradicts.
+        for (at, demo) in demos.iter().enumerate().filter(|(at, _)| !majority.contains(at)) {
+            let contradiction = conventions.check_valid(demo).err()?;
+            // A convention that the majority takes from the declaration does not refute this demonstration.
             let dataset = match &contradiction {
                 Contradiction::Whole { dataset, .. } => *dataset,
                 _ => "",
             };
-            let others_tell = match dataset {
-                "actions[:, 0:3]" => told(&["action_scale", "action_frame"]),
-                "actions[:, 3:6]" => told(&["action_rotation"]),
-                "actions[:, 6]" => told(&["gripper_range"]),
+            let majority_proves = match dataset {
+                "actions[:, 0:3]" => proven(&["action_scale", "action_frame"]),
+                "actions[:, 3:6]" => proven(&["action_rotation"]),
+                "actions[:, 6]" => proven(&["gripper_range"]),
                 _ => true,
             };
-            if !others_tell {
+            if !majority_proves {
                 return None;
             }
             odd.push(Odd::of(places[at], &contradiction));
@@ -212,8 +217,8 @@ impl<'a> File<'a> {
         })
     }
 
-    /// All conventions, from demos that are sound.
-    fn prove(&self, demos: &[Sound<'_>]) -> Result<(Conventions, Vec<Proof>), Unproven> {
+    /// Proves all conventions from valid demonstrations.
+    fn prove(&self, demos: &[ValidDemo<'_>]) -> Result<(Conventions, Vec<Proof>), Unproven> {
         let (env, settings, task) = (self.env, self.settings, self.task);
         let by_data = |proofs: &[Proof]| proofs.iter().all(|proof| proof.basis == Basis::Data);
         let mut proofs = Vec::new();
@@ -227,7 +232,7 @@ impl<'a> File<'a> {
         )?;
         proofs.push(proof);
 
-        let has_object = |demo: &Sound<'_>| demo.arrays.object.is_some();
+        let has_object = |demo: &ValidDemo<'_>| demo.arrays.object.is_some();
         let object_task = task.filter(|_| demos.iter().any(has_object));
         let eef = eef(demos, object_task, kind, env);
         let (eef_quaternion, proof) = eef.order.settle(
@@ -254,6 +259,7 @@ impl<'a> File<'a> {
             object_quaternion: None,
             action_kind: kind,
             gripper_sign,
+            // The first two proofs are about the actions and the gripper, the next two about the end effector.
             eef_proven: by_data(&proofs[2..]),
             object_proven: false,
             allow_actions_beyond_range: settings.allow_actions_beyond_range,
@@ -283,6 +289,7 @@ impl<'a> File<'a> {
                 Some(&robosuite(env, QuaternionOrder::Xyzw)),
             )?;
             proofs.push(proof);
+            // The proofs from index 4 on are about the object vector.
             conventions.object_proven = by_data(&proofs[4..]);
             conventions.object_layout = Some(layout);
             conventions.object_quaternion = Some(object_quaternion);
@@ -291,11 +298,12 @@ impl<'a> File<'a> {
                 .min_by(|a, b| a.1.high.total_cmp(&b.1.high))
                 .map_or(RelativeLag::Current, |(relation, _)| relation.lag);
         }
+        // The tests of the actions come last, because they need the conventions of the end effector.
         proofs.push(range);
-        let judge = self.judge(demos, eef_quaternion, eef_orientation);
+        let tests = self.action_tests(demos, eef_quaternion, eef_orientation);
         let (reading, rows) = match kind {
-            ActionKind::Delta => judge.deltas()?,
-            ActionKind::Absolute => judge.goals(self.base.as_ref())?,
+            ActionKind::Delta => tests.deltas()?,
+            ActionKind::Absolute => tests.goals(self.base.as_ref())?,
         };
         conventions.actions = ActionReading { gripper, ..reading };
         proofs.extend(rows);
@@ -306,8 +314,8 @@ impl<'a> File<'a> {
         Ok((conventions, proofs))
     }
 
-    /// Whether actions are deltas or goals; where neither fits, what else they are.
-    fn action_kind(&self, demos: &[Sound<'_>]) -> Result<(ActionKind, Proof), Unproven> {
+    /// Determines whether actions are deltas or goals. If neither fits, the error names another frame or unit that does.
+    fn action_kind(&self, demos: &[ValidDemo<'_>]) -> Result<(ActionKind, Proof), Unproven> {
         let kinds = kinds(demos);
         let set = self.settings.action_kind;
         let outcome = action_kind(&kinds).settle("action_kind", set, declared_kind(self.env).as_ref());
@@ -319,7 +327,8 @@ impl<'a> File<'a> {
         if kinds.frames() < MOTION.frames || own < NOT_EXPLAINED {
             return outcome;
         }
-        // Neither as deltas nor as goals in the world: perhaps as goals somewhere else.
+        // The actions fit neither as deltas nor as goals in the world frame. They may be goals in another frame, or deltas in
+        // another unit.
         if let Some(error) = self.goals_elsewhere(demos).or_else(|| self.other_deltas(demos)) {
             return Err(error);
         }
@@ -327,39 +336,39 @@ impl<'a> File<'a> {
         Err(Unproven::Actions {
             convention: "action_kind",
             what: format!(
-                "the setting action_kind = \"{}\" leaves most of the hand's motion unexplained",
+                "the setting action_kind = \"{}\" leaves most of the end effector's motion unexplained",
                 set.map(super::evidence::name).unwrap_or_default()
             ),
             evidence: format!(
-                "{}: delta {:.2}, absolute {:.2} of the motion, over {} frames",
+                "{}: delta {:.2}, absolute {:.2}, over {} frames",
                 MOTION.name,
                 kinds.unexplained(ActionKind::Delta),
                 kinds.unexplained(ActionKind::Absolute),
                 kinds.frames()
             ),
-            fix: "give a file whose actions are deltas of OSC_POSE, or its goals in the world".to_owned(),
+            fix: "use a file with deltas of OSC_POSE or with its goals in the world frame as actions".to_owned(),
         })
     }
 
-    /// The sentence for deltas of another unit or beside 0; none where they are not that either.
-    fn other_deltas(&self, demos: &[Sound<'_>]) -> Option<Unproven> {
+    /// The error for deltas that have another unit or are shifted. Returns `None` if they are neither.
+    fn other_deltas(&self, demos: &[ValidDemo<'_>]) -> Option<Unproven> {
         if self.settings.action_kind == Some(ActionKind::Absolute) {
             return None;
         }
         let error = self
-            .judge(demos, QuaternionOrder::Xyzw, EefOrientation::HandBody)
+            .action_tests(demos, QuaternionOrder::Xyzw, EefOrientation::HandBody)
             .deltas()
             .err()?;
         matches!(&error, Unproven::Actions { .. }).then_some(error)
     }
 
-    fn judge<'s, 'd>(
+    fn action_tests<'s, 'd>(
         &'s self,
-        demos: &'s [Sound<'d>],
+        demos: &'s [ValidDemo<'d>],
         order: QuaternionOrder,
         orientation: EefOrientation,
-    ) -> Judge<'s, 'd> {
-        Judge {
+    ) -> ActionTests<'s, 'd> {
+        ActionTests {
             demos,
             controls: self.controls,
             settings: self.settings,
@@ -370,22 +379,22 @@ impl<'a> File<'a> {
         }
     }
 
-    /// The sentence for goals that are in another frame than they are read in; none where that explains nothing.
-    fn goals_elsewhere(&self, demos: &[Sound<'_>]) -> Option<Unproven> {
-        let mean = |demo: &Sound<'_>| {
+    /// The error for goals in another frame than the world. Returns `None` if shifted goals do not explain the motion either.
+    fn goals_elsewhere(&self, demos: &[ValidDemo<'_>]) -> Option<Unproven> {
+        let mean = |demo: &ValidDemo<'_>| {
             let rows = demo.actions.iter().zip(demo.arrays.eef_pos);
             let all = rows.map(|(action, now)| crate::actions::position(action) - nalgebra::Vector3::from(*now));
             all.sum::<nalgebra::Vector3<f64>>()
         };
         let frames: usize = demos.iter().map(|demo| demo.actions.len()).sum();
-        let beside = demos.iter().map(mean).sum::<nalgebra::Vector3<f64>>() / frames.max(1) as f64;
-        let shifted: Vec<Sound<'_>> = demos
+        let offset = demos.iter().map(mean).sum::<nalgebra::Vector3<f64>>() / frames.max(1) as f64;
+        let shifted: Vec<ValidDemo<'_>> = demos
             .iter()
             .map(|demo| {
                 let mut demo = demo.clone();
                 for action in demo.actions.to_mut() {
                     for axis in 0..3 {
-                        action[axis] -= beside[axis];
+                        action[axis] -= offset[axis];
                     }
                 }
                 demo
@@ -394,12 +403,12 @@ impl<'a> File<'a> {
         if kinds(&shifted).unexplained(ActionKind::Absolute) > UNEXPLAINED {
             return None;
         }
-        let judge = self.judge(demos, QuaternionOrder::Xyzw, EefOrientation::HandBody);
-        judge.goals(self.base.as_ref()).err()
+        let tests = self.action_tests(demos, QuaternionOrder::Xyzw, EefOrientation::HandBody);
+        tests.goals(self.base.as_ref()).err()
     }
 }
 
-/// What robosuite writes in every version.
+/// A value that robosuite writes in the declared version.
 fn robosuite<V>(env: &EnvArgs, value: V) -> Declared<V> {
     let version = env.env_version.as_deref().unwrap_or("of an undeclared version");
     Declared {
@@ -409,6 +418,7 @@ fn robosuite<V>(env: &EnvArgs, value: V) -> Declared<V> {
     }
 }
 
+/// The kind of actions that `env_args` declares.
 fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
     let value = env.controller.as_ref()?.declared?;
     Some(Declared {
@@ -418,7 +428,8 @@ fn declared_kind(env: &EnvArgs) -> Option<Declared<ActionKind>> {
     })
 }
 
-fn kinds(demos: &[Sound<'_>]) -> Kinds {
+/// Sums over all demonstrations for distinguishing deltas from goals.
+fn kinds(demos: &[ValidDemo<'_>]) -> Kinds {
     let mut kinds = Kinds::default();
     for demo in demos {
         kinds.add(residuals::motion(demo));
@@ -426,6 +437,7 @@ fn kinds(demos: &[Sound<'_>]) -> Kinds {
     kinds
 }
 
+/// Tests both kinds of actions.
 fn action_kind(kinds: &Kinds) -> Verdict<ActionKind> {
     let fit = |kind: ActionKind| (kind, Fit::whole(kinds.unexplained(kind), kinds.frames()));
     Verdict::new(MOTION, [fit(ActionKind::Delta), fit(ActionKind::Absolute)])

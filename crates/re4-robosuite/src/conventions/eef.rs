@@ -1,8 +1,9 @@
-//! What the orientation of the end effector and the object vector are, held against each other and against the states.
+//! Tests for the conventions of the end effector's orientation and of the object vector, from their relation to each other and
+//! from the states.
 
-use super::demo::Sound;
+use super::demo::ValidDemo;
 use super::evidence::{Fit, MARGIN, Test, Verdict};
-use super::residuals::{self, Relation, Share};
+use super::residuals::{self, Fraction, Relation};
 use super::{ActionKind, EefOrientation, QuaternionOrder, RelativeLag, RobosuiteTask};
 use crate::env_args::EnvArgs;
 
@@ -14,7 +15,8 @@ const LAGS: [RelativeLag; 3] = [
     RelativeLag::BothOneLate,
 ];
 
-/// Residuals of exact relations: rounding of models saved with six digits and of 32-bit columns is far below.
+/// Maximum residual (metres or radians) of exact relations. Errors from models that are saved with six digits and from 32-bit
+/// columns are far below.
 pub(super) const EXACT: f64 = 1e-3;
 
 const fn exact(name: &'static str) -> Test {
@@ -28,36 +30,37 @@ const fn exact(name: &'static str) -> Test {
 }
 
 const EEF_KINEMATICS: Test =
-    exact("robot0_eef_pos and robot0_eef_quat against the poses that states and model_file give");
-const EEF_RELATION: Test = exact("the relative part of obs/object against object and end-effector pose");
+    exact("difference of robot0_eef_pos and robot0_eef_quat from the poses that states and model_file give");
+const EEF_RELATION: Test =
+    exact("difference of the relative part of obs/object from the one that the object and end-effector poses give");
 pub(super) const OBJECT: Test =
-    exact("the parts of obs/object against each other, and against states and model_file where they are there");
+    exact("difference between the parts of obs/object, and from states and model_file if the file has them");
 const ANGULAR_VELOCITY: Test = Test {
-    name: "the change of robot0_eef_quat against robot0_eef_vel_ang",
+    name: "difference of the change of robot0_eef_quat from robot0_eef_vel_ang",
     unit: "of the velocity",
     threshold: 0.25,
     rival: 0.6,
     frames: 20,
 };
 const GOALS: Test = Test {
-    name: "the median angle between robot0_eef_quat and absolute goals",
+    name: "median angle between robot0_eef_quat and absolute goals",
     unit: "rad",
     threshold: 0.4,
     rival: 1.0,
     frames: 20,
 };
 const REST: Test = Test {
-    name: "the tilt of the cube where it rests at the start of demos",
+    name: "tilt of the resting cube in the first frame of each demonstration",
     unit: "rad",
     threshold: 0.03,
     rival: 0.1,
     frames: 5,
 };
 
-/// A hypothesis about the object vector and the end effector with its fit.
+/// A hypothesis about the object vector and the end effector, with its residuals.
 pub(super) type Related = (Relation, Fit);
 
-/// Order and frame of the end effector's quaternion.
+/// The tests for the component order and the frame of the end effector's quaternion.
 pub(super) struct Eef {
     pub(super) order: Verdict<QuaternionOrder>,
     test: Test,
@@ -65,7 +68,7 @@ pub(super) struct Eef {
 }
 
 impl Eef {
-    /// From hypotheses that are of both at once.
+    /// Tests that determine both at once.
     fn joint(test: Test, fits: impl Iterator<Item = (QuaternionOrder, EefOrientation, Fit)>) -> Self {
         let fits: Vec<_> = fits.collect();
         Self {
@@ -75,7 +78,7 @@ impl Eef {
         }
     }
 
-    /// The frame, given the order.
+    /// The test for the frame, given the order.
     pub(super) fn frame(&self, order: QuaternionOrder) -> Verdict<EefOrientation> {
         let fits = self.fits.iter().filter(|(given, _, _)| *given == order);
         Verdict::new(self.test, fits.map(|(_, frame, fit)| (*frame, *fit)))
@@ -89,8 +92,9 @@ fn eef_hypotheses() -> impl Iterator<Item = (QuaternionOrder, EefOrientation)> {
         .flat_map(|order| FRAMES.into_iter().map(move |frame| (order, frame)))
 }
 
-/// From the object vector, too, where `task` is given.
-pub(super) fn eef(demos: &[Sound<'_>], task: Option<RobosuiteTask>, kind: ActionKind, env: &EnvArgs) -> Eef {
+/// Tests the conventions of the end effector's quaternion with the best data that is available: states and models, else the
+/// relative part of the object vector (if `task` is given), else angular velocities and absolute goals.
+pub(super) fn eef(demos: &[ValidDemo<'_>], task: Option<RobosuiteTask>, kind: ActionKind, env: &EnvArgs) -> Eef {
     if demos.iter().any(|demo| !demo.observed.is_empty()) {
         let fits = eef_hypotheses().map(|(order, frame)| {
             let residuals = every(demos, |demo, t| residuals::eef_kinematics(demo, t, order, frame));
@@ -109,16 +113,16 @@ pub(super) fn eef(demos: &[Sound<'_>], task: Option<RobosuiteTask>, kind: Action
     let order = Verdict::new(
         ANGULAR_VELOCITY,
         ORDERS.map(|order| {
-            let mut share = Share::default();
+            let mut fraction = Fraction::default();
             for demo in demos {
-                share.add(residuals::angular_velocity(demo, order, freq));
+                fraction.add(residuals::angular_velocity(demo, order, freq));
             }
-            (order, Fit::whole(share.value(), share.frames))
+            (order, Fit::whole(fraction.value(), fraction.frames))
         }),
     );
     let fits = eef_hypotheses().map(|(order, frame)| {
         if kind == ActionKind::Delta {
-            // Deltas turn the goal in world axes: they do not tell which frame is turned.
+            // Deltas rotate the goal about world axes, whichever frame is recorded. They provide no evidence about the frame.
             return (order, frame, Fit::of(Vec::new()));
         }
         let fit = Fit::of(every(demos, |demo, t| residuals::goal_angle(demo, t, order, frame)));
@@ -131,8 +135,8 @@ pub(super) fn eef(demos: &[Sound<'_>], task: Option<RobosuiteTask>, kind: Action
     }
 }
 
-/// A residual of every frame that has one.
-fn every(demos: &[Sound<'_>], residual: impl Fn(&Sound<'_>, usize) -> Option<f64>) -> Vec<f64> {
+/// The residuals of all frames that have one.
+fn every(demos: &[ValidDemo<'_>], residual: impl Fn(&ValidDemo<'_>, usize) -> Option<f64>) -> Vec<f64> {
     let residual = &residual;
     demos
         .iter()
@@ -140,9 +144,10 @@ fn every(demos: &[Sound<'_>], residual: impl Fn(&Sound<'_>, usize) -> Option<f64
         .collect()
 }
 
-/// All hypotheses about the object vector under the given ones about the end effector.
+/// The residuals of all hypotheses about the object vector, combined with the given orders and frames of the end effector. If
+/// `with_states` is set, the residual also includes the difference from the object pose that the states give.
 pub(super) fn relations(
-    demos: &[Sound<'_>],
+    demos: &[ValidDemo<'_>],
     task: RobosuiteTask,
     eefs: &[QuaternionOrder],
     frames: &[EefOrientation],
@@ -168,7 +173,7 @@ pub(super) fn relations(
                         }));
                         (relation, fit)
                     });
-                    // A later one only where the current row does not fit.
+                    // A delay is considered only if the current row does not fit.
                     related.extend(fits.into_iter().reduce(|best, next| {
                         if best.1.high <= EXACT || best.1.high <= next.1.high {
                             best
@@ -183,8 +188,9 @@ pub(super) fn relations(
     related
 }
 
-/// Lift without states: a cube that rests stands upright, under the right order, whatever its yaw.
-pub(super) fn at_rest(demos: &[Sound<'_>]) -> Verdict<QuaternionOrder> {
+/// Tests the component order of the object quaternion for Lift without states. Under the right order, one axis of a resting
+/// cube is vertical, whatever its yaw.
+pub(super) fn at_rest(demos: &[ValidDemo<'_>]) -> Verdict<QuaternionOrder> {
     let fits = ORDERS.map(|order| {
         let rows = demos
             .iter()

@@ -1,4 +1,4 @@
-//! From residuals to a verdict.
+//! Deciding a convention from the residuals of its hypotheses.
 
 use re4_stats::{nearest_rank, sorted};
 use schemars::JsonSchema;
@@ -6,48 +6,48 @@ use serde::{Deserialize, Serialize};
 
 use super::Unproven;
 
-/// Where residuals are metres or radians, other hypotheses must miss the threshold by at least this factor.
+/// Minimum factor by which the residuals of all other hypotheses must exceed the threshold, for residuals in metres or radians.
 pub const MARGIN: f64 = 10.0;
 
-/// What a convention rests on.
+/// Source of a convention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Basis {
-    /// The numbers of the file.
+    /// The numbers in the file prove it.
     Data,
-    /// A setting, where the numbers cannot tell.
+    /// A setting gives it, because the numbers do not decide.
     Setting,
-    /// What robosuite of the declared version does, where the numbers cannot tell and nothing is set.
+    /// The declared version of robosuite implies it, because the numbers do not decide and there is no setting.
     Declared,
 }
 
-/// A hypothesis and how well it fits.
+/// A hypothesis with its residuals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Candidate {
     /// The hypothesis.
     pub value: String,
-    /// Residual that 99 % of the frames do not exceed, or the residual over all frames.
+    /// 99th percentile of the residuals of the frames, or the only residual if the test has one for all frames.
     pub residual: f64,
-    /// Residual that half of the frames do not exceed, or the residual over all frames.
+    /// Median of the residuals of the frames, or the only residual if the test has one for all frames.
     pub median: f64,
 }
 
-/// Which test was made and what came out.
+/// A test and its result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evidence {
-    /// The test, in words.
+    /// Description of the test: what the residual measures.
     pub test: String,
     /// Unit of the residuals.
     pub unit: String,
-    /// The maximum residual with which a hypothesis fits.
+    /// Maximum residual at which a hypothesis fits.
     pub threshold: f64,
-    /// The minimum median residual with which a hypothesis clearly does not fit.
+    /// Minimum median residual at which a hypothesis clearly does not fit.
     pub rival_threshold: f64,
     /// All hypotheses, best first.
     pub candidates: Vec<Candidate>,
-    /// Frames (or demos, where the test says so) that had something to tell.
+    /// Number of frames (or demonstrations, if the test says so) that provide evidence.
     pub frames: usize,
-    /// How many are needed.
+    /// Number of frames that the test needs.
     pub frames_needed: usize,
 }
 
@@ -58,34 +58,40 @@ pub struct Proof {
     pub convention: String,
     /// Its value.
     pub value: String,
-    /// What it rests on.
+    /// Its source.
     pub basis: Basis,
     /// The evidence.
     pub evidence: Evidence,
-    /// What a user should know although the convention is settled.
+    /// A warning for the user, although the convention is accepted.
     pub warning: Option<String>,
 }
 
-/// What a test asks for.
+/// Description and thresholds of a test.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Test {
+    /// Description: what the residual measures.
     pub(super) name: &'static str,
+    /// Unit of the residuals.
     pub(super) unit: &'static str,
+    /// Maximum residual at which a hypothesis fits.
     pub(super) threshold: f64,
+    /// Minimum median residual at which a hypothesis clearly does not fit.
     pub(super) rival: f64,
+    /// Number of frames that are needed.
     pub(super) frames: usize,
 }
 
 /// Residuals of a hypothesis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fit {
+    /// 99th percentile.
     pub(super) high: f64,
     pub(super) median: f64,
     pub(super) frames: usize,
 }
 
 impl Fit {
-    /// One residual over all frames.
+    /// From one residual for all frames.
     pub(super) fn whole(residual: f64, frames: usize) -> Self {
         let residual = if residual.is_nan() { f64::INFINITY } else { residual };
         Self {
@@ -95,11 +101,11 @@ impl Fit {
         }
     }
 
-    /// Residuals of single frames.
+    /// From the residuals of single frames.
     pub(super) fn of(residuals: Vec<f64>) -> Self {
         let residuals = sorted(residuals);
-        let quantile = |share: f64| {
-            nearest_rank(&residuals, share)
+        let quantile = |fraction: f64| {
+            nearest_rank(&residuals, fraction)
                 .filter(|residual| !residual.is_nan())
                 .unwrap_or(f64::INFINITY)
         };
@@ -111,13 +117,13 @@ impl Fit {
     }
 }
 
-/// A convention's hypotheses under a test, best first.
+/// The hypotheses about a convention with their residuals under a test, best first.
 pub(super) struct Verdict<V> {
     test: Test,
     fits: Vec<(V, Fit)>,
 }
 
-/// The name of a value in settings and reports.
+/// The name of a value, as in settings and reports.
 pub(super) fn name<V: Serialize>(value: V) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(name)) => name,
@@ -125,17 +131,17 @@ pub(super) fn name<V: Serialize>(value: V) -> String {
     }
 }
 
-/// What a file's declarations entail for a convention.
+/// The value of a convention that follows from what the file declares.
 pub(super) struct Declared<V> {
     pub(super) value: V,
     /// A clause that names the declaration.
     pub(super) by: String,
-    /// Whether another proven value needs a setting; otherwise it is a warning.
+    /// Whether a different proven value is refused unless a setting names it. If false, it causes a warning only.
     pub(super) strict: bool,
 }
 
 impl<V: Copy + PartialEq + Serialize> Verdict<V> {
-    /// Of hypotheses that say more than this convention, the best for each value counts.
+    /// Collects the hypotheses. If several hypotheses have the same value for this convention, only the best of them counts.
     pub(super) fn new(test: Test, fits: impl IntoIterator<Item = (V, Fit)>) -> Self {
         let mut best: Vec<(V, Fit)> = Vec::new();
         for (value, fit) in fits {
@@ -149,20 +155,21 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         Self { test, fits: best }
     }
 
-    /// The value that fits while the others clearly do not.
+    /// The value that fits, if all others clearly do not.
     pub(super) fn proven(&self) -> Option<V> {
         let (value, fit) = self.fits.first()?;
         let rivals = &self.fits[1..];
         let fits = fit.high <= self.test.threshold && fit.frames >= self.test.frames;
-        let alone = !rivals.is_empty() && rivals.iter().all(|(_, rival)| self.clearly_not(rival));
-        (fits && alone).then_some(*value)
+        let unique = !rivals.is_empty() && rivals.iter().all(|(_, rival)| self.clearly_not(rival));
+        (fits && unique).then_some(*value)
     }
 
-    /// A rival without enough frames has told nothing.
+    /// Whether a hypothesis clearly does not fit. With too few frames this is not known, so the result is false.
     fn clearly_not(&self, fit: &Fit) -> bool {
         fit.median >= self.test.rival && fit.frames >= self.test.frames
     }
 
+    /// The test and the residuals of all hypotheses.
     fn evidence(&self) -> Evidence {
         Evidence {
             test: self.test.name.to_owned(),
@@ -183,6 +190,7 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         }
     }
 
+    /// Formats the test and the residuals for an error message.
     fn residuals(&self) -> String {
         let each: Vec<String> = self
             .fits
@@ -198,23 +206,27 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         )
     }
 
+    /// Describes why no value is proven, as a clause for messages.
     fn why(&self) -> String {
         let Some((_, fit)) = self.fits.first() else {
-            return "there is nothing to test it on".to_owned();
+            return "there is no data to test it with".to_owned();
         };
         if fit.frames < self.test.frames {
             format!(
-                "only {} of {} needed frames tell anything",
+                "only {} of the {} needed frames provide evidence",
                 fit.frames, self.test.frames
             )
         } else if fit.high > self.test.threshold {
-            format!("no hypothesis fits within {:e}", self.test.threshold)
+            format!("no hypothesis has a residual of at most {:e}", self.test.threshold)
         } else {
-            format!("another hypothesis is not clearly off, by {:e}", self.test.rival)
+            format!(
+                "another hypothesis is not clearly wrong, because its median residual is below {:e} or it has too few frames",
+                self.test.rival
+            )
         }
     }
 
-    /// As [`Verdict::settle`], but where the data tells nothing and there is no setting, what is declared is taken.
+    /// Does the same as [`Verdict::settle`], but uses the declared value if the data does not decide and there is no setting.
     pub(super) fn settle_or_declared(
         &self,
         convention: &'static str,
@@ -234,7 +246,7 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
         Ok((declared.value, proof))
     }
 
-    /// The value and its proof, from the data, the setting and what the file declares.
+    /// Determines the value and its proof from the data, the setting and the declared value.
     pub(super) fn settle(
         &self,
         convention: &'static str,
@@ -259,16 +271,16 @@ impl<V: Copy + PartialEq + Serialize> Verdict<V> {
                     setting: options.join(" or "),
                 });
             };
-            // Where nothing fits, the setting may still be the one value that is clearly off.
-            let off = |wanted: bool| {
-                let mut fits = self.fits.iter().filter(move |(value, _)| (*value == setting) == wanted);
-                fits.find(|(_, fit)| self.clearly_not(fit) == wanted)
+            // Even if no value is proven, the setting may be clearly wrong while another value is not.
+            let find = |set: bool| {
+                let mut fits = self.fits.iter().filter(move |(value, _)| (*value == setting) == set);
+                fits.find(|(_, fit)| self.clearly_not(fit) == set)
             };
-            if let (Some(_), Some((other, _))) = (off(true), off(false)) {
+            if let (Some(_), Some((other, _))) = (find(true), find(false)) {
                 return Err(Unproven::Setting {
                     convention,
                     setting: assign(setting),
-                    proven: format!("rather {}", name(other)),
+                    proven: format!("more likely {}", name(other)),
                     residuals: self.residuals(),
                 });
             }

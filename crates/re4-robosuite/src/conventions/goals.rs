@@ -1,8 +1,8 @@
-//! Frame of absolute actions, and how their orientations are written, held against where the hand goes.
+//! Detection of the frame of absolute actions and of the representation of their orientations, from the end effector's motion.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-use super::commands::{Judge, ROWS, listed, proof};
+use super::commands::{ActionTests, ROWS, listed, proof};
 use super::evidence::{Basis, Fit, Proof, Test, name};
 use super::reading::{ActionFrame, ActionReading};
 use super::response::{Response, Sums, TRANSLATION};
@@ -10,27 +10,27 @@ use super::{ActionKind, Unproven};
 use crate::actions::{self, Action};
 use crate::hand_to_site;
 
-/// Goals that are on average further from where the hand goes (metres) are in another frame: friction, weight and contacts make
-/// up to 0.008.
+/// Maximum distance (metres) between the mean of the goals and the mean of the end effector's targets. If it is larger, the goals
+/// are in another frame. Friction, weight and contacts cause up to 0.008.
 pub(super) const FRAME: f64 = 0.02;
-/// A frame that is clearly another one.
+/// Minimum distance (metres) at which a frame is clearly the wrong one.
 const OTHER_FRAME: f64 = 3.0 * FRAME;
 const FRAME_TEST: Test = Test {
-    name: "the mean distance of absolute goals from where the hand goes",
+    name: "mean offset of absolute goals from the end effector's motion",
     unit: "m",
     threshold: FRAME,
     rival: OTHER_FRAME,
     frames: ROWS,
 };
 const ROTATION_TEST: Test = Test {
-    name: "the median angle of absolute goals to the grip site",
+    name: "median angle between absolute goals and the grip site",
     unit: "rad",
     threshold: 0.4,
     rival: 0.4,
     frames: ROWS,
 };
 
-/// What these actions ask for as goals: translations alone.
+/// Sums for actions that are read as goals, translations only. Positions are in metres in the world frame.
 pub(super) fn goals(response: &Response, steps: &[[f64; 6]], actions: &[Action], positions: &[[f64; 3]]) -> Sums {
     Sums::of(response, steps, |t| {
         let ask = actions::position(&actions[t]) - Vector3::from(positions[t]);
@@ -38,13 +38,13 @@ pub(super) fn goals(response: &Response, steps: &[[f64; 6]], actions: &[Action],
     })
 }
 
-/// How far goals are on average beyond where the hand goes, in metres.
+/// Mean offset (metres) of the goals from the positions that the end effector's motion implies.
 pub(super) fn goal_offset(response: &Response, sums: &Sums) -> Vector3<f64> {
     Vector3::from(TRANSLATION.map(|axis| sums.at_rest(response, axis, 1.0)))
 }
 
-impl Judge<'_, '_> {
-    /// Frame of goals, and what their last three arm columns are.
+impl ActionTests<'_, '_> {
+    /// Determines the frame of the goals and checks the representation of their orientations.
     pub(super) fn goals(&self, base: Option<&Isometry3<f64>>) -> Result<(ActionReading, Vec<Proof>), Unproven> {
         let response = self
             .controls
@@ -77,14 +77,15 @@ impl Judge<'_, '_> {
         let (value, basis, warning) = match (frames >= ROWS, self.settings.action_frame) {
             (false, None) => (ActionFrame::World, Basis::Declared, None),
             (false, Some(frame)) => {
-                let text = "taken from the setting action_frame: the hand moves too little for a proof".to_owned();
+                let text =
+                    "taken from the setting action_frame: the end effector moves too little for a proof".to_owned();
                 (frame, Basis::Setting, Some(text))
             }
             (true, None) if world_fits => {
-                let alone = in_base.is_none_or(|distance| distance >= OTHER_FRAME);
+                let unique = in_base.is_none_or(|distance| distance >= OTHER_FRAME);
                 (
                     ActionFrame::World,
-                    if alone { Basis::Data } else { Basis::Declared },
+                    if unique { Basis::Data } else { Basis::Declared },
                     None,
                 )
             }
@@ -110,16 +111,16 @@ impl Judge<'_, '_> {
         Ok((reading, vec![row, rotation]))
     }
 
-    /// Refuses goals whose orientation is written in another way.
+    /// Refuses goals whose orientation has another representation than a rotation vector of the grip site.
     fn goal_rotation(&self, reading: &ActionReading) -> Result<Proof, Unproven> {
-        type Way = fn(&Action) -> UnitQuaternion<f64>;
-        let ways: [(&str, &str, Way); 4] = [
+        type Representation = fn(&Action) -> UnitQuaternion<f64>;
+        let representations: [(&str, &str, Representation); 4] = [
             ("rotation_vector", "rotation vectors of the grip site", |action| {
                 actions::rotation(action)
             }),
             (
                 "hand_rotation_vector",
-                "rotation vectors of the hand body, a quarter turn from the grip site",
+                "rotation vectors of the hand body, which is rotated by 90 degrees from the grip site",
                 |action| actions::rotation(action) * hand_to_site(),
             ),
             ("roll_pitch_yaw", "roll, pitch and yaw", |action| {
@@ -131,17 +132,17 @@ impl Judge<'_, '_> {
                 |action| UnitQuaternion::from_euler_angles(action[3], action[4], action[5]) * hand_to_site(),
             ),
         ];
-        let median = |way: Way| {
+        let median = |representation: Representation| {
             let angles = self.demos.iter().flat_map(|demo| {
                 let poses = demo.arrays.eef_quat.iter().zip(demo.arrays.actions);
                 poses.filter_map(|(quaternion, action)| {
                     let stored = self.order.rotation(*quaternion)?;
-                    Some(way(&reading.read(action)).angle_to(&self.orientation.site(stored)))
+                    Some(representation(&reading.read(action)).angle_to(&self.orientation.site(stored)))
                 })
             });
             Fit::of(angles.collect())
         };
-        let fits = ways.map(|(value, words, way)| (value, words, median(way)));
+        let fits = representations.map(|(value, words, representation)| (value, words, median(representation)));
         let frames = fits[0].2.frames;
         let mut candidates: Vec<(String, f64)> = fits
             .iter()
@@ -154,14 +155,14 @@ impl Judge<'_, '_> {
                 .iter()
                 .find(|(_, _, fit)| fit.median <= ROTATION_TEST.threshold);
             let are = better.map_or_else(
-                || "their last three arm columns are no rotation vectors of the grip site".to_owned(),
+                || "their last three arm columns are not rotation vectors of the grip site".to_owned(),
                 |(_, words, _)| format!("their orientations are {words}"),
             );
             return Err(Unproven::Actions {
                 convention: "goal_rotation",
-                what: format!("the orientations of absolute actions are {own:.2} rad from the hand's in the median: {are}"),
+                what: format!("the orientations of absolute actions differ from the end effector's by {own:.2} rad in the median: {are}"),
                 evidence: format!("{}: {} rad, over {frames} frames", ROTATION_TEST.name, listed(&candidates, 2)),
-                fix: "convert them to rotation vectors of the grip site in the world, as robosuite's controller takes them".to_owned(),
+                fix: "convert them to rotation vectors of the grip site in the world frame, as robosuite's controller expects".to_owned(),
             });
         }
         let basis = if frames >= ROWS { Basis::Data } else { Basis::Declared };
@@ -178,7 +179,7 @@ impl Judge<'_, '_> {
     }
 }
 
-/// The sentence for goals that are in another frame than they were read in.
+/// The error for goals that are in another frame than the one that they were read in.
 fn another_frame(
     offset: Vector3<f64>,
     base_fits: bool,
@@ -186,36 +187,33 @@ fn another_frame(
     set: Option<ActionFrame>,
     evidence: String,
 ) -> Unproven {
-    let beside = format!(
-        "absolute actions lie ({:.3}, {:.3}, {:.3}) m beside where the hand goes",
+    let shifted = format!(
+        "absolute actions are offset by ({:.3}, {:.3}, {:.3}) m from the end effector's motion",
         offset.x, offset.y, offset.z
     );
     let (what, fix) = match set {
         None if base_fits => (
-            format!("{beside}, and fit in the frame of the robot's base"),
+            format!("{shifted} but fit in the frame of the robot's base"),
             "set action_kind = \"absolute\" and action_frame = \"base\"",
         ),
         None => (
-            format!("{beside}: they are in another frame than the world's"),
-            "convert them to the world's frame; those of the robot's base are read with action_frame = \"base\"",
+            format!("{shifted}: they are not in the world frame"),
+            "convert them to the world frame, or set action_frame = \"base\" if they are in the frame of the robot's base",
         ),
         Some(ActionFrame::Base) if world_fits => (
-            "the setting action_frame = \"base\" is contradicted by the data: absolute actions fit in the world"
+            "the setting action_frame = \"base\" is contradicted by the data: absolute actions fit in the world frame"
                 .to_owned(),
             "remove the setting",
         ),
         Some(ActionFrame::World) if base_fits => (
             format!(
-                "the setting action_frame = \"world\" is contradicted by the data: {beside}, and fit in the frame of the robot's base"
+                "the setting action_frame = \"world\" is contradicted by the data: {shifted} but fit in the frame of the robot's base"
             ),
-            "correct the setting",
+            "set action_frame = \"base\"",
         ),
         Some(frame) => (
-            format!(
-                "{beside}, and do not fit under the setting action_frame = \"{}\"",
-                name(frame)
-            ),
-            "convert them to the world's frame",
+            format!("{shifted}, also under the setting action_frame = \"{}\"", name(frame)),
+            "convert them to the world frame",
         ),
     };
     Unproven::Actions {

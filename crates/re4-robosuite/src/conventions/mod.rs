@@ -1,13 +1,14 @@
-//! Conventions of a file as typed summary, each with the evidence for it.
+//! The conventions of a file as typed values, each with the evidence for it.
 //!
-//! For every convention, each hypothesis gets a residual from the numbers of the file. One is accepted when it fits
-//! ([`Evidence::threshold`]) and every other clearly does not ([`MARGIN`]). What the data cannot tell needs an explicit
-//! setting, and a setting against clear evidence is refused.
+//! For every convention, each hypothesis gets a residual that is computed from the numbers in the file. A hypothesis is
+//! accepted if it fits ([`Evidence::threshold`]) and all others clearly do not ([`MARGIN`]). If the data does not decide, an
+//! explicit setting is required. A setting that clearly contradicts the data is refused.
 //!
-//! What is proven is compared with what the file declares. A proven object layout, quaternion order or gripper sign other
-//! than robosuite of the declared version writes is refused unless a setting names it: such a file has been through other
-//! hands, and whoever runs a policy in the declared environment would meet the other convention there. A proven kind of
-//! action other than declared is a warning only: converters to absolute actions keep `control_delta` as it was.
+//! Proven conventions are compared with what the file declares. If the proven object layout, quaternion order or gripper sign
+//! differs from what the declared version of robosuite writes, the file is refused unless a setting names the proven value:
+//! some other tool has rewritten the file, and a policy that runs in the declared environment would meet the other convention
+//! there. If the proven kind of action differs from the declared one, there is only a warning, because converters to absolute
+//! actions leave `control_delta` unchanged.
 
 mod commands;
 mod demo;
@@ -38,103 +39,104 @@ pub use response::Response;
 
 use crate::hand_to_site;
 
-/// Whose orientation `obs/robot0_eef_quat` is. The two differ by [`hand_to_site`].
+/// The frame whose orientation `obs/robot0_eef_quat` stores. The two frames differ by [`hand_to_site`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EefOrientation {
-    /// The hand body's.
+    /// The hand body.
     HandBody,
-    /// The grip site's, which the controller steers.
+    /// The grip site, which is the frame that the controller controls.
     GripSite,
 }
 
-/// Where a quaternion's scalar part is.
+/// Position of the scalar part in a stored quaternion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum QuaternionOrder {
-    /// Last: robosuite's observations.
+    /// Scalar last, as in robosuite's observations.
     Xyzw,
-    /// First: `MuJoCo`'s states.
+    /// Scalar first, as in `MuJoCo`'s states.
     Wxyz,
 }
 
-/// What the first six columns of `actions` are.
+/// Meaning of the first six columns of `actions`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionKind {
-    /// Motions within [-1, 1] of the controller's scales.
+    /// Relative motions: commands in [-1, 1] that the controller scales.
     Delta,
-    /// Goals in the world: metres and a rotation vector.
+    /// Goal poses in the world frame: position in metres and a rotation vector in radians.
     Absolute,
 }
 
-/// What a positive gripper command does.
+/// Effect of a positive gripper command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GripperSign {
-    /// Fingers close.
+    /// A positive command closes the fingers.
     PositiveCloses,
-    /// Fingers open.
+    /// A positive command opens the fingers.
     PositiveOpens,
 }
 
-/// How late the relative part of `obs/object` is. Not proven: where both fit, `Current` is taken.
+/// Delay of the relative part of `obs/object`. It is not proven: if several values fit, `Current` is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RelativeLag {
-    /// Both poses are those of the same row.
+    /// Both poses come from the same row.
     Current,
-    /// The object's pose is that of the row before, as in live robosuite 1.5; zeros where there is none.
+    /// The object pose comes from the previous row, as in live robosuite 1.5. The first row, which has no previous one,
+    /// contains zeros.
     ObjectOneLate,
-    /// Both poses are those of the row before.
+    /// Both poses come from the previous row.
     BothOneLate,
 }
 
-/// Conventions that the user states instead of leaving them to the data.
+/// Conventions that the user sets explicitly. All others are detected from the data.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Order of the parts of `obs/object`.
     pub object_layout: Option<ObjectLayout>,
-    /// Whose orientation `obs/robot0_eef_quat` is.
+    /// Frame whose orientation `obs/robot0_eef_quat` stores.
     pub eef_orientation: Option<EefOrientation>,
-    /// Order of `obs/robot0_eef_quat`.
+    /// Component order of `obs/robot0_eef_quat`.
     pub eef_quaternion: Option<QuaternionOrder>,
-    /// Order of the quaternions in `obs/object`.
+    /// Component order of the quaternions in `obs/object`.
     pub object_quaternion: Option<QuaternionOrder>,
-    /// What `actions` are.
+    /// Kind of the arm columns of `actions`: deltas or absolute goals.
     pub action_kind: Option<ActionKind>,
-    /// What a positive gripper command does.
+    /// Effect of a positive gripper command.
     pub gripper_sign: Option<GripperSign>,
-    /// Accepts delta actions beyond [-1, 1]: the controller cuts them. Files of robosuite's own collector have them,
-    /// robomimic's must not.
+    /// Accepts delta actions outside [-1, 1], which the controller clips. Files from robosuite's own collector contain such
+    /// actions; robomimic does not allow them.
     pub allow_actions_beyond_range: bool,
     /// Unit of delta actions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_scale: Option<ActionScale>,
-    /// Factors that take recorded deltas (translation, rotation) to the controller's commands, six of them; what
-    /// `action_offset` says is added after that.
+    /// Six factors (translation x, y, z, then rotation x, y, z) that convert recorded deltas to controller commands:
+    /// `command = action_gain * recorded + action_offset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_gain: Option<[f64; 6]>,
-    /// What is added to recorded deltas times `action_gain`, six numbers.
+    /// Six offsets, in controller commands, that are added to the recorded deltas after they are multiplied by `action_gain`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_offset: Option<[f64; 6]>,
-    /// Which way delta actions turn the hand.
+    /// Direction in which delta actions rotate the end effector.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_rotation: Option<ActionRotation>,
     /// Frame of absolute actions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_frame: Option<ActionFrame>,
-    /// What gripper commands go from and to.
+    /// Range of gripper commands.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gripper_range: Option<GripperRange>,
-    /// The pose that the controller holds before the first step.
+    /// Pose that the controller holds before the first step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial_goal: Option<InitialGoal>,
 }
 
 impl Settings {
-    /// Whether they say of which unit delta actions are.
+    /// Whether the unit of delta actions is set.
     fn states_scale(&self) -> bool {
         self.action_scale.is_some() || self.action_gain.is_some() || self.action_offset.is_some()
     }
@@ -143,69 +145,70 @@ impl Settings {
 /// The conventions of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Conventions {
-    /// The task; none for environments whose object vector is not known.
+    /// The task, or `None` for environments whose object vector is not known.
     pub task: Option<RobosuiteTask>,
-    /// Order of the parts of `obs/object`; none for other tasks and files without it.
+    /// Order of the parts of `obs/object`, or `None` for other tasks and files without that dataset.
     pub object_layout: Option<ObjectLayout>,
-    /// How late the relative part of `obs/object` is.
+    /// Delay of the relative part of `obs/object`.
     pub relative_lag: RelativeLag,
-    /// Whose orientation `obs/robot0_eef_quat` is.
+    /// Frame whose orientation `obs/robot0_eef_quat` stores.
     pub eef_orientation: EefOrientation,
-    /// Order of `obs/robot0_eef_quat`.
+    /// Component order of `obs/robot0_eef_quat`.
     pub eef_quaternion: QuaternionOrder,
-    /// Order of the quaternions in `obs/object`; none for other tasks and files without it.
+    /// Component order of the quaternions in `obs/object`, or `None` for other tasks and files without that dataset.
     pub object_quaternion: Option<QuaternionOrder>,
-    /// What `actions` are.
+    /// Kind of the arm columns of `actions`.
     pub action_kind: ActionKind,
-    /// What a positive gripper command does.
+    /// Effect of a positive gripper command.
     pub gripper_sign: GripperSign,
-    /// Whether the conventions of the end effector come from the data. Otherwise residuals against them are measured, but
-    /// refuse nothing.
+    /// Whether the conventions of the end effector are proven from the data. If they are not, the residuals are measured, but
+    /// no demonstration is refused because of them.
     pub eef_proven: bool,
-    /// The same for the object vector.
+    /// Whether the conventions of the object vector are proven from the data, with the same effect.
     pub object_proven: bool,
-    /// The setting of that name.
+    /// Value of the setting with the same name.
     pub allow_actions_beyond_range: bool,
-    /// How recorded actions become commands or goals of the controller.
+    /// Conversion of recorded actions to controller commands or goals.
     pub actions: ActionReading,
-    /// The pose that the controller holds before the first step.
+    /// Pose that the controller holds before the first step.
     pub initial_goal: InitialGoal,
-    /// The controller that the file declares; none where it declares no scales, and actions are not held against it.
+    /// The controller that the file declares, or `None` if the file declares no scales. Without it, actions are not compared
+    /// with the end effector's motion.
     pub controls: Option<Controls>,
 }
 
-/// Why conventions cannot be told.
+/// Reasons why the conventions of a file cannot be determined.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Unproven {
-    /// The data fits none or several hypotheses, or is too little.
+    /// The data fits no hypothesis or several, or there is too little data.
     #[error("the convention {convention} is not proven: {why} ({residuals}); if you know it, set {setting}")]
     Undecided {
         /// The convention.
         convention: &'static str,
-        /// What is missing.
+        /// Why the data does not decide.
         why: String,
         /// The hypotheses and their residuals.
         residuals: String,
-        /// The settings that would accept one.
+        /// The settings that would accept a hypothesis.
         setting: String,
     },
-    /// The data proves another convention than the file declares.
+    /// The data proves a convention that differs from the declared one.
     #[error(
-        "the convention {convention} is proven to be {proven} ({residuals}), but {declared_by}, which writes {declared}: the file is not what it declares; set {convention} = \"{proven}\" to accept it as it is"
+        "the data proves that the convention {convention} is {proven} ({residuals}), but {declared_by}, which writes {declared}: the file differs from its declaration; set {convention} = \"{proven}\" to accept the file as it is"
     )]
     Declared {
         /// The convention.
         convention: &'static str,
-        /// What the data proves.
+        /// The value that the data proves.
         proven: String,
-        /// What the declaration entails.
+        /// The value that follows from the declaration.
         declared: String,
-        /// The declaration.
+        /// A clause that names the declaration.
         declared_by: String,
         /// The hypotheses and their residuals.
         residuals: String,
     },
-    /// A setting that the data contradicts.
+    /// The data contradicts a setting.
     #[error(
         "the setting {setting} is contradicted by the data: {convention} is {proven} ({residuals}); remove the setting"
     )]
@@ -214,12 +217,12 @@ pub enum Unproven {
         convention: &'static str,
         /// The setting as given.
         setting: String,
-        /// What the data says instead.
+        /// The value that the data supports.
         proven: String,
         /// The hypotheses and their residuals.
         residuals: String,
     },
-    /// Actions that are not what the conventions say.
+    /// The actions do not follow the conventions.
     #[error("{what} ({evidence}); {fix}")]
     Actions {
         /// The convention.
@@ -228,42 +231,43 @@ pub enum Unproven {
         what: String,
         /// The test and its numbers.
         evidence: String,
-        /// What to do.
+        /// The remedy.
         fix: String,
     },
     /// Settings that exclude each other.
     #[error("{0}")]
     Settings(String),
-    /// Demos without which everything is proven.
-    #[error("{}", named(.0))]
+    /// Demonstrations that contradict the others. Without them everything is proven.
+    #[error("{}", listed(.0))]
     Odd(Vec<Odd>),
-    /// A demo whose numbers cannot be used at all.
+    /// A demonstration whose numbers cannot be used at all.
     #[error(transparent)]
     Demo(#[from] Contradiction),
 }
 
-fn named(odd: &[Odd]) -> String {
+/// All refused demonstrations with the reasons, in one line.
+fn listed(odd: &[Odd]) -> String {
     let each: Vec<String> = odd.iter().map(|odd| format!("{}: {}", odd.demo, odd.why)).collect();
     each.join("; ")
 }
 
-/// A row of `obs/object`, taken apart.
+/// The parts of a row of `obs/object`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObjectRow {
-    /// Object pose in the world, the quaternion normalised.
+    /// Object pose in the world frame (metres), with the quaternion normalised.
     pub pose: Isometry3<f64>,
     /// Object position as stored.
     pub position: [f64; 3],
     /// Object quaternion as stored, in the file's order.
     pub quaternion: [f64; 4],
-    /// Relative position as stored: in the world for Lift, in the hand's frame for Can and Square.
+    /// Relative position as stored: in the world frame for Lift, in the hand body's frame for Can and Square.
     pub relative_position: [f64; 3],
-    /// Relative quaternion as stored, in the file's order; none for Lift.
+    /// Relative quaternion as stored, in the file's order, or `None` for Lift.
     pub relative_quaternion: Option<[f64; 4]>,
 }
 
 impl QuaternionOrder {
-    /// A stored quaternion as a rotation; none where it has no direction or is not finite.
+    /// Converts a stored quaternion to a rotation. Returns `None` if its norm is zero or a component is not finite.
     #[must_use]
     pub fn rotation(self, stored: [f64; 4]) -> Option<UnitQuaternion<f64>> {
         let [a, b, c, d] = stored;
@@ -277,7 +281,7 @@ impl QuaternionOrder {
 }
 
 impl EefOrientation {
-    /// The hand body's orientation, given this one.
+    /// The orientation of the hand body, given a stored orientation of this frame.
     #[must_use]
     pub fn hand(self, stored: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         match self {
@@ -286,7 +290,7 @@ impl EefOrientation {
         }
     }
 
-    /// The grip site's orientation, given this one.
+    /// The orientation of the grip site, given a stored orientation of this frame.
     #[must_use]
     pub fn site(self, stored: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         match self {
@@ -300,14 +304,14 @@ fn pose(position: [f64; 3], rotation: UnitQuaternion<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(Vector3::from(position)), rotation)
 }
 
-/// `N` numbers of a row from a column on.
+/// `N` consecutive numbers of a row, beginning at a column. Returns `None` if the row is too short.
 fn part<const N: usize>(row: &[f64], start: usize) -> Option<[f64; N]> {
     row.get(start..start + N)?.try_into().ok()
 }
 
 impl Conventions {
-    /// Takes a row of `obs/object` apart; none where the layout is not known, the row has another width, or the quaternion
-    /// has no direction.
+    /// Splits a row of `obs/object` into its parts. Returns `None` if the layout is not known, the row has another width, or
+    /// the norm of the quaternion is zero.
     #[must_use]
     pub fn decompose(&self, row: &[f64]) -> Option<ObjectRow> {
         let layout = self.object_layout.filter(|layout| layout.columns() == row.len())?;
@@ -322,15 +326,16 @@ impl Conventions {
         })
     }
 
-    /// Pose of the hand body at the grip site's position, the frame of the relative object poses; none where the quaternion
-    /// has no direction.
+    /// Pose in the world frame with the orientation of the hand body and the position of the grip site: the frame of the
+    /// relative object poses. Returns `None` if the norm of the quaternion is zero.
     #[must_use]
     pub fn hand_pose(&self, eef_pos: [f64; 3], eef_quat: [f64; 4]) -> Option<Isometry3<f64>> {
         let stored = self.eef_quaternion.rotation(eef_quat)?;
         Some(pose(eef_pos, self.eef_orientation.hand(stored)))
     }
 
-    /// Pose of the grip site, the frame of the controller's goals; none where the quaternion has no direction.
+    /// Pose of the grip site in the world frame, which is the frame of the controller's goals. Returns `None` if the norm of
+    /// the quaternion is zero.
     #[must_use]
     pub fn site_pose(&self, eef_pos: [f64; 3], eef_quat: [f64; 4]) -> Option<Isometry3<f64>> {
         let stored = self.eef_quaternion.rotation(eef_quat)?;

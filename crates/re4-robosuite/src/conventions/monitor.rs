@@ -1,11 +1,11 @@
-//! Holding a file's conventions against one demo after the other.
+//! Checking single demonstrations against the conventions of their file.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::commands::{self, FURTHER, LESS, TRANSLATION_TOLD, TURNS_FURTHER};
-use super::demo::Sound;
+use super::commands::{self, FURTHER, LESS, ROTATES_FURTHER, TRANSLATION_UNEXPLAINED};
+use super::demo::ValidDemo;
 use super::detect::{NOT_EXPLAINED, UNEXPLAINED};
 use super::eef::EXACT;
 use super::goals::{self, FRAME};
@@ -15,24 +15,24 @@ use super::response::TRANSLATION;
 use super::{ActionKind, Conventions, DemoArrays, GripperRange, GripperSign, RelativeLag, part};
 use crate::kinematics::KinematicsError;
 
-/// How far the norm of a stored quaternion may be from 1.
+/// Maximum difference of the norm of a stored quaternion from 1.
 pub const QUATERNION_TOLERANCE: f64 = 1e-3;
-/// How far a delta command may be beyond 1 by rounding.
+/// Maximum amount by which rounding may take a command out of its range.
 const COMMAND_TOLERANCE: f64 = 1e-6;
 
-/// Travel of the fingers (metres) under commands that hold them that play does not make.
+/// Maximum finger travel (metres) under commands of 0. Play causes less.
 const MOVED_WHILE_HELD: f64 = 0.02;
-/// Rows in which the hand moves that tell of a demo's scale.
+/// Minimum number of rows with motion of the end effector for checking the scale of the actions.
 const ROWS: usize = 20;
-/// A hand goes the other way than it is asked to by more than this many times what the controller does.
-const OTHER_WAY: f64 = 0.3;
-/// Mean distance of goals from where the hand goes (metres) that no friction or contact makes.
-const OTHER_PLACE: f64 = 3.0 * FRAME;
+/// Minimum negative gain that shows that the end effector moves opposite to its commands.
+const OPPOSITE: f64 = 0.3;
+/// Maximum mean offset of the goals (metres). Friction and contacts cause less.
+const OFFSET: f64 = 3.0 * FRAME;
 
-/// A demo that does not follow the conventions of its file.
+/// A contradiction between a demonstration and the conventions of its file.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Contradiction {
-    /// An array with another number of rows than there are actions.
+    /// An array does not have one row per action.
     #[error("{demo}: {dataset} has {rows} rows, but there are {need} actions")]
     Length {
         /// The demo.
@@ -44,8 +44,8 @@ pub enum Contradiction {
         /// Number of actions.
         need: usize,
     },
-    /// An array with another number of columns than its task has.
-    #[error("{demo}: {dataset} has {columns} columns, but the task's has {need}")]
+    /// An array does not have the number of columns that its task needs.
+    #[error("{demo}: {dataset} has {columns} columns, but the task needs {need}")]
     Columns {
         /// The demo.
         demo: String,
@@ -56,7 +56,7 @@ pub enum Contradiction {
         /// Columns of the task.
         need: usize,
     },
-    /// A number that is NaN or infinite.
+    /// A number is NaN or infinite.
     #[error("{demo}: {dataset}[{frame}, {column}] is {value}, not a finite number")]
     NotFinite {
         /// The demo.
@@ -70,15 +70,15 @@ pub enum Contradiction {
         /// The number.
         value: f64,
     },
-    /// States and model do not give poses.
-    #[error("{demo}: no poses from states and model_file: {source}")]
+    /// The poses cannot be computed from the states and the model.
+    #[error("{demo}: cannot compute poses from states and model_file: {source}")]
     Kinematics {
         /// The demo.
         demo: String,
-        /// Why.
+        /// The reason.
         source: KinematicsError,
     },
-    /// A number further from what it should be than the threshold.
+    /// The residual of a row exceeds the threshold.
     #[error("{demo}: {dataset}, row {frame}: {what} by {measured:.3}, more than {threshold}")]
     Residual {
         /// The demo.
@@ -87,16 +87,16 @@ pub enum Contradiction {
         dataset: String,
         /// The row with the maximum residual.
         frame: usize,
-        /// What is off.
+        /// What the residual measures, as a clause.
         what: &'static str,
-        /// How far.
+        /// The residual.
         measured: f64,
-        /// What is allowed.
+        /// The maximum allowed residual.
         threshold: f64,
     },
-    /// Rows that were allocated and never recorded.
+    /// Rows were allocated and never recorded.
     #[error(
-        "{demo}: rows {first} to {last} are zeros, as in a recording that was cut off before its arrays were; cut the arrays to what was recorded"
+        "{demo}: rows {first} to {last} contain only zeros, as in a recording that stopped before its arrays were full; remove these rows from all arrays"
     )]
     Zeros {
         /// The demo.
@@ -106,9 +106,9 @@ pub enum Contradiction {
         /// Last row of zeros.
         last: usize,
     },
-    /// A dataset whose rows are all the same although the actions ask for motion.
+    /// All rows of a dataset are the same although the actions change.
     #[error(
-        "{demo}: all {rows} rows of {dataset} are the same while the actions change, as if it was never updated; record it anew"
+        "{demo}: all {rows} rows of {dataset} are the same although the actions change, as if it was never updated; record the demonstration again"
     )]
     Frozen {
         /// The demo.
@@ -118,26 +118,26 @@ pub enum Contradiction {
         /// Its rows.
         rows: usize,
     },
-    /// A whole demo against a convention.
+    /// The demonstration as a whole contradicts a convention.
     #[error("{demo}: {dataset}: {what}: {measured:.2}, more than {threshold}, over {frames} frames")]
     Whole {
         /// The demo.
         demo: String,
         /// The dataset.
         dataset: &'static str,
-        /// What is off.
+        /// What was measured, as a clause.
         what: &'static str,
-        /// The measured share.
+        /// The measured value.
         measured: f64,
-        /// What is allowed.
+        /// The maximum allowed value.
         threshold: f64,
-        /// Frames that tell something.
+        /// Number of frames that provide evidence.
         frames: usize,
     },
 }
 
 impl Contradiction {
-    /// These rows are zeros.
+    /// The error for a block of rows that contain only zeros.
     pub fn zeros(demo: &str, rows: &std::ops::RangeInclusive<usize>) -> Self {
         Self::Zeros {
             demo: demo.to_owned(),
@@ -146,7 +146,7 @@ impl Contradiction {
         }
     }
 
-    /// The demo that it is about.
+    /// The name of the demonstration.
     #[must_use]
     pub fn demo(&self) -> &str {
         match self {
@@ -162,28 +162,28 @@ impl Contradiction {
     }
 }
 
-/// How well a demo follows the conventions: maximum residuals over its rows.
+/// Maximum residuals of a demonstration over its rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DemoResiduals {
-    /// Rows.
+    /// Number of rows.
     pub frames: usize,
-    /// Distance of the norm of `obs/robot0_eef_quat` from 1.
+    /// Difference of the norm of `obs/robot0_eef_quat` from 1.
     pub eef_quaternion_norm: f64,
-    /// Distance of the norms of the quaternions in `obs/object` from 1; none where they are not known.
+    /// Difference of the norms of the quaternions in `obs/object` from 1, or `None` if their columns are not known.
     pub object_quaternion_norm: Option<f64>,
-    /// Relative part of `obs/object` against the poses (metres or radians).
+    /// Difference between the relative part of `obs/object` and the recorded poses (metres or radians).
     pub relative: Option<f64>,
-    /// End-effector pose against states and model (metres or radians).
+    /// Difference between the end-effector pose and the one from states and model (metres or radians).
     pub eef_kinematics: Option<f64>,
-    /// Object pose against states and model (metres or radians).
+    /// Difference between the object pose and the one from states and model (metres or radians).
     pub object_kinematics: Option<f64>,
-    /// Finger joints against states and model (metres).
+    /// Difference between the finger joints and those from states and model (metres).
     pub gripper_kinematics: Option<f64>,
-    /// How far the maximum delta action is beyond [-1, 1]; none for absolute actions.
+    /// Amount by which the largest delta action exceeds [-1, 1], or `None` for absolute actions.
     pub beyond_range: Option<f64>,
-    /// Fraction of the finger travel against the gripper command; none where the fingers hardly move.
+    /// Fraction of the finger travel that goes against the gripper command, or `None` if the fingers hardly move.
     pub fingers_against: Option<f64>,
-    /// Fraction of the hand's motion that the actions leave unexplained; none where it hardly moves.
+    /// Fraction of the end effector's motion that the actions leave unexplained, or `None` if it hardly moves.
     pub motion_unexplained: Option<f64>,
 }
 
@@ -192,7 +192,7 @@ fn maximum(values: impl Iterator<Item = (usize, f64)>) -> Option<(usize, f64)> {
     values.reduce(|best, next| if next.1.total_cmp(&best.1).is_gt() { next } else { best })
 }
 
-/// Refuses a demo of this name as a whole.
+/// Returns a function that refuses the demonstration with this name as a whole.
 fn refuse_whole(name: &str) -> impl Fn(&'static str, &'static str, f64, f64, usize) -> Result<(), Contradiction> {
     move |dataset, what, measured, threshold, frames| {
         Err(Contradiction::Whole {
@@ -207,17 +207,17 @@ fn refuse_whole(name: &str) -> impl Fn(&'static str, &'static str, f64, f64, usi
 }
 
 impl Conventions {
-    /// Holds these conventions against a demo, row by row.
+    /// Checks a demonstration against these conventions.
     ///
     /// # Errors
-    /// The first dataset that is off, with the row where it is most off.
+    /// Names the first dataset that contradicts the conventions, with its worst row.
     pub fn check(&self, demo: &DemoArrays<'_>) -> Result<DemoResiduals, Contradiction> {
-        self.check_sound(&Sound::new(demo, self.task, &self.actions)?)
+        self.check_valid(&ValidDemo::new(demo, self.task, &self.actions)?)
     }
 
-    /// The same for a demo that was read by these conventions.
-    pub(super) fn check_sound(&self, sound: &Sound<'_>) -> Result<DemoResiduals, Contradiction> {
-        let demo = &sound.arrays;
+    /// Does the same for a demonstration whose actions are already converted.
+    pub(super) fn check_valid(&self, valid: &ValidDemo<'_>) -> Result<DemoResiduals, Contradiction> {
+        let demo = &valid.arrays;
         let frames = demo.actions.len();
         let within = |dataset: &str, what: &'static str, threshold: f64, worst: Option<(usize, f64)>| match worst {
             Some((frame, measured)) if measured.is_nan() || measured > threshold => Err(Contradiction::Residual {
@@ -247,34 +247,36 @@ impl Conventions {
             result.object_quaternion_norm = larger(result.object_quaternion_norm, worst);
         }
         if self.action_kind == ActionKind::Delta {
-            let commands = sound.actions.iter().enumerate();
-            let beyond =
-                commands.map(|(t, action)| (t, action.iter().fold(0.0_f64, |most, a| most.max(a.abs())) - 1.0));
+            let commands = valid.actions.iter().enumerate();
+            let beyond = commands.map(|(t, action)| {
+                let largest = action.iter().fold(0.0_f64, |largest, a| largest.max(a.abs()));
+                (t, largest - 1.0)
+            });
             let worst = maximum(beyond);
             result.beyond_range = worst.map(|(_, beyond)| beyond.max(0.0));
             if !self.allow_actions_beyond_range {
-                let what = "a delta action leaves [-1, 1] (allow_actions_beyond_range accepts it)";
+                let what = "a delta action exceeds [-1, 1] (allow_actions_beyond_range accepts it)";
                 within("actions", what, COMMAND_TOLERANCE, worst)?;
             }
         }
         if self.actions.gripper == GripperRange::ZeroOne {
             let beyond = demo.actions.iter().map(|action| (action[6] - 0.5).abs() - 0.5);
-            let what = "the gripper command leaves [0, 1], its range in this file,";
+            let what = "the gripper command exceeds its range in this file, [0, 1],";
             within("actions[:, 6]", what, COMMAND_TOLERANCE, maximum(beyond.enumerate()))?;
         }
-        self.check_exact(sound, &mut result, &within)?;
-        self.check_motion(sound, &mut result)?;
-        self.check_commands(sound)?;
+        self.check_exact(valid, &mut result, &within)?;
+        self.check_motion(valid, &mut result)?;
+        self.check_commands(valid)?;
         Ok(result)
     }
 
-    /// Unit, direction and frame of the actions, and the range of the gripper's command, over the whole demo.
-    fn check_commands(&self, demo: &Sound<'_>) -> Result<(), Contradiction> {
+    /// Checks the unit, direction and frame of the actions and the range of the gripper command over the whole demonstration.
+    fn check_commands(&self, demo: &ValidDemo<'_>) -> Result<(), Contradiction> {
         let refuse = refuse_whole(demo.arrays.name);
         if self.actions.gripper == GripperRange::MinusOneOne {
             let (held, frames) = gripper::held_travel(demo);
             if held > MOVED_WHILE_HELD && frames >= 5 {
-                let what = "the fingers move under gripper commands of 0, which hold them, as in a demonstration with commands from 0 to 1; metres of their travel";
+                let what = "the fingers move under gripper commands of 0, which should stop them, as in a demonstration with commands from 0 to 1 (travel in metres)";
                 return refuse("actions[:, 6]", what, held, MOVED_WHILE_HELD, frames);
             }
         }
@@ -282,10 +284,10 @@ impl Conventions {
         let steps = commands::steps(demo, self.eef_quaternion);
         if self.action_kind == ActionKind::Absolute {
             let sums = goals::goals(&controls.response, &steps, &demo.actions, demo.arrays.eef_pos);
-            let beside = goals::goal_offset(&controls.response, &sums).norm();
-            if beside > OTHER_PLACE && sums.frames() >= ROWS {
-                let what = "absolute actions lie beside where the hand goes, as in a demonstration of another frame; metres in the mean";
-                return refuse("actions[:, 0:3]", what, beside, OTHER_PLACE, sums.frames());
+            let offset = goals::goal_offset(&controls.response, &sums).norm();
+            if offset > OFFSET && sums.frames() >= ROWS {
+                let what = "absolute actions are offset from the end effector's motion, as in a demonstration with another frame (mean offset in metres)";
+                return refuse("actions[:, 0:3]", what, offset, OFFSET, sums.frames());
             }
             return Ok(());
         }
@@ -294,34 +296,34 @@ impl Conventions {
         if frames < ROWS {
             return Ok(());
         }
-        let further = "the hand goes further than its commands ask for, as in a demonstration of another scale; times what the controller does";
-        let less = "the hand goes less far than its commands ask for, as in a demonstration of another scale; what the controller does, in times of it";
-        let other_way = "the hand goes the other way than its commands ask for; times what the controller does";
+        let further = "the end effector moves further than its commands ask for, as in a demonstration with another scale (ratio of its motion to the controller's)";
+        let less = "the end effector moves less far than its commands ask for, as in a demonstration with another scale (ratio of the controller's motion to its motion)";
+        let opposite = "the end effector moves opposite to its commands (ratio of its motion to the controller's, without the sign)";
         let translation = sums
             .line(&TRANSLATION)
-            .filter(|line| line.unexplained <= TRANSLATION_TOLD);
+            .filter(|line| line.unexplained <= TRANSLATION_UNEXPLAINED);
         let rotation = commands::rotation_line(&sums);
-        let told = [
+        let limits = [
             ("actions[:, 0:3]", translation, FURTHER, LESS),
-            // Few rotations are far from what they stand beside.
-            ("actions[:, 3:6]", rotation, TURNS_FURTHER, 2.0 * LESS),
+            // Within a single demonstration, the end effector may rotate as little as a sixth of the commanded angle.
+            ("actions[:, 3:6]", rotation, ROTATES_FURTHER, 2.0 * LESS),
         ];
-        for (dataset, line, most, minimum) in told {
+        for (dataset, line, maximum_gain, maximum_inverse) in limits {
             let Some(line) = line else { continue };
-            if line.gain < -OTHER_WAY {
-                return refuse(dataset, other_way, -line.gain, OTHER_WAY, frames);
+            if line.gain < -OPPOSITE {
+                return refuse(dataset, opposite, -line.gain, OPPOSITE, frames);
             }
-            if line.gain > most {
-                return refuse(dataset, further, line.gain, most, frames);
+            if line.gain > maximum_gain {
+                return refuse(dataset, further, line.gain, maximum_gain, frames);
             }
-            if line.gain > 0.0 && line.gain < 1.0 / minimum {
-                return refuse(dataset, less, 1.0 / line.gain, minimum, frames);
+            if line.gain > 0.0 && line.gain < 1.0 / maximum_inverse {
+                return refuse(dataset, less, 1.0 / line.gain, maximum_inverse, frames);
             }
         }
         Ok(())
     }
 
-    /// First columns of the quaternions in `obs/object`.
+    /// The first column of each quaternion in `obs/object`.
     fn object_quaternions(&self) -> impl Iterator<Item = usize> {
         self.object_layout.into_iter().flat_map(|layout| {
             let relative = (layout.columns() == 14).then(|| layout.relative_start() + 3);
@@ -329,7 +331,7 @@ impl Conventions {
         })
     }
 
-    /// A stored quaternion; none for a relative one that robosuite 1.5 has not yet computed.
+    /// A stored quaternion, or `None` for a relative one that robosuite 1.5 has not computed yet.
     fn stored(&self, row: &[f64], start: usize, frame: usize) -> Option<[f64; 4]> {
         let layout = self.object_layout?;
         let relative = layout.relative_start() + 3 == start;
@@ -339,14 +341,14 @@ impl Conventions {
         part(row, start)
     }
 
-    /// Relations that hold to rounding.
+    /// Checks the relations that are exact up to rounding.
     fn check_exact(
         &self,
-        demo: &Sound<'_>,
+        demo: &ValidDemo<'_>,
         result: &mut DemoResiduals,
         within: &impl Fn(&str, &'static str, f64, Option<(usize, f64)>) -> Result<Option<f64>, Contradiction>,
     ) -> Result<(), Contradiction> {
-        // What only a setting says is measured, but refuses nothing.
+        // Conventions that come from a setting only are measured, but do not refuse a demonstration.
         let exact = |proven: bool| if proven { EXACT } else { f64::INFINITY };
         let each = |residual: &dyn Fn(usize) -> Option<f64>| {
             maximum((0..demo.arrays.actions.len()).filter_map(|t| Some((t, residual(t)?))))
@@ -385,19 +387,19 @@ impl Conventions {
         let (late, current) = (relation(self.relative_lag), relation(RelativeLag::Current));
         let worst = each(&|t| {
             let late = residuals::relative(demo, t, late)?;
-            // A late part is current again after a second look at the same state.
+            // A delayed relative part is current if robosuite observed the same state twice.
             let current = residuals::relative(demo, t, current)?;
             Some(late.min(current))
         });
         let start = layout.relative_start();
         let end = if layout.columns() == 14 { start + 7 } else { start + 3 };
-        let what = "the relative part differs from what object and end-effector pose give";
+        let what = "the relative part differs from the one that the object and end-effector poses give";
         result.relative = within(&columns(start, end), what, exact(self.object_proven), worst)?;
         Ok(())
     }
 
-    /// Shares over the whole demo.
-    fn check_motion(&self, demo: &Sound<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
+    /// Checks the gripper sign and the kind of the actions over the whole demonstration.
+    fn check_motion(&self, demo: &ValidDemo<'_>, result: &mut DemoResiduals) -> Result<(), Contradiction> {
         let refuse = refuse_whole(demo.arrays.name);
         let mut fingers = residuals::finger_travel(demo);
         if self.gripper_sign == GripperSign::PositiveOpens {
@@ -407,7 +409,7 @@ impl Conventions {
             let against = fingers.value();
             result.fingers_against = Some(against);
             if against > 0.5 {
-                let what = "the fingers move against the gripper command, as a fraction of their travel";
+                let what = "the fingers move against the gripper command (fraction of their travel)";
                 return refuse("actions[:, 6]", what, against, 0.5, fingers.frames);
             }
         }
@@ -421,7 +423,7 @@ impl Conventions {
             result.motion_unexplained = Some(own);
             if own > NOT_EXPLAINED && kinds.unexplained(other) <= UNEXPLAINED {
                 let what =
-                    "the actions are of the other kind (delta or absolute): motion left unexplained, as a fraction";
+                    "the actions are of the other kind, delta or absolute (fraction of the motion left unexplained)";
                 return refuse("actions[:, 0:6]", what, own, NOT_EXPLAINED, kinds.frames());
             }
         }
@@ -429,6 +431,7 @@ impl Conventions {
     }
 }
 
+/// The larger of two optional values, or the only one.
 fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     match (a, b) {
         (Some(a), Some(b)) => Some(a.max(b)),
@@ -436,6 +439,7 @@ fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     }
 }
 
+/// Difference of a quaternion's norm from 1.
 fn norm_error(quaternion: &[f64; 4]) -> f64 {
     (quaternion.iter().map(|value| value * value).sum::<f64>().sqrt() - 1.0).abs()
 }

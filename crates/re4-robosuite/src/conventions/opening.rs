@@ -1,15 +1,15 @@
-//! The pose that the controller holds before the first step of a demo.
+//! Detection of the pose that the controller holds before the first step of a demonstration.
 //!
-//! robosuite's collector and robomimic load each scene into a robot that was just reset, so that the controller's own pose is
-//! the reset's, until its first update after the first step: the goal of the first step is made from it, and its orientation
-//! stays the goal until a rotation is commanded. Recordings show it: the hand turns towards the reset's orientation, and not
-//! towards that of its first frame.
+//! robosuite's collector and robomimic reset the robot and then load the recorded state. The controller still holds the pose of
+//! the reset until its first update, which comes after the first step. The goal of the first step is therefore relative to the
+//! reset pose, and the orientation of the reset pose remains the goal until a rotation is commanded. Recordings show this: the
+//! end effector rotates towards the orientation of the reset, not towards the orientation in its first frame.
 
 use nalgebra::Isometry3;
 use re4_stats::upper_median;
 
 use super::commands::{Controls, proof, steps};
-use super::demo::Sound;
+use super::demo::ValidDemo;
 use super::evidence::{Basis, Proof, Test, name};
 use super::reading::InitialGoal;
 use super::{Conventions, Unproven};
@@ -17,34 +17,34 @@ use crate::actions;
 use crate::kinematics::PANDA_RESET;
 
 const TEST: Test = Test {
-    name: "where the hand goes before the first rotation command: distance from each pose, as a fraction of that between the two",
+    name: "distance of each pose from the goal that the motion before the first rotation command implies, relative to the distance between the two poses",
     unit: "of the distance",
     threshold: 0.4,
     rival: 0.6,
     frames: 4,
 };
 const GOALS: Test = Test {
-    name: "the median angle of the first absolute goal to each pose",
+    name: "median angle between the first absolute goal and each pose",
     unit: "rad",
     threshold: 1e-3,
     rival: 5e-3,
     frames: 2,
 };
-/// Metres that count as much as a radian.
+/// Metres per radian, for sums over translations and rotations.
 const LEVER: f64 = 0.5;
-/// Poses closer than this (metres and radians) are the same for all purposes.
+/// If the two poses are closer than this (metres, radians), it does not matter which one the controller holds.
 const SAME: (f64, f64) = (2e-3, 0.01);
 
-/// Distance and angle between two poses.
-fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
+/// Distance (metres) and angle (radians) between two poses.
+fn distance_and_angle(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
     let distance = (a.translation.vector - b.translation.vector).norm();
     (distance, a.rotation.angle_to(&b.rotation))
 }
 
-/// Which pose it is, from deltas (given controls) or goals.
+/// Determines the pose from deltas (if `controls` is given) or from absolute goals.
 pub(super) fn initial_goal(
     conventions: &Conventions,
-    demos: &[Sound<'_>],
+    demos: &[ValidDemo<'_>],
     controls: Option<&Controls>,
     set: Option<InitialGoal>,
 ) -> Result<(InitialGoal, Proof), Unproven> {
@@ -57,8 +57,8 @@ pub(super) fn initial_goal(
     }
     let (test, [to_reset, to_first], frames) = match controls {
         Some(controls) => {
-            let (place, frames) = place_between(conventions, controls, &known);
-            (TEST, [(1.0 - place).abs(), place.abs()], frames)
+            let (fraction, frames) = fraction_to_reset(conventions, controls, &known);
+            (TEST, [(1.0 - fraction).abs(), fraction.abs()], frames)
         }
         None => (GOALS, goal_angles(&known), known.len()),
     };
@@ -87,7 +87,7 @@ pub(super) fn initial_goal(
             ),
         });
     }
-    // Where nothing is known of the reset, the first pose is all there is.
+    // Without a model the reset pose is not known, so only the first pose is available.
     let fallback = if known.is_empty() {
         InitialGoal::FirstPose
     } else {
@@ -96,10 +96,10 @@ pub(super) fn initial_goal(
     if set == Some(InitialGoal::ResetPose) && known.is_empty() {
         return Err(Unproven::Actions {
             convention: "initial_goal",
-            what: "the setting initial_goal = \"reset_pose\" needs a Panda in the demonstrations' models".to_owned(),
-            evidence: "no demonstration has the attribute model_file with arm joints robot0_joint1 to robot0_joint7"
+            what: "the setting initial_goal = \"reset_pose\" needs demonstrations with the model of a Panda".to_owned(),
+            evidence: "no demonstration has an attribute model_file with the arm joints robot0_joint1 to robot0_joint7"
                 .to_owned(),
-            fix: "remove the setting, or restore the models".to_owned(),
+            fix: "remove the setting, or restore the attribute model_file".to_owned(),
         });
     }
     let value = proven.or(set).unwrap_or(fallback);
@@ -108,14 +108,14 @@ pub(super) fn initial_goal(
         (None, Some(_)) => Basis::Setting,
         (None, None) => Basis::Declared,
     };
-    let most = known.iter().map(|(_, first, reset)| apart(first, reset));
-    let (distance, angle) = most.fold((0.0_f64, 0.0_f64), |most, pair| {
-        (most.0.max(pair.0), most.1.max(pair.1))
+    let differences = known.iter().map(|(_, first, reset)| distance_and_angle(first, reset));
+    let (distance, angle) = differences.fold((0.0_f64, 0.0_f64), |maximum, pair| {
+        (maximum.0.max(pair.0), maximum.1.max(pair.1))
     });
     let matters = distance > SAME.0 || angle > SAME.1;
     let warning = (basis == Basis::Declared && matters).then(|| {
         format!(
-            "what the controller held before the first step is not proven and taken to be the pose of the robot's reset, which is up to {:.1} mm and {:.2} degrees from the first frame's; if it was that one, set initial_goal = \"first_pose\"",
+            "the pose that the controller held before the first step is not proven, so the reset pose of the robot is assumed, which differs from the pose in the first frame by up to {:.1} mm and {:.2} degrees; if the controller held the pose in the first frame, set initial_goal = \"first_pose\"",
             distance * 1e3,
             angle.to_degrees()
         )
@@ -126,13 +126,16 @@ pub(super) fn initial_goal(
     ))
 }
 
-/// Where the goals of the opening frames are on the way from the first pose (0) to the reset's (1), and on how many rows.
-fn place_between(
+/// Position of the goals of the first frames on the line from the first pose (0) to the reset pose (1), and the number of rows
+/// that this least-squares estimate is based on.
+fn fraction_to_reset(
     conventions: &Conventions,
     controls: &Controls,
-    known: &[(&Sound<'_>, Isometry3<f64>, Isometry3<f64>)],
+    known: &[(&ValidDemo<'_>, Isometry3<f64>, Isometry3<f64>)],
 ) -> (f64, usize) {
     let (response, osc) = (&controls.response, &controls.osc);
+    // The normal equation of the fit `left - asked = fraction * part`: `left` is the measured side of the equation of motion,
+    // `asked` its other side for a controller that holds the first pose, and `part` what holding the reset pose adds to it.
     let [mut along, mut square] = [0.0_f64; 2];
     let mut rows = 0;
     for (demo, first, reset) in known {
@@ -141,28 +144,29 @@ fn place_between(
         if steps.len() < 2 || motion.len() < 2 {
             continue;
         }
-        let way = reset.translation.vector - first.translation.vector;
+        let translation = reset.translation.vector - first.translation.vector;
         for axis in 0..3 {
             let left = [steps[0][axis], steps[1][axis] - response.kept * steps[0][axis]];
             let asked = [
                 response.now * motion[0][axis],
                 response.now * motion[1][axis] + response.before * motion[0][axis],
             ];
-            let part = [response.now * way[axis], response.before * way[axis]];
+            // Only the goal of the first step depends on the held position. It acts in this step and in the one after it.
+            let part = [response.now * translation[axis], response.before * translation[axis]];
             for row in 0..2 {
                 along += part[row] * (left[row] - asked[row]);
                 square += part[row] * part[row];
             }
         }
         rows += 2;
-        let turn = (reset.rotation * first.rotation.inverse()).scaled_axis() * LEVER;
-        let unturned = demo
+        let rotation = (reset.rotation * first.rotation.inverse()).scaled_axis() * LEVER;
+        let before_rotation = demo
             .actions
             .iter()
             .take_while(|action| action[3..6] == [0.0; 3])
             .count();
         let mut before = None;
-        for (t, step) in steps.iter().enumerate().take(unturned) {
+        for (t, step) in steps.iter().enumerate().take(before_rotation) {
             let Some(now) = conventions.site_pose(demo.arrays.eef_pos[t], demo.arrays.eef_quat[t]) else {
                 break;
             };
@@ -171,12 +175,12 @@ fn place_between(
                 let kept = if t == 0 { 0.0 } else { steps[t - 1][axis + 3] };
                 let left = LEVER * (step[axis + 3] - response.kept * kept);
                 let (asked, part) = match before {
-                    None => (response.now * ask[axis], response.now * turn[axis]),
+                    None => (response.now * ask[axis], response.now * rotation[axis]),
                     Some(before) => {
                         let before: nalgebra::Vector3<f64> = before;
                         (
                             response.now * ask[axis] + response.before * before[axis],
-                            response.both() * turn[axis],
+                            response.both() * rotation[axis],
                         )
                     }
                 };
@@ -193,8 +197,8 @@ fn place_between(
     (along / square, rows)
 }
 
-/// Median angles of the first goals to the reset's orientation and to the first frame's.
-fn goal_angles(known: &[(&Sound<'_>, Isometry3<f64>, Isometry3<f64>)]) -> [f64; 2] {
+/// Median angles (radians) of the first goals to the orientation of the reset and to the orientation in the first frame.
+fn goal_angles(known: &[(&ValidDemo<'_>, Isometry3<f64>, Isometry3<f64>)]) -> [f64; 2] {
     let angles = known.iter().filter_map(|(demo, first, reset)| {
         let goal = actions::rotation(demo.actions.first()?);
         Some([reset, first].map(|pose| goal.angle_to(&pose.rotation)))

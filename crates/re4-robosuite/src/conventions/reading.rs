@@ -1,4 +1,4 @@
-//! How recorded actions become those of robosuite's own files.
+//! Conversion of recorded actions to the actions that robosuite's own files contain.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -11,81 +11,81 @@ use crate::actions::{self, Action, Osc};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionScale {
-    /// The controller's own: its maximum command (1) means `output_max`.
+    /// The controller's unit: its maximum command (1) means `output_max`.
     #[default]
     Controller,
-    /// Metres and radians a step.
+    /// Metres and radians per step.
     Metres,
-    /// Another one, which the settings `action_gain` and `action_offset` take to the controller's.
+    /// Another unit, which the settings `action_gain` and `action_offset` convert to the controller's unit.
     Numbers,
 }
 
-/// Frame that absolute actions are given in.
+/// Frame of absolute actions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionFrame {
-    /// The world.
+    /// The world frame.
     #[default]
     World,
-    /// The robot's base (body `robot0_base` of the model).
+    /// The frame of the robot's base (body `robot0_base` of the model).
     Base,
 }
 
-/// Which way a delta action turns the hand.
+/// Direction in which a delta action rotates the end effector.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionRotation {
-    /// By its rotation vector: robosuite since 1.2.
+    /// By its rotation vector, as in robosuite 1.2 and later.
     #[default]
     Forward,
-    /// By the opposite of its rotation vector: robosuite 1.0, as its recordings show.
+    /// By the negated rotation vector, as recordings of robosuite 1.0 show.
     Reversed,
 }
 
-/// What gripper commands go from and to.
+/// Range of gripper commands.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GripperRange {
-    /// -1 and 1; the sign decides, and 0 holds the fingers where they are.
+    /// From -1 to 1. Only the sign matters, and 0 stops the fingers.
     #[default]
     MinusOneOne,
-    /// 0 and 1; 0 is the opposite of 1.
+    /// From 0 to 1. Commands of 0 and 1 move the fingers in opposite directions.
     ZeroOne,
 }
 
-/// The pose that the controller holds before the first step. Without a rotation command its orientation stays the goal.
+/// Pose that the controller holds before the first step. Its orientation remains the goal until a rotation is commanded.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum InitialGoal {
-    /// That of the robot's reset, without noise: robosuite's collector and robomimic load each scene into a robot that was
-    /// just reset.
+    /// The pose of the robot after a reset without noise: robosuite's collector and robomimic reset the robot and then load the
+    /// recorded state.
     ResetPose,
-    /// That of the first frame.
+    /// The pose in the first frame.
     #[default]
     FirstPose,
 }
 
-/// How recorded actions are read.
+/// Conversion of recorded actions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ActionReading {
     /// Unit of delta actions.
     pub scale: ActionScale,
-    /// Factor from a recorded delta to the controller's command.
+    /// Factors from recorded deltas to controller commands (translation, then rotation).
     pub gain: [f64; 6],
-    /// What is added after that, in commands.
+    /// Offsets that are added after that, in controller commands.
     pub offset: [f64; 6],
-    /// Which way deltas turn.
+    /// Direction in which deltas rotate.
     pub rotation: ActionRotation,
     /// Frame of absolute actions.
     pub frame: ActionFrame,
-    /// Position and quaternion (x, y, z, w) of that frame in the world.
+    /// Pose of that frame in the world frame: position in metres and quaternion (x, y, z, w).
     pub base: [f64; 7],
-    /// Range of the gripper's command.
+    /// Range of gripper commands.
     pub gripper: GripperRange,
 }
 
 impl Default for ActionReading {
-    /// Actions as robosuite writes them.
+    /// The conversion for actions as robosuite writes them: the identity.
     fn default() -> Self {
         Self {
             scale: ActionScale::Controller,
@@ -100,7 +100,10 @@ impl Default for ActionReading {
 }
 
 impl ActionReading {
-    /// How the settings say that actions are to be read.
+    /// The conversion that the settings ask for.
+    ///
+    /// # Errors
+    /// If settings exclude each other, or one of them needs a controller or base that the file does not give.
     pub(super) fn of(
         settings: &Settings,
         controls: Option<&Controls>,
@@ -116,37 +119,39 @@ impl ActionReading {
         let of_deltas = settings.states_scale() || settings.action_rotation == Some(ActionRotation::Reversed);
         if of_deltas && settings.action_kind == Some(ActionKind::Absolute) {
             return refuse(
-                "action_scale, action_gain, action_offset and action_rotation are about deltas, and action_kind is \"absolute\"; remove one of them",
+                "action_scale, action_gain, action_offset and action_rotation apply to deltas only, but action_kind is \"absolute\"; remove one of them",
             );
         }
         let of_goals = settings.action_frame == Some(ActionFrame::Base);
         if of_goals && (of_deltas || settings.action_kind == Some(ActionKind::Delta)) {
             return refuse(
-                "action_frame is about absolute actions, and other settings are about deltas; remove one of them",
+                "action_frame applies to absolute actions only, but other settings apply to deltas; remove one of them",
             );
         }
         let all = settings.action_gain.iter().chain(&settings.action_offset).flatten();
         if all.into_iter().any(|value| !value.is_finite())
             || settings.action_gain.is_some_and(|gain| gain.contains(&0.0))
         {
-            return refuse("action_gain and action_offset hold six finite numbers, and gains are not 0; correct them");
+            return refuse(
+                "action_gain or action_offset has a number that is not finite, or a gain is 0; give finite numbers and gains other than 0",
+            );
         }
         match (settings.action_scale, numbers) {
             (Some(ActionScale::Controller | ActionScale::Metres), true) => {
                 return refuse(
-                    "action_gain and action_offset say how actions are scaled, and action_scale names another scale; remove one of them, or set action_scale = \"numbers\"",
+                    "action_gain or action_offset is set, but action_scale names another scale; remove one of them, or set action_scale = \"numbers\"",
                 );
             }
             (Some(ActionScale::Numbers), false) => {
                 return refuse(
-                    "action_scale = \"numbers\" needs action_gain or action_offset, six numbers each; give them",
+                    "action_scale = \"numbers\" needs action_gain or action_offset; set them to six numbers each",
                 );
             }
             (Some(ActionScale::Metres), false) => match controls {
                 Some(controls) => reading = reading.metres(&controls.osc),
                 None => {
                     return refuse(
-                        "action_scale = \"metres\" needs the controller's output_max, which env_args does not declare; restore it",
+                        "action_scale = \"metres\" needs the controller's output_max, which env_args does not declare; add it to env_args",
                     );
                 }
             },
@@ -162,7 +167,7 @@ impl ActionReading {
                 Some(base) => reading = reading.in_base(base),
                 None => {
                     return refuse(
-                        "action_frame = \"base\" needs the pose of the robot's base, body robot0_base of the attribute model_file, which is not there; restore it",
+                        "action_frame = \"base\" needs the pose of the body robot0_base from the attribute model_file, which is missing; restore it",
                     );
                 }
             }
@@ -170,7 +175,7 @@ impl ActionReading {
         Ok(reading)
     }
 
-    /// Deltas in metres and radians a step.
+    /// This conversion for deltas in metres and radians per step.
     #[must_use]
     pub fn metres(self, osc: &Osc) -> Self {
         let (gain, offset) = osc.commands_of_motion();
@@ -182,7 +187,7 @@ impl ActionReading {
         }
     }
 
-    /// Goals in the frame of this base.
+    /// This conversion for goals in the frame of a base, whose pose in the world frame is given.
     #[must_use]
     pub fn in_base(self, base: &Isometry3<f64>) -> Self {
         let [x, y, z]: [f64; 3] = base.translation.vector.into();
@@ -194,7 +199,7 @@ impl ActionReading {
         }
     }
 
-    /// Whether actions stay as they are.
+    /// Whether the conversion leaves all actions unchanged.
     #[must_use]
     pub fn is_plain(&self) -> bool {
         let neutral = Self {
@@ -205,8 +210,8 @@ impl ActionReading {
         *self == neutral
     }
 
-    /// A recorded action as robosuite's own: commands of the controller or goals in the world, and a gripper command whose
-    /// sign decides.
+    /// Converts a recorded action to the one that robosuite's own files would contain: controller commands or a goal in the
+    /// world frame, and a gripper command of which only the sign matters.
     #[must_use]
     pub fn read(&self, recorded: &Action) -> Action {
         let mut action = *recorded;
@@ -216,18 +221,19 @@ impl ActionReading {
             }
         }
         if self.rotation == ActionRotation::Reversed {
-            // Not negated: what is zero stays a positive zero.
+            // Subtraction instead of negation keeps zeros positive. The bits of a zero command do not change.
             action[3..6].iter_mut().for_each(|value| *value = 0.0 - *value);
         }
         if self.frame == ActionFrame::Base {
             let [x, y, z, qx, qy, qz, qw] = self.base;
-            let turn = UnitQuaternion::new_normalize(Quaternion::new(qw, qx, qy, qz));
-            let base = Isometry3::from_parts(Translation3::new(x, y, z), turn);
+            let world_from_base = UnitQuaternion::new_normalize(Quaternion::new(qw, qx, qy, qz));
+            let base = Isometry3::from_parts(Translation3::new(x, y, z), world_from_base);
             let position = base.rotation * actions::position(recorded) + Vector3::new(x, y, z);
             action[..3].copy_from_slice(position.as_slice());
-            // A base that is not turned leaves the rotation vector as it was recorded, beyond half a turn, too.
-            if turn.angle() > 1e-9 {
-                let rotation = (turn * actions::rotation(recorded)).scaled_axis();
+            // If the base is not rotated, the rotation vector stays as it was recorded. Converting it would wrap vectors longer
+            // than pi.
+            if world_from_base.angle() > 1e-9 {
+                let rotation = (world_from_base * actions::rotation(recorded)).scaled_axis();
                 action[3..6].copy_from_slice(rotation.as_slice());
             }
         }

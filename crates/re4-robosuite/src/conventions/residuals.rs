@@ -1,36 +1,43 @@
-//! How far numbers are from what a hypothesis says they are.
+//! Residuals: differences between recorded numbers and the values that a hypothesis predicts.
 
 use nalgebra::{Isometry3, Vector3};
 
-use super::demo::Sound;
+use super::demo::ValidDemo;
 use super::{ActionKind, EefOrientation, ObjectLayout, QuaternionOrder, RelativeLag, part, pose};
 use crate::actions;
 
-/// Fingers that part or close less than this in a frame (metres) tell nothing of the command's sign: commanded ones go 4 mm
-/// and more, while those of robosuite 1.0 tremble by 0.4 mm as the arm moves.
+/// Minimum change of the finger opening in a frame (metres) that counts as motion. A command changes it by 4 mm and more, while
+/// the fingers of robosuite 1.0 vibrate by 0.4 mm when the arm moves.
 pub(super) const FINGER_MOVES: f64 = 1e-3;
-/// Frames over which the hand's motion is held against what their actions ask for: it lags behind single commands.
+/// Number of frames over which the end effector's motion is compared with its actions. A single frame is too short, because the
+/// motion lags behind the commands.
 const WINDOW: usize = 4;
-/// A hand that moves less than this (metres) in that time tells nothing of the actions.
-const HAND_MOVES: f64 = 2e-3;
-/// A hand that goes a smaller part of the way in a step does not follow its goal. With the default stiffness the part is about
-/// a fifth; for actions that are deltas, taken for goals, it is about a hundredth.
-const LEAST_APPROACH: f64 = 0.05;
+/// Minimum motion of the end effector (metres) in that window. Smaller motions provide no evidence about the actions.
+const EEF_MOVES: f64 = 2e-3;
+/// Minimum fraction of the distance to its goal that the end effector moves in a step if it follows the goal. With the default
+/// stiffness the fraction is about 1/5. If deltas are read as goals, it is about 1/100.
+const MINIMUM_APPROACH: f64 = 0.05;
 
-/// The larger of a distance in metres and an angle in radians.
-fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+/// The larger of the distance (metres) and the angle (radians) between two poses.
+fn difference(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
     let distance = (a.translation.vector - b.translation.vector).norm();
     distance.max(a.rotation.angle_to(&b.rotation))
 }
 
-/// The hand's frame of a row under a hypothesis: at the grip site, oriented as the hand body.
-fn hand(demo: &Sound<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<Isometry3<f64>> {
+/// The frame of the relative object pose in a row under a hypothesis: the position of the grip site with the orientation of the
+/// hand body. Returns `None` if the norm of the quaternion is zero.
+fn hand(demo: &ValidDemo<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<Isometry3<f64>> {
     let stored = order.rotation(demo.arrays.eef_quat[t])?;
     Some(pose(demo.arrays.eef_pos[t], frame.hand(stored)))
 }
 
-/// `obs/robot0_eef_pos` and `_quat` against the pose that the state gives; none without states.
-pub(super) fn eef_kinematics(demo: &Sound<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<f64> {
+/// Difference between the recorded end-effector pose and the one from the state. Returns `None` without states.
+pub(super) fn eef_kinematics(
+    demo: &ValidDemo<'_>,
+    t: usize,
+    order: QuaternionOrder,
+    frame: EefOrientation,
+) -> Option<f64> {
     let observed = demo.observed.get(t)?;
     let Some(stored) = order.rotation(demo.arrays.eef_quat[t]) else {
         return Some(f64::INFINITY);
@@ -40,12 +47,12 @@ pub(super) fn eef_kinematics(demo: &Sound<'_>, t: usize, order: QuaternionOrder,
         EefOrientation::GripSite => observed.site.rotation,
     };
     let known = Isometry3::from_parts(observed.site.translation, rotation);
-    Some(apart(&pose(demo.arrays.eef_pos[t], stored), &known))
+    Some(difference(&pose(demo.arrays.eef_pos[t], stored), &known))
 }
 
-/// The object's pose columns against the pose that the state gives; none without states.
+/// Difference between the recorded object pose and the one from the state. Returns `None` without states.
 pub(super) fn object_kinematics(
-    demo: &Sound<'_>,
+    demo: &ValidDemo<'_>,
     t: usize,
     layout: ObjectLayout,
     order: QuaternionOrder,
@@ -55,15 +62,16 @@ pub(super) fn object_kinematics(
     let Some(stored) = object_pose(row, layout, order) else {
         return Some(f64::INFINITY);
     };
-    Some(apart(&stored, &known))
+    Some(difference(&stored, &known))
 }
 
+/// Object pose (world frame) in a row of `obs/object`. Returns `None` if the norm of the quaternion is zero.
 fn object_pose(row: &[f64], layout: ObjectLayout, order: QuaternionOrder) -> Option<Isometry3<f64>> {
     let start = layout.pose_start();
     Some(pose(part(row, start)?, order.rotation(part(row, start + 3)?)?))
 }
 
-/// Everything that the relative part of `obs/object` depends on.
+/// A hypothesis about all conventions that the relative part of `obs/object` depends on.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Relation {
     pub(super) layout: ObjectLayout,
@@ -73,8 +81,9 @@ pub(super) struct Relation {
     pub(super) lag: RelativeLag,
 }
 
-/// The relative part of a row against what the poses give; none where it was not yet computed, or there is no row before.
-pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: Relation) -> Option<f64> {
+/// Difference between the relative part of a row and the one that the recorded poses give. Returns `None` if robosuite had not
+/// computed it yet or there is no previous row.
+pub(super) fn relative(demo: &ValidDemo<'_>, t: usize, relation: Relation) -> Option<f64> {
     let rows = demo.arrays.object?;
     let row = rows.row(t);
     if relation.layout.pending(row, t) {
@@ -101,30 +110,30 @@ pub(super) fn relative(demo: &Sound<'_>, t: usize, relation: Relation) -> Option
             let (Some(hand), Some(object), Some(rotation)) = poses else {
                 return Some(f64::INFINITY);
             };
-            return Some(apart(&(hand.inverse() * object), &pose(stored, rotation)));
+            return Some(difference(&(hand.inverse() * object), &pose(stored, rotation)));
         }
     };
     let cube: [f64; 3] = part(object_row, relation.layout.pose_start())?;
-    let difference = Vector3::from(demo.arrays.eef_pos[eef_t]) - Vector3::from(cube);
-    Some((Vector3::from(stored) - sign * difference).norm())
+    let eef_minus_cube = Vector3::from(demo.arrays.eef_pos[eef_t]) - Vector3::from(cube);
+    Some((Vector3::from(stored) - sign * eef_minus_cube).norm())
 }
 
-/// Sums over frames from which a fraction is taken.
+/// A fraction whose numerator and denominator are sums over frames.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Share {
+pub(super) struct Fraction {
     against: f64,
     all: f64,
     pub(super) frames: usize,
 }
 
-impl Share {
+impl Fraction {
     pub(super) fn add(&mut self, other: Self) {
         self.against += other.against;
         self.all += other.all;
         self.frames += other.frames;
     }
 
-    /// The share, 0 to 1; infinite where there is nothing.
+    /// The fraction, 0 to 1, or infinity if the denominator is zero.
     pub(super) fn value(&self) -> f64 {
         if self.all > 0.0 {
             self.against / self.all
@@ -133,11 +142,12 @@ impl Share {
         }
     }
 
-    /// What it is a fraction of: finger travel in metres, ...
+    /// The denominator, for example the finger travel in metres.
     pub(super) fn total(&self) -> f64 {
         self.all
     }
 
+    /// 1 minus the fraction.
     pub(super) fn complement(&self) -> Self {
         Self {
             against: self.all - self.against,
@@ -146,25 +156,25 @@ impl Share {
     }
 }
 
-/// Finger travel against "a positive command closes", as a fraction of all travel under a command.
-pub(super) fn finger_travel(demo: &Sound<'_>) -> Share {
-    let mut share = Share::default();
+/// Fraction of the finger travel that contradicts "a positive command closes", of all travel under commands other than 0.
+pub(super) fn finger_travel(demo: &ValidDemo<'_>) -> Fraction {
+    let mut fraction = Fraction::default();
     for (t, pair) in demo.arrays.gripper_qpos.windows(2).enumerate() {
         let opening = (pair[1][0] - pair[1][1]) - (pair[0][0] - pair[0][1]);
         let command = demo.actions[t][6];
         if opening.abs() < FINGER_MOVES || command == 0.0 {
             continue;
         }
-        share.frames += 1;
-        share.all += opening.abs();
+        fraction.frames += 1;
+        fraction.all += opening.abs();
         if (opening > 0.0) == (command > 0.0) {
-            share.against += opening.abs();
+            fraction.against += opening.abs();
         }
     }
-    share
+    fraction
 }
 
-/// Sums for a fit of the hand's motion to what its actions ask for, with one gain for all.
+/// Sums for a least-squares fit of the end effector's motion to its actions, with one common gain.
 #[derive(Debug, Clone, Copy, Default)]
 struct Motion {
     step_ask: f64,
@@ -181,8 +191,8 @@ impl Motion {
         self.frames += other.frames;
     }
 
-    /// The fraction of the motion (sum of squares) that the best gain, at least `minimum`, leaves unexplained: 1 for an action that
-    /// says nothing, more for one that says something else; infinite without motion.
+    /// The fraction of the motion (sum of squares) that the best gain, but at least `minimum`, leaves unexplained. It is 1 for
+    /// actions that are unrelated to the motion, above 1 for actions that contradict it, and infinite without motion.
     fn unexplained(&self, minimum: f64) -> f64 {
         if self.step_step <= 0.0 {
             return f64::INFINITY;
@@ -197,7 +207,7 @@ impl Motion {
     }
 }
 
-/// What is needed to tell deltas from goals.
+/// The sums for distinguishing deltas from goals.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Kinds {
     deltas: Motion,
@@ -210,33 +220,33 @@ impl Kinds {
         self.goals.add(other.goals);
     }
 
-    /// The fraction of the motion that actions of a kind leave unexplained.
+    /// The fraction of the motion that the actions leave unexplained if they are of this kind.
     pub(super) fn unexplained(&self, kind: ActionKind) -> f64 {
         match kind {
             ActionKind::Delta => self.deltas.unexplained(0.0),
-            ActionKind::Absolute => self.goals.unexplained(LEAST_APPROACH),
+            ActionKind::Absolute => self.goals.unexplained(MINIMUM_APPROACH),
         }
     }
 
-    /// Windows in which the hand moves.
+    /// Number of windows in which the end effector moves.
     pub(super) fn frames(&self) -> usize {
         self.deltas.frames
     }
 }
 
-/// The hand's motion against what actions ask for: as deltas, and as goals.
-pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
+/// Compares the end effector's motion with its actions, read as deltas and as goals.
+pub(super) fn motion(demo: &ValidDemo<'_>) -> Kinds {
     let mut kinds = Kinds::default();
     let positions = demo.arrays.eef_pos;
     for (t, window) in positions.windows(WINDOW + 1).enumerate() {
         let step = Vector3::from(window[WINDOW]) - Vector3::from(window[0]);
-        if step.norm() < HAND_MOVES {
+        if step.norm() < EEF_MOVES {
             continue;
         }
         let [mut motion, mut approach] = [Vector3::zeros(); 2];
         for (action, now) in demo.actions[t..].iter().zip(&window[..WINDOW]) {
             let action = actions::position(action);
-            // The controller cuts commands; keyboards give ones beyond its range.
+            // The controller clips commands, and keyboard teleoperation records commands outside its range.
             motion += action.map(|command| command.clamp(-1.0, 1.0));
             approach += action - Vector3::from(*now);
         }
@@ -252,14 +262,16 @@ pub(super) fn motion(demo: &Sound<'_>) -> Kinds {
     kinds
 }
 
-/// Recorded angular velocity against the change of the recorded orientation under a quaternion order, as a fraction.
-pub(super) fn angular_velocity(demo: &Sound<'_>, order: QuaternionOrder, control_freq: f64) -> Share {
-    let mut share = Share::default();
+/// Difference between the recorded angular velocity and the change of the recorded orientation under a quaternion order, as a
+/// fraction of the velocity.
+pub(super) fn angular_velocity(demo: &ValidDemo<'_>, order: QuaternionOrder, control_freq: f64) -> Fraction {
+    let mut fraction = Fraction::default();
     let Some(velocities) = demo.arrays.eef_vel_ang else {
-        return share;
+        return fraction;
     };
     for (t, pair) in demo.arrays.eef_quat.windows(2).enumerate() {
         let mean = (Vector3::from(velocities[t]) + Vector3::from(velocities[t + 1])) / 2.0;
+        // At rest the direction of the velocity is noise.
         if mean.norm() < 0.05 {
             continue;
         }
@@ -267,22 +279,22 @@ pub(super) fn angular_velocity(demo: &Sound<'_>, order: QuaternionOrder, control
             continue;
         };
         let change = (next * now.inverse()).scaled_axis() * control_freq;
-        share.add(Share {
+        fraction.add(Fraction {
             against: (change - mean).norm(),
             all: mean.norm(),
             frames: 1,
         });
     }
-    share
+    fraction
 }
 
-/// Angle between the goal's orientation of an absolute action and the recorded one.
-pub(super) fn goal_angle(demo: &Sound<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<f64> {
+/// Angle (radians) between the goal orientation of an absolute action and the recorded orientation of the grip site.
+pub(super) fn goal_angle(demo: &ValidDemo<'_>, t: usize, order: QuaternionOrder, frame: EefOrientation) -> Option<f64> {
     let stored = order.rotation(demo.arrays.eef_quat[t])?;
     Some(actions::rotation(&demo.actions[t]).angle_to(&frame.site(stored)))
 }
 
-/// How far a resting cube's upright axis is from the vertical under a quaternion order.
+/// Angle (radians) between the vertical and the closest axis of a cube under a quaternion order.
 pub(super) fn tilt(row: &[f64], order: QuaternionOrder) -> Option<f64> {
     let rotation = order.rotation(part(row, 3)?)?;
     let matrix = rotation.to_rotation_matrix();

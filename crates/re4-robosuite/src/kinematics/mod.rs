@@ -1,7 +1,7 @@
-//! Forward kinematics of `MuJoCo` models, as far as robosuite's `model_file` needs it.
+//! Forward kinematics of `MuJoCo` models, for the features that robosuite's `model_file` uses.
 //!
-//! A flattened state is `[time, qpos, qvel]`; `qpos` holds joints in the depth-first order of bodies. Source: `MuJoCo`'s
-//! documentation, chapters "XML Reference" and "Computation" (kinematics).
+//! A flattened state is `[time, qpos, qvel]`. `qpos` contains the joints in the depth-first order of their bodies. Source:
+//! `MuJoCo`'s documentation, chapters "XML Reference" and "Computation" (kinematics).
 
 mod names;
 mod observe;
@@ -13,21 +13,21 @@ use thiserror::Error;
 pub use names::Robot;
 pub use observe::{Observed, PANDA_RESET};
 
-/// What a joint adds to the pose of its body.
+/// The motion that a joint allows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
-    /// Position and quaternion (w first): 7 numbers of `qpos`, 6 of `qvel`.
+    /// Any motion. `qpos` has 7 numbers: position (metres) and quaternion (w first). `qvel` has 6.
     Free,
-    /// Quaternion (w first): 4 numbers of `qpos`, 3 of `qvel`.
+    /// Any rotation. `qpos` has 4 numbers: a quaternion (w first). `qvel` has 3.
     Ball,
-    /// Metres along the axis.
+    /// A translation along an axis, in metres.
     Slide,
-    /// Radians about the axis.
+    /// A rotation about an axis, in radians.
     Hinge,
 }
 
 impl JointKind {
-    /// Numbers of the joint in `qpos`.
+    /// How many numbers of `qpos` belong to the joint.
     #[must_use]
     pub fn positions(self) -> usize {
         match self {
@@ -37,7 +37,7 @@ impl JointKind {
         }
     }
 
-    /// Numbers of the joint in `qvel`.
+    /// How many numbers of `qvel` belong to the joint.
     #[must_use]
     pub fn velocities(self) -> usize {
         match self {
@@ -51,7 +51,7 @@ impl JointKind {
 /// A joint of a body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
-    /// Name in the model, empty where it has none.
+    /// Name in the model. Empty for an unnamed joint.
     pub name: String,
     /// Its kind.
     pub kind: JointKind,
@@ -62,7 +62,7 @@ pub struct Joint {
     reference: f64,
 }
 
-/// A body: the pose in its parent with all joints at their reference, and its joints.
+/// A body with its joints. `pose` is its pose in the parent's frame when all joints are at their references.
 #[derive(Debug, Clone, PartialEq)]
 struct Body {
     name: String,
@@ -86,36 +86,37 @@ pub struct BodyId(usize);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SiteId(usize);
 
-/// Why a model or a state cannot be used. The caller says in which file and demo it is.
+/// Reasons why a model or a state cannot be used. The caller adds the names of the file and the demonstration.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum KinematicsError {
     /// The text is not XML.
-    #[error("the model is not readable as XML: {0}")]
+    #[error("the model is not valid XML: {0}")]
     Xml(String),
-    /// The XML is not a model that poses can be computed from.
+    /// Poses cannot be computed from the model.
     #[error("the model cannot be used: {0}")]
     Model(String),
-    /// A part of the robot or an object is not in the model under any known name.
-    #[error("the model has no {what}: looked for {sought}; it has {present}")]
+    /// The model has no part of the robot or object with a known name.
+    // Without "; ", which separates a remedy in messages about datasets.
+    #[error("the model has no {what}: looked for {sought}, but found {present}")]
     Missing {
-        /// What was sought, in words.
+        /// Description of the missing part.
         what: String,
-        /// The names looked for.
+        /// The names that were looked for.
         sought: String,
-        /// What there is of that kind.
+        /// The names of this kind that the model has.
         present: String,
     },
-    /// A state or `qpos` of another width than the model's.
+    /// A state or `qpos` has another length than the model needs.
     #[error("a {what} has {got} numbers, but the model needs {need}: state and model do not belong together")]
     Width {
         /// "state" or "qpos".
         what: &'static str,
-        /// Its width.
+        /// Its length.
         got: usize,
-        /// The model's width.
+        /// The length that the model needs.
         need: usize,
     },
-    /// A number that is NaN or infinite.
+    /// A number is NaN or infinite.
     #[error("qpos[{index}] is {value}, not a finite number")]
     NotFinite {
         /// Index in `qpos`.
@@ -143,13 +144,13 @@ pub struct Poses {
 }
 
 impl Poses {
-    /// World pose of a body of the model that made these poses.
+    /// World pose of a body. The body must be from the model that computed these poses.
     #[must_use]
     pub fn body(&self, body: BodyId) -> &Isometry3<f64> {
         &self.bodies[body.0]
     }
 
-    /// World pose of a site of the model that made these poses.
+    /// World pose of a site. The site must be from the model that computed these poses.
     #[must_use]
     pub fn site(&self, site: SiteId) -> &Isometry3<f64> {
         &self.sites[site.0]
@@ -168,12 +169,12 @@ pub struct State<'a> {
 }
 
 impl Model {
-    /// Reads a merged MJCF model.
+    /// Parses a merged MJCF model.
     ///
-    /// Frames, includes, replicas and attachments are refused: models that `MuJoCo` or robosuite saved have none.
+    /// Frames, includes, replicas and attachments are refused. Models that `MuJoCo` or robosuite saved do not contain them.
     ///
     /// # Errors
-    /// A sentence that names the element, where the text is no XML, no MJCF, or needs what is not known here.
+    /// If the text is not XML, not MJCF, or uses an unsupported feature. The error names the element.
     pub fn parse(mjcf_xml: &str) -> Result<Self, KinematicsError> {
         parse::parse(mjcf_xml)
     }
@@ -225,7 +226,7 @@ impl Model {
     /// Splits a flattened state.
     ///
     /// # Errors
-    /// When it has another width than the model's.
+    /// If its length differs from [`Model::state_width`].
     pub fn split<'a>(&self, state: &'a [f64]) -> Result<State<'a>, KinematicsError> {
         if state.len() != self.state_width() {
             return Err(KinematicsError::Width {
@@ -244,10 +245,10 @@ impl Model {
 
     /// World poses of all bodies and sites.
     ///
-    /// Quaternions in `qpos` are normalised first, as `MuJoCo` does.
+    /// Quaternions in `qpos` are normalised first, as in `MuJoCo`.
     ///
     /// # Errors
-    /// When `qpos` has another length than the model's or holds a number that is not finite.
+    /// If the length of `qpos` differs from [`Model::positions`], or one of its numbers is not finite.
     pub fn forward(&self, qpos: &[f64]) -> Result<Poses, KinematicsError> {
         let mut bodies = vec![Isometry3::identity(); self.bodies.len()];
         self.place(qpos, 0..self.bodies.len(), &mut bodies)?;
@@ -255,7 +256,8 @@ impl Model {
         Ok(Poses { bodies, sites })
     }
 
-    /// World poses of some bodies, ancestors before their descendants and none left out.
+    /// Computes the world poses of the bodies with these indices. The indices must be in ascending order and include all
+    /// ancestors.
     fn place(
         &self,
         qpos: &[f64],
@@ -277,19 +279,19 @@ impl Model {
         }
         for index in indices {
             let body = &self.bodies[index];
-            let drawn = if index == 0 {
+            let at_reference = if index == 0 {
                 body.pose
             } else {
                 poses[body.parent] * body.pose
             };
-            poses[index] = body.joints.iter().fold(drawn, |pose, joint| {
+            poses[index] = body.joints.iter().fold(at_reference, |pose, joint| {
                 joint.apply(pose, &qpos[joint.address..joint.address + joint.kind.positions()])
             });
         }
         Ok(())
     }
 
-    /// Bodies and all their ancestors, in the order of [`Model::place`].
+    /// The indices of bodies and all their ancestors, in ascending order.
     fn with_ancestors(&self, bodies: impl Iterator<Item = usize>) -> Vec<usize> {
         let mut needed = vec![false; self.bodies.len()];
         for mut index in bodies {
@@ -302,22 +304,22 @@ impl Model {
     }
 }
 
-/// A quaternion with w first; the identity where all numbers are zero, as in `MuJoCo`.
+/// Converts a quaternion (w first) to a rotation. As in `MuJoCo`, zeros give the identity.
 fn rotation_wxyz(q: &[f64]) -> UnitQuaternion<f64> {
     UnitQuaternion::try_new(Quaternion::new(q[0], q[1], q[2], q[3]), 1e-15).unwrap_or_default()
 }
 
 impl Joint {
-    /// The pose of the body after this joint.
+    /// Applies the joint's motion to the pose of its body. `q` contains the joint's numbers in `qpos`.
     fn apply(&self, pose: Isometry3<f64>, q: &[f64]) -> Isometry3<f64> {
-        // Rotations leave the joint's anchor where it is.
+        // A rotation does not move the anchor of the joint.
         let about_anchor = |rotation: UnitQuaternion<f64>| {
-            let turned = pose.rotation * rotation;
+            let rotated = pose.rotation * rotation;
             let anchor = pose.rotation * self.position + pose.translation.vector;
-            Isometry3::from_parts(Translation3::from(anchor - turned * self.position), turned)
+            Isometry3::from_parts(Translation3::from(anchor - rotated * self.position), rotated)
         };
         match self.kind {
-            // A free body hangs on the world: its pose is the joint's.
+            // The parent of a free body is the world, so the joint gives its world pose.
             JointKind::Free => Isometry3::from_parts(Translation3::new(q[0], q[1], q[2]), rotation_wxyz(&q[3..])),
             JointKind::Ball => about_anchor(rotation_wxyz(q)),
             JointKind::Hinge => about_anchor(UnitQuaternion::from_axis_angle(&self.axis, q[0] - self.reference)),

@@ -1,4 +1,4 @@
-//! Finding the robot and the objects in models of different robosuite versions.
+//! Lookup of the robot and the objects in models of different robosuite versions.
 //!
 //! | robosuite | grip site | hand body | finger joints | cube |
 //! |---|---|---|---|---|
@@ -10,20 +10,20 @@ use nalgebra::Isometry3;
 
 use super::{BodyId, JointKind, KinematicsError, Model, SiteId};
 
-/// Where a robot's hand is in a model.
+/// The parts of a robot's end effector in a model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Robot {
-    /// The site whose position is `robot0_eef_pos` and whose pose the controller steers.
+    /// The grip site. Its position is `robot0_eef_pos`, and the controller controls its pose.
     pub grip_site: SiteId,
-    /// The body whose orientation is `robot0_eef_quat`.
+    /// The hand body. Its orientation is `robot0_eef_quat`.
     pub hand: BodyId,
-    /// Indices in `qpos` of the two finger joints, in the order of `robot0_gripper_qpos`; none for hands with other than two
-    /// sliding fingers.
+    /// Indices in `qpos` of the two finger joints, in the order of `robot0_gripper_qpos`. `None` unless the gripper has exactly
+    /// two sliding fingers.
     pub fingers: Option<[usize; 2]>,
 }
 
 impl Robot {
-    /// The numbers that `robot0_gripper_qpos` holds, in metres; none for hands with other than two sliding fingers.
+    /// The finger positions `robot0_gripper_qpos`, in metres. Returns `None` unless the gripper has exactly two sliding fingers.
     #[must_use]
     pub fn gripper_qpos(&self, qpos: &[f64]) -> Option<[f64; 2]> {
         let [first, second] = self.fingers?;
@@ -31,7 +31,7 @@ impl Robot {
     }
 }
 
-/// The index of the only name among `names` that is one of `exact`, else of the only one that ends with `suffix`.
+/// The index of the first name in `exact` that is among `names`, else of the only name that ends with `suffix`.
 fn find<'a>(
     what: &str,
     names: impl Iterator<Item = &'a str> + Clone,
@@ -59,21 +59,21 @@ fn find<'a>(
     })
 }
 
-/// Names for an error message, at most twelve.
+/// Formats at most twelve names for an error message.
 pub(super) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.filter(|name| !name.is_empty()).collect();
     match names.len() {
-        0 => "none with a name".to_owned(),
+        0 => "no names".to_owned(),
         1..=12 => names.join(", "),
         more => format!("{} and {} more", names[..12].join(", "), more - 12),
     }
 }
 
 impl Model {
-    /// The robot with this number, 0 for the only one.
+    /// Finds the robot with this number (0 if there is only one).
     ///
     /// # Errors
-    /// When the grip site or the hand is under no known name, or under several.
+    /// If the grip site or the hand body has no known name, or several names match.
     pub fn robot(&self, number: usize) -> Result<Robot, KinematicsError> {
         let sites = self.sites.iter().map(|site| site.name.as_str());
         let bodies = self.bodies.iter().map(|body| body.name.as_str());
@@ -92,7 +92,7 @@ impl Model {
             &[format!("robot{number}_right_hand")],
             "right_hand",
         )?;
-        // Fingers hang below the hand, whatever their names.
+        // Names of finger joints differ between versions, so that they are found as the joints of the hand body's descendants.
         let below = |mut body: usize| {
             while body > hand {
                 body = self.bodies[body].parent;
@@ -117,8 +117,7 @@ impl Model {
         })
     }
 
-    /// Pose of robot 0's base, the body `robot0_base`, in the world; none where the model has no such body that stays where it
-    /// is.
+    /// World pose of robot 0's base, the body `robot0_base`. Returns `None` if the model has no such body or the body can move.
     #[must_use]
     pub fn base(&self) -> Option<Isometry3<f64>> {
         let mut body = self.bodies.iter().position(|body| body.name == "robot0_base")?;
@@ -136,10 +135,10 @@ impl Model {
         }
     }
 
-    /// The free body of an object by the name that its observations have: `cube`, `Can`, `SquareNut`.
+    /// Finds the free body of an object by its name in observations: `cube`, `Can`, `SquareNut`.
     ///
     /// # Errors
-    /// When no free body has the name, with or without robosuite's endings `_main` and `0`.
+    /// If no free body has this name, with or without robosuite's suffixes `_main` and `0`.
     pub fn object(&self, name: &str) -> Result<BodyId, KinematicsError> {
         for ending in ["_main", "", "0"] {
             let wanted = format!("{name}{ending}");

@@ -1,4 +1,4 @@
-//! MJCF to [`Model`].
+//! Parsing of MJCF into a [`Model`].
 
 use std::collections::BTreeMap;
 
@@ -7,14 +7,16 @@ use roxmltree::{Document, Node};
 
 use super::{Body, Joint, JointKind, KinematicsError, Model, Site};
 
-/// Bodies nested deeper than this are refused: a robot on a mount has about twenty.
+/// Maximum nesting depth of bodies and defaults. A robot on a mount has about twenty levels. The limit bounds the
+/// recursion of the parser.
 const DEEPEST: usize = 200;
 
+/// An error for a model that cannot be used.
 fn refuse<T>(sentence: String) -> Result<T, KinematicsError> {
     Err(KinematicsError::Model(sentence))
 }
 
-/// Units and conventions of the element `compiler`.
+/// Settings of the element `compiler`: the unit of angles and the sequence of Euler angles.
 struct Compiler {
     degrees: bool,
     euler: String,
@@ -26,7 +28,7 @@ impl Compiler {
     }
 }
 
-/// Attributes of a class: by element, by attribute. Classes hold what their parents hold.
+/// Default attributes of a class, by element and attribute, including those of its parents.
 type Class<'a> = BTreeMap<&'a str, BTreeMap<&'a str, &'a str>>;
 
 struct Parser<'a> {
@@ -72,10 +74,12 @@ pub(super) fn parse(text: &str) -> Result<Model, KinematicsError> {
     Ok(parser.model)
 }
 
+/// The child elements with this tag.
 fn elements<'a, 'input: 'a>(node: Node<'a, 'input>, name: &'static str) -> impl Iterator<Item = Node<'a, 'input>> {
     node.children().filter(move |child| child.has_tag_name(name))
 }
 
+/// Reads the element `compiler`. Without it MJCF's defaults apply: degrees and the sequence `xyz`.
 fn compiler(root: Node<'_, '_>) -> Result<Compiler, KinematicsError> {
     let mut result = Compiler {
         degrees: true,
@@ -95,13 +99,14 @@ fn compiler(root: Node<'_, '_>) -> Result<Compiler, KinematicsError> {
             sequence.clone_into(&mut result.euler);
         }
         if element.attribute("coordinate") == Some("global") {
-            return refuse("it uses global coordinates, which MuJoCo itself gave up".to_owned());
+            return refuse("it uses global coordinates, which MuJoCo no longer supports".to_owned());
         }
     }
     Ok(result)
 }
 
-/// The numbers of an attribute. Models of robosuite 1.0 hold Python lists here and there: brackets and commas count as spaces.
+/// The numbers of an attribute. Some attributes in models of robosuite 1.0 are Python lists, so brackets and commas count as
+/// spaces.
 fn numbers<const N: usize>(element: &str, attribute: &str, text: &str) -> Result<[f64; N], KinematicsError> {
     let mut result = [0.0; N];
     let mut words = text
@@ -119,7 +124,7 @@ fn numbers<const N: usize>(element: &str, attribute: &str, text: &str) -> Result
     }
 }
 
-/// An element for error messages: tag and name.
+/// Describes an element in error messages by its tag and name.
 fn called(node: Node<'_, '_>) -> String {
     match node.attribute("name") {
         Some(name) => format!("<{}> {name}", node.tag_name().name()),
@@ -128,6 +133,7 @@ fn called(node: Node<'_, '_>) -> String {
 }
 
 impl<'a> Parser<'a> {
+    /// Reads an element `default` and those nested in it.
     fn read_class(
         &mut self,
         node: Node<'a, 'a>,
@@ -135,7 +141,7 @@ impl<'a> Parser<'a> {
         depth: usize,
     ) -> Result<(), KinematicsError> {
         if depth > DEEPEST {
-            return refuse(format!("its defaults are nested deeper than {DEEPEST}"));
+            return refuse(format!("its defaults are nested more than {DEEPEST} levels deep"));
         }
         let name = match (node.attribute("class"), depth) {
             (Some(name), _) => name,
@@ -150,7 +156,7 @@ impl<'a> Parser<'a> {
             let attributes = class.entry(child.tag_name().name()).or_default();
             attributes.extend(child.attributes().map(|a| (a.name(), a.value())));
         }
-        // The outermost class is the default of everything, whatever its name.
+        // The outermost class applies to all elements without a class, whatever its name.
         if depth == 0 {
             self.classes.insert("main", class.clone());
         }
@@ -161,7 +167,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// An attribute of an element, else of its class.
+    /// The value of an element's attribute, or the default of its class.
     fn attribute(&self, node: Node<'a, 'a>, class: &str, attribute: &str) -> Result<Option<&'a str>, KinematicsError> {
         if let Some(value) = node.attribute(attribute) {
             return Ok(Some(value));
@@ -169,7 +175,7 @@ impl<'a> Parser<'a> {
         let class = node.attribute("class").unwrap_or(class);
         let Some(defaults) = self.classes.get(class) else {
             return refuse(format!(
-                "{} is of the class {class}, which no <default> describes",
+                "{} has the class {class}, which no <default> defines",
                 called(node)
             ));
         };
@@ -177,6 +183,7 @@ impl<'a> Parser<'a> {
         Ok(of_element.and_then(|attributes| attributes.get(attribute).copied()))
     }
 
+    /// The vector in an element's attribute, or a default.
     fn vector(
         &self,
         node: Node<'a, 'a>,
@@ -189,13 +196,13 @@ impl<'a> Parser<'a> {
         Ok(Vector3::from(numbers))
     }
 
-    /// The pose that `pos` and one of `quat`, `axisangle`, `euler` give.
+    /// The pose that an element's attributes `pos` and one of `quat`, `axisangle` and `euler` give.
     fn pose(&self, node: Node<'a, 'a>, class: &str) -> Result<Isometry3<f64>, KinematicsError> {
         let position = self.vector(node, class, "pos", [0.0; 3])?;
         for unknown in ["xyaxes", "zaxis", "fromto"] {
             if self.attribute(node, class, unknown)?.is_some() {
                 return refuse(format!(
-                    "{} has {unknown}, which is not known here: give quat",
+                    "{} has the attribute {unknown}, which is not supported: use quat",
                     called(node)
                 ));
             }
@@ -210,7 +217,7 @@ impl<'a> Parser<'a> {
             let [w, x, y, z] = numbers(&called(node), "quat", text)?;
             match UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-12) {
                 Some(rotation) => rotation,
-                None => return refuse(format!("{} has quat=\"{text}\", which has no direction", called(node))),
+                None => return refuse(format!("{} has quat=\"{text}\", which is zero", called(node))),
             }
         } else {
             UnitQuaternion::identity()
@@ -218,7 +225,8 @@ impl<'a> Parser<'a> {
         Ok(Isometry3::from_parts(Translation3::from(position), rotation))
     }
 
-    /// Small letters turn about the rotated axes, capitals about the fixed ones.
+    /// Converts Euler angles. Lower-case letters of the sequence are rotations about the rotated axes, capitals about the fixed
+    /// axes.
     fn euler(&self, angles: [f64; 3]) -> UnitQuaternion<f64> {
         let mut result = UnitQuaternion::identity();
         for (axis, angle) in self.compiler.euler.chars().zip(angles) {
@@ -227,17 +235,17 @@ impl<'a> Parser<'a> {
                 'y' => Vector3::y_axis(),
                 _ => Vector3::z_axis(),
             };
-            let turn = UnitQuaternion::from_axis_angle(&unit, self.compiler.radians(angle));
+            let rotation = UnitQuaternion::from_axis_angle(&unit, self.compiler.radians(angle));
             result = if axis.is_lowercase() {
-                result * turn
+                result * rotation
             } else {
-                turn * result
+                rotation * result
             };
         }
         result
     }
 
-    /// The joints and sites of a body, then its children: the order of `qpos` is depth first.
+    /// Reads the joints and sites of a body, then its children. `qpos` has the joints in this depth-first order.
     fn read_body(
         &mut self,
         node: Node<'a, 'a>,
@@ -246,7 +254,7 @@ impl<'a> Parser<'a> {
         depth: usize,
     ) -> Result<(), KinematicsError> {
         if depth > DEEPEST {
-            return refuse(format!("its bodies are nested deeper than {DEEPEST}"));
+            return refuse(format!("its bodies are nested more than {DEEPEST} levels deep"));
         }
         for child in node.children().filter(Node::is_element) {
             match child.tag_name().name() {
@@ -256,10 +264,10 @@ impl<'a> Parser<'a> {
                     let name = child.attribute("name").unwrap_or_default().to_owned();
                     self.model.sites.push(Site { name, body, pose });
                 }
-                // They would put bodies or joints where none are seen here.
+                // These elements add bodies or joints that this parser would miss.
                 unknown @ ("frame" | "replicate" | "attach" | "include" | "composite" | "flexcomp") => {
                     return refuse(format!(
-                        "{} holds <{unknown}>, which is not known here: save the compiled model",
+                        "{} contains <{unknown}>, which is not supported: save the compiled model",
                         called(node)
                     ));
                 }
@@ -267,7 +275,7 @@ impl<'a> Parser<'a> {
             }
         }
         for child in elements(node, "body") {
-            // Bodies themselves have no defaults.
+            // Bodies have no defaults, so the class does not matter.
             let pose = self.pose(child, "main")?;
             let index = self.model.bodies.len();
             self.model.bodies.push(Body {
@@ -282,6 +290,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
+    /// Adds a joint to a body.
     fn read_joint(&mut self, node: Node<'a, 'a>, body: usize, class: &str) -> Result<(), KinematicsError> {
         let kind = if node.has_tag_name("freejoint") {
             JointKind::Free
@@ -300,13 +309,13 @@ impl<'a> Parser<'a> {
             }
         };
         if body == 0 {
-            return refuse(format!("{} is a joint of the world", called(node)));
+            return refuse(format!("{} is a joint of the world body", called(node)));
         }
         if kind == JointKind::Free
             && (self.model.bodies[body].parent != 0 || !self.model.bodies[body].joints.is_empty())
         {
             return refuse(format!(
-                "{} is a free joint, but not the only joint of a child of the world",
+                "{} is a free joint, but not the only joint of a child of the world body",
                 called(node)
             ));
         }
@@ -334,9 +343,10 @@ impl<'a> Parser<'a> {
     }
 }
 
+/// Normalises the vector of an attribute.
 fn unit(node: Node<'_, '_>, attribute: &str, vector: Vector3<f64>) -> Result<Unit<Vector3<f64>>, KinematicsError> {
     match Unit::try_new(vector, 1e-12) {
         Some(unit) => Ok(unit),
-        None => refuse(format!("{} has an {attribute} without a direction", called(node))),
+        None => refuse(format!("{} has a zero vector as {attribute}", called(node))),
     }
 }

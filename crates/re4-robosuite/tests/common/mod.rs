@@ -1,10 +1,10 @@
-//! Shared by the tests: demos of the real files, owned, and copies of them that can be changed.
+//! Helpers for tests with real files: owned demonstrations that can be changed.
 #![allow(dead_code, reason = "each test uses a part of this")]
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::print_stdout,
-    reason = "helpers of tests may fail like tests"
+    reason = "test helpers may panic"
 )]
 
 use std::path::{Path, PathBuf};
@@ -14,23 +14,23 @@ use re4_robosuite::conventions::{DemoArrays, EefOrientation, QuaternionOrder, Ro
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::Model;
 
-/// A file below the folder of the datasets, if it is at hand.
+/// A file in the folder of the datasets, if it exists.
 pub(crate) fn dataset(name: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let path = std::env::var_os("RE4_DATA")
         .map_or_else(beside, PathBuf::from)
         .join(name);
-    let there = path.exists();
-    if !there {
+    let exists = path.exists();
+    if !exists {
         println!(
-            "skipped: no {}; set RE4_DATA to the folder of the datasets",
+            "skipped: {} does not exist; set RE4_DATA to the folder of the datasets",
             path.display()
         );
     }
-    there.then_some(path)
+    exists.then_some(path)
 }
 
-/// A demo's arrays and model.
+/// The arrays and the model of a demonstration.
 #[derive(Clone)]
 pub(crate) struct Demo {
     pub(crate) name: String,
@@ -61,7 +61,7 @@ impl Demo {
         }
     }
 
-    /// Without what only states and model tell.
+    /// The arrays without states and model.
     pub(crate) fn arrays_alone(&self) -> DemoArrays<'_> {
         DemoArrays {
             states: None,
@@ -74,7 +74,7 @@ impl Demo {
         self.actions.len()
     }
 
-    /// Poses of the grip site, by the observations.
+    /// Poses of the grip site from the observations.
     pub(crate) fn sites(&self) -> Vec<Isometry3<f64>> {
         let poses = self.eef_pos.iter().zip(&self.eef_quat);
         poses
@@ -97,7 +97,7 @@ impl Demo {
     }
 }
 
-/// A file of the robomimic layout.
+/// A file in robomimic's layout.
 pub(crate) struct Source {
     file: hdf5::File,
     pub(crate) env: EnvArgs,
@@ -179,14 +179,15 @@ pub(crate) fn scripted(task: &str, file: &str) -> Option<Source> {
     Source::open(&format!("robomimic-scripted/{task}/{file}"))
 }
 
-/// The value that a fraction of sorted values does not exceed.
-pub(crate) fn quantile(values: &mut [f64], share: f64) -> f64 {
+/// The quantile of values for a fraction, by the nearest-rank method.
+pub(crate) fn quantile(values: &mut [f64], fraction: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    let rank = (share * values.len() as f64).ceil() as usize;
+    let rank = (fraction * values.len() as f64).ceil() as usize;
     values[rank.max(1) - 1]
 }
 
-/// Demos of a raw file, with the observations that their states give; the model is beside the file or within it.
+/// Demonstrations of a raw file, with observations that are computed from their states. The models are in the file or in separate
+/// files next to it.
 pub(crate) fn raw(folder: &str) -> Option<(EnvArgs, Vec<Demo>)> {
     let folder = dataset(&format!("robosuite/robosuite-{folder}"))?;
     let file = hdf5::File::open(folder.join("demo.hdf5")).unwrap();
