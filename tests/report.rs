@@ -382,7 +382,7 @@ fn different_protocols_are_told_apart() {
         .unwrap();
     let page = page_of(&place, &format!("{folder} {}", other.display()));
     assert!(page.contains("data-differences=\"seeds max_steps\""));
-    assert!(page.contains("These rollouts were not made under one protocol."));
+    assert!(page.contains("These rollouts were not made under the same protocol."));
     assert_eq!(data(&page)["artifacts"][1]["label"], "re4 · seeds 600–602");
     assert!(!page_of(&place, &folder).contains("data-differences"));
 }

@@ -39,7 +39,7 @@ const estimateAt = (data, step) => {
   if (!pose) return undefined;
   const truth = data.object[step];
   const away = Math.hypot(pose[0] - truth[0], pose[1] - truth[1]);
-  const turn = Math.abs(around(pose[2] - truth[2]));
+  const turn = Math.abs(wrapAngle(pose[2] - truth[2]));
   return { pose, away, turn, confidence: data.confidence[step], flag: data.flag[step], differs: away > 1e-3 || turn > 1e-4 };
 };
 

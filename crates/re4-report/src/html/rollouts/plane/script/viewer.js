@@ -25,7 +25,7 @@ const decisionFacts = (decision) => [
 
 const detailFacts = (decision) => [
   ...distanceFacts(decision),
-  fact("δ", `${point(decision.delta)}, ${degrees(around(decision.delta[2]))}`, "delta", decision.delta.join(" "),
+  fact("δ", `${point(decision.delta)}, ${degrees(wrapAngle(decision.delta[2]))}`, "delta", decision.delta.join(" "),
     "Motion that carries the demonstration's block onto ours: translation, rotation about the world's origin"),
   fact("Set-point", point(decision.setPoint), "set_point", decision.setPoint.join(" ")),
   fact("Plan", PLAN_WORDS[decision.plan] ?? decision.plan, "plan", decision.plan),
