@@ -168,10 +168,7 @@ fn numbers_are_exactly_those_of_the_artifact() {
     assert_eq!(f64s(&artifact["steps"]["coverage"]), [0.1, 0.4, 0.3, 0.2, 0.96]);
     assert_eq!(artifact["rollouts"]["score"][0].as_f64(), Some(0.4 / 0.95));
     let d_o = f64s(&artifact["decisions"]["d_o"]);
-    assert!(
-        d_o.iter().all(|value| value.is_nan()),
-        "an absent distance is NaN"
-    );
+    assert!(d_o.iter().all(|value| value.is_nan()), "an absent distance is NaN");
     assert_eq!(f64s(&artifact["decisions"]["d_q"]), [0.125; 2]);
     assert_eq!(f64s(&artifact["decisions"]["delta"])[..3], [1.0, 2.0, 0.1]);
 }
@@ -329,7 +326,10 @@ fn the_papers_results_are_shown_only_for_the_same_experiment() {
         paper_result(|set| set.scene.taken = Taken::First(50)).as_deref(),
         Some("0.781")
     );
-    assert_eq!(paper_result(|set| set.variant = "image".to_owned()).as_deref(), Some("0.883"));
+    assert_eq!(
+        paper_result(|set| set.variant = "image".to_owned()).as_deref(),
+        Some("0.883")
+    );
     for change in [
         |set: &mut Rollouts<Plane>| set.scene.taken = Taken::First(40),
         |set: &mut Rollouts<Plane>| set.scene.taken = Taken::Other,
