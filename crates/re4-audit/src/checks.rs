@@ -76,7 +76,8 @@ pub enum Basis {
     },
 }
 
-/// Minimum number of values from which a threshold is derived. Quartiles and medians of fewer values depend too much on single ones.
+/// Minimum number of values from which a threshold is derived. Quartiles and medians of fewer values depend too much on single
+/// ones.
 pub(crate) const ENOUGH: usize = 8;
 
 const fn check(code: &'static str, severity: Severity, applies: Applies) -> Check {

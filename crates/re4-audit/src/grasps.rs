@@ -199,8 +199,8 @@ pub(crate) fn rest(evidence: &[SpatialEvidence], from: usize, end: usize) -> usi
     (from..last).find(|&frame| rests(frame)).unwrap_or(last)
 }
 
-/// Returns the motion of the object after the command to open that ends a held grasp. `None` if the demonstration ends in the grasp,
-/// or before the fingers have opened.
+/// Returns the motion of the object after the command to open that ends a held grasp. `None` if the demonstration ends in the
+/// grasp, or before the fingers have opened.
 pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp) -> Option<Release> {
     let frames = &demo.episode.frames;
     let evidence = &demo.segmented.evidence;

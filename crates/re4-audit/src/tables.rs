@@ -9,14 +9,14 @@ use re4_artifact::{Label, Word, table};
 use crate::{Finding, GraspOutcome, Severity};
 
 table! {
-    /// One row per finding: what looks wrong, in which frames, and which value was compared with which threshold. Sorted by episode,
-    /// first frame and code.
+    /// One row per finding: what looks wrong, in which frames, and which value was compared with which threshold. Sorted by
+    /// episode, first frame and code.
     #[table("findings", version = 2)]
     pub struct FindingRow {
         /// Number of the finding in this artifact, from 0.
         pub finding: u32,
-        /// error: the segmentation or the data is wrong in these frames; warning: probably not what the demonstrator wanted, or harmful
-        /// to a policy that is trained on it; note: worth knowing.
+        /// error: the segmentation or the data is wrong in these frames; warning: probably not what the demonstrator wanted, or
+        /// harmful to a policy that is trained on it; note: worth knowing.
         pub severity: Severity,
         /// Code of the check that made the finding; table checks has its meaning.
         pub code: Label,
@@ -130,19 +130,19 @@ table! {
         /// Frames of the segment.
         #[prefix = ""]
         pub frames: Range<usize>,
-        /// held: the object stays fixed to the end effector; missed: the fingers closed on nothing, or on something that does not follow
-        /// the end effector; lost: the object was held, but slipped out before the command to open; brief: too short to be judged, or cut
-        /// off by the end of the recording.
+        /// held: the object stays fixed to the end effector; missed: the fingers closed on nothing, or on something that does not
+        /// follow the end effector; lost: the object was held, but slipped out before the command to open; brief: too short to be
+        /// judged, or cut off by the end of the recording.
         pub outcome: Label,
-        /// Pose of the end effector in the object's frame at the frame where the fingers have stopped closing, or at the first frame of
-        /// the segment if they never stop.
+        /// Pose of the end effector in the object's frame at the frame where the fingers have stopped closing, or at the first
+        /// frame of the segment if they never stop.
         #[frame = "object"]
         pub grasp: Isometry3<f64>,
         /// Distance between the fingers at that frame.
         #[unit = "m"]
         pub finger_separation: f64,
-        /// Largest distance of the end effector, in the object's frame, from the grasp transform, over the part of the segment in which the
-        /// object is held.
+        /// Largest distance of the end effector, in the object's frame, from the grasp transform, over the part of the segment in
+        /// which the object is held.
         #[unit = "m"]
         pub rigidity_residual: f64,
         /// Maximum height of the object over its height at the start of the segment.

@@ -13,13 +13,13 @@ use crate::motion::{Pair, StepMotion, rigid_motion_modes};
 pub type SegmentedEpisode = Segmented<Evidence, SegmentSummary>;
 
 columns! {
-    /// The measurements at one frame. Steps and rotations are those from the frame to the next one of its episode, and are null at the
-    /// last frame.
+    /// The measurements at one frame. Steps and rotations are those from the frame to the next one of its episode, and are null
+    /// at the last frame.
     #[domain = "plane"]
     #[derive(Copy)]
     pub struct Evidence {
-        /// Number of contact points between pusher and block, counted during the control step that led to this frame; null if contacts
-        /// were not recorded.
+        /// Number of contact points between pusher and block, counted during the control step that led to this frame; null if
+        /// contacts were not recorded.
         pub contacts: Option<f64>,
         /// Whether any contact was counted; null if contacts were not recorded.
         pub contact: Option<bool>,
@@ -48,8 +48,8 @@ columns! {
 }
 
 columns! {
-    /// A segment and its measurements. Its motion is that of its steps: from its first frame to the frame after its last one, or to the
-    /// last frame of the episode.
+    /// A segment and its measurements. Its motion is that of its steps: from its first frame to the frame after its last one, or
+    /// to the last frame of the episode.
     pub struct SegmentSummary {
         /// Mode and frames.
         #[prefix = ""]
@@ -58,8 +58,8 @@ columns! {
         /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
         #[frame = "world"]
         pub anchor: Option<Point2>,
-        /// Position of the end effector in the object's frame at the first frame of a transfer segment. A rigid grasp preserves it over
-        /// the segment. Null in transit.
+        /// Position of the end effector in the object's frame at the first frame of a transfer segment. A rigid grasp preserves
+        /// it over the segment. Null in transit.
         #[frame = "object"]
         pub grasp: Option<Point2>,
         /// Largest distance, over a transfer segment, of the end effector in the object's frame from the grasp; null in transit.

@@ -13,8 +13,8 @@ use crate::motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
 pub type SegmentedSpatial = Segmented<SpatialEvidence, SpatialSegment>;
 
 columns! {
-    /// The measurements at one frame. Steps, rotations and speeds are those from the frame to the next one of its episode, and are null at
-    /// the last frame.
+    /// The measurements at one frame. Steps, rotations and speeds are those from the frame to the next one of its episode, and
+    /// are null at the last frame.
     #[domain = "space"]
     #[derive(Copy)]
     pub struct SpatialEvidence {
@@ -51,21 +51,21 @@ columns! {
         pub eef_object_distance: f64,
         /// Whether the object translates or rotates further than the configured thresholds.
         pub object_moving: Option<bool>,
-        /// Whether the frame looks like a grasp: the gripper is commanded to close, the fingers have stopped before they are shut, and
-        /// the object is fixed to the end effector.
+        /// Whether the frame looks like a grasp: the gripper is commanded to close, the fingers have stopped before they are
+        /// shut, and the object is fixed to the end effector.
         pub holds: bool,
     }
 }
 
 columns! {
-    /// A segment and its measurements. Its motion is that of its steps: from its first frame to the frame after its last one, or to the
-    /// last frame of the episode.
+    /// A segment and its measurements. Its motion is that of its steps: from its first frame to the frame after its last one, or
+    /// to the last frame of the episode.
     pub struct SpatialSegment {
         /// Mode and frames.
         #[prefix = ""]
         pub segment: Segment,
-        /// Anchor of the demonstration (p*_d): the end effector's pose at the grasp frame. Null in segments after the first transfer
-        /// segment, where the object is no longer at the anchor, and in demonstrations without transfer.
+        /// Anchor of the demonstration (p*_d): the end effector's pose at the grasp frame. Null in segments after the first
+        /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
         #[frame = "world"]
         pub anchor: Option<Isometry3<f64>>,
         /// First frame of a transfer segment at which the fingers have stopped closing; null in transit, or if they never stop.
@@ -92,8 +92,8 @@ columns! {
     /// The pose of the end effector in the object's frame, and its largest deviation from it within a transfer segment.
     #[derive(Copy)]
     pub struct Grasp {
-        /// Pose of the end effector in the object's frame at the settled frame, or at the first frame of the segment if the fingers never
-        /// stop.
+        /// Pose of the end effector in the object's frame at the settled frame, or at the first frame of the segment if the
+        /// fingers never stop.
         #[frame = "object"]
         #[prefix = "grasp"]
         pub transform: Isometry3<f64>,
@@ -105,15 +105,17 @@ columns! {
         #[unit = "m"]
         #[prefix = "rigidity_residual"]
         pub residual: f64,
-        /// Largest angle of the end effector, in the object's frame, from the grasp transform, from that frame to the end of the segment.
+        /// Largest angle of the end effector, in the object's frame, from the grasp transform, from that frame to the end of the
+        /// segment.
         #[unit = "rad"]
         #[prefix = "rigidity_residual_rotation"]
         pub residual_rotation: f64,
     }
 }
 
-/// Segments a demonstration with a gripper: returns the modes by the configured rule, the evidence of every frame, and the summary of
-/// every segment. Lengths are in metres, angles in radians. Only the anchor and the rise depend on the choice of the world frame.
+/// Segments a demonstration with a gripper: returns the modes by the configured rule, the evidence of every frame, and the
+/// summary of every segment. Lengths are in metres, angles in radians. Only the anchor and the rise depend on the choice of the
+/// world frame.
 ///
 /// # Errors
 /// [`SegmentError::Config`] if a threshold is out of range, [`SegmentError::Empty`] if there is no frame,
@@ -250,8 +252,8 @@ fn evidence(
 /// Number of frames within which the fingers start to move after a command.
 const FINGER_LATENCY: usize = 3;
 
-/// Returns the first frame of a transfer segment at which the fingers no longer close: either they have closed in an earlier frame of
-/// the segment, or [`FINGER_LATENCY`] has passed.
+/// Returns the first frame of a transfer segment at which the fingers no longer close: either they have closed in an earlier
+/// frame of the segment, or [`FINGER_LATENCY`] has passed.
 fn settled(evidence: &[SpatialEvidence], segment: &Segment, still: f64) -> Option<usize> {
     let mut closing_seen = false;
     for i in segment.frames.clone() {

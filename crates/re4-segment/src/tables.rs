@@ -20,9 +20,9 @@ table! {
 }
 
 table! {
-    /// One row per segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last one,
-    /// or to the last frame of the episode. The grasp frame g(d) of a demonstration is its first transfer frame. Sorted by episode and
-    /// segment.
+    /// One row per segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its
+    /// last one, or to the last frame of the episode. The grasp frame g(d) of a demonstration is its first transfer frame. Sorted
+    /// by episode and segment.
     #[table("segments", version = 2, formerly = "spatial_segments")]
     pub struct SegmentRow<S> {
         /// Number of the demonstration in this artifact, from 0.

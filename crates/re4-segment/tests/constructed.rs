@@ -61,7 +61,8 @@ impl Scene {
         self
     }
 
-    /// Moves both by one rigid motion in the world frame: rotates them about `centre` by `angle`, then translates them by `(dx, dy)`.
+    /// Moves both by one rigid motion in the world frame: rotates them about `centre` by `angle`, then translates them by `(dx,
+    /// dy)`.
     fn carry(&mut self, centre: Point2, angle: f64, dx: f64, dy: f64, steps: usize) -> &mut Self {
         for _ in 0..steps {
             let PlanarFrame { eef, object, .. } = self.last();

@@ -61,8 +61,8 @@ impl<'a, R> Pack<'a, R> {
         self.with(name, column)
     }
 
-    /// Adds a column of one word per row, for words from a small set: column `name` has an index per row, and `list` has the distinct
-    /// words in sorted order. The first word is the empty one.
+    /// Adds a column of one word per row, for words from a small set: column `name` has an index per row, and `list` has the
+    /// distinct words in sorted order. The first word is the empty one.
     pub(super) fn words(self, name: &str, list: &str, word: impl Fn(&'a R) -> &'a str) -> Self {
         let words: BTreeSet<&str> = self.rows.iter().map(|row| word(row)).chain([""]).collect();
         let index = |row: &'a R| words.iter().position(|known| *known == word(row)).unwrap_or(0) as u8;

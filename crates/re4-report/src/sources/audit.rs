@@ -245,7 +245,8 @@ struct Shown {
     panels: &'static [(&'static str, &'static str, f64, &'static [Curve])],
 }
 
-/// A curve: whether its column is in the table of recorded frames (otherwise, in the table of modes), the column, and its name on the page.
+/// A curve: whether its column is in the table of recorded frames (otherwise, in the table of modes), the column, and its name on
+/// the page.
 type Curve = (bool, &'static str, &'static str);
 
 const DEGREES: f64 = 180.0 / std::f64::consts::PI;

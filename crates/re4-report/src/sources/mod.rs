@@ -37,8 +37,8 @@ pub fn is_spatial(artifact: &Artifact) -> bool {
     artifact.manifest().tables.contains_key(SpaceResultRow::FORMERLY) || domain().as_deref() == Some("space")
 }
 
-/// Finds an artifact that rollouts were made from, in the folder of artifacts that contains the rollouts, or in `store`. `None` if it is in
-/// neither.
+/// Finds an artifact that rollouts were made from, in the folder of artifacts that contains the rollouts, or in `store`. `None`
+/// if it is in neither.
 ///
 /// # Errors
 /// If the manifest of the rollouts does not name the input, or if the artifact that was found is another one or damaged.
@@ -79,8 +79,8 @@ fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
 
 /// A scene whose page is made from artifacts.
 pub(crate) trait Source: Scene {
-    /// Reads the scene from the manifest of an artifact. `index` is the index that its demonstrations were retrieved from, if it was
-    /// found.
+    /// Reads the scene from the manifest of an artifact. `index` is the index that its demonstrations were retrieved from, if it
+    /// was found.
     fn stated(artifact: &Artifact, index: Option<&Artifact>) -> Result<Self>;
 }
 

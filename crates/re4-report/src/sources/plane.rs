@@ -83,8 +83,8 @@ pub fn planar_rollout(artifact: &Artifact, seed: u32) -> Result<Rollout<Plane>> 
     Ok(trace_of(artifact, &traces(artifact)?, seed, "render")?.clone())
 }
 
-/// Returns the video content of the rollouts of some seeds, in that order, and whether it has the chunks. Chunks need the index that they
-/// come from, in the folder of artifacts that contains the rollouts or in `store`.
+/// Returns the video content of the rollouts of some seeds, in that order, and whether it has the chunks. Chunks need the index
+/// that they come from, in the folder of artifacts that contains the rollouts or in `store`.
 ///
 /// # Errors
 /// If the artifact has no rollout of one of the seeds, or tables cannot be read.

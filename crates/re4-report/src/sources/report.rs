@@ -27,7 +27,8 @@ pub struct ReportPage {
     pub warnings: Vec<String>,
 }
 
-/// Adds images of decisions to rollouts of robosuite's tasks. Returns a warning if this is impossible and the user did not ask for images.
+/// Adds images of decisions to rollouts of robosuite's tasks. Returns a warning if this is impossible and the user did not ask
+/// for images.
 pub type AddImages<'a> = dyn FnMut(&Artifact, &mut Rollouts<Space>) -> Result<Option<String>> + 'a;
 
 /// Opens and verifies `rollouts` artifacts.
@@ -58,13 +59,13 @@ pub fn open_rollouts(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
     Ok(artifacts)
 }
 
-/// Makes the page of artifacts. Its viewer has the rollouts of `seeds`, or all rollouts. Index artifacts are searched in the folders that
-/// contain the rollouts, and in `store`. `images` is the number of rollouts for which the user asked for images of decisions; `add` adds
-/// these.
+/// Makes the page of artifacts. Its viewer has the rollouts of `seeds`, or all rollouts. Index artifacts are searched in the
+/// folders that contain the rollouts, and in `store`. `images` is the number of rollouts for which the user asked for images of
+/// decisions; `add` adds these.
 ///
 /// # Errors
-/// If some rollouts are of Push-T and some of robosuite's tasks, if no artifact has a rollout of one of the seeds, or if tables cannot be
-/// read.
+/// If some rollouts are of Push-T and some of robosuite's tasks, if no artifact has a rollout of one of the seeds, or if tables
+/// cannot be read.
 pub fn report_page(
     artifacts: &[Artifact],
     seeds: Option<&[u32]>,

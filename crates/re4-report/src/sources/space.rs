@@ -80,7 +80,8 @@ pub fn spatial_rollouts(artifact: &Artifact, seeds: &[u32]) -> Result<Vec<Rollou
         .collect()
 }
 
-/// Converts a rollout to the content of a video's strip. Each state has the action that follows it; the last state has the action before it.
+/// Converts a rollout to the content of a video's strip. Each state has the action that follows it; the last state has the action
+/// before it.
 pub fn scene_rollout(rollout: &Rollout<Space>) -> SceneRollout {
     let decisions: Vec<_> = rollout.decisions.iter().map(Decided::core).collect();
     let steps = rollout.steps.iter().chain(rollout.steps.last());

@@ -1,9 +1,9 @@
-//! A self-contained HTML page of the audit of a dataset. It shows a timeline of every demonstration with its modes and findings, the
-//! evidence of a selected demonstration, the positions at which objects were grasped, the lengths of segments, and all checks with their
-//! thresholds.
+//! A self-contained HTML page of the audit of a dataset. It shows a timeline of every demonstration with its modes and findings,
+//! the evidence of a selected demonstration, the positions at which objects were grasped, the lengths of segments, and all checks
+//! with their thresholds.
 //!
-//! The page's bytes depend only on [`Audit`]. The evidence is not subsampled: it is plotted from 32-bit floats, one per frame and series.
-//! Numbers in text are the 64-bit values of the artifact.
+//! The page's bytes depend only on [`Audit`]. The evidence is not subsampled: it is plotted from 32-bit floats, one per frame and
+//! series. Numbers in text are the 64-bit values of the artifact.
 
 mod data;
 mod sections;

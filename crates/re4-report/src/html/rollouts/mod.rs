@@ -26,7 +26,8 @@ pub struct Report<S: Scene> {
     pub tool_version: String,
     /// Sets of rollouts, in the order in which they are shown.
     pub artifacts: Vec<Rollouts<S>>,
-    /// Demonstrations that decisions refer to, by the key of their index and by their number. An index that was not found has no entry.
+    /// Demonstrations that decisions refer to, by the key of their index and by their number. An index that was not found has no
+    /// entry.
     pub demonstrations: BTreeMap<String, BTreeMap<u32, Demonstration>>,
 }
 
@@ -139,8 +140,8 @@ impl<S: Scene> Rollouts<S> {
     }
 }
 
-/// Returns the name of the demonstration that a decision follows; empty if it follows none. Artifacts of older versions have only the
-/// number of the demonstration in the index.
+/// Returns the name of the demonstration that a decision follows; empty if it follows none. Artifacts of older versions have only
+/// the number of the demonstration in the index.
 pub(crate) fn demo_name(core: &DecisionCore) -> String {
     match (core.demo, &core.demo_name) {
         (_, Some(name)) => name.clone(),

@@ -76,7 +76,8 @@ impl<'a, S: Scene> Summary<'a, S> {
         }
     }
 
-    /// Returns the names of the protocol entries that differ between the artifacts. Entries of the same group are named once, by the group.
+    /// Returns the names of the protocol entries that differ between the artifacts. Entries of the same group are named once, by
+    /// the group.
     pub(super) fn differences(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for row in self
@@ -96,8 +97,8 @@ impl<'a, S: Scene> Summary<'a, S> {
 /// A part of an artifact's label.
 pub(super) type Part<'a, S> = &'a dyn Fn(&Rollouts<S>) -> String;
 
-/// Returns labels that distinguish artifacts. Each starts with `name`. Where labels are equal, the parts are appended that differ, in
-/// order: first `parts`, then the maximum number of steps, then the beginning of the key.
+/// Returns labels that distinguish artifacts. Each starts with `name`. Where labels are equal, the parts are appended that
+/// differ, in order: first `parts`, then the maximum number of steps, then the beginning of the key.
 pub(super) fn distinct_labels<S: Scene>(
     artifacts: &[Rollouts<S>],
     name: impl Fn(&Rollouts<S>) -> String,

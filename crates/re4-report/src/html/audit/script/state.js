@@ -1,4 +1,5 @@
-// The state of the page: the selected demonstration, range of frames, frame and finding; the demonstrations that are listed, and their order.
+// The state of the page: the selected demonstration, range of frames, frame and finding; the demonstrations that are listed, and
+// their order.
 const selection = { demo: -1, range: null, frame: null, finding: null };
 const view = { sort: "worst", reversed: false, scale: "frames", text: "", severities: new Set(), codes: new Set(), order: [] };
 const listeners = { demo: [], range: [], frame: [], view: [] };
@@ -106,7 +107,8 @@ const decoded = (text) => {
   }
 };
 
-// Parses the fragment of an address: returns the demonstration and the range of frames, or `words` that explain what is wrong with it.
+// Parses the fragment of an address: returns the demonstration and the range of frames, or `words` that explain what is wrong
+// with it.
 const placeOf = (hash) => {
   const found = /^#demo=([^&]+)(?:&frames=(\d+)-(\d+))?$/.exec(hash);
   if (found === null) {

@@ -1,5 +1,5 @@
-// The timelines: one thin row per demonstration. The canvas has the size of the visible area, and only the visible rows are drawn, so
-// that scrolling stays smooth with hundreds of demonstrations.
+// The timelines: one thin row per demonstration. The canvas has the size of the visible area, and only the visible rows are
+// drawn, so that scrolling stays smooth with hundreds of demonstrations.
 const ROW = 18;
 const BAR = { top: 5, height: 8 };
 const GUTTER = { name: 78, whole: 16, right: 12 };

@@ -30,8 +30,8 @@ const selectDecision = (direction) => {
   selectStep(next ?? (direction > 0 ? data.length : 0));
 };
 
-// The fragment of the page's address: #rollout=<16 digits of the key>/<seed>/<step>. The short form #seed=<seed>&step=<step> is also
-// accepted; it selects the first artifact with a rollout of that seed.
+// The fragment of the page's address: #rollout=<16 digits of the key>/<seed>/<step>. The short form #seed=<seed>&step=<step> is
+// also accepted; it selects the first artifact with a rollout of that seed.
 const addressOf = () => {
   const { key } = REPORT.artifacts[selection.artifact];
   return `#rollout=${key.slice(0, 16)}/${selection.data.seed}/${selection.step}`;

@@ -1,5 +1,5 @@
-// The traces of rollouts and the retrieved frames of demonstrations, unpacked when they are needed. The scene's script defines START and
-// FRAME, how many numbers a first state and a recorded frame have, and decisionAt, statesOf and frameOf.
+// The traces of rollouts and the retrieved frames of demonstrations, unpacked when they are needed. The scene's script defines
+// START and FRAME, how many numbers a first state and a recorded frame have, and decisionAt, statesOf and frameOf.
 const PHASES = ["plan", "bridge", "replay", "home"];
 const NONE = 0xffffffff;
 const row = (values, count, i) => Array.from(values.subarray(count * i, count * i + count));

@@ -62,8 +62,8 @@ pub struct DecisionImage {
     pub simulated: FrameInImage,
 }
 
-/// The origin and the ends of the three axes of a frame in an image, in pixels from its top left corner; `None` for points behind the
-/// camera.
+/// The origin and the ends of the three axes of a frame in an image, in pixels from its top left corner; `None` for points behind
+/// the camera.
 pub type FrameInImage = [Option<[f64; 2]>; 4];
 
 impl Decided<Space> {
@@ -319,8 +319,8 @@ fn solids(solids: &[Solid]) -> Value {
     solids.iter().map(solid).collect()
 }
 
-/// Returns the images of decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers for each, the
-/// positions of both frames in the image. Null if there are no images.
+/// Returns the images of decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers for
+/// each, the positions of both frames in the image. Null if there are no images.
 fn images(artifact: &Rollouts<Space>) -> Value {
     let decisions = artifact
         .shown()

@@ -34,7 +34,8 @@ const drawBudgets = (host, width) => {
   host.replaceChildren(root);
 };
 
-// The marks of all rollouts as [artifact, rollout, position on the x axis]: by rank within the artifact, or by seed over all artifacts.
+// The marks of all rollouts as [artifact, rollout, position on the x axis]: by rank within the artifact, or by seed over all
+// artifacts.
 const orderedMarks = (measure, order) => {
   const seeds = new Map();
   if (order === "seed") {

@@ -1,5 +1,5 @@
-// The timeline of retrieved demonstrations (paper, Figure 2): one band per run of steps with the same demonstration; below it the phase,
-// the mode and the gripper command of each step, the finger separation and the height of the object.
+// The timeline of retrieved demonstrations (paper, Figure 2): one band per run of steps with the same demonstration; below it the
+// phase, the mode and the gripper command of each step, the finger separation and the height of the object.
 const PARTS = { label: 15, band: 30, thin: 9, plot: 58 };
 const PLACE = (() => {
   let y = 0;

@@ -1,5 +1,5 @@
-// The scene from above and, below it, from behind the robot. The y axis points left in both views, so that a point has the same horizontal
-// position in both. In the upper view, x points up, away from the robot.
+// The scene from above and, below it, from behind the robot. The y axis points left in both views, so that a point has the same
+// horizontal position in both. In the upper view, x points up, away from the robot.
 const VIEW = { width: 620, gap: 26, pad: 12, maxAspect: 1.25 };
 const TOP = ([x, y]) => [-y, -x];
 const BACK = ([, y, z]) => [-y, -z];
