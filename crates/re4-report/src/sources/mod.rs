@@ -44,10 +44,11 @@ pub fn is_spatial(artifact: &Artifact) -> bool {
 /// If the manifest of the rollouts does not name the input, or if the artifact that was found is another one or damaged.
 pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Option<Artifact>> {
     let key = input_key(rollouts, stage)?;
-    let beside = std::fs::canonicalize(rollouts.path())
+    // An artifact is at ROOT/STAGE/KEY, so its second ancestor is the folder of artifacts.
+    let own_root = std::fs::canonicalize(rollouts.path())
         .ok()
         .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
-    let folders = beside.into_iter().chain([store.to_path_buf()]);
+    let folders = own_root.into_iter().chain([store.to_path_buf()]);
     for folder in folders.map(|root| root.join(stage.artifact()).join(key.short())) {
         if !folder.join(MANIFEST_NAME).exists() {
             continue;

@@ -85,7 +85,7 @@ pub fn report_page(
         (Some(planar), None) => {
             ensure!(
                 images.unwrap_or(0) == 0,
-                "cannot show images of {}: it has rollouts of Push-T, which the page draws itself; leave --images out",
+                "cannot show images of {}: it has rollouts of Push-T, which the page renders itself; leave --images out",
                 planar.path().display()
             );
             make(artifacts, seeds, store, &mut |_, _: &mut Rollouts<Plane>| Ok(None))?
@@ -127,7 +127,7 @@ fn make<S: Source>(artifacts: &[Artifact], seeds: Option<&[u32]>, store: &Path, 
                 known.insert(set.index_key.clone(), demonstrations(index, &sets)?);
             }
             None => warnings.push(format!(
-                "the page shows no recorded frames for {}: its index artifact index/{} is neither beside it nor in {}",
+                "the page shows no recorded frames for {}: its index artifact index/{} is neither next to it nor in {}",
                 artifact.path().display(),
                 set.index_key.get(..16).unwrap_or(&set.index_key),
                 store.display()

@@ -177,9 +177,9 @@ fn several_rollouts_are_tiles_and_short_ones_stay_in_their_last_state() {
     let (width, height, frames) = decoded(&bytes);
     assert_eq!((width, height, frames.len(), summary.frames), (160, 2 * 84, 10, 10));
     for (number, rollout) in rollouts.iter().enumerate() {
-        let alone = decoded(&video(std::slice::from_ref(rollout), settings).0).2;
+        let single = decoded(&video(std::slice::from_ref(rollout), settings).0).2;
         for (state, (frame, _)) in frames.iter().enumerate() {
-            let expected = &alone[state.min(alone.len() - 1)].0;
+            let expected = &single[state.min(single.len() - 1)].0;
             for y in 0..84 {
                 let start = 3 * ((number / 2 * 84 + y) * width + number % 2 * 80);
                 assert!(

@@ -82,7 +82,7 @@ pub(super) fn write(pixels: &mut [u8], side: usize, (x, y): (usize, usize), scal
 mod tests {
     use super::*;
 
-    fn drawn(text: &str, side: usize, height: usize, scale: usize) -> Vec<String> {
+    fn rendered(text: &str, side: usize, height: usize, scale: usize) -> Vec<String> {
         let mut pixels = vec![b'.'; side * height];
         write(&mut pixels, side, (0, 0), scale, text, b'#');
         let rows = pixels.chunks(side).map(|row| String::from_utf8(row.to_vec()).unwrap());
@@ -92,7 +92,7 @@ mod tests {
     #[test]
     fn letters_are_placed_side_by_side_and_cut_at_the_border() {
         assert_eq!(
-            drawn("T1?T", 17, 7, 1),
+            rendered("T1?T", 17, 7, 1),
             [
                 "#####...#........",
                 "..#....##........",
@@ -103,9 +103,9 @@ mod tests {
                 "..#....###.......",
             ]
         );
-        let cut = drawn("LL", 8, 5, 1);
+        let cut = rendered("LL", 8, 5, 1);
         assert_eq!(cut, ["#.....#."; 5]);
-        assert_eq!(drawn("-", 10, 14, 2)[6], "..######..");
+        assert_eq!(rendered("-", 10, 14, 2)[6], "..######..");
         assert_eq!((width("T1", 1), width("T1", 2), width("", 1)), (11, 22, 0));
         for (max_width, fits) in [(0, ""), (4, ""), (5, "D"), (10, "D"), (11, "DE"), (99, "DEM")] {
             assert_eq!(fitting("DEM", max_width, 1), fits, "{max_width}");

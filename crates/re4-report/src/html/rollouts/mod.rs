@@ -101,7 +101,7 @@ impl<S: Scene> Rollouts<S> {
         self.rollouts.iter().filter(|rollout| rollout.shown)
     }
 
-    /// Returns a suffix for the score table that tells whether settings of the preset were changed.
+    /// Returns the suffix that marks a changed preset in the score table; empty if the preset is unchanged.
     pub(crate) fn changed(&self) -> &'static str {
         if self.altered { " · settings changed" } else { "" }
     }
