@@ -180,7 +180,7 @@ def orders_change_the_rows(page, expected):
         "worst": lambda d: [-d[s] for s in SEVERITIES],
         "number": lambda d: d["number"],
         "length": lambda d: d["frames"],
-        "share": lambda d: d["transfer_frames"] / max(1, d["frames"]),
+        "fraction": lambda d: d["transfer_frames"] / max(1, d["frames"]),
         "grasp": lambda d: float("inf") if d["grasp_frame"] is None else d["grasp_frame"],
     }
     for name, key in keys.items():
@@ -227,7 +227,7 @@ def filters_change_the_rows(page, expected):
     page.press("#clear-filters")
     page.settle()
     equal(page.image(), whole, "timelines after all filters were taken back")
-    page.press("input[name=scale][value=share]")
+    page.press("input[name=scale][value=fraction]")
     lengths = {demo["frames"] for demo in expected["demos"]}
     check((page.image() != whole) == (len(lengths) > 1), "the scale changes rows if and only if lengths differ")
     page.press("input[name=scale][value=frames]")

@@ -207,7 +207,7 @@ fn figures_are_those_that_audit_prints() {
         &place,
         &answer,
         &[
-            of("Fingers apart", &["finger_separation"][..]),
+            of("Finger separation", &["finger_separation"][..]),
             (
                 "Height",
                 Stage::Ingest,
@@ -217,7 +217,7 @@ fn figures_are_those_that_audit_prints() {
             of("Speed", &["eef_step", "object_step"]),
             of("Relative translation", &["relative_translation"]),
             of("Relative rotation", &["relative_rotation"]),
-            of("Grip to object", &["eef_object_distance"]),
+            of("Grip site to object", &["eef_object_distance"]),
         ],
     );
     // Something to see: findings of several kinds, and grasps that were missed.
@@ -255,7 +255,7 @@ fn push_t_has_contacts_in_place_of_grasps() {
         &[
             of("Contact points", &["contacts"][..]),
             of("Speed", &["eef_step", "object_step"]),
-            of("Block turns", &["object_rotation"]),
+            of("Block rotation", &["object_rotation"]),
             of("Relative translation", &["relative_translation"]),
             of("Pusher to block", &["eef_object_distance"]),
         ],

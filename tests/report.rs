@@ -355,7 +355,7 @@ fn without_its_index_the_page_lacks_the_recorded_frames() {
     fs::remove_dir_all(place.artifacts().join("index")).unwrap();
     let answer = place.run(&format!("report {folder} --output page.html")).done();
     with_settings!({ filters => filters() }, {
-        assert_snapshot!(answer.stderr.trim_end(), @"warning: the page shows no recorded frames for artifacts/rollouts/[key]: its index artifact index/[key] is neither beside it nor in artifacts");
+        assert_snapshot!(answer.stderr.trim_end(), @"warning: the page shows no recorded frames for artifacts/rollouts/[key]: its index artifact index/[key] is neither next to it nor in artifacts");
     });
     let page = fs::read_to_string(place.path().join("page.html")).unwrap();
     assert_eq!(data(&page)["demonstrations"], serde_json::json!({}));
@@ -382,7 +382,7 @@ fn different_protocols_are_told_apart() {
         .unwrap();
     let page = page_of(&place, &format!("{folder} {}", other.display()));
     assert!(page.contains("data-differences=\"seeds max_steps\""));
-    assert!(page.contains("These rollouts were not made under one protocol."));
+    assert!(page.contains("These rollouts were not made under the same protocol."));
     assert_eq!(data(&page)["artifacts"][1]["label"], "re4 · seeds 600–602");
     assert!(!page_of(&place, &folder).contains("data-differences"));
 }

@@ -249,7 +249,7 @@ def chunk_is_carried_by_delta(page, artifact):
     check(has_frames != hidden, "the recorded frame is shown if and only if the page has it")
     if not has_frames:
         equal(path or "", "", "chunk of an unknown demonstration")
-        check("cannot be drawn" in page.one("#demo-note").text, "no word about the missing index")
+        check("cannot be shown" in page.one("#demo-note").text, "no word about the missing index")
         return
     start = [float(v) for v in path[1:].split("L")[0].split()]
     for found, axis in zip(start, "xy"):

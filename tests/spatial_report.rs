@@ -73,7 +73,7 @@ fn the_page_holds_what_the_artifact_holds() {
         rate["high"].as_f64().unwrap()
     );
     assert!(page.contains(&stated), "{stated}");
-    assert!(page.contains("10 chosen demonstrations") && page.contains("MuJoCo 2.3.7"));
+    assert!(page.contains("10 selected demonstrations") && page.contains("MuJoCo 2.3.7"));
     let shown = &data_of(&page)["artifacts"][0];
     let results = crate::support::results(&artifact);
     for name in ["seed", "steps", "decisions"] {

@@ -96,7 +96,7 @@ def steps_show_the_tables(page, artifact):
             equal(fact("mode"), decision["mode"], f"{at}, mode")
             equal(int(fact("banned")), decision["banned"], f"{at}, banned")
             if decision["demo"] is None:
-                check(not page.all("#summary [data-fact=demo_name]"), f"{at}: a demonstration is shown on the way home")
+                check(not page.all("#summary [data-fact=demo_name]"), f"{at}: a demonstration is shown during the return to the initial pose")
             else:
                 equal(fact("demo_name"), decision["demo_name"], f"{at}, demonstration")
                 for name in ["d_q", "d_o", "d_e", "symmetry_rotation", "compared", "replay_steps"]:
@@ -125,7 +125,7 @@ def images_are_those_of_decisions(page, artifact):
         page.scrub(decision["step"])
         at = f"seed {seed}, step {decision['step']}, image"
         check(not page.run("return document.getElementById('camera').hidden"), f"{at}: hidden")
-        equal(len(page.all("#camera .told")) - len(page.all("#camera .sample .told")), 3, f"{at}, axes")
+        equal(len(page.all("#camera .estimate")) - len(page.all("#camera .sample .estimate")), 3, f"{at}, axes")
         before = start if decision["step"] == 0 else steps.row(decision["step"] - 1, named=True)
         apart = sum((decision[f"query_object_{axis}"] - before[f"object_{axis}"]) ** 2 for axis in "xyz") ** 0.5
         check(abs(page.number("#camera-caption", "data-distance") - apart) < 1e-6, f"{at}: {apart}")
@@ -147,7 +147,7 @@ def timeline_shows_what_was_followed(page, artifact):
         titles = page.run("return [...document.querySelectorAll('#timeline .demo title')].map(title => title.textContent)")
         equal(len(titles), len(runs), f"seed {seed}, bands")
         for title, demo in zip(titles, runs):
-            words = "back to the initial pose" if demo is None else f"{demo},"
+            words = "return to the initial pose" if demo is None else f"{demo},"
             check(title.startswith(words), f"seed {seed}: {title!r} is not {words!r}")
         equal(len(page.all("#timeline .decision")), decisions.height, f"seed {seed}, decision marks")
 

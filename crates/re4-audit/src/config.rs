@@ -1,4 +1,4 @@
-//! Thresholds that are set rather than derived.
+//! Thresholds from the pipeline file.
 
 use re4_fault::Remedy;
 use schemars::JsonSchema;
@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::checks::CHECKS;
 
-/// Thresholds of the audit that replace those derived from the data or built in, by the code of their check. Units are those
-/// of the check.
+/// Thresholds of the audit, by the code of their check. They replace the thresholds that are derived from the data or built in.
+/// Each has the unit of its check.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AuditConfig {
@@ -75,7 +75,7 @@ pub struct AuditConfig {
 }
 
 impl AuditConfig {
-    /// The threshold that is set for a check.
+    /// Returns the threshold that the pipeline file sets for a check, if any.
     pub fn threshold(&self, code: &str) -> Option<f64> {
         match code {
             "command_fingers_disagree" => self.command_fingers_disagree,
@@ -105,7 +105,7 @@ impl AuditConfig {
     /// Checks the ranges of all thresholds.
     ///
     /// # Errors
-    /// [`AuditError`] naming the first that is not a number of at least 0.
+    /// [`AuditError`] names the first threshold that is not a finite number of at least 0.
     pub fn check(&self) -> Result<(), AuditError> {
         for check in CHECKS {
             if let Some(value) = self.threshold(check.code)
@@ -121,7 +121,7 @@ impl AuditConfig {
     }
 }
 
-/// A threshold that is out of range.
+/// Error for a threshold that is out of range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Remedy)]
 #[error("cannot audit: audit.{code} is {value}")]
 #[remedy("set it to a finite number of at least 0, or leave it out")]

@@ -1,20 +1,20 @@
-//! What an audit finds.
+//! The findings of an audit.
 
 use std::ops::Range;
 
-/// How bad a finding is.
+/// The severity of a finding, in increasing order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
     /// Worth knowing.
     Note,
-    /// Probably not what the demonstrator wanted, or a trap for a learner.
+    /// Probably not what the demonstrator wanted, or harmful to a policy that is trained on it.
     Warning,
-    /// The segmentation or the data is wrong here.
+    /// The segmentation or the data is wrong in these frames.
     Error,
 }
 
 impl Severity {
-    /// The word used in tables and messages.
+    /// The name used in tables and messages.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Note => "note",
@@ -24,25 +24,25 @@ impl Severity {
     }
 }
 
-/// What looks wrong, where, by which measure.
+/// Something that looks wrong in a demonstration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
-    /// Kind of the finding.
+    /// Code of the check that made it.
     pub code: &'static str,
     /// Number of the demonstration in the artifact, from 0.
     pub episode: u32,
-    /// Its name in its source.
+    /// Name of the demonstration in its source.
     pub demo: String,
-    /// Frames that it concerns.
+    /// The affected frames.
     pub frames: Range<u32>,
-    /// What was measured.
+    /// The measured value; `None` if the check measures none.
     pub value: Option<f64>,
-    /// What it was compared with.
+    /// The threshold that the value was compared with; `None` if the check has none.
     pub threshold: Option<f64>,
-    /// Unit of both.
+    /// Unit of value and threshold; empty if they have none.
     pub unit: &'static str,
-    /// The finding in one sentence.
+    /// Describes the finding in one sentence.
     pub message: String,
 }

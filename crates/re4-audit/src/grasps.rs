@@ -1,4 +1,4 @@
-//! What became of every command to close, and of the object after every command to open.
+//! The outcome of every command to close, and the motion of the object after every command to open.
 
 use std::ops::Range;
 
@@ -8,21 +8,21 @@ use re4_segment::{SpatialEvidence, SpatialSegment};
 
 use crate::spatial::SpatialDemo;
 
-/// How a transfer segment went.
+/// The outcome of a transfer segment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GraspOutcome {
-    /// The object stays fixed to the end effector.
+    /// The object stays fixed to the end effector until the command to open.
     Held,
-    /// The fingers closed on nothing, or on something that does not follow.
+    /// The fingers closed on nothing, or on something that does not follow the end effector.
     Missed,
-    /// It was held, and slipped out before the command to open, from this frame on.
+    /// The object was held, but slipped out before the command to open. The value is the first frame at which it is lost.
     Lost(usize),
-    /// Too short to tell.
+    /// The segment is too short to be judged, or the end of the recording cut it off.
     Brief,
 }
 
 impl GraspOutcome {
-    /// The word used in tables.
+    /// The name used in tables.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Held => "held",
@@ -33,54 +33,54 @@ impl GraspOutcome {
     }
 }
 
-/// A transfer segment, judged.
+/// A transfer segment and its outcome. Lengths are in m, angles in rad.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JudgedGrasp {
     /// Number of the segment in its demonstration.
     pub segment: usize,
     /// Frames of the segment.
     pub frames: Range<usize>,
-    /// How it went.
+    /// The outcome.
     pub outcome: GraspOutcome,
-    /// Frame from which on the fingers had stopped, or the first one.
+    /// First frame at which the fingers have stopped closing, or the first frame of the segment if they never stop.
     pub settled: usize,
-    /// Narrowest distance between the fingers in the segment.
+    /// Smallest distance between the fingers in the segment.
     pub narrowest: f64,
-    /// Largest distance of the end effector, in the object's frame, from the grasp transform, while it was held.
+    /// Largest distance of the end effector, in the object's frame, from the grasp transform, while the object was held.
     pub residual: f64,
-    /// Largest angle, likewise.
+    /// Largest angle of the end effector, in the object's frame, from the grasp transform, while the object was held.
     pub residual_rotation: f64,
-    /// Maximum height of the object over where it was at the start of the segment.
+    /// Maximum height of the object over its height at the start of the segment.
     pub rise: f64,
-    /// Whether the object has stayed in the hand since the transfer segment before, across a flicker of the command.
+    /// Whether the object has stayed in the gripper since the previous transfer segment, across a flicker of the command.
     pub continues: bool,
 }
 
-/// What happens after the command to open.
+/// The release of an object after a command to open.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Release {
     /// First frame after the command.
     pub(crate) frame: usize,
     /// Frame at which the object has come to rest.
     pub(crate) rest: usize,
-    /// How far it has fallen by then.
+    /// Distance that the object has fallen until then, in m.
     pub(crate) fall: f64,
-    /// Where it rests.
+    /// Position at which it rests, world frame, in m.
     pub(crate) place: Vector3<f64>,
 }
 
-/// The parts of the configuration that grasps are judged by.
+/// The limits from the configuration by which grasps are judged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GraspLimits {
-    /// Fingers nearer than this hold nothing.
+    /// Fingers closer together than this, in m, hold nothing.
     pub closed: f64,
-    /// An object further than this from its place in the hand is no longer held.
+    /// An object further than this, in m, from its position in the gripper is no longer held.
     pub lost: f64,
     /// Segments shorter than this, in frames, are flicker.
     pub flicker: usize,
 }
 
-/// Judges every transfer segment.
+/// Judges every transfer segment of a demonstration, in order of time.
 pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits) -> Vec<JudgedGrasp> {
     let frames = &demo.episode.frames;
     let mut judged: Vec<JudgedGrasp> = Vec::new();
@@ -94,16 +94,16 @@ pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits) -> Vec<JudgedGrasp
             && (before.outcome == GraspOutcome::Held || before.continues)
             && let (Some(then), Some(now)) = (frames.get(before.settled), frames.get(grasp.settled))
         {
-            let strayed = in_object(now) - in_object(then);
-            grasp.continues = strayed.norm() <= limits.lost && now.finger_separation() > limits.closed;
+            let drift = eef_in_object(now) - eef_in_object(then);
+            grasp.continues = drift.norm() <= limits.lost && now.finger_separation() > limits.closed;
         }
         judged.push(grasp);
     }
     judged
 }
 
-/// The end effector's position in the object's frame.
-fn in_object(frame: &SpatialFrame) -> Vector3<f64> {
+/// Returns the end effector's position in the object's frame.
+fn eef_in_object(frame: &SpatialFrame) -> Vector3<f64> {
     frame.object.inv_mul(&frame.eef).translation.vector
 }
 
@@ -135,7 +135,7 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
         return grasp;
     }
     let Some(settled) = summary.settled_frame else {
-        // The end of the recording may have cut it off.
+        // If the recording ends in this segment, the fingers may have stopped later.
         let cut_off = range.end == frames.len();
         grasp.outcome = if cut_off {
             GraspOutcome::Brief
@@ -149,14 +149,14 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
         grasp.outcome = GraspOutcome::Missed;
         return grasp;
     }
-    let held_at = start.object.inv_mul(&start.eef);
-    let (mut object_way, mut eef_way) = (0.0_f64, 0.0_f64);
+    let object_from_eef_start = start.object.inv_mul(&start.eef);
+    let (mut object_distance, mut eef_distance) = (0.0_f64, 0.0_f64);
     for (frame, now) in frames.iter().enumerate().take(range.end).skip(settled) {
-        let seen = now.object.inv_mul(&now.eef);
-        let strayed = (seen.translation.vector - held_at.translation.vector).norm();
-        if strayed > limits.lost || now.finger_separation() < limits.closed {
-            // An object that has not come along half of the hand's way was never held.
-            let followed = object_way > 0.5 * eef_way && object_way > 0.0;
+        let object_from_eef = now.object.inv_mul(&now.eef);
+        let drift = (object_from_eef.translation.vector - object_from_eef_start.translation.vector).norm();
+        if drift > limits.lost || now.finger_separation() < limits.closed {
+            // An object that has moved less than half as far as the end effector was never held.
+            let followed = object_distance > 0.5 * eef_distance && object_distance > 0.0;
             grasp.outcome = if followed {
                 GraspOutcome::Lost(frame)
             } else {
@@ -164,27 +164,29 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
             };
             return grasp;
         }
-        let way = |from: &nalgebra::Isometry3<f64>, to: &nalgebra::Isometry3<f64>| {
+        let distance = |from: &nalgebra::Isometry3<f64>, to: &nalgebra::Isometry3<f64>| {
             (to.translation.vector - from.translation.vector).norm()
         };
-        object_way = object_way.max(way(&start.object, &now.object));
-        eef_way = eef_way.max(way(&start.eef, &now.eef));
-        grasp.residual = grasp.residual.max(strayed);
-        grasp.residual_rotation = grasp.residual_rotation.max(seen.rotation.angle_to(&held_at.rotation));
+        object_distance = object_distance.max(distance(&start.object, &now.object));
+        eef_distance = eef_distance.max(distance(&start.eef, &now.eef));
+        grasp.residual = grasp.residual.max(drift);
+        let angle = object_from_eef.rotation.angle_to(&object_from_eef_start.rotation);
+        grasp.residual_rotation = grasp.residual_rotation.max(angle);
     }
     grasp
 }
 
-/// Steps in a row without motion after which the object counts as at rest.
+/// Number of consecutive steps without motion after which the object counts as at rest.
 const RESTING: usize = 3;
 
-/// Frames after a command to open, or after the start, within which the object has to come to rest.
+/// Number of frames, after the fingers have opened or after the start, within which the object has to come to rest. Objects fall
+/// onto the table at the start, and fall and roll after a release.
 const SETTLING: usize = 24;
 
-/// How much wider than in the grasp the fingers are when they have let go, in m.
+/// Fingers have released the object when they are this much further apart than in the grasp, in m.
 const LET_GO: f64 = 0.005;
 
-/// First frame from `from` on at which the object rests, at most [`SETTLING`] later and not beyond `end`.
+/// Returns the first frame at or after `from` at which the object rests, but at most `from` + [`SETTLING`] and at most `end`.
 pub(crate) fn rest(evidence: &[SpatialEvidence], from: usize, end: usize) -> usize {
     let last = end.min(from + SETTLING);
     let rests = |frame: usize| {
@@ -197,7 +199,8 @@ pub(crate) fn rest(evidence: &[SpatialEvidence], from: usize, end: usize) -> usi
     (from..last).find(|&frame| rests(frame)).unwrap_or(last)
 }
 
-/// Where the object goes after the command to open that ends a held grasp; none where the demonstration ends in the grasp.
+/// Returns the motion of the object after the command to open that ends a held grasp. `None` if the demonstration ends in the
+/// grasp, or before the fingers have opened.
 pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp) -> Option<Release> {
     let frames = &demo.episode.frames;
     let evidence = &demo.segmented.evidence;

@@ -1,9 +1,10 @@
-//! The audit of demonstrations and of their segmentation: what looks wrong, where, by which measure against which
-//! threshold. No input or output.
+//! The audit of demonstrations and of their segmentation. A finding says what looks wrong, in which frames, and which measured
+//! value was compared with which threshold. The crate does no input or output.
 //!
-//! Two looks at every demonstration: [`observe_spatial`] and [`observe_planar`] give what [`Thresholds::derive`] derives
-//! thresholds from, [`audit_spatial`], [`audit_planar`] and [`audit_copies`] give the findings. Demonstrations can be let go of
-//! between the two.
+//! An audit makes two passes over the demonstrations. In the first pass, [`observe_spatial`] and [`observe_planar`] measure the
+//! values from which [`Thresholds::derive`] derives thresholds. In the second pass, [`audit_spatial`] and [`audit_planar`] return
+//! the findings of one demonstration each; [`audit_copies`] compares demonstrations and needs only the results of the first
+//! pass. Demonstrations can be dropped from memory between the passes.
 
 mod checks;
 mod common;

@@ -9,7 +9,7 @@ use crate::finding::Finding;
 use crate::runs::{longest, runs};
 use crate::thresholds::{Observation, Thresholds};
 
-/// A demonstration and its segmentation.
+/// A demonstration of Push-T, and its segmentation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanarDemo {
     /// Number in the artifact, from 0.
@@ -22,7 +22,7 @@ pub struct PlanarDemo {
     pub coverage: Vec<f64>,
 }
 
-/// The first look: what thresholds are derived from.
+/// The first pass: measures the values from which thresholds are derived.
 pub fn observe_planar(demo: &PlanarDemo) -> Observation {
     let frames = &demo.episode.frames;
     let steps = demo.segmented.evidence.iter().filter_map(|e| e.eef_step);
@@ -47,7 +47,7 @@ pub fn observe_planar(demo: &PlanarDemo) -> Observation {
     }
 }
 
-/// The second look: everything that exceeds its threshold.
+/// The second pass: makes all checks that apply, and reports every value that exceeds its threshold. The findings are unordered.
 pub fn audit_planar(demo: &PlanarDemo, thresholds: &Thresholds) -> Vec<Finding> {
     let frames = &demo.episode.frames;
     let mut sink = Sink::new(demo.number, &demo.episode.name(), thresholds);
@@ -75,7 +75,7 @@ pub fn audit_planar(demo: &PlanarDemo, thresholds: &Thresholds) -> Vec<Finding> 
             "ends_before_success",
             end.saturating_sub(1)..end,
             Some(last),
-            format!("the last frame covers {last:.3} of the goal, the best one {best:.3}"),
+            format!("the block covers {last:.3} of the goal at the last frame, and {best:.3} at the best one"),
         );
     }
     let wraps: Vec<usize> = frames
@@ -89,9 +89,10 @@ pub fn audit_planar(demo: &PlanarDemo, thresholds: &Thresholds) -> Vec<Finding> 
     sink.findings
 }
 
-/// Contact and motion of every frame but the last, as the evidence has them: whether contact was counted on the way to the frame,
-/// and whether the block moves from there to the next one. None where contacts were not recorded. On the human demonstrations the
-/// two agree better so than with the contacts of the next frame.
+/// Returns contact and motion of every frame but the last: whether contact was counted during the step that led to the frame, and
+/// whether the block moves in the step to the next frame. `None` if contacts were not recorded.
+///
+/// On the human demonstrations, contact and motion agree better with this pairing than with the contacts of the next frame.
 pub fn contact_and_motion(evidence: &[Evidence]) -> Vec<Option<(bool, bool)>> {
     evidence
         .iter()
@@ -103,11 +104,15 @@ pub fn contact_and_motion(evidence: &[Evidence]) -> Vec<Option<(bool, bool)>> {
 fn check_contacts(evidence: &[Evidence], sink: &mut Sink<'_>) {
     let steps = contact_and_motion(evidence);
     for (code, pattern, message) in [
-        ("contact_without_motion", (true, false), "contact, and the block rests"),
+        (
+            "contact_without_motion",
+            (true, false),
+            "contact, but the block does not move",
+        ),
         (
             "motion_without_contact",
             (false, true),
-            "no contact, and the block moves",
+            "no contact, but the block moves",
         ),
     ] {
         let minimum = sink.thresholds.over(code);
@@ -118,7 +123,7 @@ fn check_contacts(evidence: &[Evidence], sink: &mut Sink<'_>) {
                     code,
                     run,
                     Some(length as f64),
-                    format!("{message}, in {length} steps in a row"),
+                    format!("{message}, in {length} consecutive steps"),
                 );
             }
         }
@@ -128,7 +133,7 @@ fn check_contacts(evidence: &[Evidence], sink: &mut Sink<'_>) {
 fn check_stretches(frames: &[PlanarFrame], sink: &mut Sink<'_>) {
     for run in runs(waits(frames), 1) {
         sink.exceeding("idle", run.start..run.end + 1, run.len() as f64, |value| {
-            format!("the same target in {} frames in a row", value + 1.0)
+            format!("the same target in {} consecutive frames", value + 1.0)
         });
     }
     let minimum = sink.thresholds.over("frozen");
@@ -144,13 +149,13 @@ fn check_stretches(frames: &[PlanarFrame], sink: &mut Sink<'_>) {
                 "frozen",
                 stretch,
                 Some(length as f64),
-                format!("the very same state in {length} frames in a row"),
+                format!("exactly the same state in {length} consecutive frames"),
             );
         }
     }
 }
 
-/// Whether the target of a frame is that of the next.
+/// For every step, whether the target is the same before and after it.
 fn waits(frames: &[PlanarFrame]) -> impl Iterator<Item = bool> {
     frames
         .iter()

@@ -1,8 +1,8 @@
-//! Runs of frames for which something holds.
+//! Runs of consecutive frames that satisfy a condition.
 
 use std::ops::Range;
 
-/// Maximal runs of `true` of at least `minimum` frames.
+/// Returns the maximal runs of `true` that have at least `minimum` frames.
 pub(crate) fn runs(flags: impl IntoIterator<Item = bool>, minimum: usize) -> Vec<Range<usize>> {
     let mut found: Vec<Range<usize>> = Vec::new();
     let mut start = None;
@@ -21,7 +21,7 @@ pub(crate) fn runs(flags: impl IntoIterator<Item = bool>, minimum: usize) -> Vec
     found
 }
 
-/// Length of the longest run of `true`.
+/// Returns the length of the longest run of `true`, or 0 if there is none.
 pub(crate) fn longest(flags: impl IntoIterator<Item = bool>) -> usize {
     runs(flags, 1).into_iter().map(|run| run.len()).max().unwrap_or(0)
 }

@@ -13,7 +13,7 @@ use crate::grasps::{GraspLimits, GraspOutcome, JudgedGrasp, judge, release, rest
 use crate::runs::{longest, runs};
 use crate::thresholds::{Observation, Thresholds};
 
-/// A demonstration and its segmentation.
+/// A demonstration with a gripper, and its segmentation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialDemo {
     /// Number in the artifact, from 0.
@@ -24,25 +24,25 @@ pub struct SpatialDemo {
     pub segmented: SegmentedSpatial,
 }
 
-/// What the audit says of one demonstration.
+/// The result of the audit of one demonstration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialAudit {
-    /// Findings, in no order.
+    /// Findings, unordered.
     pub findings: Vec<Finding>,
-    /// Its transfer segments.
+    /// Transfer segments with their outcomes, in order of time.
     pub grasps: Vec<JudgedGrasp>,
 }
 
-/// A control counts as at its limit from here on.
+/// A control of at least this magnitude is at its limit, which is 1. The margin allows for rounding in the recording.
 const LIMIT: f64 = 1.0 - 1e-9;
 
-/// How much the distance between the fingers has to change to say that they moved, in m.
+/// Fingers count as moved when the distance between them has changed by more than this, in m.
 const FINGERS_MOVED: f64 = 0.002;
 
-/// Fingers wider apart than this, in m, are open: the gripper opens to 0.08.
+/// Fingers further apart than this, in m, are open: the gripper opens to 0.08 m.
 const OPEN: f64 = 0.07;
 
-/// The first look: what thresholds are derived from.
+/// The first pass: measures the values from which thresholds are derived.
 pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation {
     let frames = &demo.episode.frames;
     let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
@@ -83,7 +83,7 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
     }
 }
 
-/// The second look: everything that exceeds its threshold.
+/// The second pass: makes all checks that apply, and reports every value that exceeds its threshold.
 pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &GraspLimits) -> SpatialAudit {
     let mut sink = Sink::new(demo.number, &demo.episode.name, thresholds);
     let grasps = judge(demo, limits);
@@ -110,7 +110,8 @@ pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &Grasp
     }
 }
 
-/// Transfer segments, those that go on across a flicker counted once, those too short to tell not at all.
+/// Counts the transfer segments. Segments that continue a grasp across a flicker are counted once; segments that are too short
+/// to have an outcome are not counted.
 fn transfers(grasps: &[JudgedGrasp]) -> usize {
     grasps
         .iter()
@@ -125,7 +126,7 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>)
             "no_transfer",
             all.clone(),
             Some(0.0),
-            "no frame is in transfer: there is no grasp and no anchor".to_owned(),
+            "no frame is in transfer: the demonstration has no grasp and no anchor".to_owned(),
         );
     }
     for (place, grasp) in grasps.iter().enumerate() {
@@ -139,24 +140,25 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>)
             GraspOutcome::Lost(frame) => sink.add(
                 "lost_grasp",
                 frame..grasp.frames.end,
-                strayed(demo, grasp, frame),
+                distance_from_grasp(demo, grasp, frame),
                 format!(
-                    "the object leaves the hand at frame {frame}, and the command to close goes on to frame {}",
+                    "the object leaves the gripper at frame {frame}, but the command to close lasts until frame {}",
                     grasp.frames.end
                 ),
             ),
             GraspOutcome::Held => {
                 sink.exceeding("non_rigid_transfer", grasp.frames.clone(), grasp.residual, |value| {
-                    format!("the object moves in the hand by {:.1} mm", 1e3 * value)
+                    format!("the object slips in the gripper by {:.1} mm", 1e3 * value)
                 });
                 sink.exceeding(
                     "non_rigid_rotation",
                     grasp.frames.clone(),
                     grasp.residual_rotation,
-                    |value| format!("the object turns in the hand by {:.1} degrees", value.to_degrees()),
+                    |value| format!("the object rotates in the gripper by {:.1} degrees", value.to_degrees()),
                 );
-                let goes_on = grasps.get(place + 1).is_some_and(|next| next.continues);
-                if !goes_on {
+                // A grasp that continues in the next segment has not ended in a release.
+                let continues = grasps.get(place + 1).is_some_and(|next| next.continues);
+                if !continues {
                     check_release(demo, grasp, sink);
                 }
             }
@@ -185,23 +187,25 @@ fn why_missed(demo: &SpatialDemo, grasp: &JudgedGrasp, closed: f64) -> String {
     if grasp.narrowest < closed {
         format!("the fingers close to {apart:.1} mm with nothing between them")
     } else if stopped {
-        format!("the fingers stop at {apart:.1} mm on something that does not follow the hand")
+        format!("the fingers stop {apart:.1} mm apart on something that does not follow the end effector")
     } else {
-        format!("the fingers are told to open again, {apart:.1} mm apart, before anything has stopped them")
+        format!("the fingers close to {apart:.1} mm, and are commanded to open again before anything has stopped them")
     }
 }
 
-/// How far the end effector is, in the object's frame, from where it was in the grasp.
-fn strayed(demo: &SpatialDemo, grasp: &JudgedGrasp, frame: usize) -> Option<f64> {
-    let seen = |frame: usize| {
+/// Returns the largest distance of the end effector, in the object's frame, from its position in the grasp, between `frame` and
+/// the end of the segment.
+fn distance_from_grasp(demo: &SpatialDemo, grasp: &JudgedGrasp, frame: usize) -> Option<f64> {
+    let eef_in_object = |frame: usize| {
         let frame = demo.episode.frames.get(frame)?;
         Some(frame.object.inv_mul(&frame.eef).translation.vector)
     };
-    // Over the rest of the segment: the first frame may only have shown the fingers to be shut.
-    let held = seen(grasp.settled)?;
+    // `frame` may be reported because the fingers shut there, when the object has hardly moved yet. The maximum over the rest
+    // of the segment shows how far it moves.
+    let held = eef_in_object(grasp.settled)?;
     (frame..grasp.frames.end)
-        .filter_map(seen)
-        .map(|at| (at - held).norm())
+        .filter_map(eef_in_object)
+        .map(|position| (position - held).norm())
         .reduce(f64::max)
 }
 
@@ -209,12 +213,12 @@ fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, sink: &mut Sink<'_>) {
     let Some(release) = release(demo, grasp) else { return };
     let frames = release.frame..(release.rest + 1).min(demo.episode.frames.len());
     sink.exceeding("dropped", frames.clone(), release.fall, |value| {
-        format!("the object falls {:.0} mm when it is let go", 1e3 * value)
+        format!("the object falls {:.0} mm after its release", 1e3 * value)
     });
     if let Some(end) = sink.thresholds.usual_end {
         sink.exceeding("early_release", frames, (release.place - end).norm(), |value| {
             format!(
-                "the object is let go {:.0} mm from where the demonstrations leave it",
+                "the object is released and comes to rest {:.0} mm from where the demonstrations leave it",
                 1e3 * value
             )
         });
@@ -232,22 +236,23 @@ fn check_transit(demo: &SpatialDemo, sink: &mut Sink<'_>) {
         let start = rest(evidence, settle_from(demo, &range), range.end);
         let Some(rested) = frames.get(start) else { continue };
         let window = frames.get(start..range.end).unwrap_or_default();
-        let away = |frame: &SpatialFrame| (frame.object.translation.vector - rested.object.translation.vector).norm();
-        let farthest = window.iter().map(away).fold(0.0, f64::max);
-        // From the first frame that is a tenth of the way to the first that is nearly there.
-        let first = window.iter().position(|f| away(f) > 0.1 * farthest).unwrap_or(0);
-        let last = window.iter().position(|f| away(f) > 0.9 * farthest).unwrap_or(0);
+        let distance =
+            |frame: &SpatialFrame| (frame.object.translation.vector - rested.object.translation.vector).norm();
+        let farthest = window.iter().map(distance).fold(0.0, f64::max);
+        // The finding covers the frames of the push itself: between 10 % and 90 % of the largest distance.
+        let first = window.iter().position(|f| distance(f) > 0.1 * farthest).unwrap_or(0);
+        let last = window.iter().position(|f| distance(f) > 0.9 * farthest).unwrap_or(0);
         sink.exceeding(
             "pushed_in_transit",
             start + first..start + last + 1,
             farthest,
-            |value| format!("the object is moved by {:.0} mm without a grasp", 1e3 * value),
+            |value| format!("the object moves by {:.0} mm without a grasp", 1e3 * value),
         );
     }
 }
 
-/// From where on the object of a transit segment has to come to rest: the frame at which the fingers are open, after a
-/// transfer, the start of the demonstration before any.
+/// Returns the frame of a transit segment from which on the object has to come to rest. After a transfer, this is the first frame
+/// at which the fingers have opened; at the start of the demonstration, it is the first frame.
 fn settle_from(demo: &SpatialDemo, range: &Range<usize>) -> usize {
     let evidence = &demo.segmented.evidence;
     let Some(before) = range.start.checked_sub(1).and_then(|frame| evidence.get(frame)) else {
@@ -270,7 +275,7 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
     let closed = sink.thresholds.over("missed_grasp");
     for closes in [true, false] {
         for run in runs(evidence.iter().map(|e| e.command_closes == closes), 1) {
-            // The first command of a run shows at the frame after it.
+            // The fingers can first respond in the frame after the first command, so the run needs one frame more than the lag.
             if run.len() as f64 <= lag {
                 continue;
             }
@@ -280,7 +285,7 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
             };
             let change = then.finger_separation - start.finger_separation;
             let stuck = if closes {
-                // Fingers that hold something need not move.
+                // Fingers that hold an object do not have to move.
                 let holding = evidence.get(run.clone()).unwrap_or_default().iter().any(|e| e.holds);
                 change > -FINGERS_MOVED
                     && then.finger_separation > closed
@@ -294,7 +299,7 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
                     run.start..run.end,
                     Some(lag),
                     format!(
-                        "told to {} at frame {}, the fingers are {:.0} mm apart and have not moved {lag} frames later",
+                        "{lag} frames after the command to {} at frame {}, the fingers are {:.0} mm apart and have not moved",
                         if closes { "close" } else { "open" },
                         run.start,
                         1e3 * then.finger_separation
@@ -309,10 +314,12 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
     let frames = &demo.episode.frames;
     let evidence = &demo.segmented.evidence;
     for (frame, evidence) in evidence.iter().enumerate() {
-        let (Some(eef), Some(object), Some(turn)) = (evidence.eef_step, evidence.object_step, evidence.eef_rotation)
+        let (Some(eef), Some(object), Some(rotation)) =
+            (evidence.eef_step, evidence.object_step, evidence.eef_rotation)
         else {
             continue;
         };
+        // The step is from this frame to the next one.
         let around = frame..frame + 2;
         sink.exceeding("discontinuity_eef", around.clone(), eef, |value| {
             format!("the end effector jumps by {:.0} mm in one step", 1e3 * value)
@@ -320,9 +327,9 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
         sink.exceeding("discontinuity_object", around.clone(), object, |value| {
             format!("the object jumps by {:.0} mm in one step", 1e3 * value)
         });
-        sink.exceeding("discontinuity_rotation", around, turn, |value| {
+        sink.exceeding("discontinuity_rotation", around, rotation, |value| {
             format!(
-                "the end effector turns by {:.0} degrees in one step",
+                "the end effector rotates by {:.0} degrees in one step",
                 value.to_degrees()
             )
         });
@@ -333,7 +340,7 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
         .map(|(now, next)| state(now) == state(next));
     let minimum = sink.thresholds.over("frozen");
     for run in runs(same, 1) {
-        // A run of steps touches one frame more.
+        // A run of n steps spans n + 1 frames.
         let stretch = run.start..run.end + 1;
         if stretch.len() as f64 >= minimum {
             let length = stretch.len();
@@ -341,7 +348,7 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
                 "frozen",
                 stretch,
                 Some(length as f64),
-                format!("the very same state in {length} frames in a row"),
+                format!("exactly the same state in {length} consecutive frames"),
             );
         }
     }
@@ -350,7 +357,7 @@ fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
 fn check_actions(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
     for run in runs(frames.iter().map(is_idle), 1) {
         sink.exceeding("idle", run.clone(), run.len() as f64, |value| {
-            format!("no arm action in {value} frames in a row")
+            format!("no arm action in {value} consecutive frames")
         });
     }
     sink.exceeding("saturated", 0..frames.len(), saturated_fraction(frames), |value| {
@@ -367,22 +374,23 @@ fn check_success(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
             "ends_before_success",
             end.saturating_sub(1)..end,
             Some(best),
-            "no frame has a reward, and those of other demonstrations have".to_owned(),
+            "no frame has a reward above 0, but frames of other demonstrations have".to_owned(),
         );
     }
 }
 
 fn check_seams(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
     let pairs = || frames.iter().zip(frames.iter().skip(1));
-    let flips = |attitude: fn(&SpatialFrame) -> &nalgebra::UnitQuaternion<f64>| -> Vec<usize> {
+    let flips = |orientation: fn(&SpatialFrame) -> &nalgebra::UnitQuaternion<f64>| -> Vec<usize> {
         pairs()
             .enumerate()
-            .filter(|(_, (now, next))| attitude(now).coords.dot(&attitude(next).coords) < 0.0)
+            .filter(|(_, (now, next))| orientation(now).coords.dot(&orientation(next).coords) < 0.0)
             .map(|(frame, _)| frame)
             .collect()
     };
     let goal = |frame: &SpatialFrame| Vector3::new(frame.goal[3], frame.goal[4], frame.goal[5]);
-    // A goal turns by less than pi in a step: when its rotation vector moves by more, it has passed the seam.
+    // A goal rotates by less than pi in a step. If its rotation vector changes by more, the vector has passed pi and changed its
+    // sign.
     let passes = pairs()
         .enumerate()
         .filter(|(_, (now, next))| (goal(next) - goal(now)).norm() > PI)
@@ -412,7 +420,7 @@ fn saturated_fraction(frames: &[SpatialFrame]) -> f64 {
     frames.iter().filter(at_limit).count() as f64 / frames.len().max(1) as f64
 }
 
-/// Poses and fingers.
+/// Returns the poses (position, then quaternion x, y, z, w) of end effector and object, and the finger positions.
 fn state(frame: &SpatialFrame) -> [f64; 16] {
     let mut values = [0.0; 16];
     let pose = |pose: &nalgebra::Isometry3<f64>| {

@@ -1,4 +1,5 @@
-//! The tables of an `audit` artifact: of planar and of spatial demonstrations alike. Units are those of the row.
+//! The tables of an `audit` artifact. Planar and spatial demonstrations have the same tables; where units differ, a column of the
+//! row names them.
 
 use std::ops::Range;
 
@@ -8,31 +9,31 @@ use re4_artifact::{Label, Word, table};
 use crate::{Finding, GraspOutcome, Severity};
 
 table! {
-    /// One row a finding: what looks wrong, where, by which measure against which threshold. Sorted by episode, first frame and
-    /// code.
+    /// One row per finding: what looks wrong, in which frames, and which value was compared with which threshold. Sorted by
+    /// episode, first frame and code.
     #[table("findings", version = 2)]
     pub struct FindingRow {
         /// Number of the finding in this artifact, from 0.
         pub finding: u32,
-        /// error: the segmentation or the data is wrong here; warning: probably not what the demonstrator wanted, or a trap for a
-        /// learner; note: worth knowing.
+        /// error: the segmentation or the data is wrong in these frames; warning: probably not what the demonstrator wanted, or
+        /// harmful to a policy that is trained on it; note: worth knowing.
         pub severity: Severity,
-        /// Kind of the finding; its meaning stands in table checks.
+        /// Code of the check that made the finding; table checks has its meaning.
         pub code: Label,
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
-        /// Frames that it concerns.
+        /// The affected frames.
         #[prefix = ""]
         pub frames: Range<u32>,
-        /// What was measured; null where there is nothing to measure.
+        /// Measured value; null if the check measures none.
         pub value: Option<f64>,
-        /// What it was compared with; null likewise.
+        /// Threshold that the value was compared with; null if the check has none.
         pub threshold: Option<f64>,
-        /// Unit of value and threshold; empty for none.
+        /// Unit of value and threshold; empty if they have none.
         pub unit: Label,
-        /// The finding in one sentence.
+        /// Description of the finding in one sentence.
         pub message: String,
-        /// Name of the demonstration in its source: the group below /data of an HDF5 file, such as demo_12; of Push-T the word
+        /// Name of the demonstration in its source: the group below /data of an HDF5 file, such as demo_12; for Push-T the word
         /// episode and its number. Null in older artifacts.
         #[since = 2]
         pub demo_name: Option<String>,
@@ -40,7 +41,7 @@ table! {
 }
 
 impl FindingRow {
-    /// The row of the finding of this number.
+    /// Makes the row of a finding; `finding` is its number in the artifact.
     pub fn new(finding: u32, found: &Finding) -> Self {
         Self {
             finding,
@@ -58,66 +59,67 @@ impl FindingRow {
 }
 
 table! {
-    /// One row a check that was made, whether or not it found something, with its threshold and where that comes from. Sorted by
-    /// code.
+    /// One row per check that applies to the dataset, whether or not it found something, with its threshold and the threshold's
+    /// origin. Sorted by code.
     #[table("checks", version = 1)]
     pub struct CheckRow {
-        /// Kind of finding that it makes.
+        /// Code of the check and of its findings.
         pub code: Label,
         /// Severity of its findings.
         pub severity: Severity,
-        /// What such a finding means, and what to do about it.
+        /// What a finding means, and what to do about it.
         pub meaning: String,
         /// What is measured.
         pub measure: String,
-        /// What it is compared with; null where there is none.
+        /// Threshold that the measured value is compared with; null if the check has none, or is not made.
         pub threshold: Option<f64>,
-        /// Unit of the threshold; empty for none.
+        /// Unit of the threshold; empty if it has none.
         pub unit: Label,
-        /// Where the threshold comes from: data, derived from this dataset; setting, from the pipeline file; default, built in.
+        /// Origin of the threshold: data, derived from this dataset; setting, from the pipeline file; default, built in.
         pub origin: Label,
-        /// How it was derived, in words.
+        /// Description of how the threshold was determined.
         pub derivation: String,
-        /// How many findings it made.
+        /// Number of its findings.
         pub findings: u32,
-        /// In how many demonstrations.
+        /// Number of demonstrations with such a finding.
         pub episodes: u32,
     }
 }
 
 table! {
-    /// One row a demonstration: its length, its modes and how much was found in it. Sorted by episode.
+    /// One row per demonstration: its length, its modes and the number of its findings. Sorted by episode.
     #[table("audited_episodes", version = 1)]
     pub struct AuditedEpisodeRow {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
         /// Name of the demonstration in its source.
         pub demo: String,
-        /// Frames.
+        /// Number of frames.
         pub frames: usize,
-        /// Frames in transit.
+        /// Number of frames in transit.
         pub transit_frames: usize,
-        /// Frames in transfer.
+        /// Number of frames in transfer.
         pub transfer_frames: usize,
-        /// Segments.
+        /// Number of segments.
         pub segments: usize,
-        /// Transfer segments.
+        /// Number of transfer segments.
         pub transfers: usize,
-        /// First transfer frame; null where there is none.
+        /// First transfer frame; null if there is none.
         pub grasp_frame: Option<usize>,
-        /// Distance of the object's origin at the end from where it was at the start; px or m, as the task's tables.
+        /// Distance between the positions of the object's origin at the first and the last frame; in px for Push-T, in m for
+        /// robosuite's tasks.
         pub object_displacement: f64,
-        /// Findings of severity error.
+        /// Number of findings of severity error.
         pub errors: u32,
-        /// Findings of severity warning.
+        /// Number of findings of severity warning.
         pub warnings: u32,
-        /// Findings of severity note.
+        /// Number of findings of severity note.
         pub notes: u32,
     }
 }
 
 table! {
-    /// One row a transfer segment of a demonstration with a gripper: where the object was grasped and how it went. Sorted by
+    /// One row per transfer segment of a demonstration with a gripper: where the object was grasped, and the outcome. Sorted by
     /// episode and segment.
     #[table("grasps", version = 1)]
     pub struct GraspRow {
@@ -128,27 +130,29 @@ table! {
         /// Frames of the segment.
         #[prefix = ""]
         pub frames: Range<usize>,
-        /// held: the object stays fixed to the end effector; missed: the fingers closed on nothing; lost: it was held, and slipped
-        /// out before the command to open; brief: too short to tell.
+        /// held: the object stays fixed to the end effector; missed: the fingers closed on nothing, or on something that does not
+        /// follow the end effector; lost: the object was held, but slipped out before the command to open; brief: too short to be
+        /// judged, or cut off by the end of the recording.
         pub outcome: Label,
-        /// End effector in the object's frame at the settled frame.
+        /// Pose of the end effector in the object's frame at the frame where the fingers have stopped closing, or at the first
+        /// frame of the segment if they never stop.
         #[frame = "object"]
         pub grasp: Isometry3<f64>,
-        /// Distance between the fingers at the settled frame.
+        /// Distance between the fingers at that frame.
         #[unit = "m"]
         pub finger_separation: f64,
-        /// Largest distance of the end effector in the object's frame from the grasp transform, over the part of the segment that is
-        /// held.
+        /// Largest distance of the end effector, in the object's frame, from the grasp transform, over the part of the segment in
+        /// which the object is held.
         #[unit = "m"]
         pub rigidity_residual: f64,
-        /// Maximum height of the object over where it was at the start of the segment.
+        /// Maximum height of the object over its height at the start of the segment.
         #[unit = "m"]
         pub object_rise: f64,
     }
 }
 
 impl GraspRow {
-    /// Whether the object stays fixed to the end effector.
+    /// Whether the object was held until the command to open.
     pub fn is_held(&self) -> bool {
         self.outcome == GraspOutcome::Held.as_str()
     }

@@ -1,4 +1,4 @@
-//! Thresholds, each with where it comes from.
+//! Thresholds of the checks, each with its origin.
 
 use std::collections::BTreeMap;
 
@@ -8,14 +8,14 @@ use crate::checks::{Basis, CHECKS, Check, ENOUGH};
 use crate::config::AuditConfig;
 use re4_stats::{median, outer_fence, robust_deviation};
 
-/// Where a threshold comes from.
+/// The origin of a threshold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
-    /// Derived from this dataset.
+    /// Derived from the dataset.
     Data,
     /// Set in the pipeline file.
     Setting,
-    /// Built in.
+    /// A built-in default.
     Default,
 }
 
@@ -30,57 +30,58 @@ impl Origin {
     }
 }
 
-/// A threshold of one check on one dataset.
+/// The threshold of one check on one dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Threshold {
-    /// What is compared with; none where there is nothing to compare with, or where the check is not made.
+    /// The threshold, in the unit of the check; `None` if the check has no threshold or is not made.
     pub value: Option<f64>,
-    /// Where it comes from.
+    /// The origin of the threshold.
     pub origin: Origin,
-    /// How it came about, in words.
+    /// Describes how the threshold was determined.
     pub derivation: String,
-    /// Whether the check is made.
+    /// Whether the check is made. A check is not made if its threshold cannot be derived from so few values.
     pub made: bool,
 }
 
-/// What a first look at one demonstration gives: what thresholds are derived from.
+/// The measurements of the first pass over one demonstration. [`Thresholds::derive`] derives thresholds from them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observation {
     /// Number of the demonstration in the artifact, from 0.
     pub episode: u32,
-    /// Its name in its source.
+    /// Name of the demonstration in its source.
     pub demo: String,
-    /// Its frames.
+    /// Number of frames.
     pub frames: u32,
-    /// Values by the code of the check that they serve.
+    /// Measured values, each with the code of the check whose threshold is derived from it.
     pub values: Vec<(&'static str, f64)>,
-    /// Where the object is at the last frame, world frame.
+    /// Position of the object at the last frame, world frame, m; for Push-T its planar pose (x, y in px, theta in rad).
     pub last_object: Vector3<f64>,
-    /// Whether a reward above 0 was recorded; none where no reward was.
+    /// Whether a reward above 0 was recorded; `None` if no rewards were recorded.
     pub rewarded: Option<bool>,
-    /// Hash of all poses, fingers and actions.
+    /// Hash of all poses, finger positions and actions.
     pub recording: [u8; 32],
     /// Hash of all actions.
     pub actions: [u8; 32],
 }
 
-/// The thresholds of all checks that apply to a dataset, and what else is compared with.
+/// The thresholds of all checks that apply to a dataset, and the dataset's statistics that checks compare with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thresholds {
     planar: bool,
     by_code: BTreeMap<&'static str, Threshold>,
-    /// Median of the demonstrations' last object positions, coordinate by coordinate.
+    /// Median of the final object positions, coordinate by coordinate; `None` without demonstrations.
     pub(crate) usual_end: Option<Vector3<f64>>,
     /// Median of the numbers of frames.
     pub(crate) usual_length: f64,
-    /// Their robust standard deviation.
+    /// Robust standard deviation of the numbers of frames, from the median absolute deviation.
     pub(crate) length_deviation: f64,
-    /// Whether any demonstration has a reward.
+    /// Whether any demonstration has a reward above 0.
     pub(crate) rewards: bool,
 }
 
 impl Thresholds {
-    /// Thresholds from the first look at all demonstrations. `closed` is the pipeline's `segment.gripper.closed`.
+    /// Derives the thresholds from the first pass over all demonstrations. `planar` selects the checks and units of Push-T.
+    /// `closed` is the pipeline's `segment.gripper.closed`, in m.
     pub fn derive(observations: &[Observation], config: &AuditConfig, planar: bool, closed: f64) -> Self {
         let usual_end = usual_end(observations);
         let mut values: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
@@ -120,14 +121,14 @@ impl Thresholds {
         self.planar
     }
 
-    /// The checks that apply, with their thresholds, in the order of their codes.
+    /// Iterates over the checks that apply and their thresholds, sorted by code.
     pub fn iter(&self) -> impl Iterator<Item = (&'static Check, &Threshold)> {
         CHECKS
             .iter()
             .filter_map(|check| Some((check, self.by_code.get(check.code)?)))
     }
 
-    /// What a check compares with; infinity where it is not made, so that nothing exceeds it.
+    /// Returns the threshold of a check; infinity if it has none or is not made, so that no value exceeds it.
     pub(crate) fn over(&self, code: &str) -> f64 {
         self.by_code
             .get(code)
@@ -140,7 +141,7 @@ impl Thresholds {
     }
 }
 
-/// The median of the last object positions, coordinate by coordinate.
+/// Returns the median of the final object positions, coordinate by coordinate.
 fn usual_end(observations: &[Observation]) -> Option<Vector3<f64>> {
     let coordinate = |axis: usize| median(&observations.iter().map(|o| o.last_object[axis]).collect::<Vec<_>>());
     Some(Vector3::new(coordinate(0)?, coordinate(1)?, coordinate(2)?))
@@ -150,7 +151,7 @@ fn set(check: &Check, value: f64) -> Threshold {
     Threshold {
         value: Some(value),
         origin: Origin::Setting,
-        derivation: format!("audit.{} of the pipeline file", check.code),
+        derivation: format!("set by audit.{} in the pipeline file", check.code),
         made: true,
     }
 }
@@ -171,7 +172,7 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
     let count = observed.len();
     let pick = |spatial, flat| if planar { flat } else { spatial };
     match check.basis {
-        Basis::Nothing => constant(None, "nothing to compare with".to_owned()),
+        Basis::Nothing => constant(None, "the check has no threshold".to_owned()),
         Basis::Constant {
             spatial,
             planar: flat,
@@ -184,7 +185,7 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
             } else {
                 Origin::Setting
             },
-            derivation: "segment.gripper.closed, the paper's figure for a failed grasp by default".to_owned(),
+            derivation: "segment.gripper.closed, by default the paper's value for a failed grasp".to_owned(),
             made: true,
         },
         Basis::Fence {
@@ -198,13 +199,16 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
                 Some(fence) if fence > minimum => data(fence, format!("Q3 + 3 (Q3 - Q1) of {count} {of}")),
                 Some(fence) => constant(
                     Some(minimum),
-                    format!("the minimum, above Q3 + 3 (Q3 - Q1) = {fence:.4} of {count} {of}"),
+                    format!("the minimum; Q3 + 3 (Q3 - Q1) of {count} {of} is only {fence:.4}"),
                 ),
-                None if small => constant(Some(minimum), format!("{count} {of} are too few to derive it from")),
+                None if small => constant(
+                    Some(minimum),
+                    format!("the minimum; {count} {of} are too few to derive a threshold"),
+                ),
                 None => Threshold {
                     value: None,
                     origin: Origin::Data,
-                    derivation: format!("not made: {count} {of} are too few to derive a threshold from"),
+                    derivation: format!("not made: {count} {of} are too few to derive a threshold"),
                     made: false,
                 },
             }
@@ -223,14 +227,18 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
                 Some(middle) => constant(
                     Some(minimum),
                     format!(
-                        "the minimum; {factor} times the median of {count} {of} is {:.4}",
+                        "the minimum; {factor} times the median of {count} {of} is only {:.4}",
                         factor * middle
                     ),
                 ),
-                None => {
-                    let wide = if factor == 1.0 { minimum } else { 2.0 * minimum };
-                    constant(Some(wide), format!("{count} {of} are too few to derive it from"))
-                }
+                None if factor == 1.0 => constant(
+                    Some(minimum),
+                    format!("the minimum; {count} {of} are too few to derive a threshold"),
+                ),
+                None => constant(
+                    Some(2.0 * minimum),
+                    format!("twice the minimum; {count} {of} are too few to derive a threshold"),
+                ),
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Every check on motions that were built to have one fault, and on ones that have none.
+//! Tests every check on constructed motions with exactly one fault, and on motions without faults.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
 
 use std::collections::BTreeSet;
@@ -18,8 +18,8 @@ const LIMITS: GraspLimits = GraspLimits {
     flicker: 5,
 };
 
-/// A flawless demonstration: reach for 10 frames, close in 8, carry for 20, open in 8, leave for 6. `number` makes it unlike the
-/// others.
+/// A flawless demonstration: reach for 10 frames, close in 8, carry for 20, open in 8, retreat for 6. `number` makes it different
+/// from the others, so that it is not reported as a copy.
 fn flawless(number: u32) -> Vec<SpatialFrame> {
     let mut frames = Vec::new();
     let own = 1e-4 * f64::from(number);
@@ -91,7 +91,7 @@ fn codes(findings: &[Finding]) -> BTreeSet<&'static str> {
     findings.iter().map(|finding| finding.code).collect()
 }
 
-/// Codes found on a flawless demonstration after a change to it.
+/// Codes of the findings on a flawless demonstration after `change`.
 fn found(change: impl FnOnce(&mut Vec<SpatialFrame>)) -> BTreeSet<&'static str> {
     let mut frames = flawless(10);
     change(&mut frames);
@@ -99,7 +99,7 @@ fn found(change: impl FnOnce(&mut Vec<SpatialFrame>)) -> BTreeSet<&'static str> 
 }
 
 #[test]
-fn nothing_is_wrong_with_the_flawless() {
+fn flawless_demonstrations_have_no_findings() {
     let (findings, outcomes) = audit(flawless(10), &AuditConfig::default());
     assert_eq!(findings, []);
     assert_eq!(outcomes, [GraspOutcome::Held]);
@@ -122,7 +122,7 @@ fn fingers_that_do_not_move_disagree_with_the_command() {
 }
 
 #[test]
-fn a_thing_between_the_fingers_that_is_not_the_object_is_no_grasp() {
+fn closing_on_another_object_is_a_missed_grasp() {
     let mut faulty = flawless(10);
     let rests = faulty[0].object;
     for frame in &mut faulty {
@@ -136,21 +136,21 @@ fn a_thing_between_the_fingers_that_is_not_the_object_is_no_grasp() {
 }
 
 #[test]
-fn an_object_that_leaves_the_hand_is_lost_from_there() {
+fn an_object_that_leaves_the_gripper_is_lost_from_that_frame() {
     let mut faulty = flawless(10);
     let left = Isometry3::translation(0.0, -0.005, 0.0) * faulty[28].object;
     for frame in &mut faulty[28..] {
         frame.object = left;
     }
     let (findings, outcomes) = audit(faulty, &AuditConfig::default());
-    // Half a centimetre and two steps of one are beyond two centimetres.
+    // The object is 0.5 cm off at frame 28, and the end effector moves away by 1 cm per frame: 2.5 cm at frame 30.
     assert_eq!(outcomes, [GraspOutcome::Lost(30)]);
     let lost = findings.iter().find(|finding| finding.code == "lost_grasp").unwrap();
     assert_eq!((lost.frames.clone(), lost.threshold), (30..38, Some(0.02)));
 }
 
 #[test]
-fn a_grasp_goes_on_across_flickers_of_the_command() {
+fn a_grasp_continues_across_flickers_of_the_command() {
     let mut faulty = flawless(10);
     for t in [24, 27] {
         faulty[t].gripper = -1.0;
@@ -165,24 +165,24 @@ fn a_grasp_goes_on_across_flickers_of_the_command() {
 }
 
 #[test]
-fn slipping_and_turning_in_the_hand_are_told_apart() {
+fn slipping_and_rotating_in_the_gripper_are_distinguished() {
     let slips = found(|frames| {
         for frame in &mut frames[28..] {
             frame.object = Isometry3::translation(0.008, 0.0, 0.0) * frame.object;
         }
     });
     assert_eq!(slips, BTreeSet::from(["non_rigid_transfer"]));
-    let turns = found(|frames| {
+    let rotates = found(|frames| {
         for (t, frame) in frames.iter_mut().enumerate().skip(20) {
-            // About the vertical through the grip site, so that the object's place in the hand stays.
+            // About the vertical axis through the grip site, so that the object's position in the gripper stays the same.
             frame.object.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.01 * (t.min(38) - 20) as f64);
         }
     });
-    assert_eq!(turns, BTreeSet::from(["non_rigid_rotation"]));
+    assert_eq!(rotates, BTreeSet::from(["non_rigid_rotation"]));
 }
 
 #[test]
-fn jumps_of_object_and_hand_are_discontinuities() {
+fn jumps_of_object_and_end_effector_are_discontinuities() {
     let jump = found(|frames| {
         for frame in &mut frames[4..] {
             frame.object = Isometry3::translation(0.3, 0.0, 0.0) * frame.object;
@@ -200,7 +200,7 @@ fn jumps_of_object_and_hand_are_discontinuities() {
 }
 
 #[test]
-fn idleness_and_sign_flips_are_worth_a_note() {
+fn idle_frames_and_sign_flips_are_notes() {
     let idle = found(|frames| frames[20..33].iter_mut().for_each(|frame| frame.delta = [0.0; 6]));
     assert_eq!(idle, BTreeSet::from(["idle"]));
     let flip = found(|frames| {
@@ -212,7 +212,7 @@ fn idleness_and_sign_flips_are_worth_a_note() {
 }
 
 #[test]
-fn copies_are_found_by_their_bits() {
+fn identical_recordings_and_identical_actions_are_found() {
     assert_eq!(found(|frames| *frames = flawless(3)), BTreeSet::from(["duplicate"]));
     let moved = found(|frames| {
         *frames = flawless(3);
@@ -258,7 +258,7 @@ fn a_set_threshold_replaces_the_derived_one() {
 }
 
 #[test]
-fn thresholds_say_where_they_come_from() {
+fn thresholds_state_their_origin() {
     let observations: Vec<Observation> = (0..10)
         .map(|n| observe_spatial(&demo(n, flawless(n)), &LIMITS))
         .collect();
@@ -268,7 +268,7 @@ fn thresholds_say_where_they_come_from() {
         let (_, threshold) = thresholds.iter().find(|(check, _)| check.code == code).unwrap();
         threshold.clone()
     };
-    assert_eq!(all.iter().count() + 2, CHECKS.len(), "all but the two of Push-T");
+    assert_eq!(all.iter().count() + 2, CHECKS.len(), "all checks but the two of Push-T");
     let step = of(&all, "discontinuity_eef").value.unwrap();
     assert!((step - 0.03).abs() < 1e-9, "three steps of a centimetre: {step}");
     assert_eq!(of(&few, "discontinuity_eef").value, Some(0.06));
@@ -295,7 +295,7 @@ fn push(number: u32) -> Vec<PlanarFrame> {
         .collect()
 }
 
-/// Codes found on a flawless push after a change to it and to the coverage of its frames.
+/// Codes of the findings on a flawless push after `change`, which can edit its frames and their coverage.
 fn found_planar(change: impl FnOnce(&mut Vec<PlanarFrame>, &mut Vec<f64>)) -> BTreeSet<&'static str> {
     let mut demos: Vec<(Vec<PlanarFrame>, Vec<f64>)> = (0..10).map(|n| (push(n), vec![0.99; 60])).collect();
     let (frames, coverage) = demos.last_mut().unwrap();
@@ -322,7 +322,7 @@ fn found_planar(change: impl FnOnce(&mut Vec<PlanarFrame>, &mut Vec<f64>)) -> BT
 }
 
 #[test]
-fn pushes_are_audited_too() {
+fn faults_of_pushes_are_found() {
     let only = |code| BTreeSet::from([code]);
     assert_eq!(found_planar(|_, _| ()), BTreeSet::new());
     assert_eq!(found_planar(|_, c| c[59] = 0.8), only("ends_before_success"));

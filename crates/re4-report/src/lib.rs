@@ -1,4 +1,4 @@
-//! Pages, videos and images of artifacts.
+//! HTML pages, videos, images and text summaries of artifacts.
 
 pub mod html;
 mod sources;

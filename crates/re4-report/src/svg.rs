@@ -1,4 +1,4 @@
-//! Images as SVG: one rollout in the plane, and the divergence of open-loop replays.
+//! SVG images of a Push-T rollout, of the divergence of open-loop replays, and of the loss curves of a training.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -11,9 +11,9 @@ use thiserror::Error;
 use crate::html::rollouts::plane::Plane;
 use crate::html::rollouts::{Rollout, demo_name};
 
-/// Why an image could not be drawn.
+/// Error of the plotting library.
 #[derive(Debug, Error)]
-#[error("the drawing library refused: {reason}")]
+#[error("the plotting library failed: {reason}")]
 pub struct ImageError {
     reason: String,
 }
@@ -26,7 +26,7 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for Image
     }
 }
 
-/// Side of the workspace in pixels, and of its drawing.
+/// Side of the workspace in pixels, both in the simulation and in the image.
 const WORKSPACE: u32 = 512;
 const MARGIN: u32 = 8;
 const LEGEND: u32 = 48;
@@ -36,11 +36,11 @@ const BLOCK: RGBColor = RGBColor(119, 136, 153);
 const PLAN: RGBColor = RGBColor(214, 126, 20);
 const REPLAY: RGBColor = RGBColor(40, 80, 200);
 
-/// Draws a rollout: the goal, the block where each decision was taken (darker with time) and at the end, the plans, and
-/// the way of the pusher.
+/// Renders a rollout as SVG: the goal, the block at each decision (darker with time) and at the end, the plans, and the path of
+/// the pusher.
 ///
 /// # Errors
-/// When the drawing library refuses.
+/// [`ImageError`] if the plotting library fails.
 pub fn rollout_image(rollout: &Rollout<Plane>) -> Result<String, ImageError> {
     let Rollout {
         result,
@@ -128,11 +128,12 @@ where
     Ok(())
 }
 
-/// Draws how far open-loop replays stray from their recordings: for every frame, the median, the 90th percentile and the
-/// maximum distance over all demonstrations that are that long. `frames` and `distances` (pixels) go together.
+/// Plots the divergence of open-loop replays from their recordings: for every frame, the median, the 90th percentile and the
+/// maximum of the distances over all demonstrations of at least that length. `distances[i]`, in pixels, belongs to frame
+/// `frames[i]`.
 ///
 /// # Errors
-/// When the drawing library refuses.
+/// [`ImageError`] if the plotting library fails.
 pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, ImageError> {
     let longest = frames.iter().copied().max().unwrap_or(0) as usize;
     let mut columns = vec![Vec::new(); longest + 1];
@@ -140,11 +141,11 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Imag
         columns[frame as usize].push(distance);
     }
     let columns: Vec<Vec<f64>> = columns.into_iter().map(sorted).collect();
-    let curve = |share: f64| -> Vec<(f64, f64)> {
+    let curve = |probability: f64| -> Vec<(f64, f64)> {
         columns
             .iter()
             .enumerate()
-            .filter_map(|(frame, column)| Some((frame as f64, quantile(column, share)?.max(FLOOR))))
+            .filter_map(|(frame, column)| Some((frame as f64, quantile(column, probability)?.max(FLOOR))))
             .collect()
     };
     let top = distances.iter().copied().fold(1.0, f64::max) * 1.5;
@@ -161,16 +162,16 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Imag
             .configure_mesh()
             .x_desc("frame of the demonstration")
             .x_label_formatter(&|frame| format!("{frame:.0}"))
-            .y_desc("block, replayed to recorded, px")
+            .y_desc("block, distance to recording, px")
             .light_line_style(WHITE.mix(0.0))
             .draw()?;
-        for (share, label, colour) in [
+        for (probability, label, colour) in [
             (1.0, "maximum", PLAN),
             (0.9, "90th percentile", BLOCK),
             (0.5, "median", REPLAY),
         ] {
             chart
-                .draw_series(LineSeries::new(curve(share), colour.stroke_width(2)))?
+                .draw_series(LineSeries::new(curve(probability), colour.stroke_width(2)))?
                 .label(label)
                 .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], colour.stroke_width(2)));
         }
@@ -185,10 +186,10 @@ pub fn divergence_plot(frames: &[u32], distances: &[f64]) -> Result<String, Imag
     Ok(svg)
 }
 
-/// Draws the course of a training: curves over epochs from 1 on, each with its name; a curve may lack values.
+/// Plots the loss curves of a training over its epochs, from 1 on. Each curve has a name and may have missing values.
 ///
 /// # Errors
-/// When the drawing library refuses.
+/// [`ImageError`] if the plotting library fails.
 pub fn training_plot(curves: &[(&str, Vec<Option<f64>>)]) -> Result<String, ImageError> {
     let points = |values: &[Option<f64>]| -> Vec<(f64, f64)> {
         let numbered = values.iter().enumerate();
@@ -237,7 +238,8 @@ pub fn training_plot(curves: &[(&str, Vec<Option<f64>>)]) -> Result<String, Imag
     Ok(svg)
 }
 
-/// Distances below this, in pixels, are drawn here: the axis is logarithmic, and recorded states are rounded to float32.
+/// Minimum value on a logarithmic axis; smaller values are plotted here. Distances in pixels below it are rounding errors,
+/// because recorded states are float32.
 const FLOOR: f64 = 1e-5;
 
 #[cfg(test)]
@@ -250,7 +252,7 @@ mod tests {
         let rollout = rollout(7, &[0.475]);
         let svg = rollout_image(&rollout).unwrap();
         assert!(svg.starts_with("<svg"));
-        // The goal and the block at the decision and at the end: one polygon each for each of the two parts of the block.
+        // Two polygons, one per rectangle of the T, for each of the goal, the block at the decision, and the block at the end.
         assert_eq!(svg.matches("<polygon").count(), 6);
         assert!(svg.contains("seed 7, score 0.500 after 1 steps"));
         assert!(svg.contains("step 0: episode 31"));
@@ -258,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_divergence_is_still_a_image() {
+    fn an_empty_divergence_is_still_an_image() {
         assert!(divergence_plot(&[], &[]).unwrap().starts_with("<svg"));
         let svg = divergence_plot(&[0, 1, 0, 1], &[0.0, 2.0, 0.0, 4.0]).unwrap();
         assert!(svg.contains("median"));

@@ -1,49 +1,51 @@
-//! Configuration of the stage.
+//! Configuration of the segmentation.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::error::SegmentError;
 
-/// How modes are told apart, and from how much motion on an object counts as moving.
+/// The rule that assigns modes to frames, and the thresholds of motion.
 ///
 /// Lengths are in the units of the demonstrations (pixels for Push-T, metres for robosuite), angles in radians. Both are
-/// per step. The defaults are Push-T's.
+/// per step. The defaults are those for Push-T.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentConfig {
-    /// The rule that gives the modes.
+    /// The rule that assigns modes to frames.
     pub rule: Rule,
-    /// `rigid_motion`: a step is rigid when the end effector moves less than this as seen from the object. The paper's
+    /// `rigid_motion`: a step is rigid if the end effector translates by less than this in the object's frame. The paper's
     /// epsilon. Greater than 0.
     #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub translation_epsilon: f64,
-    /// `rigid_motion`: a step is rigid when the end effector turns less than this as seen from the object. Without effect
-    /// where the end effector is a point. Greater than 0.
+    /// `rigid_motion`: a step is rigid if the end effector rotates by less than this in the object's frame. Has no effect if
+    /// the end effector is a point. Greater than 0.
     #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub rotation_epsilon: f64,
-    /// The object moves when its origin moves further than this in a step ...
+    /// An object moves if its origin translates by more than this in a step, or if it rotates by more than `minimum_rotation`.
+    /// 0 or greater.
     pub minimum_motion: f64,
-    /// ... or when it turns further than this in a step. An object that does not move is never in transfer.
+    /// An object moves if it rotates by more than this in a step, or if its origin translates by more than `minimum_motion`. With
+    /// `rigid_motion`, an object that does not move is never in transfer. 0 or greater.
     #[serde(alias = "minimum_turn")]
     pub minimum_rotation: f64,
-    /// `rigid_motion`: where the object's distance is measured that is compared with the end effector's.
+    /// `rigid_motion`: the point of the object whose distance is compared with that of the end effector.
     #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub object_distance: ObjectDistance,
-    /// What is read from the gripper; robosuite's tasks only, which get the defaults where it is left out.
+    /// Settings of the gripper. For robosuite's tasks only, which use the defaults if it is left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gripper: Option<GripperConfig>,
 }
 
-/// What is read from the gripper.
+/// Settings of the gripper.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GripperConfig {
-    /// `gripper_command`: the action whose command gives the mode of a frame.
+    /// `gripper_command`: the action whose gripper command determines the mode of a frame.
     pub command: Command,
-    /// Fingers nearer to each other than this, in m, hold nothing. The paper's figure for a failed grasp.
+    /// Fingers that are less than this apart, in m, hold nothing. The default is the paper's value for a failed grasp.
     pub closed: f64,
-    /// Fingers whose distance changes by less than this, in m per step, have stopped.
+    /// Fingers have stopped if the distance between them changes by less than this in a step, in m.
     pub still: f64,
 }
 
@@ -57,42 +59,42 @@ impl Default for GripperConfig {
     }
 }
 
-/// The action whose gripper command gives the mode of a frame.
+/// The action whose gripper command determines the mode of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
-    /// The one before the frame, which led to it: the paper's words ("when the last action's gripper state is set"). The first
+    /// The action before the frame, which led to it, as in the paper ("when the last action's gripper state is set"). The first
     /// frame is transit.
     #[default]
     Last,
-    /// The one taken at the frame.
+    /// The action taken at the frame.
     Current,
 }
 
-/// The rule that gives the modes.
+/// The rule that assigns modes to frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// Every frame is transit: the paper's words for Push-T, where the object is pushed and never grasped.
+    /// Every frame is transit. This is the paper's rule for Push-T, where the object is pushed and never grasped.
     #[default]
     AlwaysTransit,
-    /// The paper's general definition (section "Manipulation Modes"): transfer where object and end effector move by the
+    /// The paper's general definition (section "Manipulation Modes"): a frame is transfer if object and end effector move by the
     /// same distance, with their relative pose fixed.
     RigidMotion,
-    /// The paper's words for robomimic's tasks: transfer where the gripper's command closes, transit elsewhere.
+    /// The paper's rule for robomimic's tasks: a frame is transfer if the gripper is commanded to close, and transit otherwise.
     GripperCommand,
 }
 
-/// Where the distance |o, o'| that the object moves is measured, in | |x, x'| - |o, o'| | < epsilon.
+/// The point of the object whose distance |o, o'| is used in the condition | |x, x'| - |o, o'| | < epsilon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ObjectDistance {
-    /// At the point of the object where the end effector is, so that an object that is turned counts as carried, and the
-    /// choice of the object's origin does not matter. Equal distances then follow from a fixed relative pose.
+    /// The point of the object at the end effector. An object that is rotated then counts as carried, and the choice of the
+    /// object's origin does not matter. Equal distances then follow from a fixed relative pose.
     #[default]
     AtEef,
-    /// At the object's origin, the paper's formula to the letter: an object that turns about a point far from its origin
-    /// counts as transit.
+    /// The object's origin, as in the paper's formula. An object that rotates about a point far from its origin then counts as
+    /// transit.
     AtOrigin,
 }
 
@@ -103,7 +105,7 @@ impl Default for SegmentConfig {
             translation_epsilon: 0.5,
             rotation_epsilon: 0.01,
             minimum_motion: 0.1,
-            // What moves a point of the block, 60 px from its centre, by about the distance above.
+            // This angle moves a point of the block 60 px from its centre by about `minimum_motion`.
             minimum_rotation: 0.002,
             object_distance: ObjectDistance::AtEef,
             gripper: None,
@@ -112,11 +114,11 @@ impl Default for SegmentConfig {
 }
 
 impl SegmentConfig {
-    /// Defaults for demonstrations in space, in metres: the rule by the gripper's command.
+    /// Returns the defaults for demonstrations in SE(3), in metres. The rule is [`Rule::GripperCommand`].
     pub fn spatial() -> Self {
         Self {
             rule: Rule::GripperCommand,
-            // An object in the fingers slips by a tenth of a millimetre a step; a hand that is under way moves by a hundred.
+            // Between these two: an object in the fingers slips by about 0.1 mm per step, a moving gripper moves by about 10 mm.
             translation_epsilon: 0.001,
             rotation_epsilon: 0.02,
             minimum_motion: 0.0005,
@@ -129,7 +131,7 @@ impl SegmentConfig {
     /// Checks the ranges of all thresholds.
     ///
     /// # Errors
-    /// [`SegmentError::Config`] naming the first that is out of range.
+    /// [`SegmentError::Config`] names the first threshold that is out of range.
     pub fn check(&self) -> Result<(), SegmentError> {
         for (field, value) in [
             ("translation_epsilon", self.translation_epsilon),
@@ -154,7 +156,7 @@ impl SegmentConfig {
                 return Err(SegmentError::Config {
                     field,
                     value,
-                    range: "0 or greater",
+                    range: "of at least 0",
                 });
             }
         }

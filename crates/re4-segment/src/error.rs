@@ -1,4 +1,4 @@
-//! What can go wrong with segmentation.
+//! Errors of the segmentation.
 
 use re4_fault::Remedy;
 
@@ -14,23 +14,23 @@ pub enum SegmentError {
         field: &'static str,
         /// Its value.
         value: f64,
-        /// The range it has to be in.
+        /// The allowed range, as it is named in the remedy.
         range: &'static str,
     },
-    /// A rule that asks for a gripper where there is none.
-    #[error("cannot segment by the gripper's command: Push-T has no gripper")]
+    /// The configured rule needs a gripper, but Push-T has none.
+    #[error("cannot segment by the gripper command: Push-T has no gripper")]
     #[remedy("set segment.rule to always_transit or rigid_motion")]
     NoGripper,
-    /// An episode without frames.
+    /// The episode has no frames.
     #[error("cannot segment {demo}: it has no frames")]
-    #[remedy("leave it out by ingest.select")]
+    #[remedy("leave it out with ingest.select")]
     Empty {
         /// Name of the demonstration in its source.
         demo: String,
     },
-    /// A coordinate that is no number.
+    /// A coordinate is NaN or infinite.
     #[error("cannot segment {demo}: {column} is {value} at frame {frame}")]
-    #[remedy("repair that frame, or leave {demo} out by ingest.select")]
+    #[remedy("repair that frame, or leave {demo} out with ingest.select")]
     NotFinite {
         /// Name of the demonstration in its source.
         demo: String,

@@ -1,8 +1,8 @@
-//! Manipulation modes, segments and the evidence for them. No input or output.
+//! Manipulation modes, segments and the evidence for them. The crate does no input or output.
 //!
-//! By rigid motion, the mode of frame t is that of the step from frame t to frame t + 1; the last frame of an episode has the mode of the
-//! step that led to it, and the only frame of an episode of one frame is transit. By the gripper's command, it
-//! is what the last command before the frame says, or the one at it.
+//! With [`Rule::RigidMotion`], the mode of frame t is that of the step from frame t to frame t + 1. The last frame of an episode
+//! has the mode of the step that led to it; the only frame of an episode of one frame is transit. With [`Rule::GripperCommand`],
+//! the mode of a frame follows from the last gripper command before the frame, or from the command at the frame ([`Command`]).
 
 mod config;
 mod error;

@@ -9,19 +9,19 @@ use crate::config::{Rule, SegmentConfig};
 use crate::error::SegmentError;
 use crate::motion::{Pair, StepMotion, rigid_motion_modes};
 
-/// Modes, evidence and segments of one demonstration in the plane.
+/// Modes, evidence and segments of one planar demonstration.
 pub type SegmentedEpisode = Segmented<Evidence, SegmentSummary>;
 
 columns! {
-    /// What can be measured at one frame. Steps and rotations lead from the frame to the next one of its episode and are null at
-    /// the last.
+    /// The measurements at one frame. Steps and rotations are those from the frame to the next one of its episode, and are null
+    /// at the last frame.
     #[domain = "plane"]
     #[derive(Copy)]
     pub struct Evidence {
-        /// Contact points between pusher and block counted during the control step that led to this frame; null where they were not
-        /// recorded.
+        /// Number of contact points between pusher and block, counted during the control step that led to this frame; null if
+        /// contacts were not recorded.
         pub contacts: Option<f64>,
-        /// Whether any contact was counted; null where contacts were not recorded.
+        /// Whether any contact was counted; null if contacts were not recorded.
         pub contact: Option<bool>,
         /// Distance that the pusher moves.
         #[unit = "px"]
@@ -29,27 +29,27 @@ columns! {
         /// Distance that the origin of the block's frame moves.
         #[unit = "px"]
         pub object_step: Option<f64>,
-        /// Angle that the block rotates, the short way round, in [-pi, pi).
+        /// Angle by which the block rotates, signed, in [-pi, pi).
         #[unit = "rad"]
         #[formerly = "object_turn"]
         pub object_rotation: Option<f64>,
-        /// Distance that the pusher moves as seen from the block: |o'^-1 x' - o^-1 x|.
+        /// Distance that the pusher moves in the block's frame: |o'^-1 x' - o^-1 x|.
         #[unit = "px"]
         pub relative_translation: Option<f64>,
-        /// Angle that the end effector rotates as seen from the object; null where it is a point, as the pusher is.
+        /// Angle by which the end effector rotates in the object's frame; always null, since the pusher is a point.
         #[unit = "rad"]
         pub relative_rotation: Option<f64>,
         /// Distance from the pusher's centre to the origin of the block's frame.
         #[unit = "px"]
         pub eef_object_distance: f64,
-        /// Whether the object moves or rotates further than the configured thresholds.
+        /// Whether the object translates or rotates further than the configured thresholds.
         pub object_moving: Option<bool>,
     }
 }
 
 columns! {
-    /// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
-    /// one, or to the last of the episode.
+    /// A segment and its measurements. Its motion is that of its steps: from its first frame to the frame after its last one, or
+    /// to the last frame of the episode.
     pub struct SegmentSummary {
         /// Mode and frames.
         #[prefix = ""]
@@ -58,30 +58,31 @@ columns! {
         /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
         #[frame = "world"]
         pub anchor: Option<Point2>,
-        /// End effector in the object's frame at the first frame of a transfer segment, the transform that the segment
-        /// preserves; null in transit.
+        /// Position of the end effector in the object's frame at the first frame of a transfer segment. A rigid grasp preserves
+        /// it over the segment. Null in transit.
         #[frame = "object"]
         pub grasp: Option<Point2>,
         /// Largest distance, over a transfer segment, of the end effector in the object's frame from the grasp; null in transit.
         #[unit = "px"]
         pub rigidity_residual: Option<f64>,
-        /// Distance of the object's origin at the end of the segment from where it was at its start.
+        /// Distance between the positions of the object's origin at the start and at the end of the segment.
         #[unit = "px"]
         pub object_displacement: f64,
-        /// Sum of the object's rotations over the segment; more than half a rotation is not wrapped.
+        /// Sum of the object's signed rotations over the segment; not wrapped, so that it can exceed pi.
         #[unit = "rad"]
         pub object_rotation: f64,
     }
 }
 
-/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the summary of every segment.
+/// Segments a planar demonstration: returns the modes by the configured rule, the evidence of every frame, and the summary of every
+/// segment.
 ///
-/// A NaN among the contacts says that they were not recorded.
+/// A NaN in the contacts of a frame means that they were not recorded.
 ///
 /// # Errors
-/// [`SegmentError::Config`] when a threshold is out of range, [`SegmentError::Empty`] when there is no frame,
-/// [`SegmentError::NoGripper`] when the rule asks for a gripper,
-/// [`SegmentError::NotFinite`] when a coordinate of a pose is not a finite number.
+/// [`SegmentError::Config`] if a threshold is out of range, [`SegmentError::Empty`] if there is no frame,
+/// [`SegmentError::NoGripper`] if the rule needs a gripper,
+/// [`SegmentError::NotFinite`] if a coordinate of a pose is not a finite number.
 pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result<SegmentedEpisode, SegmentError> {
     config.check()?;
     if config.rule == Rule::GripperCommand {
@@ -164,17 +165,17 @@ fn evidence(frame: &PlanarFrame, step: Option<&StepMotion>, config: &SegmentConf
 
 fn summary(segment: Segment, frames: &[PlanarFrame], steps: &[StepMotion], anchor: Option<Point2>) -> SegmentSummary {
     let range = segment.frames.clone();
-    // The step of its last frame leads to the frame after it, and belongs to the segment too.
+    // The step from the segment's last frame to the frame after it belongs to the segment, too.
     let reached: Vec<&PlanarFrame> = frames.iter().skip(range.start).take(range.len() + 1).collect();
-    let seen = |frame: &PlanarFrame| frame.object.inverse_transform_point(frame.eef);
+    let eef_in_object = |frame: &PlanarFrame| frame.object.inverse_transform_point(frame.eef);
     let grasp = reached
         .first()
         .filter(|_| segment.mode == Mode::Transfer)
-        .map(|frame| seen(frame));
+        .map(|frame| eef_in_object(frame));
     let residual = |grasp: Point2| {
         reached
             .iter()
-            .map(|frame| (seen(frame) - grasp).norm())
+            .map(|frame| (eef_in_object(frame) - grasp).norm())
             .fold(0.0, f64::max)
     };
     let displacement = match (reached.first(), reached.last()) {

@@ -13,109 +13,113 @@ use crate::motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
 pub type SegmentedSpatial = Segmented<SpatialEvidence, SpatialSegment>;
 
 columns! {
-    /// What can be measured at one frame. Steps, rotations and speeds lead from the frame to the next one of its episode and are
-    /// null at the last.
+    /// The measurements at one frame. Steps, rotations and speeds are those from the frame to the next one of its episode, and
+    /// are null at the last frame.
     #[domain = "space"]
     #[derive(Copy)]
     pub struct SpatialEvidence {
-        /// Whether the gripper command of the action at this frame closes.
+        /// Whether the action at this frame commands the gripper to close.
         pub command_closes: bool,
         /// Distance between the fingers, |finger_0 - finger_1|.
         #[unit = "m"]
         pub finger_separation: f64,
-        /// Change of the finger separation to the next frame; below 0 while closing.
+        /// Change of the finger separation to the next frame; negative while closing.
         #[unit = "m/frame"]
         pub finger_speed: Option<f64>,
         /// Distance that the end effector moves.
         #[unit = "m"]
         pub eef_step: Option<f64>,
-        /// Angle that the end effector rotates, geodesic.
+        /// Geodesic angle by which the end effector rotates.
         #[unit = "rad"]
         #[formerly = "eef_turn"]
         pub eef_rotation: Option<f64>,
         /// Distance that the object's origin moves.
         #[unit = "m"]
         pub object_step: Option<f64>,
-        /// Angle that the object rotates, geodesic.
+        /// Geodesic angle by which the object rotates.
         #[unit = "rad"]
         #[formerly = "object_turn"]
         pub object_rotation: Option<f64>,
-        /// Distance that the end effector moves as seen from the object: |o'^-1 x' - o^-1 x|.
+        /// Distance that the end effector moves in the object's frame: |o'^-1 x' - o^-1 x|.
         #[unit = "m"]
         pub relative_translation: Option<f64>,
-        /// Angle that the end effector rotates as seen from the object.
+        /// Angle by which the end effector rotates in the object's frame.
         #[unit = "rad"]
         pub relative_rotation: Option<f64>,
         /// Distance from the grip site to the object's origin.
         #[unit = "m"]
         pub eef_object_distance: f64,
-        /// Whether the object moves or rotates further than the configured thresholds.
+        /// Whether the object translates or rotates further than the configured thresholds.
         pub object_moving: Option<bool>,
-        /// Whether fingers and object look like a grasp: told to close, the fingers are stopped by something, and the object is
-        /// fixed to the end effector.
+        /// Whether the frame looks like a grasp: the gripper is commanded to close, the fingers have stopped before they are
+        /// shut, and the object is fixed to the end effector.
         pub holds: bool,
     }
 }
 
 columns! {
-    /// A segment and what can be said of it. Its motion is that of its steps: from its first frame to the frame after its last
-    /// one, or to the last of the episode.
+    /// A segment and its measurements. Its motion is that of its steps: from its first frame to the frame after its last one, or
+    /// to the last frame of the episode.
     pub struct SpatialSegment {
         /// Mode and frames.
         #[prefix = ""]
         pub segment: Segment,
-        /// Anchor of the demonstration (p*_d): the end effector's pose at the grasp frame. Null in segments after the first transfer
-        /// segment, where the object is no longer at the anchor, and in demonstrations without transfer.
+        /// Anchor of the demonstration (p*_d): the end effector's pose at the grasp frame. Null in segments after the first
+        /// transfer segment, where the object is no longer at the anchor, and in demonstrations without transfer.
         #[frame = "world"]
         pub anchor: Option<Isometry3<f64>>,
-        /// First frame of a transfer segment at which the fingers have stopped closing; null in transit and where they never stop.
+        /// First frame of a transfer segment at which the fingers have stopped closing; null in transit, or if they never stop.
         pub settled_frame: Option<usize>,
-        /// What a transfer segment should preserve; null in transit.
+        /// The grasp, which a transfer segment should preserve; null in transit.
         #[prefix = ""]
         pub grasp: Option<Grasp>,
-        /// Distance of the object's origin at the end of the segment from where it was at its start.
+        /// Distance between the positions of the object's origin at the start and at the end of the segment.
         #[unit = "m"]
         pub object_displacement: f64,
-        /// Height of the object's origin at the end of the segment over that at its start.
+        /// Height of the object's origin at the end of the segment, minus that at its start.
         #[unit = "m"]
         pub object_rise: f64,
-        /// Angle between the object's orientations at the start and at the end, in [0, pi].
+        /// Geodesic angle between the object's orientations at the start and at the end of the segment, in [0, pi].
         #[unit = "rad"]
         pub object_rotation: f64,
-        /// Sum of the object's steps over the segment.
+        /// Length of the path of the object's origin: the sum of its steps over the segment.
         #[unit = "m"]
         pub object_path: f64,
     }
 }
 
 columns! {
-    /// The end effector in the object's frame, and how far it strays from there within a transfer segment.
+    /// The pose of the end effector in the object's frame, and its largest deviation from it within a transfer segment.
     #[derive(Copy)]
     pub struct Grasp {
-        /// The end effector in the object's frame at the settled frame, or at the first one where the fingers never stop.
+        /// Pose of the end effector in the object's frame at the settled frame, or at the first frame of the segment if the
+        /// fingers never stop.
         #[frame = "object"]
         #[prefix = "grasp"]
         pub transform: Isometry3<f64>,
-        /// Distance between the fingers there.
+        /// Distance between the fingers at that frame.
         #[unit = "m"]
         pub finger_separation: f64,
-        /// Largest distance from the transform, from there to the end of the segment.
+        /// Largest distance of the end effector, in the object's frame, from the grasp transform, from that frame to the end of the
+        /// segment.
         #[unit = "m"]
         #[prefix = "rigidity_residual"]
         pub residual: f64,
-        /// Largest angle, likewise.
+        /// Largest angle of the end effector, in the object's frame, from the grasp transform, from that frame to the end of the
+        /// segment.
         #[unit = "rad"]
         #[prefix = "rigidity_residual_rotation"]
         pub residual_rotation: f64,
     }
 }
 
-/// Segments a demonstration: modes by the configured rule, the evidence of every frame, and the summary of every segment.
-/// Lengths are in metres, angles in radians; but for the anchor and the rise, nothing depends on the choice of the world frame.
+/// Segments a demonstration with a gripper: returns the modes by the configured rule, the evidence of every frame, and the
+/// summary of every segment. Lengths are in metres, angles in radians. Only the anchor and the rise depend on the choice of the
+/// world frame.
 ///
 /// # Errors
-/// [`SegmentError::Config`] when a threshold is out of range, [`SegmentError::Empty`] when there is no frame,
-/// [`SegmentError::NotFinite`] when a coordinate of a pose or a finger is not a finite number.
+/// [`SegmentError::Config`] if a threshold is out of range, [`SegmentError::Empty`] if there is no frame,
+/// [`SegmentError::NotFinite`] if a coordinate of a pose or of a finger is not a finite number.
 pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Result<SegmentedSpatial, SegmentError> {
     config.check()?;
     let frames = &episode.frames;
@@ -211,15 +215,15 @@ fn evidence(
         .zip(separations.iter().skip(1))
         .map(|(now, next)| next - now)
         .collect();
-    let told_to_close = command_modes(frames, Command::Last);
+    let last_commands = command_modes(frames, Command::Last);
     frames
         .iter()
         .enumerate()
         .map(|(i, frame)| {
-            // At the last frame, what the step before says still stands.
-            let around = i.min(steps.len().saturating_sub(1));
-            let stopped = speeds.get(around).is_none_or(|speed| speed.abs() < gripper.still);
-            let fixed = steps.get(around).is_none_or(|step| {
+            // No step follows the last frame, so the step before it is used there.
+            let nearest_step = i.min(steps.len().saturating_sub(1));
+            let stopped = speeds.get(nearest_step).is_none_or(|speed| speed.abs() < gripper.still);
+            let fixed = steps.get(nearest_step).is_none_or(|step| {
                 step.relative_translation < config.translation_epsilon
                     && step
                         .relative_rotation
@@ -239,25 +243,25 @@ fn evidence(
                 relative_rotation: steps.get(i).and_then(|step| step.relative_rotation),
                 eef_object_distance: (frame.eef.translation.vector - frame.object.translation.vector).norm(),
                 object_moving: steps.get(i).map(|step| step.object_moves(config)),
-                holds: told_to_close[i] == Mode::Transfer && separations[i] > gripper.closed && stopped && fixed,
+                holds: last_commands[i] == Mode::Transfer && separations[i] > gripper.closed && stopped && fixed,
             }
         })
         .collect()
 }
 
-/// Frames that the fingers are given to start after the command.
-const START_OF_FINGERS: usize = 3;
+/// Number of frames within which the fingers start to move after a command.
+const FINGER_LATENCY: usize = 3;
 
-/// First frame of a transfer segment from which on the fingers do not close any further: they have moved before, or have had
-/// the time to.
+/// Returns the first frame of a transfer segment at which the fingers no longer close: either they have closed in an earlier
+/// frame of the segment, or [`FINGER_LATENCY`] has passed.
 fn settled(evidence: &[SpatialEvidence], segment: &Segment, still: f64) -> Option<usize> {
     let mut closing_seen = false;
     for i in segment.frames.clone() {
         match evidence.get(i).and_then(|e| e.finger_speed) {
-            // Nothing follows on the last frame.
+            // No speed is known at the last frame of the episode.
             None => return None,
             Some(speed) if speed <= -still => closing_seen = true,
-            Some(_) if closing_seen || i >= segment.frames.start + START_OF_FINGERS => return Some(i),
+            Some(_) if closing_seen || i >= segment.frames.start + FINGER_LATENCY => return Some(i),
             Some(_) => {}
         }
     }
@@ -273,24 +277,28 @@ fn summary(
     still: f64,
 ) -> SpatialSegment {
     let range = segment.frames.clone();
-    // The step of its last frame leads to the frame after it, and belongs to the segment too.
+    // The step from the segment's last frame to the frame after it belongs to the segment, too.
     let reached: Vec<&SpatialFrame> = frames.iter().skip(range.start).take(range.len() + 1).collect();
     let transfer = segment.mode == Mode::Transfer;
     let settled_frame = transfer.then(|| settled(evidence, &segment, still)).flatten();
-    let held = settled_frame.unwrap_or(range.start) - range.start;
-    let grasp = reached.get(held).filter(|_| transfer).map(|frame| {
-        let transform = seen(frame);
-        let strayed: Vec<Isometry3<f64>> = reached.iter().skip(held).map(|frame| seen(frame)).collect();
+    let grasped = settled_frame.unwrap_or(range.start) - range.start;
+    let grasp = reached.get(grasped).filter(|_| transfer).map(|frame| {
+        let transform = object_from_eef(frame);
+        let later: Vec<Isometry3<f64>> = reached
+            .iter()
+            .skip(grasped)
+            .map(|frame| object_from_eef(frame))
+            .collect();
         Grasp {
             transform,
             finger_separation: frame.finger_separation(),
-            residual: strayed
+            residual: later
                 .iter()
-                .map(|seen| (seen.translation.vector - transform.translation.vector).norm())
+                .map(|pose| (pose.translation.vector - transform.translation.vector).norm())
                 .fold(0.0, f64::max),
-            residual_rotation: strayed
+            residual_rotation: later
                 .iter()
-                .map(|seen| seen.rotation.angle_to(&transform.rotation))
+                .map(|pose| pose.rotation.angle_to(&transform.rotation))
                 .fold(0.0, f64::max),
         }
     });
@@ -318,7 +326,7 @@ fn summary(
     }
 }
 
-/// The end effector in the object's frame.
-fn seen(frame: &SpatialFrame) -> Isometry3<f64> {
+/// Returns the pose of the end effector in the object's frame.
+fn object_from_eef(frame: &SpatialFrame) -> Isometry3<f64> {
     frame.object.inv_mul(&frame.eef)
 }

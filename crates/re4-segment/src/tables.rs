@@ -4,7 +4,7 @@ use re4_artifact::{Cell, table};
 use re4_episode::Mode;
 
 table! {
-    /// One row a frame: its manipulation mode and the evidence for it. Sorted by episode and frame.
+    /// One row per frame: its manipulation mode and the evidence for it. Sorted by episode and frame.
     #[table("modes", version = 3, formerly = "spatial_modes")]
     pub struct ModeRow<E> {
         /// Number of the demonstration in this artifact, from 0.
@@ -13,16 +13,16 @@ table! {
         pub frame: u32,
         /// Manipulation mode: transit or transfer.
         pub mode: Mode,
-        /// The evidence.
+        /// Evidence for the mode.
         #[prefix = ""]
         pub evidence: E,
     }
 }
 
 table! {
-    /// One row a segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its last
-    /// one, or to the last of the episode. The grasp frame g(d) of a demonstration is its first transfer frame. Sorted by episode and
-    /// segment.
+    /// One row per segment: a maximal run of frames of one mode. Its motion is that from its first frame to the frame after its
+    /// last one, or to the last frame of the episode. The grasp frame g(d) of a demonstration is its first transfer frame. Sorted
+    /// by episode and segment.
     #[table("segments", version = 2, formerly = "spatial_segments")]
     pub struct SegmentRow<S> {
         /// Number of the demonstration in this artifact, from 0.
@@ -40,16 +40,16 @@ table! {
 pub struct Segmented<E, S> {
     /// Mode of every frame.
     pub modes: Vec<Mode>,
-    /// Evidence for or against it, one a frame, whichever rule gave the modes.
+    /// Evidence for or against the mode of every frame. It does not depend on the rule that assigned the modes.
     pub evidence: Vec<E>,
-    /// Maximal runs of one mode, in the order of time.
+    /// Maximal runs of one mode, in order of time.
     pub segments: Vec<S>,
     /// The grasp frame g(d): the first transfer frame, if there is one (paper, appendix, "Anchors").
     pub grasp_frame: Option<usize>,
 }
 
 impl<E: Cell + Clone, S: Cell + Clone> Segmented<E, S> {
-    /// Its rows as those of the demonstration of this number.
+    /// Returns the rows of both tables; `episode` is the number of the demonstration in the artifact.
     pub fn rows(&self, episode: u32) -> (impl Iterator<Item = ModeRow<E>>, impl Iterator<Item = SegmentRow<S>>) {
         let frames = (0..).zip(self.modes.iter().zip(&self.evidence));
         let modes = frames.map(move |(frame, (&mode, evidence))| ModeRow {
@@ -66,7 +66,7 @@ impl<E: Cell + Clone, S: Cell + Clone> Segmented<E, S> {
         (modes, segments)
     }
 
-    /// From the rows of one demonstration.
+    /// Restores the segmentation of one demonstration from its rows, sorted by frame and by segment.
     pub fn from_rows(modes: Vec<ModeRow<E>>, segments: Vec<SegmentRow<S>>) -> Self {
         let (modes, evidence): (Vec<Mode>, _) = modes.into_iter().map(|row| (row.mode, row.evidence)).unzip();
         Self {

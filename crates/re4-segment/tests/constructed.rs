@@ -1,4 +1,4 @@
-//! Segmentation of motions whose modes are known because they were built from them.
+//! Tests the segmentation on constructed planar motions, whose modes are known.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -21,10 +21,10 @@ fn rigid() -> SegmentConfig {
     }
 }
 
-/// A demonstration that is driven, step by step, by what is done to the pair.
+/// A demonstration that is constructed step by step.
 struct Scene {
     frames: Vec<PlanarFrame>,
-    /// Mode that every step was built to have.
+    /// The mode that every step is constructed to have.
     built: Vec<Mode>,
 }
 
@@ -51,7 +51,7 @@ impl Scene {
         *self.frames.last().unwrap()
     }
 
-    /// The end effector moves alone.
+    /// Moves the end effector, but not the object.
     fn reach(&mut self, dx: f64, dy: f64, steps: usize) -> &mut Self {
         for _ in 0..steps {
             let PlanarFrame { eef, object, .. } = self.last();
@@ -61,14 +61,15 @@ impl Scene {
         self
     }
 
-    /// Both move by one motion of the world: about `centre` by `turn`, then by `(dx, dy)`.
-    fn carry(&mut self, centre: Point2, turn: f64, dx: f64, dy: f64, steps: usize) -> &mut Self {
+    /// Moves both by one rigid motion in the world frame: rotates them about `centre` by `angle`, then translates them by `(dx,
+    /// dy)`.
+    fn carry(&mut self, centre: Point2, angle: f64, dx: f64, dy: f64, steps: usize) -> &mut Self {
         for _ in 0..steps {
             let PlanarFrame { eef, object, .. } = self.last();
             let about = Pose2::new(centre.x, centre.y, 0.0);
             let motion = Pose2::new(dx, dy, 0.0)
                 .compose(about)
-                .compose(Pose2::new(0.0, 0.0, turn))
+                .compose(Pose2::new(0.0, 0.0, angle))
                 .compose(about.inverse());
             self.push(motion.transform_point(eef), motion.compose(object).normalized());
             self.built.push(Transfer);
@@ -76,12 +77,12 @@ impl Scene {
         self
     }
 
-    /// Nothing moves.
+    /// Moves nothing.
     fn rest(&mut self, steps: usize) -> &mut Self {
         self.reach(0.0, 0.0, steps)
     }
 
-    /// The object is pushed in the direction of y while the end effector slides along it.
+    /// Pushes the object in the direction of y while the end effector slides along it.
     fn push_sliding(&mut self, steps: usize) -> &mut Self {
         for _ in 0..steps {
             let PlanarFrame { eef, object, .. } = self.last();
@@ -105,7 +106,7 @@ impl Scene {
         segment_planar(&self.episode(), config).unwrap()
     }
 
-    /// The built modes, one a frame: the last frame has that of the step before it.
+    /// The constructed modes, one per frame: the last frame has the mode of the step before it.
     fn expected(&self) -> Vec<Mode> {
         let last = self.built.last().copied().unwrap_or(Transit);
         self.built.iter().copied().chain([last]).collect()
@@ -142,15 +143,15 @@ fn carrying_along_a_line_about_the_end_effector_and_along_an_arc_is_transfer() {
 }
 
 #[test]
-fn the_formula_to_the_letter_takes_a_turn_about_the_end_effector_for_transit() {
+fn at_origin_treats_a_rotation_about_the_end_effector_as_transit() {
     let config = SegmentConfig {
         object_distance: ObjectDistance::AtOrigin,
         ..rigid()
     };
-    let mut turned = scene();
-    let eef = turned.last().eef;
-    turned.carry(eef, 0.1, 0.0, 0.0, 10);
-    assert_eq!(turned.segment(&config).modes, [Transit; 11]);
+    let mut rotated = scene();
+    let eef = rotated.last().eef;
+    rotated.carry(eef, 0.1, 0.0, 0.0, 10);
+    assert_eq!(rotated.segment(&config).modes, [Transit; 11]);
     let mut carried = scene();
     carried.carry(eef, 0.0, 3.0, 0.0, 10);
     assert_eq!(carried.segment(&config).modes, [Transfer; 11]);
@@ -197,18 +198,18 @@ fn alternating_segments_are_recovered_exactly() {
     }
     let held = segmented.segments[1].grasp.unwrap();
     assert!((grasp.object.transform_point(held) - grasp.eef).norm() < 1e-9);
-    // All motion of the object belongs to some segment.
+    // The segments together contain all motion of the object.
     let (first, last) = (s.frames[0].object, s.last().object);
-    let turned: f64 = segmented.segments.iter().map(|f| f.object_rotation).sum();
-    assert!((turned - (9.0 * 0.01 - 6.0 * 0.02)).abs() < 1e-9);
-    assert!((re4_geometry::signed_difference(first.theta, last.theta) - turned).abs() < 1e-9);
+    let rotation: f64 = segmented.segments.iter().map(|f| f.object_rotation).sum();
+    assert!((rotation - (9.0 * 0.01 - 6.0 * 0.02)).abs() < 1e-9);
+    assert!((re4_geometry::signed_difference(first.theta, last.theta) - rotation).abs() < 1e-9);
     assert_eq!(segmented.segments[0].object_displacement, 0.0);
     assert!((segmented.segments[2].object_displacement - 12.0).abs() < 1e-9);
     assert!((segmented.segments[5].object_displacement - 3.0).abs() < 1e-9);
 }
 
 #[test]
-fn more_than_half_a_turn_is_summed() {
+fn rotations_of_more_than_pi_are_not_wrapped() {
     let mut s = scene();
     let eef = s.last().eef;
     s.carry(eef, 0.1, 0.0, 0.0, 100);
@@ -269,7 +270,7 @@ fn always_transit_keeps_the_evidence() {
 }
 
 #[test]
-fn thresholds_are_sharp() {
+fn thresholds_are_exact() {
     let config = rigid();
     // Relative motion of exactly epsilon is not smaller than epsilon.
     let step = |slip: f64| {
@@ -312,21 +313,21 @@ fn short_episodes() {
 }
 
 #[test]
-fn what_cannot_be_segmented_is_named() {
+fn invalid_episodes_and_settings_are_named() {
     let empty = PlanarEpisode {
         source: 5,
         frames: Vec::new(),
     };
     assert_eq!(
         segment_planar(&empty, &rigid()).unwrap_err().sentence(),
-        "cannot segment episode 5: it has no frames; leave it out by ingest.select"
+        "cannot segment episode 5: it has no frames; leave it out with ingest.select"
     );
     let mut s = scene();
     s.reach(1.0, 1.0, 4);
     s.frames[2].object.theta = f64::NAN;
     assert_eq!(
         segment_planar(&s.episode(), &rigid()).unwrap_err().sentence(),
-        "cannot segment episode 3: object_theta is NaN at frame 2; repair that frame, or leave episode 3 out by ingest.select"
+        "cannot segment episode 3: object_theta is NaN at frame 2; repair that frame, or leave episode 3 out with ingest.select"
     );
     for (field, config) in [
         (
@@ -385,37 +386,39 @@ fn configuration_refuses_unknown_fields_by_name() {
     assert!(serde_json::from_str::<SegmentConfig>(r#"{"rule": "gripper"}"#).is_err());
 }
 
-/// What a step of a random demonstration does.
+/// One step of a random demonstration.
 #[derive(Debug, Clone)]
-enum Deed {
+enum Motion {
+    /// Translation of the end effector.
     Reach(f64, f64),
+    /// Angle and translation of both.
     Carry(f64, f64, f64),
     Rest,
     Slide,
 }
 
-fn deeds() -> impl Strategy<Value = Vec<Deed>> {
-    let deed = prop_oneof![
-        (1.0..20.0f64, 0.0..TAU).prop_map(|(r, a)| Deed::Reach(r * a.cos(), r * a.sin())),
-        (-0.3..0.3f64, 1.0..20.0f64, 0.0..TAU).prop_map(|(turn, r, a)| Deed::Carry(turn, r * a.cos(), r * a.sin())),
-        Just(Deed::Rest),
-        Just(Deed::Slide),
+fn motions() -> impl Strategy<Value = Vec<Motion>> {
+    let motion = prop_oneof![
+        (1.0..20.0f64, 0.0..TAU).prop_map(|(r, a)| Motion::Reach(r * a.cos(), r * a.sin())),
+        (-0.3..0.3f64, 1.0..20.0f64, 0.0..TAU).prop_map(|(angle, r, a)| Motion::Carry(angle, r * a.cos(), r * a.sin())),
+        Just(Motion::Rest),
+        Just(Motion::Slide),
     ];
-    proptest::collection::vec(deed, 1..40)
+    proptest::collection::vec(motion, 1..40)
 }
 
-fn acted(deeds: &[Deed]) -> Scene {
+fn performed(motions: &[Motion]) -> Scene {
     let mut s = scene();
-    for deed in deeds {
-        match *deed {
-            Deed::Reach(dx, dy) => s.reach(dx, dy, 1),
-            // About the object's origin, so that the distance it moves is that of the translation.
-            Deed::Carry(turn, dx, dy) => {
+    for motion in motions {
+        match *motion {
+            Motion::Reach(dx, dy) => s.reach(dx, dy, 1),
+            // Rotates about the object's origin, so that the origin moves exactly by the translation.
+            Motion::Carry(angle, dx, dy) => {
                 let centre = s.last().object.translation();
-                s.carry(centre, turn, dx, dy, 1)
+                s.carry(centre, angle, dx, dy, 1)
             }
-            Deed::Rest => s.rest(1),
-            Deed::Slide => s.push_sliding(1),
+            Motion::Rest => s.rest(1),
+            Motion::Slide => s.push_sliding(1),
         };
     }
     s
@@ -424,9 +427,9 @@ fn acted(deeds: &[Deed]) -> Scene {
 proptest! {
     #[test]
     fn random_demonstrations_are_recovered_in_any_world_frame(
-        deeds in deeds(), x in -500.0..500.0f64, y in -500.0..500.0f64, theta in -10.0..10.0f64,
+        motions in motions(), x in -500.0..500.0f64, y in -500.0..500.0f64, theta in -10.0..10.0f64,
     ) {
-        let here = acted(&deeds);
+        let here = performed(&motions);
         let world = Pose2::new(x, y, theta);
         let mut there = Scene { frames: Vec::new(), built: here.built.clone() };
         for frame in &here.frames {
@@ -456,30 +459,30 @@ proptest! {
 
     #[test]
     fn noise_below_epsilon_does_not_matter(
-        deeds in deeds(), noise in proptest::collection::vec((-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64), 120),
+        motions in motions(), noise in proptest::collection::vec((-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64), 120),
     ) {
-        let mut s = acted(&deeds);
+        let mut s = performed(&motions);
         let config = rigid();
         let farthest = s.frames.iter().map(|f| (f.eef - f.object.translation()).norm()).fold(0.0, f64::max);
-        // Two frames a step, two coordinates each of end effector and object, and the object's angle at the end of a lever:
-        // together less than epsilon, and less than the minimum motion.
-        let (shift, turn) = (0.01, 0.0005_f64.min(0.1 * config.translation_epsilon / (farthest + 1.0)));
+        // A step has the noise of two frames: two coordinates each of end effector and object, and the object's angle times its
+        // lever arm. All of it together stays below epsilon, and below the minimum motion.
+        let (shift, rotation) = (0.01, 0.0005_f64.min(0.1 * config.translation_epsilon / (farthest + 1.0)));
         for (i, frame) in s.frames.iter_mut().enumerate() {
             let wiggle = |k: usize| noise[(3 * i + k) % noise.len()];
             frame.eef += Point2::new(wiggle(0).0, wiggle(0).1) * shift;
             frame.object.x += wiggle(1).0 * shift;
             frame.object.y += wiggle(1).1 * shift;
-            frame.object.theta += wiggle(2).2 * turn;
+            frame.object.theta += wiggle(2).2 * rotation;
         }
         s.assert_recovered();
     }
 
     #[test]
-    fn the_rule_in_space_agrees_with_the_rule_in_the_plane(deeds in deeds(), tilt in -PI..PI) {
-        let s = acted(&deeds);
+    fn the_rule_in_se3_agrees_with_the_rule_in_se2(motions in motions(), tilt in -PI..PI) {
+        let s = performed(&motions);
         let lift = Isometry3::new(Vector3::new(1.0, 2.0, 3.0), Vector3::new(tilt, 0.3, -0.2));
         let flat = |x: f64, y: f64, theta: f64| lift * Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * theta);
-        // The end effector keeps its angle to the object, as in a grasp.
+        // The end effector has the orientation of the object, so that their relative orientation is fixed, as in a grasp.
         let pairs: Vec<SpatialPair> = s
             .frames
             .iter()
@@ -493,7 +496,7 @@ proptest! {
 }
 
 #[test]
-fn noise_above_epsilon_is_seen() {
+fn noise_above_epsilon_is_transit() {
     let mut s = scene();
     s.carry(Point2::zeros(), 0.0, 5.0, 0.0, 20);
     s.frames[10].eef.y += 2.0 * rigid().translation_epsilon;
@@ -503,7 +506,7 @@ fn noise_above_epsilon_is_seen() {
 }
 
 #[test]
-fn an_end_effector_that_turns_in_its_grip_is_transit_in_space() {
+fn an_end_effector_that_rotates_relative_to_the_object_is_transit_in_se3() {
     let pair = |x: f64, angle: f64| SpatialPair {
         eef: Isometry3::from_parts(
             Vector3::new(x, 0.0, 0.1).into(),
@@ -517,9 +520,9 @@ fn an_end_effector_that_turns_in_its_grip_is_transit_in_space() {
         ..rigid()
     };
     assert_eq!(pair(0.0, 0.0).step_to(&pair(0.02, 0.0)).mode(&config), Transfer);
-    let turned = pair(0.0, 0.0).step_to(&pair(0.02, 0.05));
-    assert_eq!(turned.mode(&config), Transit);
-    assert!((turned.relative_rotation.unwrap() - 0.05).abs() < 1e-12);
+    let rotated = pair(0.0, 0.0).step_to(&pair(0.02, 0.05));
+    assert_eq!(rotated.mode(&config), Transit);
+    assert!((rotated.relative_rotation.unwrap() - 0.05).abs() < 1e-12);
     let about_x = SpatialPair {
         eef: Isometry3::rotation(Vector3::x() * FRAC_PI_2) * pair(0.02, 0.0).eef,
         object: Isometry3::rotation(Vector3::x() * FRAC_PI_2) * pair(0.02, 0.0).object,

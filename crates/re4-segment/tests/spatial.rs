@@ -1,4 +1,4 @@
-//! Segmentation of motions of a hand and an object whose measures are known because they were built from them.
+//! Tests the segmentation on constructed motions of a gripper and an object, whose measurements are known.
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail by panicking")]
 
 use std::f64::consts::PI;
@@ -13,7 +13,7 @@ use re4_segment::{Command, GripperConfig, Rule, SegmentConfig, SegmentError, Seg
 /// Width of the object between the fingers.
 const WIDTH: f64 = 0.05;
 
-/// A hand that is driven frame by frame; the object comes along while `carried`.
+/// A gripper that is moved frame by frame; the object moves with it while `carried`.
 #[derive(Debug)]
 struct Scene {
     frames: Vec<SpatialFrame>,
@@ -37,7 +37,7 @@ impl Scene {
         }
     }
 
-    /// The command at the last frame, and the frame that it leads to.
+    /// Sets the command at the last frame, and appends the frame that it leads to.
     fn step(&mut self, closes: bool, motion: Isometry3<f64>, separation: f64) -> &mut Self {
         let last = self.frames.last_mut().unwrap();
         last.gripper = if closes { 1.0 } else { -1.0 };
@@ -63,11 +63,11 @@ fn moved(x: f64, y: f64, z: f64) -> Isometry3<f64> {
     Isometry3::translation(x, y, z)
 }
 
-fn turned(angle: f64) -> Isometry3<f64> {
+fn rotated(angle: f64) -> Isometry3<f64> {
     Isometry3::rotation(Vector3::z() * angle)
 }
 
-/// Reaches down (3 frames), closes (3), lifts by 0.02 with a turn (4), opens (3) and goes up (2).
+/// Reaches down (3 frames), closes (3), lifts by 0.02 m with a rotation (4), opens (3) and moves up (2).
 fn pick_and_place() -> Scene {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
     let object = Isometry3::from_parts(
@@ -84,7 +84,7 @@ fn pick_and_place() -> Scene {
     }
     scene.carried = true;
     for _ in 0..4 {
-        scene.step(true, moved(0.003, 0.0, 0.005) * turned(0.01), WIDTH);
+        scene.step(true, moved(0.003, 0.0, 0.005) * rotated(0.01), WIDTH);
     }
     scene.carried = false;
     for separation in [0.06, 0.07, 0.08] {
@@ -128,7 +128,7 @@ fn the_current_command_is_one_frame_ahead() {
 }
 
 #[test]
-fn measures_are_those_that_the_motion_was_built_from() {
+fn measurements_match_the_constructed_motion() {
     let scene = pick_and_place();
     let segmented = segmented(&scene, &SegmentConfig::spatial());
     let evidence = &segmented.evidence;
@@ -161,9 +161,9 @@ fn measures_are_those_that_the_motion_was_built_from() {
     assert!((grasp.transform.translation.vector - expected.translation.vector).norm() < 1e-15);
     near(transfer.object_rise, 0.02);
     near(transfer.object_rotation, 0.04);
-    let way = (scene.frames[10].object.translation.vector - scene.frames[6].object.translation.vector).norm();
-    near(transfer.object_displacement, way);
-    assert!(transfer.object_path >= way);
+    let distance = (scene.frames[10].object.translation.vector - scene.frames[6].object.translation.vector).norm();
+    near(transfer.object_displacement, distance);
+    assert!(transfer.object_path >= distance);
     near(reach.object_path, 0.0);
     assert_eq!(reach.anchor, Some(scene.frames[4].eef));
     assert_eq!(transfer.anchor, reach.anchor);
@@ -172,7 +172,7 @@ fn measures_are_those_that_the_motion_was_built_from() {
 
 #[allow(clippy::panic, reason = "a test stops where it fails")]
 fn panic_on(segmented: &SegmentedSpatial) -> ! {
-    panic!("three segments, not {:?}", segmented.segments)
+    panic!("expected three segments, found {:?}", segmented.segments)
 }
 
 #[test]
@@ -183,7 +183,7 @@ fn an_object_that_slips_shows_in_the_residual() {
     }
     let segmented = segmented(&scene, &SegmentConfig::spatial());
     near(segmented.segments[1].grasp.unwrap().residual, 0.004);
-    assert!(!segmented.evidence[8].holds, "it slips in this step");
+    assert!(!segmented.evidence[8].holds, "the object slips in this step");
 }
 
 #[test]
@@ -198,7 +198,7 @@ fn fingers_that_never_stop_have_no_settled_frame() {
 }
 
 #[test]
-fn rigid_motion_finds_the_carrying_alone() {
+fn rigid_motion_finds_only_the_carrying() {
     let config = SegmentConfig {
         rule: Rule::RigidMotion,
         ..SegmentConfig::spatial()
@@ -209,7 +209,7 @@ fn rigid_motion_finds_the_carrying_alone() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused() {
+fn invalid_episodes_are_refused() {
     let empty = SpatialEpisode {
         name: "demo_3".to_owned(),
         frames: Vec::new(),
@@ -226,11 +226,11 @@ fn what_makes_no_sense_is_refused() {
         segment_spatial(&broken, &SegmentConfig::spatial())
             .unwrap_err()
             .sentence(),
-        "cannot segment demo_7: finger position is NaN at frame 5; repair that frame, or leave demo_7 out by ingest.select"
+        "cannot segment demo_7: finger position is NaN at frame 5; repair that frame, or leave demo_7 out with ingest.select"
     );
 }
 
-/// Any motion of a hand, with an object that is carried in some of its steps.
+/// Arbitrary motions of a gripper, with an object that is carried in some of the steps.
 fn motions() -> impl Strategy<Value = Scene> {
     let part = -0.02..0.02f64;
     let step = (
@@ -241,12 +241,12 @@ fn motions() -> impl Strategy<Value = Scene> {
         0.0..0.08f64,
     );
     proptest::collection::vec(step, 1..30).prop_map(|steps| {
-        let mut scene = Scene::new(moved(0.1, 0.2, 0.9), moved(0.15, 0.2, 0.8) * turned(0.3));
-        for (by, turn, closes, carried, separation) in steps {
+        let mut scene = Scene::new(moved(0.1, 0.2, 0.9), moved(0.15, 0.2, 0.8) * rotated(0.3));
+        for (by, rotation, closes, carried, separation) in steps {
             scene.carried = carried;
             let about = scene.frames.last().unwrap().eef.translation;
-            let turn = about * Isometry3::rotation(Vector3::from(turn)) * about.inverse();
-            scene.step(closes, moved(by[0], by[1], by[2]) * turn, separation);
+            let rotation = about * Isometry3::rotation(Vector3::from(rotation)) * about.inverse();
+            scene.step(closes, moved(by[0], by[1], by[2]) * rotation, separation);
         }
         scene
     })
@@ -260,19 +260,19 @@ fn close(a: Option<f64>, b: Option<f64>) -> bool {
 }
 
 proptest! {
-    /// Measures do not depend on where the world's origin is, nor on how it is turned; heights not on a turn about the
-    /// vertical.
+    /// Measurements do not depend on the position or the orientation of the world frame. Heights are only invariant to rotations
+    /// about the vertical axis.
     #[test]
-    fn measures_do_not_depend_on_the_world_frame(
+    fn measurements_do_not_depend_on_the_world_frame(
         scene in motions(),
         shift in [-2.0..2.0f64, -2.0..2.0, -2.0..2.0],
         yaw in -3.0..3.0f64,
-        lean in -3.0..3.0f64,
+        tilt in -3.0..3.0f64,
     ) {
         let config = SegmentConfig::spatial();
         let before = segmented(&scene, &config);
-        for lean in [0.0, lean] {
-            let world = moved(shift[0], shift[1], shift[2]) * turned(yaw) * Isometry3::rotation(Vector3::x() * lean);
+        for tilt in [0.0, tilt] {
+            let world = moved(shift[0], shift[1], shift[2]) * rotated(yaw) * Isometry3::rotation(Vector3::x() * tilt);
             let mut other = scene.episode();
             for frame in &mut other.frames {
                 frame.eef = world * frame.eef;
@@ -294,22 +294,23 @@ proptest! {
                 prop_assert!(close(Some(a.object_displacement), Some(b.object_displacement)));
                 prop_assert!(close(Some(a.object_path), Some(b.object_path)));
                 prop_assert!(close(Some(a.object_rotation), Some(b.object_rotation)));
-                prop_assert!(lean != 0.0 || close(Some(a.object_rise), Some(b.object_rise)));
+                prop_assert!(tilt != 0.0 || close(Some(a.object_rise), Some(b.object_rise)));
                 let (a, b) = (a.grasp, b.grasp);
                 prop_assert_eq!(a.is_some(), b.is_some());
                 prop_assert!(close(a.map(|g| g.residual), b.map(|g| g.residual)));
                 prop_assert!(close(a.map(|g| g.residual_rotation), b.map(|g| g.residual_rotation)));
-                let place = |g: re4_segment::Grasp| g.transform.translation.vector;
+                let position = |g: re4_segment::Grasp| g.transform.translation.vector;
                 if let (Some(a), Some(b)) = (a, b) {
-                    prop_assert!((place(a) - place(b)).norm() < 1e-6);
+                    prop_assert!((position(a) - position(b)).norm() < 1e-6);
                 }
             }
         }
     }
 
-    /// A segment's summary bound one another: no straight way is longer than the path.
+    /// The measurements of a segment are consistent: the displacement is at most the length of the path, and the rise at most the
+    /// displacement.
     #[test]
-    fn summary_fit_together(scene in motions()) {
+    fn segment_summaries_are_consistent(scene in motions()) {
         let segmented = segmented(&scene, &SegmentConfig::spatial());
         for summary in &segmented.segments {
             prop_assert!(summary.object_displacement <= summary.object_path + 1e-9);

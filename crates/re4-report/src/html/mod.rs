@@ -1,7 +1,7 @@
-//! Self-contained HTML pages: of rollouts in the plane and in space, and of audits.
+//! Self-contained HTML pages of planar and spatial rollouts, and of audits.
 //!
-//! All have one shell. A page loads nothing: style, script and data are inside of it, and a content security policy forbids
-//! the rest. Its bytes follow from what it shows alone.
+//! All pages have the same shell. A page loads nothing: it contains its style, script and data, and a content security policy
+//! forbids everything else. The bytes of a page depend only on the data that it shows.
 
 pub mod audit;
 mod pack;

@@ -1,6 +1,6 @@
-//! The shell of all pages: look, helpers of the script, document, header, footer, tables, numbers in words.
+//! The shell of all pages: style, script helpers, document, header, footer, tables, and the formatting of numbers.
 //!
-//! A page loads nothing: style, script and data are inside of it, and a content security policy forbids the rest.
+//! A page loads nothing: it contains its style, script and data, and a content security policy forbids everything else.
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
@@ -8,34 +8,34 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-/// The look of all pages: colours of both schemes, type, cards, tables, controls.
+/// The style of all pages: the colours of the light and the dark scheme, fonts, cards, tables and controls.
 const STYLE: &str = include_str!("base.css");
 
-/// Parts of the script that all pages have, in one scope with their own.
+/// Script parts that all pages have. They run in one scope with the page's own parts.
 const SCRIPT: [&str; 3] = [
     include_str!("script/packed.js"),
     include_str!("script/draw.js"),
     include_str!("script/frame.js"),
 ];
 
-/// What a page has of its own.
+/// The parts of a document that are specific to one page.
 pub(super) struct Document<'a> {
-    /// Version of the program that makes it.
+    /// Version of the program that makes the page.
     pub(super) tool_version: &'a str,
-    /// Title of the browser's window.
+    /// Title of the browser window.
     pub(super) title: String,
-    /// Rules beside those of all pages.
+    /// CSS rules in addition to those of all pages.
     pub(super) style: &'a str,
-    /// Its script, part by part.
+    /// Script parts, in order.
     pub(super) script: &'a [&'a str],
-    /// Data of the script.
+    /// Data that the script reads.
     pub(super) data: &'a Value,
-    /// Its content.
+    /// Content of the page.
     pub(super) body: Markup,
 }
 
 impl Document<'_> {
-    /// The document.
+    /// Renders the complete HTML document.
     pub(super) fn render(self) -> String {
         let script = format!(
             "(() => {{\n\"use strict\";\n{}{}}})();\n",
@@ -52,7 +52,7 @@ impl Document<'_> {
                     meta name="color-scheme" content="light dark";
                     meta name="generator" content={ "re4-pipe " (self.tool_version) };
                     title { (self.title) }
-                    // Without it browsers ask the server for an icon.
+                    // An empty icon, because browsers otherwise request one from the server.
                     link rel="icon" href="data:,";
                     style { (PreEscaped(STYLE)) (PreEscaped(self.style)) }
                 }
@@ -67,7 +67,7 @@ impl Document<'_> {
     }
 }
 
-/// Nothing is loaded and nothing runs but the page's own script.
+/// Returns the content security policy: nothing may be loaded, and only the page's own script may run.
 fn policy(script: &str) -> String {
     let hash = BASE64_STANDARD.encode(Sha256::digest(script.as_bytes()));
     format!(
@@ -75,13 +75,13 @@ fn policy(script: &str) -> String {
     )
 }
 
-/// The JSON, safe inside of a script element.
+/// Returns the JSON text in a form that is safe inside a script element.
 fn safe_json(value: &Value) -> String {
-    // Inside of a script element only "<" can end it or open a comment; in JSON it occurs in texts alone.
+    // Only "<" can end a script element or open a comment in it. In JSON, "<" occurs only in strings, where it can be escaped.
     value.to_string().replace('<', "\\u003c")
 }
 
-/// How a page shows a number.
+/// Formats a number for a reader, with three decimals; a dash if it is not finite.
 pub(super) fn short(value: f64) -> String {
     if value.is_finite() {
         format!("{value:.3}")
@@ -90,20 +90,20 @@ pub(super) fn short(value: f64) -> String {
     }
 }
 
-/// All digits, for programs.
+/// Formats a number with all its digits, for programs that read the page.
 pub(super) fn exact(value: f64) -> String {
     value.to_string()
 }
 
-/// A count with its noun.
+/// Returns a count with its noun in singular or plural.
 pub(super) fn plural(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// A column of a table: its words, and whether it holds figures, which are set to the right.
+/// A column of a table: its heading, and whether it contains numbers, which are aligned to the right.
 pub(super) type Column<'a> = (&'a str, bool);
 
-/// A table that scrolls within its own frame.
+/// A table that scrolls inside its own frame.
 pub(super) fn table(name: &str, frame: &str, class: &str, columns: &[Column<'_>], rows: &Markup) -> Markup {
     html! {
         div class=(frame) tabindex="0" role="region" aria-label=(name) {
@@ -115,7 +115,7 @@ pub(super) fn table(name: &str, frame: &str, class: &str, columns: &[Column<'_>]
     }
 }
 
-/// The title, and what the page is about.
+/// The header: the kind of page, its title and its introduction. `without_script` is shown if JavaScript is off.
 pub(super) fn header(kind: &str, title: &str, lead: &Markup, without_script: &str, more: &Markup) -> Markup {
     html! {
         header.page {
@@ -128,11 +128,11 @@ pub(super) fn header(kind: &str, title: &str, lead: &Markup, without_script: &st
     }
 }
 
-/// Where the page is from: how it was made, and names, kinds and keys of artifacts.
+/// The footer: how the page was generated, and the artifacts that it shows, each as its name on the page, its kind and its key.
 pub(super) fn footer<'a>(made: &Markup, artifacts: impl Iterator<Item = (&'a str, &'a str, &'a str)>) -> Markup {
     html! {
         footer.page {
-            p { "Made by re4-pipe " (made) "; the same artifacts give the same page." }
+            p { "Generated by re4-pipe " (made) ". The same artifacts always give the same page." }
             ul {
                 @for (name, kind, key) in artifacts {
                     li { @if !name.is_empty() { (name) " " } code { (kind) "/" (key.get(..16).unwrap_or(key)) } }
@@ -142,7 +142,7 @@ pub(super) fn footer<'a>(made: &Markup, artifacts: impl Iterator<Item = (&'a str
     }
 }
 
-/// Buttons of which one is chosen, the first to begin with: values and words.
+/// A group of radio buttons, given as values and labels. The first one is selected initially.
 pub(super) fn choice(name: &str, label: &str, options: &[(&str, &str)]) -> Markup {
     html! {
         fieldset.choice {

@@ -1,4 +1,4 @@
-//! The HTML page of an audit: what its tables and those of its inputs hold, put into the page's own terms.
+//! The HTML page of an audit: reads the tables of the audit and of its inputs, and converts them to the content of the page.
 
 use anyhow::{Result, ensure};
 use re4_artifact::episodes::{Convention, FrameRow, PlanarColumns, SpatialColumns};
@@ -12,49 +12,49 @@ use re4_task::Task;
 use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, page};
 use crate::html::rollouts::plane::block_outline;
 
-/// The artifacts that a page is made of, and what it says of them.
+/// The artifacts that a page is made from, and the texts about them.
 #[derive(Debug)]
 pub struct AuditSources<'a> {
     /// Task of the pipeline.
     pub task: Task,
-    /// The dataset as the pipeline names it.
+    /// Name of the dataset in the pipeline.
     pub dataset: String,
-    /// The command that makes the page, without the page's own place.
+    /// The command that makes the page, without the path of the page.
     pub command: String,
-    /// Demonstrations.
+    /// The `episodes` artifact with the demonstrations.
     pub episodes: &'a Artifact,
-    /// Their modes.
+    /// The `modes` artifact.
     pub modes: &'a Artifact,
-    /// What was found.
+    /// The `audit` artifact.
     pub audit: &'a Artifact,
 }
 
 /// Makes the page.
 ///
 /// # Errors
-/// When tables cannot be read, or are not of the same demonstrations.
+/// If tables cannot be read, or do not describe the same demonstrations.
 pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
     let planar = sources.task.is_planar();
     let demos: Vec<AuditedEpisodeRow> = sources.audit.read()?;
-    let places = Places(demos.iter().map(|demo| demo.episode).collect());
+    let known = KnownEpisodes(demos.iter().map(|demo| demo.episode).collect());
     let segments = segments(sources.modes, planar)?;
-    places.hold(
+    known.require(
         sources.modes,
         SegmentRow::<SegmentSummary>::NAME,
         segments.iter().map(|segment| segment.episode),
     )?;
     let findings: Vec<FindingRow> = sources.audit.read()?;
-    places.hold(
+    known.require(
         sources.audit,
         FindingRow::NAME,
         findings.iter().map(|finding| finding.episode),
     )?;
     let grasps = if planar {
-        contact_begins(sources.episodes, sources.modes, &segments)?
+        contact_onsets(sources.episodes, sources.modes, &segments)?
     } else {
         grasps(sources.audit)?
     };
-    places.hold(sources.audit, GraspRow::NAME, grasps.iter().map(|grasp| grasp.episode))?;
+    known.require(sources.audit, GraspRow::NAME, grasps.iter().map(|grasp| grasp.episode))?;
     let frames: u64 = demos.iter().map(|demo| demo.frames as u64).sum();
     let (flags, panels) = if planar {
         PLANAR.read(
@@ -75,7 +75,7 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
         .map_or(0, |series| series.values.len());
     ensure!(
         rows as u64 == frames,
-        "cannot make a page of {}: it counts {frames} frames, and the modes in {} are those of {rows}; run the audit again",
+        "cannot make a page of {}: it has {frames} frames, but {} has modes for {rows}; run the audit again",
         sources.audit.path().display(),
         sources.modes.path().display()
     );
@@ -117,16 +117,16 @@ fn measure(unit: &str, factor: f64) -> Measure {
     }
 }
 
-/// Numbers of the demonstrations on the page, ascending.
-struct Places(Vec<u32>);
+/// Numbers of the demonstrations on the page, in increasing order.
+struct KnownEpisodes(Vec<u32>);
 
-impl Places {
-    /// Refuses a table that names others.
-    fn hold(&self, artifact: &Artifact, table: &str, mut episodes: impl Iterator<Item = u32>) -> Result<()> {
+impl KnownEpisodes {
+    /// Fails if a table names any other demonstration.
+    fn require(&self, artifact: &Artifact, table: &str, mut episodes: impl Iterator<Item = u32>) -> Result<()> {
         let foreign = episodes.find(|episode| self.0.binary_search(episode).is_err());
         ensure!(
             foreign.is_none(),
-            "cannot make a page of {}: table {table} names episode {}, which table {} lacks; run the audit again",
+            "cannot make a page of {}: table {table} names episode {}, which is missing in table {}; run the audit again",
             artifact.path().display(),
             foreign.unwrap_or_default(),
             AuditedEpisodeRow::NAME
@@ -158,7 +158,7 @@ fn segments(modes: &Artifact, planar: bool) -> Result<Vec<Segment>> {
     Ok(segments.collect())
 }
 
-/// What both domains say of a segment.
+/// The part of a segment that is the same for planar and spatial demonstrations.
 fn segment(episode: u32, number: u32, segment: &re4_episode::Segment) -> Segment {
     Segment {
         episode,
@@ -185,34 +185,34 @@ fn grasps(audit: &Artifact) -> Result<Vec<Grasp>> {
 
 columns! {
     /// Pusher and block at a frame.
-    pub struct Seen {
-        /// Pusher.
+    pub struct PusherAndBlock {
+        /// Position of the pusher.
         pub eef: Point2,
-        /// Block.
+        /// Pose of the block.
         pub object: Option<Pose2>,
     }
 }
 
-/// Where the pusher is in the block's frame as contact begins.
-fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment]) -> Result<Vec<Grasp>> {
-    let seen: Vec<Seen> = episodes.table(FrameRow::<PlanarColumns>::table())?.read()?;
-    let touches: Vec<ModeRow<Evidence>> = modes.read()?;
-    let touching = |touch: &ModeRow<Evidence>| touch.evidence.contact == Some(true);
-    let mut begins = Vec::new();
-    for row in 1..touches.len().min(seen.len()) {
-        let ModeRow { episode, frame, .. } = touches[row];
-        if frame == 0 || touches[row - 1].evidence.contact != Some(false) || !touching(&touches[row]) {
+/// Returns the positions of the pusher in the block's frame at the frames where contact begins.
+fn contact_onsets(episodes: &Artifact, modes: &Artifact, segments: &[Segment]) -> Result<Vec<Grasp>> {
+    let frames: Vec<PusherAndBlock> = episodes.table(FrameRow::<PlanarColumns>::table())?.read()?;
+    let modes: Vec<ModeRow<Evidence>> = modes.read()?;
+    let touching = |row: &ModeRow<Evidence>| row.evidence.contact == Some(true);
+    let mut onsets = Vec::new();
+    for row in 1..modes.len().min(frames.len()) {
+        let ModeRow { episode, frame, .. } = modes[row];
+        if frame == 0 || modes[row - 1].evidence.contact != Some(false) || !touching(&modes[row]) {
             continue;
         }
-        let lasting = touches[row..]
+        let lasting = modes[row..]
             .iter()
             .take_while(|later| later.episode == episode && touching(later));
         let of_demo = segments
             .iter()
             .filter(|segment| segment.episode == episode && segment.first_frame <= frame);
-        let Some(block) = seen[row].object else { continue };
-        let position = block.inverse_transform_point(seen[row].eef);
-        begins.push(Grasp {
+        let Some(block) = frames[row].object else { continue };
+        let position = block.inverse_transform_point(frames[row].eef);
+        onsets.push(Grasp {
             episode,
             segment: of_demo.map(|segment| segment.number).max().unwrap_or(0),
             first_frame: frame,
@@ -221,10 +221,10 @@ fn contact_begins(episodes: &Artifact, modes: &Artifact, segments: &[Segment]) -
             position: [position.x, position.y, 0.0],
         });
     }
-    Ok(begins)
+    Ok(onsets)
 }
 
-/// What the audit's summary says of contact and motion; nothing where contacts are not recorded.
+/// Reads the numbers of steps by contact and motion from the audit's summary; `None` if contacts were not recorded.
 fn contacts(audit: &Artifact) -> Option<Contacts> {
     let stated = audit.manifest().summary.get("contacts")?;
     let count = |name: &str| stated.get(name)?.as_u64();
@@ -237,25 +237,28 @@ fn contacts(audit: &Artifact) -> Option<Contacts> {
     })
 }
 
-/// Evidence by frame: names of columns, with what they are called on the page.
+/// The evidence by frame that the page shows.
 struct Shown {
+    /// Column of the table of modes, and its name on the page.
     flags: &'static [(&'static str, &'static str)],
+    /// Title, unit, factor from the artifact's unit to that unit, and curves of each plot.
     panels: &'static [(&'static str, &'static str, f64, &'static [Curve])],
 }
 
-/// A curve: whether it is of the recorded frames and not of the modes, its column, its name on the page.
+/// A curve: whether its column is in the table of recorded frames (otherwise, in the table of modes), the column, and its name on
+/// the page.
 type Curve = (bool, &'static str, &'static str);
 
 const DEGREES: f64 = 180.0 / std::f64::consts::PI;
 
 const SPATIAL: Shown = Shown {
     flags: &[
-        ("command_closes", "gripper closes"),
-        ("holds", "evidence holds"),
+        ("command_closes", "close command"),
+        ("holds", "object held"),
         ("object_moving", "object moves"),
     ],
     panels: &[
-        ("Fingers apart", "mm", 1e3, &[(false, "finger_separation", "")]),
+        ("Finger separation", "mm", 1e3, &[(false, "finger_separation", "")]),
         (
             "Height",
             "mm",
@@ -280,7 +283,7 @@ const SPATIAL: Shown = Shown {
             DEGREES,
             &[(false, "relative_rotation", "")],
         ),
-        ("Grip to object", "mm", 1e3, &[(false, "eef_object_distance", "")]),
+        ("Grip site to object", "mm", 1e3, &[(false, "eef_object_distance", "")]),
     ],
 };
 
@@ -294,7 +297,7 @@ const PLANAR: Shown = Shown {
             1.0,
             &[(false, "eef_step", "pusher"), (false, "object_step", "block")],
         ),
-        ("Block turns", "°/frame", DEGREES, &[(false, "object_rotation", "")]),
+        ("Block rotation", "°/frame", DEGREES, &[(false, "object_rotation", "")]),
         (
             "Relative translation",
             "px/frame",

@@ -1,4 +1,4 @@
-//! An `audit` artifact in words: a table of checks and the findings, or all of it as JSON.
+//! Reads an `audit` artifact and formats it as text (a table of checks, and the findings) or as JSON.
 
 use std::fmt::Write as _;
 
@@ -9,10 +9,10 @@ use serde_json::{Value, json};
 
 use crate::html::audit::SEVERITIES;
 
-/// Findings of one kind that are printed one by one.
+/// Maximum number of findings of one check that are printed.
 const SHOWN: usize = 12;
 
-/// What an `audit` artifact tells.
+/// The content of an `audit` artifact.
 #[derive(Debug)]
 pub struct Findings {
     summary: Value,
@@ -25,7 +25,7 @@ impl Findings {
     /// Reads an `audit` artifact.
     ///
     /// # Errors
-    /// When its tables cannot be read.
+    /// If its tables cannot be read.
     pub fn read(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
             summary: artifact.manifest().summary.clone(),
@@ -35,17 +35,17 @@ impl Findings {
         })
     }
 
-    /// What the demonstration of a finding is called.
+    /// Returns the name of a finding's demonstration.
     fn demo(&self, finding: &FindingRow) -> &str {
         self.demos.get(finding.episode as usize).map_or("", |demo| &demo.demo)
     }
 
-    /// Findings of a severity.
+    /// Returns the number of findings of a severity.
     pub fn count(&self, severity: Severity) -> usize {
         self.found.iter().filter(|finding| finding.severity == severity).count()
     }
 
-    /// All of it, added to what is said of every artifact.
+    /// Adds all checks and findings to `answer`, the JSON description that every artifact has.
     pub fn to_json(&self, mut answer: Value) -> Value {
         let checks: Vec<Value> = self
             .checks
@@ -74,7 +74,7 @@ impl Findings {
         answer
     }
 
-    /// How many of each severity, in one line.
+    /// Returns the number of findings of each severity, in one line.
     pub fn headline(&self) -> String {
         let count = |severity: Severity| plural(self.count(severity), severity.as_str());
         let faulty = self.summary["episodes_with_errors"].as_u64().unwrap_or_default();
@@ -91,10 +91,10 @@ impl Findings {
         )
     }
 
-    /// The dataset, the checks that found something, and the findings, worst first.
+    /// Describes the dataset, the checks that have findings, and the findings, the most severe first.
     ///
     /// # Errors
-    /// When a string cannot be written to, which does not happen.
+    /// Only if writing to a string fails, which does not happen.
     pub fn text(&self) -> Result<String> {
         let summary = &self.summary;
         let whole = |value: &Value| value.as_u64().unwrap_or_default();
@@ -112,7 +112,7 @@ impl Findings {
                 "\n  {mode:<9} {:>5.1} % of the frames, {}{}",
                 1e2 * mode_of["share"].as_f64().unwrap_or_default(),
                 plural(whole(&mode_of["segments"]) as usize, "segment"),
-                median.map_or_else(String::new, |median| format!(", {median} frames in the median"))
+                median.map_or_else(String::new, |median| format!(", median length {median} frames"))
             )?;
         }
         if let Some(outcomes) = summary["grasps"]["outcomes"].as_object().filter(|o| !o.is_empty()) {
@@ -169,7 +169,7 @@ impl Findings {
                 if found.is_empty() { "check" } else { "other check" }
             ),
             if skipped > 0 {
-                format!(", {skipped} could not be made: too few values to derive a threshold from")
+                format!("; {skipped} could not be made, because there are too few values to derive a threshold")
             } else {
                 String::new()
             }
@@ -189,7 +189,7 @@ impl Findings {
     fn write_findings_of(&self, code: &str, text: &mut String) -> Result<()> {
         let found: Vec<&FindingRow> = self.found.iter().filter(|finding| finding.code == code).collect();
         for (place, finding) in found.iter().take(SHOWN).enumerate() {
-            // A demonstration that was left out has none.
+            // A demonstration that was left out has no frames.
             let frames = match finding.frames.end.checked_sub(1) {
                 Some(last) => format!("{}-{last}", finding.frames.start),
                 None => String::new(),
@@ -207,7 +207,7 @@ impl Findings {
         if found.len() > SHOWN {
             write!(
                 text,
-                "\n    ... {} more, see --json or the artifact",
+                "\n    ... {} more; see --json or the artifact",
                 found.len() - SHOWN
             )?;
         }
@@ -219,7 +219,7 @@ fn plural(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
-/// Four significant digits are enough to recognise a threshold; the artifact has all of them.
+/// Formats a threshold with four significant digits, which are enough to recognise it; the artifact has all digits.
 fn with_unit(value: f64, unit: &str) -> String {
     let digits = if value == 0.0 {
         0

@@ -1,4 +1,4 @@
-//! What artifacts hold, put into the terms of pages, videos and images.
+//! Reads artifacts and converts them to the content of pages, videos and images.
 
 pub(crate) mod audit;
 pub(crate) mod findings;
@@ -18,35 +18,37 @@ use serde_json::Value;
 
 use crate::html::rollouts::{Decided, Demonstration, Rollout, Rollouts, Scene};
 
-/// What the manifest states under a name, which lies at `place` in it.
+/// Reads the value `name` from `values`, the object at `place` in the artifact's manifest.
 ///
 /// # Errors
-/// When it states nothing of that kind there.
+/// If the value is missing or has another type.
 pub fn stated<T: DeserializeOwned>(artifact: &Artifact, place: &str, values: &Value, name: &str) -> Result<T> {
     serde_json::from_value(values[name].clone()).map_err(|_| {
         anyhow!(
-            "cannot report on {}: its manifest states no usable {place}.{name}; run the rollout again",
+            "cannot report on {}: its manifest has no valid {place}.{name}; run the rollout again",
             artifact.path().display()
         )
     })
 }
 
-/// Whether an artifact holds rollouts of a robosuite task.
+/// Whether an artifact contains rollouts of a robosuite task.
 pub fn is_spatial(artifact: &Artifact) -> bool {
     let domain = || artifact.table_named(SpaceResultRow::NAME).ok()?.domain();
     artifact.manifest().tables.contains_key(SpaceResultRow::FORMERLY) || domain().as_deref() == Some("space")
 }
 
-/// An artifact that rollouts were made from: beside them, or in the artifacts folder `store`.
+/// Finds an artifact that rollouts were made from, in the folder of artifacts that contains the rollouts, or in `store`. `None`
+/// if it is in neither.
 ///
 /// # Errors
-/// When their manifest names none, or what lies there is another one or damaged.
+/// If the manifest of the rollouts does not name the input, or if the artifact that was found is another one or damaged.
 pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Option<Artifact>> {
     let key = input_key(rollouts, stage)?;
-    let beside = std::fs::canonicalize(rollouts.path())
+    // An artifact is at ROOT/STAGE/KEY, so its second ancestor is the folder of artifacts.
+    let own_root = std::fs::canonicalize(rollouts.path())
         .ok()
         .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
-    let folders = beside.into_iter().chain([store.to_path_buf()]);
+    let folders = own_root.into_iter().chain([store.to_path_buf()]);
     for folder in folders.map(|root| root.join(stage.artifact()).join(key.short())) {
         if !folder.join(MANIFEST_NAME).exists() {
             continue;
@@ -54,7 +56,7 @@ pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Opt
         let input = Artifact::open(&folder)?;
         ensure!(
             input.key() == key,
-            "cannot read {}: it is the {} {}, and the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
+            "cannot read {}: it is the {} artifact {}, but the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
             folder.display(),
             stage.artifact(),
             input.key(),
@@ -69,25 +71,26 @@ pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Opt
 fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
     rollouts.manifest().inputs.get(stage.artifact()).with_context(|| {
         format!(
-            "cannot read the rollouts in {}: their manifest names no {}; run the rollout again",
+            "cannot read the rollouts in {}: their manifest names no {} artifact; run the rollout again",
             rollouts.path().display(),
             stage.artifact()
         )
     })
 }
 
-/// A scene whose page is made of artifacts.
+/// A scene whose page is made from artifacts.
 pub(crate) trait Source: Scene {
-    /// What the manifest of an artifact states; `index` is what its demonstrations were retrieved from, where that is there.
+    /// Reads the scene from the manifest of an artifact. `index` is the index that its demonstrations were retrieved from, if it
+    /// was found.
     fn stated(artifact: &Artifact, index: Option<&Artifact>) -> Result<Self>;
 }
 
-/// A `rollouts` artifact.
+/// Reads a `rollouts` artifact.
 fn rollouts<S: Source>(artifact: &Artifact, index: Option<&Artifact>) -> Result<Rollouts<S>> {
     let manifest = artifact.manifest();
     let config = &manifest.config;
     let mut settings = config["policy"].clone();
-    // Older versions state the kind beside the settings.
+    // Older versions have the name of the preset outside of the settings.
     let preset: String = match settings.as_object_mut().and_then(|settings| settings.remove("kind")) {
         Some(Value::String(kind)) => kind,
         _ => stated(artifact, "config", config, "preset")?,
@@ -110,7 +113,7 @@ fn rollouts<S: Source>(artifact: &Artifact, index: Option<&Artifact>) -> Result<
     })
 }
 
-/// The rollouts of an artifact, each with its steps and decisions, in the order of its results.
+/// Reads the rollouts of an artifact, each with its steps and decisions, in the order of table `results`.
 fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
     let results: Vec<S::Result> = artifact.read()?;
     let mut steps = artifact.read::<S::Step>()?.into_iter();
@@ -140,7 +143,7 @@ fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
     traces.collect()
 }
 
-/// The next rows of a table that lists them in the order of the results: those of a seed.
+/// Takes the rows of one seed from a table whose rows are in the order of table `results`.
 fn of_seed<R>(
     artifact: &Artifact,
     table: &str,
@@ -152,13 +155,13 @@ fn of_seed<R>(
     let found: Vec<R> = rows.take(count as usize).collect();
     ensure!(
         found.len() == count as usize && found.iter().all(|row| seed_of(row) == seed),
-        "cannot report on {}: table {table} does not hold the rows of seed {seed} that table results counts; run the rollout again",
+        "cannot report on {}: table {table} does not have the {count} rows of seed {seed} that table results states; run the rollout again",
         artifact.path().display()
     );
     Ok(found)
 }
 
-/// The rollout of a seed. `what` names in errors what is made of it.
+/// Returns the rollout of a seed. `what` is the operation that error messages name.
 fn trace_of<'a, S: Scene>(
     artifact: &Artifact,
     traces: &'a [Rollout<S>],
@@ -168,13 +171,13 @@ fn trace_of<'a, S: Scene>(
     let found = traces.iter().find(|trace| trace.core().seed == seed);
     found.with_context(|| {
         format!(
-            "cannot {what} seed {seed}: the artifact {} has no such rollout; give one of its seeds",
+            "cannot {what} seed {seed}: the artifact {} has no rollout of that seed; give one of its seeds",
             artifact.path().display()
         )
     })
 }
 
-/// The frames of the demonstrations that the shown rollouts of some sets refer to, where they are those of this index.
+/// Reads the frames of the demonstrations of this index that the viewer's rollouts refer to.
 fn demonstrations<S: Scene>(index: &Artifact, sets: &[Rollouts<S>]) -> Result<BTreeMap<u32, Demonstration>> {
     let key = index.key().to_string();
     let needed: BTreeSet<u32> = sets
@@ -193,7 +196,7 @@ fn demonstrations<S: Scene>(index: &Artifact, sets: &[Rollouts<S>]) -> Result<BT
     Ok(demonstrations)
 }
 
-/// Half-open ranges as readers of a page expect them: `500..600` is 500–599.
+/// Rewrites half-open ranges of seeds as inclusive ones, which readers of a page expect: `500..600` becomes 500–599.
 fn inclusive(seeds: &str) -> String {
     let part = |part: &str| {
         let (start, end) = part.split_once("..")?;

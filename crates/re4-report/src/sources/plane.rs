@@ -1,4 +1,4 @@
-//! Rollouts in the plane.
+//! Rollouts of Push-T.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ impl Source for Plane {
     }
 }
 
-/// How many demonstrations the dataset has. Older artifacts call them episodes.
+/// Returns the number of demonstrations in the dataset. Older artifacts call them episodes.
 fn in_dataset(protocol: &Value) -> Option<u64> {
     let dataset = &protocol["dataset"];
     dataset["demonstrations"]
@@ -41,7 +41,7 @@ fn in_dataset(protocol: &Value) -> Option<u64> {
         .or_else(|| dataset["episodes"].as_u64())
 }
 
-/// Which demonstrations were taken, and how many these are.
+/// Returns which demonstrations were used, and their number, if it is known.
 fn demonstrations(protocol: &Value) -> (Taken, Option<u64>) {
     let select = &protocol["demonstrations"]["select"];
     let in_dataset = in_dataset(protocol);
@@ -63,7 +63,7 @@ fn demonstrations(protocol: &Value) -> (Taken, Option<u64>) {
     }
 }
 
-/// What the rollouts start from, and that in words.
+/// Returns what the rollouts start from, and its description.
 fn starts(config: &Value) -> (Starts, String) {
     match (&config["scenes"], &config["seeds"]) {
         (Value::Null, Value::String(seeds)) => (Starts::Seeds, format!("seeds {}", inclusive(seeds))),
@@ -75,25 +75,25 @@ fn starts(config: &Value) -> (Starts, String) {
     }
 }
 
-/// The rollout of a seed in the plane, to be drawn.
+/// Returns the Push-T rollout of a seed, to be rendered as an image.
 ///
 /// # Errors
-/// When the artifact has no such rollout, or its tables cannot be read.
+/// If the artifact has no rollout of that seed, or its tables cannot be read.
 pub fn planar_rollout(artifact: &Artifact, seed: u32) -> Result<Rollout<Plane>> {
-    Ok(trace_of(artifact, &traces(artifact)?, seed, "draw")?.clone())
+    Ok(trace_of(artifact, &traces(artifact)?, seed, "render")?.clone())
 }
 
-/// Videos of the rollouts of some seeds, in that order, and whether they show chunks: only where the index that these come from
-/// is beside the rollouts or in `store`.
+/// Returns the video content of the rollouts of some seeds, in that order, and whether it has the chunks. Chunks need the index
+/// that they come from, in the folder of artifacts that contains the rollouts or in `store`.
 ///
 /// # Errors
-/// When the artifact has no such rollout, or tables cannot be read.
+/// If the artifact has no rollout of one of the seeds, or tables cannot be read.
 pub fn planar_videos(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result<(Vec<VideoRollout>, bool)> {
     let traces = traces::<Plane>(artifact)?;
     let index = find_input(artifact, Stage::Index, store)?;
     let frames: Option<Vec<IndexRow<PlanarState>>> = index.map(|index| index.read()).transpose()?;
     let videos = seeds.iter().map(|&seed| {
-        let trace = trace_of(artifact, &traces, seed, "video")?;
+        let trace = trace_of(artifact, &traces, seed, "make a video of")?;
         Ok(VideoRollout {
             seed,
             states: states(trace),
@@ -103,7 +103,7 @@ pub fn planar_videos(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result
     Ok((videos.collect::<Result<_>>()?, frames.is_some()))
 }
 
-/// The states of a rollout, each with the action that follows on it; the last one with that of the action before it.
+/// Returns the states of a rollout, each with the action that follows it; the last state has the action before it.
 fn states(trace: &Rollout<Plane>) -> Vec<VideoState> {
     let result = &trace.result;
     let first = (result.eef, result.object, coverage(result.object, GOAL));
@@ -122,7 +122,7 @@ fn states(trace: &Rollout<Plane>) -> Vec<VideoState> {
 }
 
 fn decision(decision: &Decided<Plane>, frames: Option<&[IndexRow<PlanarState>]>) -> VideoDecision {
-    // What is replayed in transfer is not carried (re4-policy's `reframe`).
+    // In transfer, the chunk is replayed where it was recorded, without reframing (see `reframe` in re4-policy).
     let carry = match &decision.detail {
         Some(detail) if detail.mode == Mode::Transit => detail.delta,
         _ => Pose2::IDENTITY,

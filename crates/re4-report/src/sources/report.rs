@@ -1,4 +1,4 @@
-//! The page over `rollouts` artifacts.
+//! The page of `rollouts` artifacts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,29 +11,30 @@ use crate::html::rollouts::plane::Plane;
 use crate::html::rollouts::space::Space;
 use crate::html::rollouts::{Report, Rollouts, Scene, page};
 
-/// A page beyond this many bytes takes a while to open, which is said.
+/// A page of more bytes than this opens slowly, so that the user gets a warning.
 pub const LARGE_PAGE: usize = 12_000_000;
 
-/// A page, and what it holds.
+/// A page and its contents.
 #[derive(Debug)]
 pub struct ReportPage {
     /// The page.
     pub html: String,
-    /// Rollouts in its viewer.
+    /// Number of rollouts in its viewer.
     pub rollouts: usize,
-    /// Demonstrations that these refer to and whose frames it has.
+    /// Number of demonstrations that these refer to and whose frames the page contains.
     pub demonstrations: usize,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Adds images of decisions to rollouts in space; what keeps it from that, where nobody asked for them.
+/// Adds images of decisions to rollouts of robosuite's tasks. Returns a warning if this is impossible and the user did not ask
+/// for images.
 pub type AddImages<'a> = dyn FnMut(&Artifact, &mut Rollouts<Space>) -> Result<Option<String>> + 'a;
 
-/// Opens and verifies artifacts; each is named once, and each holds rollouts.
+/// Opens and verifies `rollouts` artifacts.
 ///
 /// # Errors
-/// When one cannot be opened, is damaged, is of another kind, or is there twice.
+/// If one cannot be opened, is damaged, is of another kind, or is named twice.
 pub fn open_rollouts(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
     let mut artifacts: Vec<Artifact> = Vec::new();
     for path in paths {
@@ -41,7 +42,7 @@ pub fn open_rollouts(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
         let kind = &artifact.manifest().artifact;
         ensure!(
             *kind == Stage::Rollout.artifact(),
-            "cannot report on {}: it is an artifact of kind {kind}, and a report is made of rollouts; name a folder below {}",
+            "cannot report on {}: it is an artifact of kind {kind}, but a report needs rollouts; name a folder below {}",
             path.display(),
             Path::new("artifacts").join(Stage::Rollout.artifact()).display()
         );
@@ -58,11 +59,13 @@ pub fn open_rollouts(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
     Ok(artifacts)
 }
 
-/// Makes the page of artifacts. Its viewer holds the rollouts of `seeds`, or all. Indices are looked for beside the artifacts and
-/// in `store`. `images` says in how many rollouts images of decisions were asked for, and `add` adds those.
+/// Makes the page of artifacts. Its viewer has the rollouts of `seeds`, or all rollouts. Index artifacts are searched in the
+/// folders that contain the rollouts, and in `store`. `images` is the number of rollouts for which the user asked for images of
+/// decisions; `add` adds these.
 ///
 /// # Errors
-/// When some are in the plane and some in space, when none has a seed, or when tables cannot be read.
+/// If some rollouts are of Push-T and some of robosuite's tasks, if no artifact has a rollout of one of the seeds, or if tables
+/// cannot be read.
 pub fn report_page(
     artifacts: &[Artifact],
     seeds: Option<&[u32]>,
@@ -74,7 +77,7 @@ pub fn report_page(
     let spatial = artifacts.iter().find(|artifact| is_spatial(artifact));
     let mut made = match (planar, spatial) {
         (Some(planar), Some(spatial)) => bail!(
-            "cannot report on Push-T's rollouts and robosuite's in one page: {} holds Push-T's, {} robosuite's; make a page of each",
+            "cannot report on rollouts of Push-T and of robosuite's tasks in one page: {} has rollouts of Push-T, {} of a robosuite task; make one page of each",
             planar.path().display(),
             spatial.path().display()
         ),
@@ -82,23 +85,23 @@ pub fn report_page(
         (Some(planar), None) => {
             ensure!(
                 images.unwrap_or(0) == 0,
-                "cannot show images of {}: its rollouts are Push-T's, which the page draws itself; leave --images out",
+                "cannot show images of {}: it has rollouts of Push-T, which the page renders itself; leave --images out",
                 planar.path().display()
             );
             make(artifacts, seeds, store, &mut |_, _: &mut Rollouts<Plane>| Ok(None))?
         }
-        (None, None) => bail!("cannot make a report of nothing; name a rollouts artifact"),
+        (None, None) => bail!("cannot make a report without artifacts; name a rollouts artifact"),
     };
     if made.html.len() > LARGE_PAGE {
         made.warnings.push(format!(
-            "the page is {} MB large; re4-pipe report --seeds limits the rollouts that the viewer holds",
+            "the page has {} MB and may open slowly; re4-pipe report --seeds limits the rollouts in its viewer",
             made.html.len() / 1_000_000
         ));
     }
     Ok(made)
 }
 
-/// Adds to a set of rollouts what its artifact does not hold, or says why it cannot.
+/// Adds data that is not in the artifact to a set of rollouts. Returns a warning if this is impossible.
 type Add<'a, S> = &'a mut dyn FnMut(&Artifact, &mut Rollouts<S>) -> Result<Option<String>>;
 
 fn make<S: Source>(artifacts: &[Artifact], seeds: Option<&[u32]>, store: &Path, add: Add<'_, S>) -> Result<ReportPage> {
@@ -124,7 +127,7 @@ fn make<S: Source>(artifacts: &[Artifact], seeds: Option<&[u32]>, store: &Path, 
                 known.insert(set.index_key.clone(), demonstrations(index, &sets)?);
             }
             None => warnings.push(format!(
-                "the page shows no recorded frames for {}: its index artifact index/{} is neither beside it nor in {}",
+                "the page shows no recorded frames for {}: its index artifact index/{} is neither next to it nor in {}",
                 artifact.path().display(),
                 set.index_key.get(..16).unwrap_or(&set.index_key),
                 store.display()
@@ -143,7 +146,7 @@ fn make<S: Source>(artifacts: &[Artifact], seeds: Option<&[u32]>, store: &Path, 
     })
 }
 
-/// Keeps the traces of these seeds only; figures count all.
+/// Limits the viewer to the rollouts of these seeds. The scores still count all rollouts.
 fn show_only<S: Scene>(sets: &mut [Rollouts<S>], seeds: &[u32]) -> Result<()> {
     let wanted: BTreeSet<u32> = seeds.iter().copied().collect();
     let mut found = BTreeSet::new();
@@ -155,7 +158,7 @@ fn show_only<S: Scene>(sets: &mut [Rollouts<S>], seeds: &[u32]) -> Result<()> {
         }
     }
     if let Some(seed) = wanted.difference(&found).next() {
-        bail!("cannot show seed {seed}: none of the artifacts has a rollout of it; give seeds that they have");
+        bail!("cannot show seed {seed}: none of the artifacts has a rollout of that seed; give seeds that they have");
     }
     Ok(())
 }

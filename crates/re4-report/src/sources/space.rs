@@ -32,14 +32,14 @@ impl Source for Space {
     }
 }
 
-/// Which demonstrations were used.
+/// Describes which demonstrations were used.
 fn demonstrations(select: &Value, index: Option<&Artifact>) -> String {
     let count = index.and_then(|index| index.manifest().summary["episodes"].as_u64());
     match (select == "all", count) {
         (true, Some(count)) => format!("all {count} demonstrations"),
         (true, None) => "all demonstrations of the file".to_owned(),
-        (false, Some(count)) => format!("{count} chosen demonstrations"),
-        (false, None) => "chosen demonstrations".to_owned(),
+        (false, Some(count)) => format!("{count} selected demonstrations"),
+        (false, None) => "selected demonstrations".to_owned(),
     }
 }
 
@@ -68,19 +68,20 @@ fn simulator(protocol: &Value) -> String {
     words
 }
 
-/// Rollouts of some seeds, in that order, to be simulated again.
+/// Returns the rollouts of some seeds, in that order, to be simulated again.
 ///
 /// # Errors
-/// When the artifact has no such rollout, or its tables cannot be read.
+/// If the artifact has no rollout of one of the seeds, or its tables cannot be read.
 pub fn spatial_rollouts(artifact: &Artifact, seeds: &[u32]) -> Result<Vec<Rollout<Space>>> {
     let traces = traces(artifact)?;
     seeds
         .iter()
-        .map(|&seed| Ok(trace_of(artifact, &traces, seed, "video")?.clone()))
+        .map(|&seed| Ok(trace_of(artifact, &traces, seed, "make a video of")?.clone()))
         .collect()
 }
 
-/// A rollout as the strip of a video takes it. States have the action that follows; the last one has that of the action before it.
+/// Converts a rollout to the content of a video's strip. Each state has the action that follows it; the last state has the action
+/// before it.
 pub fn scene_rollout(rollout: &Rollout<Space>) -> SceneRollout {
     let decisions: Vec<_> = rollout.decisions.iter().map(Decided::core).collect();
     let steps = rollout.steps.iter().chain(rollout.steps.last());

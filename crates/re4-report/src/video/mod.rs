@@ -1,8 +1,9 @@
-//! Videos of rollouts as GIF files: the simulator's image of every state, with the plan and the reframed chunk over it.
+//! Videos of rollouts as GIF files: the simulator's image of every state, overlaid with the plan and the reframed chunk.
 //!
-//! A tile is the image, shrunk to a square, over a strip with a bar of the coverage and, where there is room, text. Videos
-//! of several rollouts are grids of tiles that start together. A frame holds only what changed since the one before, so
-//! videos are small; frames are encoded one by one, so memory does not grow with their number.
+//! A tile is the image, scaled down to a square, and below it a strip with a bar of the coverage and, if the tile is large
+//! enough, text. A video of several rollouts is a grid of tiles that start at the same time. A frame stores only the pixels that
+//! changed since the previous frame, which keeps videos small. Frames are encoded one by one, so that memory does not grow with
+//! their number.
 
 mod paint;
 mod reel;
@@ -21,9 +22,9 @@ pub use scene::{DrawScene, SceneRollout, SceneState, write_scene_video};
 use paint::{Palette, Shrink, line_pixels};
 use reel::{Reel, check_settings};
 
-/// Colour of plans, red, green and blue.
+/// RGB colour of plans.
 pub(crate) const PLAN: [u8; 3] = [214, 126, 20];
-/// Colour of replayed chunks.
+/// RGB colour of replayed chunks.
 pub(crate) const REPLAY: [u8; 3] = [40, 80, 200];
 const INK: [u8; 3] = [51, 51, 51];
 const BAR: [u8; 3] = [226, 226, 226];
@@ -31,20 +32,20 @@ const SUCCEEDED: [u8; 3] = [60, 150, 60];
 
 /// Half the width of overlaid lines, in pixels of the canvas.
 const LINE_RADIUS: f64 = 1.6;
-/// Minimum side of a tile with text, in pixels; the letters grow with multiples of it.
+/// Minimum side of a tile with text, in pixels. The size of the letters is proportional to the side in multiples of it.
 const TEXT_FROM: u32 = 256;
-/// Hundredths of a second that a control step lasts.
+/// Duration of a control step, in hundredths of a second.
 const STEP_CS: f64 = 10.0;
-/// Browsers slow frames down that are shorter than this, in hundredths of a second.
+/// Minimum duration of a frame, in hundredths of a second. Browsers slow down shorter frames.
 const SHORTEST_CS: f64 = 2.0;
-/// How long the last state is shown, in hundredths of a second.
+/// Duration for which the last state is shown, in hundredths of a second.
 const LAST_CS: u16 = 100;
 
 /// Minimum and maximum side of a tile, in pixels.
 pub const FILM_SIZES: std::ops::RangeInclusive<u32> = 64..=Canvas::SIDE as u32;
 /// Minimum and maximum speed, in multiples of the speed of the rollout.
 pub const FILM_SPEEDS: std::ops::RangeInclusive<f64> = 0.1..=50.0;
-/// Most rollouts in a video.
+/// Maximum number of rollouts in a video.
 pub const FILM_TILES: usize = 100;
 
 /// Why a video could not be made.
@@ -53,18 +54,18 @@ pub enum VideoError {
     /// The caller asked to stop.
     #[error("the video was interrupted; nothing was written, run it again")]
     Interrupted,
-    /// The settings are outside of [`FILM_SIZES`], [`FILM_SPEEDS`] and [`FILM_TILES`], or there is nothing to show.
+    /// The settings are outside of [`FILM_SIZES`], [`FILM_SPEEDS`] or [`FILM_TILES`], or a rollout has no states.
     #[error("{0}")]
     Settings(String),
-    /// An image could not be drawn.
+    /// An image could not be rendered.
     #[error("{0}")]
     Image(Box<dyn std::error::Error + Send + Sync>),
-    /// The encoder or the file refused.
+    /// The video could not be encoded or written.
     #[error(transparent)]
     Encoding(#[from] EncodingError),
 }
 
-/// A state of a rollout, world frame, pixels and radians.
+/// A state of a rollout, in the world frame, in pixels and radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VideoState {
     /// Position of the pusher.
@@ -73,23 +74,23 @@ pub struct VideoState {
     pub block: Pose2,
     /// Fraction of the goal that the block covers.
     pub coverage: f64,
-    /// Position, in [`VideoRollout::decisions`], of the decision that the next action belongs to; in the last state, that
-    /// of the action before it.
+    /// Index in [`VideoRollout::decisions`] of the decision that the next action belongs to; in the last state, of the decision of
+    /// the action before it.
     pub decision: usize,
-    /// Whether that action replays a chunk (else it follows a plan).
+    /// Whether that action replays a chunk; otherwise, it follows a plan.
     pub replaying: bool,
 }
 
-/// A decision of a rollout, world frame, pixels.
+/// A decision of a rollout, in the world frame, in pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VideoDecision {
     /// Name of the demonstration that was retrieved.
     pub demo: String,
-    /// First frame of the chunk, and its last one, included.
+    /// First and last frame of the chunk, both inclusive.
     pub frames: (u32, u32),
-    /// Plan to the start of the chunk.
+    /// Planned path to the start of the chunk.
     pub plan: Vec<Point2>,
-    /// Positions of the pusher in the chunk, carried to the observed block; may be empty.
+    /// Positions of the pusher in the chunk, reframed to the observed block; may be empty.
     pub chunk: Vec<Point2>,
 }
 
@@ -98,41 +99,41 @@ pub struct VideoDecision {
 pub struct VideoRollout {
     /// Seed of the scene.
     pub seed: u32,
-    /// States before each control step and after the last; at least one.
+    /// States before each control step and after the last one; at least one state.
     pub states: Vec<VideoState>,
-    /// Decisions.
+    /// Decisions, in order of time.
     pub decisions: Vec<VideoDecision>,
 }
 
-/// How to video.
+/// Settings of a video.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VideoSettings {
     /// Side of a tile's image, in pixels.
     pub size: u32,
-    /// Speed, in multiples of the speed of the rollout (a control step is 0.1 s).
+    /// Speed, in multiples of the speed of the rollout (a control step of Push-T is 0.1 s, one of robosuite 0.05 s).
     pub speed: f64,
 }
 
-/// What a video has become.
+/// Properties of a written video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoSummary {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Frames.
+    /// Number of frames.
     pub frames: u32,
-    /// How long it lasts until it starts over, in hundredths of a second.
+    /// Duration until the video repeats, in hundredths of a second.
     pub duration_cs: u32,
 }
 
-/// Writes a video of rollouts: one tile each, row by row. Rollouts that end earlier stay in their last state.
+/// Writes a video of rollouts of Push-T, with one tile per rollout, row by row. Rollouts that end earlier stay in their last state.
 ///
-/// Every control step is a frame, unless frames would be shorter than 0.02 s; then as many states are left out as needed.
-/// The same rollouts and settings give the same bytes. `going` is called before every frame and says whether to go on.
+/// Every control step is a frame, unless frames would be shorter than 0.02 s; then only every n-th state is shown.
+/// The same rollouts and settings give the same bytes. `going` is called before every frame; if it returns false, writing stops.
 ///
 /// # Errors
-/// [`VideoError`]; what was written until then is no video.
+/// [`VideoError`]. The bytes that were written before the error are not a valid video.
 pub fn write_video(
     out: impl Write,
     rollouts: &[VideoRollout],
@@ -171,14 +172,14 @@ fn strip_height(size: u32) -> u32 {
     }
 }
 
-/// Pixels of the canvas that lines cover, with the lines' colours.
+/// Indices of the canvas pixels that lines cover, with the colours of the lines.
 type Lines = Vec<(usize, [u8; 3])>;
 
 /// A rollout and the lines over its images.
 struct Tile<'a> {
     rollout: &'a VideoRollout,
     size: u32,
-    /// A decision and its lines.
+    /// The current decision and its lines.
     overlay: Option<(usize, Lines)>,
 }
 
@@ -191,7 +192,7 @@ impl<'a> Tile<'a> {
         }
     }
 
-    /// The plan and the chunk of a decision; worked out once, as it lasts for many states.
+    /// Returns the lines of the plan and the chunk of a decision. They are cached, because a decision lasts for many states.
     fn overlay(&mut self, decision: usize) -> &[(usize, [u8; 3])] {
         if self.overlay.as_ref().is_none_or(|(of, _)| *of != decision) {
             let mut lines = Lines::new();
@@ -206,7 +207,7 @@ impl<'a> Tile<'a> {
         self.overlay.as_ref().map_or(&[], |(_, lines)| lines)
     }
 
-    /// What the strip says of a state: two lines, and the colour of the second.
+    /// Returns the texts of the strip for a state (seed and step, coverage, demonstration), and the colour of the last one.
     fn words(&self, at: usize) -> ([String; 3], [u8; 3]) {
         let state = &self.rollout.states[at];
         let first = format!(
@@ -229,7 +230,7 @@ impl<'a> Tile<'a> {
     }
 }
 
-/// Paints tiles, with buffers that are used again.
+/// Paints tiles. It reuses its buffers.
 struct Painter {
     canvas: Canvas,
     shrink: Shrink,
@@ -251,7 +252,7 @@ impl Painter {
         }
     }
 
-    /// The pixels of a tile in a state, as positions in the palette.
+    /// Paints a tile in a state, and returns its pixels as palette indices.
     fn paint(&mut self, tile: &mut Tile, at: usize) -> &[u8] {
         let shown = tile.rollout.states[at];
         self.canvas.draw_state(shown.pusher, shown.block);

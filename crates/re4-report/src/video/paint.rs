@@ -1,12 +1,13 @@
-//! Lines over an image, shrinking it, and its colours.
+//! Draws lines on an image, scales it down, and reduces its colours to a palette.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use re4_geometry::Point2;
 
-/// Pixels of a square of `side` pixels within `radius` of a polyline, each once, in ascending order.
+/// Returns the indices of the pixels, in a square of `side` pixels, that are within `radius` of a polyline, in increasing order
+/// and without duplicates.
 ///
-/// Points that are not finite are left out, and with them the lines to and from them.
+/// Points that are not finite are skipped, together with the lines to and from them.
 pub(super) fn line_pixels(path: &[Point2], radius: f64, side: usize) -> Vec<usize> {
     let mut pixels = Vec::new();
     let range = |a: f64, b: f64| {
@@ -18,13 +19,13 @@ pub(super) fn line_pixels(path: &[Point2], radius: f64, side: usize) -> Vec<usiz
         if ![a.x, a.y, b.x, b.y].iter().all(|v| v.is_finite()) {
             continue;
         }
-        let way = b - a;
-        let squared = way.dot(&way).max(f64::MIN_POSITIVE);
+        let line = b - a;
+        let squared = line.dot(&line).max(f64::MIN_POSITIVE);
         for y in range(a.y, b.y) {
             for x in range(a.x, b.x) {
                 let to = Point2::new(x as f64, y as f64) - a;
-                let along = (to.dot(&way) / squared).clamp(0.0, 1.0);
-                if (to - way * along).norm() <= radius {
+                let along = (to.dot(&line) / squared).clamp(0.0, 1.0);
+                if (to - line * along).norm() <= radius {
                     pixels.push(y * side + x);
                 }
             }
@@ -35,18 +36,19 @@ pub(super) fn line_pixels(path: &[Point2], radius: f64, side: usize) -> Vec<usiz
     pixels
 }
 
-/// Shrinks square RGB images: every pixel is the mean of the area that it stands for, in whole numbers.
+/// Scales square RGB images down. Every pixel is the mean of the area that it covers, computed in integers.
 pub(super) struct Shrink {
     from: usize,
-    /// For each pixel of the small side, the first pixel of the large one and how much of each counts, of `from` in all.
+    /// For each pixel of the small side, the first pixel of the large side that it covers, and the weights of that and the
+    /// following pixels. Weights add up to `from`.
     taps: Vec<(usize, Vec<u32>)>,
     narrow: Vec<u32>,
 }
 
 impl Shrink {
-    /// From squares of `from` pixels to squares of `to` pixels, at most as many.
+    /// Prepares scaling from squares of `from` pixels to squares of `to` pixels, where `to` is at most `from`.
     pub(super) fn new(from: usize, to: usize) -> Self {
-        // On a ruler of from * to marks, a large pixel is `to` marks wide and a small one `from`.
+        // With the side divided into from * to units, a large pixel is `to` units wide, and a small one `from` units.
         let overlap = |small: usize, large: usize| {
             let (start, end) = (
                 (small * from).max(large * to),
@@ -67,7 +69,7 @@ impl Shrink {
         }
     }
 
-    /// Replaces `small` by the shrunk `image`.
+    /// Replaces `small` by the scaled `image`.
     pub(super) fn apply(&mut self, image: &[u8], small: &mut Vec<u8>) {
         small.clear();
         if self.taps.len() == self.from {
@@ -75,7 +77,8 @@ impl Shrink {
         }
         let whole = (self.from * self.from) as u32;
         for (first_row, row_weights) in &self.taps {
-            // Sums over the rows, then over the columns: at most 255 * from * from, which is below 2^32 for from <= 4096.
+            // Sums over the rows, then over the columns. A sum is at most 255 * from * from, which fits into 32 bits for from <=
+            // 4096.
             self.narrow.clear();
             self.narrow.resize(3 * self.from, 0);
             for (row, weight) in image.chunks_exact(3 * self.from).skip(*first_row).zip(row_weights) {
@@ -94,8 +97,10 @@ impl Shrink {
     }
 }
 
-/// At most `count` colours that stand for RGB pixels: boxes of colours are cut in two, again and again the one with most
-/// pixels times spread, at the median of its longest side; each is its mean.
+/// Returns at most `count` colours that represent RGB pixels (median cut).
+///
+/// The box of colours with the largest product of its number of pixels and the square of its longest side is repeatedly cut in
+/// two, at the median of that side. The result has the mean colour of each box.
 pub(super) fn median_cut(pixels: &[u8], count: usize) -> Vec<[u8; 3]> {
     let mut counted: BTreeMap<[u8; 3], u64> = BTreeMap::new();
     for pixel in pixels.as_chunks::<3>().0 {
@@ -104,7 +109,7 @@ pub(super) fn median_cut(pixels: &[u8], count: usize) -> Vec<[u8; 3]> {
     let mut boxes: Vec<Vec<([u8; 3], u64)>> = vec![counted.into_iter().collect()];
     boxes.retain(|colours| !colours.is_empty());
     while boxes.len() < count {
-        // The longest side of a box, and how long it is.
+        // The length of the longest side of a box, and its channel.
         let longest = |colours: &[([u8; 3], u64)]| {
             let side = |channel: usize| {
                 let values = || colours.iter().map(|(colour, _)| colour[channel]);
@@ -113,8 +118,8 @@ pub(super) fn median_cut(pixels: &[u8], count: usize) -> Vec<[u8; 3]> {
             (0..3).map(|channel| (side(channel), channel)).max().unwrap_or((0, 0))
         };
         let weight = |colours: &[([u8; 3], u64)]| colours.iter().map(|(_, pixels)| pixels).sum::<u64>();
-        let worth = |colours: &[([u8; 3], u64)]| weight(colours) * u64::from(longest(colours).0).pow(2);
-        let Some((place, _)) = boxes.iter().enumerate().max_by_key(|(_, colours)| worth(colours)) else {
+        let priority = |colours: &[([u8; 3], u64)]| weight(colours) * u64::from(longest(colours).0).pow(2);
+        let Some((place, _)) = boxes.iter().enumerate().max_by_key(|(_, colours)| priority(colours)) else {
             break;
         };
         let mut colours = boxes.swap_remove(place);
@@ -130,7 +135,7 @@ pub(super) fn median_cut(pixels: &[u8], count: usize) -> Vec<[u8; 3]> {
             before += pixels;
             before > half
         });
-        // Both parts have a colour at least.
+        // The clamp leaves at least one colour in each part.
         let rest = colours.split_off(middle.unwrap_or(0).clamp(1, colours.len() - 1));
         boxes.extend([colours, rest]);
     }
@@ -147,18 +152,18 @@ pub(super) fn median_cut(pixels: &[u8], count: usize) -> Vec<[u8; 3]> {
     boxes.iter().map(mean).collect()
 }
 
-/// At most 255 colours and, after them, a see-through one.
+/// A palette of at most 255 colours, followed by the transparent colour.
 pub(super) struct Palette {
     colours: Vec<[u8; 3]>,
     nearest: HashMap<[u8; 3], u8>,
 }
 
-/// Places before the see-through one.
-const MOST_COLOURS: usize = 255;
+/// Maximum number of colours before the transparent one.
+const MAX_COLOURS: usize = 255;
 
 impl Palette {
-    /// Colours that have to be exact, and those of shapes with the blends of two of them, in quarters, that smooth edges
-    /// show.
+    /// Makes a palette of the colours in `exact` and `shapes`, and of blends of every two colours in `shapes` in steps of a
+    /// quarter, which occur at the antialiased edges of shapes.
     pub(super) fn new(exact: &[[u8; 3]], shapes: &[[u8; 3]]) -> Self {
         let mut colours: Vec<[u8; 3]> = exact.iter().chain(shapes).copied().collect();
         for (i, a) in shapes.iter().enumerate() {
@@ -171,26 +176,26 @@ impl Palette {
         }
         let mut seen = HashSet::new();
         colours.retain(|colour| seen.insert(*colour));
-        colours.truncate(MOST_COLOURS);
+        colours.truncate(MAX_COLOURS);
         Self {
             colours,
             nearest: HashMap::new(),
         }
     }
 
-    /// Red, green and blue of all places.
+    /// Returns red, green and blue of all palette entries.
     pub(super) fn bytes(&self) -> Vec<u8> {
         let mut bytes = self.colours.as_flattened().to_vec();
         bytes.extend([0; 3]);
         bytes
     }
 
-    /// The see-through place.
+    /// Returns the index of the transparent colour.
     pub(super) fn transparent(&self) -> u8 {
         self.colours.len() as u8
     }
 
-    /// The place of the nearest colour; of several, the first.
+    /// Returns the index of the nearest colour; of several, the first one.
     pub(super) fn of(&mut self, colour: [u8; 3]) -> u8 {
         let colours = &self.colours;
         *self.nearest.entry(colour).or_insert_with(|| {
@@ -203,15 +208,15 @@ impl Palette {
         })
     }
 
-    /// Appends the places of the colours of RGB pixels.
-    pub(super) fn index(&mut self, pixels: &[u8], places: &mut Vec<u8>) {
-        let (mut colour, mut place) = ([0; 3], self.of([0; 3]));
-        places.extend(pixels.as_chunks::<3>().0.iter().map(|pixel| {
-            // Most pixels look as the one before.
+    /// Appends the palette indices of RGB pixels.
+    pub(super) fn index(&mut self, pixels: &[u8], indices: &mut Vec<u8>) {
+        let (mut colour, mut index) = ([0; 3], self.of([0; 3]));
+        indices.extend(pixels.as_chunks::<3>().0.iter().map(|pixel| {
+            // Most pixels have the colour of the previous one, so that the map is rarely needed.
             if *pixel != colour {
-                (colour, place) = (*pixel, self.of(*pixel));
+                (colour, index) = (*pixel, self.of(*pixel));
             }
-            place
+            index
         }));
     }
 }
@@ -221,7 +226,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_as_wide_as_asked_and_end_at_the_border() {
+    fn lines_have_the_requested_width_and_end_at_the_border() {
         let at = |x: f64, y: f64| Point2::new(x, y);
         let pixels = line_pixels(&[at(2.0, 4.0), at(6.0, 4.0)], 1.0, 10);
         let expected: Vec<usize> = [(2..=6, 3), (1..=7, 4), (2..=6, 5)]
@@ -233,7 +238,7 @@ mod tests {
         assert!(line_pixels(&[at(-9.0, 0.0), at(-5.0, 9.0)], 1.0, 4).is_empty());
         assert!(line_pixels(&[at(f64::NAN, 0.0), at(1.0, 1.0)], 1.0, 4).is_empty());
         assert!(line_pixels(&[at(1.0, 1.0)], 1.0, 4).is_empty());
-        // A push that stands still is a dot.
+        // A line between equal points is a dot.
         assert_eq!(line_pixels(&[at(1.0, 1.0), at(1.0, 1.0)], 0.9, 4), [5]);
     }
 
@@ -245,7 +250,8 @@ mod tests {
         assert_eq!(small, image);
         Shrink::new(4, 2).apply(&image, &mut small);
         assert_eq!(small, [10, 0, 255, 18, 0, 255, 42, 0, 255, 50, 0, 255]);
-        // Of four pixels to three: each is one and a third; the first red is (0 + 1/3 * 4 + 1/3 * 16 + 1/9 * 20) / (16/9) = 5.
+        // From four pixels to three: each covers one and a third; the first red is (0 + 1/3 * 4 + 1/3 * 16 + 1/9 * 20) / (16/9) =
+        // 5.
         Shrink::new(4, 3).apply(&image, &mut small);
         assert_eq!((small.len(), small[0], small[2]), (27, 5, 255));
     }
@@ -267,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_colours_are_exact_and_others_near() {
+    fn palette_colours_are_exact_and_others_are_approximated() {
         let (white, black, red) = ([255; 3], [0; 3], [255, 0, 0]);
         let mut palette = Palette::new(&[red], &[white, black]);
         for colour in [white, black, red, [128; 3], [191; 3]] {

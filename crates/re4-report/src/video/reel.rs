@@ -1,4 +1,4 @@
-//! The frames of a video: tiles in rows, of which a frame holds what changed.
+//! The frames of a video: tiles in rows. A frame stores only the pixels that changed.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -7,22 +7,22 @@ use gif::{DisposalMethod, Encoder, EncodingError, Frame, Repeat};
 
 use super::{FILM_SIZES, FILM_SPEEDS, FILM_TILES, LAST_CS, SHORTEST_CS, VideoError, VideoSettings, VideoSummary};
 
-/// Paints a tile, by its place, in a state: its pixels as positions in the palette, row by row.
+/// Paints a tile, given its index and a state, and returns its pixels as palette indices, row by row.
 pub(super) type PaintTile<'a> = dyn FnMut(usize, usize) -> Result<Vec<u8>, VideoError> + 'a;
 
-/// A video of tiles that start together; those that end earlier stay in their last state.
+/// A video of tiles that start at the same time. Tiles that end earlier stay in their last state.
 pub(super) struct Reel {
-    /// Last state of each tile.
+    /// Index of the last state of each tile.
     lasts: Vec<usize>,
     columns: usize,
     side: usize,
     tile_height: usize,
-    /// Which states are shown, and each for how many hundredths of a second.
+    /// The states that are shown, each with its duration in hundredths of a second.
     times: Vec<(usize, u16)>,
 }
 
 impl Reel {
-    /// Of tiles with a strip of this height under their images, whose steps last `step` hundredths of a second.
+    /// Lays out tiles with a strip of height `strip` below their images. A control step lasts `step` hundredths of a second.
     pub(super) fn new(lasts: &[usize], settings: VideoSettings, strip: u32, step: f64) -> Self {
         let last = lasts.iter().copied().max().unwrap_or(0);
         Self {
@@ -34,7 +34,7 @@ impl Reel {
         }
     }
 
-    /// Writes it. `going` is called before every frame and says whether to go on.
+    /// Writes the video. `going` is called before every frame; if it returns false, writing stops.
     pub(super) fn write(
         &self,
         out: impl Write,
@@ -76,7 +76,7 @@ impl Reel {
     }
 }
 
-/// Checks the settings, and the rollouts by their seeds and counts of states.
+/// Checks the settings, and the rollouts, which are given as seed and number of states.
 pub(super) fn check_settings(
     rollouts: impl ExactSizeIterator<Item = (u32, usize)>,
     settings: VideoSettings,
@@ -84,7 +84,7 @@ pub(super) fn check_settings(
     let refuse = |text: String| Err(VideoError::Settings(text));
     let count = rollouts.len();
     if count == 0 || count > FILM_TILES {
-        return refuse(format!("a video shows 1 to {FILM_TILES} rollouts, not {count}"));
+        return refuse(format!("a video can show 1 to {FILM_TILES} rollouts, not {count}"));
     }
     for (seed, states) in rollouts {
         if states == 0 {
@@ -92,24 +92,25 @@ pub(super) fn check_settings(
         }
     }
     if !FILM_SIZES.contains(&settings.size) {
-        let (minimum, most) = (FILM_SIZES.start(), FILM_SIZES.end());
+        let (minimum, maximum) = (FILM_SIZES.start(), FILM_SIZES.end());
         return refuse(format!(
-            "a video's size is {minimum} to {most} px, not {}",
+            "the size of a video has to be {minimum} to {maximum} px, not {}",
             settings.size
         ));
     }
     if !FILM_SPEEDS.contains(&settings.speed) {
-        let (minimum, most) = (FILM_SPEEDS.start(), FILM_SPEEDS.end());
+        let (minimum, maximum) = (FILM_SPEEDS.start(), FILM_SPEEDS.end());
         return refuse(format!(
-            "a video's speed is {minimum} to {most}, not {}",
+            "the speed of a video has to be {minimum} to {maximum}, not {}",
             settings.speed
         ));
     }
     Ok(())
 }
 
-/// Which states are shown, and each for how many hundredths of a second, so that times add up to those of the rollout, whose
-/// steps last `step` hundredths.
+/// Returns the states to show, each with its duration in hundredths of a second. A control step lasts `step` hundredths.
+///
+/// Durations are differences of rounded times, so that rounding errors do not add up and the video lasts as long as the rollout.
 pub(super) fn shown(last: usize, speed: f64, step: f64) -> Vec<(usize, u16)> {
     let stride = (SHORTEST_CS * speed / step).ceil().max(1.0) as usize;
     let time = |state: usize| (step * state as f64 / speed).round() as u64;
@@ -121,7 +122,7 @@ pub(super) fn shown(last: usize, speed: f64, step: f64) -> Vec<(usize, u16)> {
     times
 }
 
-/// The video's current frame and the one before.
+/// The current and the previous frame of the video.
 struct Page {
     width: usize,
     now: Vec<u8>,
@@ -144,7 +145,8 @@ impl Page {
         }
     }
 
-    /// The minimum rectangle that holds what changed, see-through where nothing did; the whole page if it is the first.
+    /// Returns the smallest rectangle that contains all changes; unchanged pixels in it are transparent. The first frame contains
+    /// the whole page.
     fn changes(&mut self, transparent: u8, delay: u16, first: bool) -> Frame<'static> {
         let rows = || {
             self.now
@@ -161,7 +163,7 @@ impl Page {
             }
         }
         if top == usize::MAX {
-            // A frame has at least one pixel.
+            // Nothing has changed, but a GIF frame needs at least one pixel.
             (left, right, top, bottom) = (0, 0, 0, 0);
         }
         let buffer: Vec<u8> = rows()

@@ -1,5 +1,5 @@
-//! Videos of rollouts whose images come from outside, such as from MuJoCo: over a strip with the timeline of retrieved
-//! demonstrations, what the step is part of, and where there is room, text.
+//! Videos of rollouts whose images are rendered by the caller, for example with MuJoCo. Below each image is a strip with the
+//! timeline of retrieved demonstrations, the phases of the steps and, if the tile is large enough, text.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -9,46 +9,48 @@ use super::reel::{Reel, check_settings};
 use super::{BAR, INK, PLAN, REPLAY, SUCCEEDED, VideoError, VideoSettings, VideoSummary, text, text_scale};
 use re4_rollout::Phase;
 
-/// Hundredths of a second that a control step lasts.
+/// Duration of a control step, in hundredths of a second.
 const STEP_CS: f64 = 5.0;
 const PAPER: [u8; 3] = [255; 3];
 const HOME: [u8; 3] = [154, 79, 125];
 const FAILED: [u8; 3] = [192, 42, 86];
-/// Colours of demonstrations; more demonstrations share them.
+/// Number of colours of demonstrations. If there are more demonstrations, several have the same colour.
 const HUES: usize = 16;
-/// Images that the colours are taken from, of each of as many rollouts.
+/// Number of rollouts, and number of images of each, from which the palette is computed.
 const SAMPLES: usize = 4;
 
 /// A state of a rollout.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneState {
-    /// Demonstration that the next action follows (in the last state, the action before it); none on the way home.
+    /// Demonstration that the next action follows (in the last state, the action before it); `None` during the return to the
+    /// initial pose.
     pub demo: Option<u32>,
-    /// What that action is part of.
+    /// Phase of that action.
     pub phase: Phase,
 }
 
 /// A rollout to be recorded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneRollout {
-    /// Its seed.
+    /// Seed of the scene.
     pub seed: u32,
-    /// Whether it succeeds.
+    /// Whether the rollout succeeds.
     pub success: bool,
-    /// States before each control step and after the last; at least one.
+    /// States before each control step and after the last one; at least one state.
     pub states: Vec<SceneState>,
-    /// What demonstrations are called, by their numbers.
+    /// Names of demonstrations by number.
     pub names: BTreeMap<u32, String>,
 }
 
-/// Draws a rollout, by its place, in a state: rows from top to bottom of a square of the video's size, three bytes a pixel.
+/// Renders a rollout, given its index, in a state. Returns a square RGB image of the video's size, three bytes per pixel, rows
+/// from top to bottom.
 pub type DrawScene<'a> = dyn FnMut(usize, usize) -> Result<Vec<u8>, Box<dyn std::error::Error + Send + Sync>> + 'a;
 
-/// Writes a video of rollouts: one tile each, row by row. Rollouts that end earlier stay in their last state. A control step
-/// is 0.05 s at speed 1; else as [`super::write_video`].
+/// Writes a video of rollouts, with one tile per rollout, row by row. Rollouts that end earlier stay in their last state. A control
+/// step lasts 0.05 s at speed 1. Otherwise, the video is like that of [`super::write_video`].
 ///
 /// # Errors
-/// [`VideoError`]; what was written until then is no video.
+/// [`VideoError`]. The bytes that were written before the error are not a valid video.
 pub fn write_scene_video(
     out: impl Write,
     rollouts: &[SceneRollout],
@@ -77,7 +79,7 @@ pub fn write_scene_video(
     reel.write(out, &colours, transparent, &mut paint, going)
 }
 
-/// The strip's own colours, and those that stand best for some images of some rollouts.
+/// Returns a palette of the strip's colours, and of the colours that best represent a sample of images.
 fn palette(rollouts: &[SceneRollout], draw: &mut DrawScene<'_>) -> Result<Palette, VideoError> {
     let mut colours = vec![INK, BAR, PAPER, PLAN, REPLAY, HOME, SUCCEEDED, FAILED];
     colours.extend((0..HUES).map(hue_colour));
@@ -88,12 +90,12 @@ fn palette(rollouts: &[SceneRollout], draw: &mut DrawScene<'_>) -> Result<Palett
             sample.extend(draw(number, state).map_err(VideoError::Image)?);
         }
     }
-    // One colour is see-through, and the format has 256.
+    // A GIF palette has 256 colours, and one of them is the transparent one.
     colours.extend(median_cut(&sample, 255 - colours.len()));
     Ok(Palette::new(&colours, &[]))
 }
 
-/// Colours of the same lightness around the circle, from 0 to [`HUES`].
+/// Returns the colour of a hue from 0 to [`HUES`] - 1. All hues have the same saturation and lightness.
 fn hue_colour(hue: usize) -> [u8; 3] {
     let at = 6.0 * hue as f64 / HUES as f64;
     // HSL with saturation 0.55 and lightness 0.47.
@@ -104,10 +106,11 @@ fn hue_colour(hue: usize) -> [u8; 3] {
     })
 }
 
-/// The hue of a demonstration; numbers beside each other differ most. The page's colours, in fewer steps.
+/// Returns the colour of a demonstration: that of the HTML page, rounded to [`HUES`] hues. Multiples of the golden angle, 137.508
+/// degrees, give neighbouring numbers hues that differ most.
 fn demo_colour(demo: u32) -> [u8; 3] {
-    let turn = (f64::from(demo) * 137.508 / 360.0).fract();
-    hue_colour((turn * HUES as f64) as usize % HUES)
+    let fraction = (f64::from(demo) * 137.508 / 360.0).fract();
+    hue_colour((fraction * HUES as f64) as usize % HUES)
 }
 
 /// Height of the strip below the image: the timeline, the phases, and two lines of text.
@@ -227,7 +230,7 @@ mod tests {
                 }
             }
             let colour = |x: usize, y: usize| <[u8; 3]>::try_from(&screen[4 * (y * 128 + x)..][..3]).unwrap();
-            // Red is exact, blue as near as some image of the sample.
+            // Red is exact; blue is as close as in the nearest image of the sample.
             assert_eq!(colour(5, 5)[..2], [200, 10]);
             assert!(
                 colour(5, 5)[2].abs_diff(frames) <= 4,
@@ -235,7 +238,7 @@ mod tests {
                 colour(5, 5)
             );
             assert_eq!(colour(64 + 5, 5)[0], 150);
-            // The first eighth of the timeline is the first demonstration's, once it is past.
+            // After the first step, the first eighth of the timeline has the colour of the first demonstration.
             assert_eq!(colour(2, 66), if frames > 0 { demo_colour(0) } else { BAR });
             frames += 1;
         }
@@ -244,17 +247,17 @@ mod tests {
     }
 
     #[test]
-    fn demonstrations_in_a_row_have_colours_of_their_own() {
+    fn consecutive_demonstrations_have_different_colours() {
         let colours: std::collections::BTreeSet<[u8; 3]> = (0..5).map(demo_colour).collect();
         assert_eq!(colours.len(), 5);
         for hue in 0..HUES {
-            let [minimum, most] = [hue_colour(hue).into_iter().min(), hue_colour(hue).into_iter().max()];
-            assert_eq!((minimum, most), (Some(54), Some(186)));
+            let [minimum, maximum] = [hue_colour(hue).into_iter().min(), hue_colour(hue).into_iter().max()];
+            assert_eq!((minimum, maximum), (Some(54), Some(186)));
         }
     }
 
     #[test]
-    fn what_cannot_be_drawn_ends_the_video() {
+    fn an_image_that_cannot_be_rendered_ends_the_video() {
         let mut draw = |_: usize, _: usize| Err("no OpenGL".into());
         let settings = VideoSettings { size: 64, speed: 1.0 };
         let error = write_scene_video(Vec::new(), &[rollout(2)], settings, &mut draw, &mut || true).unwrap_err();

@@ -30,7 +30,7 @@ fn video(rollouts: &[VideoRollout], settings: VideoSettings) -> (Vec<u8>, VideoS
     (bytes, summary)
 }
 
-/// Frames as a viewer shows them, RGB, and their delays.
+/// The frames as a viewer shows them, in RGB, with their delays.
 fn decoded(bytes: &[u8]) -> (usize, usize, Vec<(Vec<u8>, u16)>) {
     let mut options = DecodeOptions::new();
     options.set_color_output(ColorOutput::RGBA);
@@ -50,7 +50,7 @@ fn decoded(bytes: &[u8]) -> (usize, usize, Vec<(Vec<u8>, u16)>) {
     (width, height, frames)
 }
 
-/// The simulator's image of a state, shrunk.
+/// The simulator's image of a state, scaled down.
 fn image(state: &VideoState, size: usize) -> Vec<u8> {
     let mut small = Vec::new();
     let canvas = re4_sim::render_state(state.pusher, state.block);
@@ -84,7 +84,7 @@ fn a_video_has_a_frame_for_every_state_and_lasts_as_long_as_the_rollout() {
 }
 
 #[test]
-fn every_frame_is_the_simulators_image_with_lines_over_it() {
+fn every_frame_is_the_simulators_image_with_overlaid_lines() {
     let rollout = rollout(500, 12);
     for size in [512, 256, 200] {
         let (bytes, _) = video(std::slice::from_ref(&rollout), VideoSettings { size, speed: 1.0 });
@@ -97,24 +97,24 @@ fn every_frame_is_the_simulators_image_with_lines_over_it() {
             for y in 0..size {
                 for x in 0..size {
                     let (shown, plain) = (colour(frame, width, (x, y)), colour(&expected, size, (x, y)));
-                    // The plan is upright at x = 100 and the chunk level at y = 430; both with some margin.
+                    // The plan is vertical at x = 100, and the chunk is horizontal at y = 430; both are tested with some margin.
                     let (u, v) = ((x as f64 + 0.5) / scale, (y as f64 + 0.5) / scale);
                     let near = |value: f64, low: f64, high: f64| (low - 6.0..high + 6.0).contains(&value);
                     let on_line = near(u, 100.0, 100.0) && near(v, 380.0, 450.0)
                         || near(u, 400.0, 440.0) && near(v, 430.0, 430.0);
                     lines += usize::from(on_line && shown != plain);
-                    // The palette holds blends in quarters: an eighth of the way between white and ink is lost at most.
-                    let off = (0..3).map(|c| shown[c].abs_diff(plain[c])).max().unwrap();
-                    let most = if size == 512 { 0 } else { 32 };
+                    // The palette has blends in steps of a quarter, so that the error is at most an eighth of the range of colours.
+                    let error = (0..3).map(|c| shown[c].abs_diff(plain[c])).max().unwrap();
+                    let tolerance = if size == 512 { 0 } else { 32 };
                     assert!(
-                        on_line || off <= most,
+                        on_line || error <= tolerance,
                         "size {size}: {shown:?} for {plain:?} at {x}, {y}"
                     );
                 }
             }
-            assert!(lines > 50, "size {size}: lines are drawn");
+            assert!(lines > 50, "size {size}: the lines are missing");
         }
-        // Exactly the plan's and the chunk's colours in the middle of the lines, where they are wide enough.
+        // If lines are wide enough, their middle has exactly the colours of plan and chunk.
         if size >= 256 {
             let at = |x: f64, y: f64| ((x * scale) as usize, (y * scale) as usize);
             assert_eq!(colour(&frames[0].0, width, at(100.0, 430.0)), PLAN);
@@ -132,7 +132,7 @@ fn the_bar_shows_the_coverage() {
             let shown = colour(frame, width, (*x, 257));
             shown == Canvas::OUTLINE || shown == SUCCEEDED
         });
-        // The mark at 0.95 is on the bar once that is longer.
+        // A bar that is longer than the mark at 0.95 has one pixel less, because the mark is drawn on it.
         let expected = (state as f64 / 20.0 * 256.0).round() as usize - usize::from(state > 19);
         assert_eq!(filled.count(), expected, "state {state}");
     }
@@ -141,7 +141,7 @@ fn the_bar_shows_the_coverage() {
 }
 
 #[test]
-fn speed_changes_the_duration_and_leaves_states_out_where_it_must() {
+fn speed_changes_the_duration_and_skips_states_if_necessary() {
     for (speed, frames, duration) in [
         (1.0, 21, 200),
         (0.5, 21, 400),
@@ -160,7 +160,7 @@ fn speed_changes_the_duration_and_leaves_states_out_where_it_must() {
             "speed {speed}: {:?}",
             shown.iter().map(|f| f.1).collect::<Vec<_>>()
         );
-        // Whatever is left out, the last state is there.
+        // The last state is never skipped.
         let (whole, _) = video(&[rollout(1, 20)], VideoSettings { size: 64, speed: 1.0 });
         assert!(
             shown.last().unwrap().0 == decoded(&whole).2.last().unwrap().0,
@@ -177,9 +177,9 @@ fn several_rollouts_are_tiles_and_short_ones_stay_in_their_last_state() {
     let (width, height, frames) = decoded(&bytes);
     assert_eq!((width, height, frames.len(), summary.frames), (160, 2 * 84, 10, 10));
     for (number, rollout) in rollouts.iter().enumerate() {
-        let alone = decoded(&video(std::slice::from_ref(rollout), settings).0).2;
+        let single = decoded(&video(std::slice::from_ref(rollout), settings).0).2;
         for (state, (frame, _)) in frames.iter().enumerate() {
-            let expected = &alone[state.min(alone.len() - 1)].0;
+            let expected = &single[state.min(single.len() - 1)].0;
             for y in 0..84 {
                 let start = 3 * ((number / 2 * 84 + y) * width + number % 2 * 80);
                 assert!(
@@ -192,37 +192,46 @@ fn several_rollouts_are_tiles_and_short_ones_stay_in_their_last_state() {
 }
 
 #[test]
-fn what_makes_no_video_is_refused() {
+fn invalid_settings_and_rollouts_are_refused() {
     let one = [rollout(7, 2)];
-    let say = |rollouts: &[VideoRollout], size, speed| {
+    let error = |rollouts: &[VideoRollout], size, speed| {
         write_video(Vec::new(), rollouts, VideoSettings { size, speed }, &mut || true)
             .unwrap_err()
             .to_string()
     };
-    assert_eq!(say(&[], 256, 1.0), "a video shows 1 to 100 rollouts, not 0");
+    assert_eq!(error(&[], 256, 1.0), "a video can show 1 to 100 rollouts, not 0");
     assert_eq!(
-        say(&vec![one[0].clone(); 101], 256, 1.0),
-        "a video shows 1 to 100 rollouts, not 101"
+        error(&vec![one[0].clone(); 101], 256, 1.0),
+        "a video can show 1 to 100 rollouts, not 101"
     );
-    assert_eq!(say(&one, 63, 1.0), "a video's size is 64 to 512 px, not 63");
-    assert_eq!(say(&one, 513, 1.0), "a video's size is 64 to 512 px, not 513");
-    assert_eq!(say(&one, 256, f64::NAN), "a video's speed is 0.1 to 50, not NaN");
-    assert_eq!(say(&one, 256, 0.0), "a video's speed is 0.1 to 50, not 0");
+    assert_eq!(
+        error(&one, 63, 1.0),
+        "the size of a video has to be 64 to 512 px, not 63"
+    );
+    assert_eq!(
+        error(&one, 513, 1.0),
+        "the size of a video has to be 64 to 512 px, not 513"
+    );
+    assert_eq!(
+        error(&one, 256, f64::NAN),
+        "the speed of a video has to be 0.1 to 50, not NaN"
+    );
+    assert_eq!(error(&one, 256, 0.0), "the speed of a video has to be 0.1 to 50, not 0");
     let empty = VideoRollout {
         states: Vec::new(),
         ..one[0].clone()
     };
-    assert_eq!(say(&[empty], 256, 1.0), "the rollout of seed 7 has no states to show");
-    let mut left = 2;
+    assert_eq!(error(&[empty], 256, 1.0), "the rollout of seed 7 has no states to show");
+    let mut remaining = 2;
     let stopped = write_video(Vec::new(), &one, PLAIN, &mut || {
-        left -= 1;
-        left > 0
+        remaining -= 1;
+        remaining > 0
     });
     assert!(matches!(stopped, Err(VideoError::Interrupted)));
 }
 
 #[test]
-fn states_that_lie_outside_or_are_no_numbers_are_still_frames() {
+fn states_that_are_outside_or_not_finite_are_still_frames() {
     let mut odd = rollout(7, 2);
     odd.states[0].pusher = Point2::new(f64::NAN, 1e300);
     odd.states[1].block = Pose2::new(f64::INFINITY, 0.0, f64::NAN);

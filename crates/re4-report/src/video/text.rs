@@ -1,9 +1,9 @@
-//! Text in capitals of 5 x 7 pixels, for the few words of a video.
+//! Text in capitals of 5 x 7 pixels, for the labels of a video.
 
 const WIDTH: usize = 5;
 const ADVANCE: usize = WIDTH + 1;
 
-/// Rows from the top, the leftmost pixel in the highest of five bits.
+/// The rows of each glyph from the top. The highest of the five bits is the leftmost pixel.
 const GLYPHS: [(char, [u8; 7]); 39] = [
     ('0', [0b01110, 0b10001, 0b10011, 0b10101, 0b11001, 0b10001, 0b01110]),
     ('1', [0b00100, 0b01100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
@@ -46,17 +46,20 @@ const GLYPHS: [(char, [u8; 7]); 39] = [
     ('_', [0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b11111]),
 ];
 
-/// Width of a text, in pixels.
+/// Returns the width of a text, in pixels.
 pub(super) fn width(text: &str, scale: usize) -> usize {
     (text.chars().count() * ADVANCE * scale).saturating_sub(scale)
 }
 
-/// The beginning of a text that is no wider than so many pixels.
-pub(super) fn fitting(text: &str, most: usize, scale: usize) -> String {
-    text.chars().take((most + scale) / (ADVANCE * scale).max(1)).collect()
+/// Returns the longest prefix of a text that is at most `max_width` pixels wide.
+pub(super) fn fitting(text: &str, max_width: usize, scale: usize) -> String {
+    text.chars()
+        .take((max_width + scale) / (ADVANCE * scale).max(1))
+        .collect()
 }
 
-/// Writes on rows of `side` pixels, from a corner (x, y) on; what does not fit is cut off. What has no glyph is a blank.
+/// Writes a text on rows of `side` pixels, with its top left corner at (x, y). Pixels outside of the rows are cut off. Characters
+/// without a glyph are blank.
 pub(super) fn write(pixels: &mut [u8], side: usize, (x, y): (usize, usize), scale: usize, text: &str, colour: u8) {
     for (position, letter) in text.chars().enumerate() {
         let Some((_, glyph)) = GLYPHS.iter().find(|(of, _)| *of == letter) else {
@@ -79,7 +82,7 @@ pub(super) fn write(pixels: &mut [u8], side: usize, (x, y): (usize, usize), scal
 mod tests {
     use super::*;
 
-    fn drawn(text: &str, side: usize, height: usize, scale: usize) -> Vec<String> {
+    fn rendered(text: &str, side: usize, height: usize, scale: usize) -> Vec<String> {
         let mut pixels = vec![b'.'; side * height];
         write(&mut pixels, side, (0, 0), scale, text, b'#');
         let rows = pixels.chunks(side).map(|row| String::from_utf8(row.to_vec()).unwrap());
@@ -87,9 +90,9 @@ mod tests {
     }
 
     #[test]
-    fn letters_stand_side_by_side_and_are_cut_at_the_border() {
+    fn letters_are_placed_side_by_side_and_cut_at_the_border() {
         assert_eq!(
-            drawn("T1?T", 17, 7, 1),
+            rendered("T1?T", 17, 7, 1),
             [
                 "#####...#........",
                 "..#....##........",
@@ -100,19 +103,19 @@ mod tests {
                 "..#....###.......",
             ]
         );
-        let cut = drawn("LL", 8, 5, 1);
+        let cut = rendered("LL", 8, 5, 1);
         assert_eq!(cut, ["#.....#."; 5]);
-        assert_eq!(drawn("-", 10, 14, 2)[6], "..######..");
+        assert_eq!(rendered("-", 10, 14, 2)[6], "..######..");
         assert_eq!((width("T1", 1), width("T1", 2), width("", 1)), (11, 22, 0));
-        for (most, fits) in [(0, ""), (4, ""), (5, "D"), (10, "D"), (11, "DE"), (99, "DEM")] {
-            assert_eq!(fitting("DEM", most, 1), fits, "{most}");
-            assert_eq!(fitting("DEM", 2 * most, 2), fits, "{most}");
+        for (max_width, fits) in [(0, ""), (4, ""), (5, "D"), (10, "D"), (11, "DE"), (99, "DEM")] {
+            assert_eq!(fitting("DEM", max_width, 1), fits, "{max_width}");
+            assert_eq!(fitting("DEM", 2 * max_width, 2), fits, "{max_width}");
         }
     }
 
     #[test]
-    fn every_word_of_a_video_has_its_letters() {
-        // Names of demonstrations have any.
+    fn all_characters_of_labels_have_a_glyph() {
+        // Names of demonstrations can contain any of these.
         let words = "ABCDEFGHIJKLMNOPQRSTUVWXYZ 0123456789.-_";
         for letter in words.chars().filter(|letter| *letter != ' ') {
             assert!(GLYPHS.iter().any(|(of, _)| *of == letter), "{letter}");

@@ -1,4 +1,4 @@
-//! The data that the page's script draws from: one JSON object, its columns by frame packed as base64.
+//! The data of the page's script: one JSON object, in which columns with one value per frame are packed as base64.
 
 use re4_audit::{AuditedEpisodeRow, FindingRow, Severity};
 use serde_json::{Value, json};
@@ -6,11 +6,12 @@ use serde_json::{Value, json};
 use super::{Audit, Flag, Grasp, Panel, SEVERITIES, Segment, Series};
 use crate::html::pack::{Pack, f32s};
 
-/// A flag that is not known at a frame.
+/// Code of a flag whose value is unknown at a frame. The known values are 0 and 1.
 const UNKNOWN: u8 = 2;
 
-/// The JSON.
+/// Returns the data of the page.
 pub(super) fn json(audit: &Audit) -> Value {
+    // The script refers to demonstrations by their index in the list, not by their number in the artifact.
     let place = |episode: u32| {
         audit
             .demos

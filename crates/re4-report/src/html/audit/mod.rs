@@ -1,9 +1,9 @@
-//! One self-contained HTML page over the audit of a dataset: every demonstration as a timeline of its modes with the
-//! findings on it, the evidence of a chosen one, where objects were grasped, how long segments are, and which checks were
-//! made against which thresholds.
+//! A self-contained HTML page of the audit of a dataset. It shows a timeline of every demonstration with its modes and findings,
+//! the evidence of a selected demonstration, the positions at which objects were grasped, the lengths of segments, and all checks
+//! with their thresholds.
 //!
-//! The page's bytes follow from [`Audit`] alone. Nothing is thinned: evidence is drawn from 32-bit floats, one a frame and
-//! series; every figure in words is the artifact's own 64-bit number.
+//! The page's bytes depend only on [`Audit`]. The evidence is not subsampled: it is plotted from 32-bit floats, one per frame and
+//! series. Numbers in text are the 64-bit values of the artifact.
 
 mod data;
 mod sections;
@@ -14,62 +14,62 @@ use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
 
 use super::shell::Document;
 
-/// What the page shows.
+/// The content of the page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Audit {
     /// Version of the program that makes the page.
     pub tool_version: String,
-    /// The dataset's name.
+    /// Name of the dataset.
     pub dataset: String,
-    /// The task's name.
+    /// Name of the task.
     pub task: String,
     /// The command that made the page.
     pub command: String,
-    /// Artifacts that went in: their kind and key.
+    /// Kind and key of every artifact that the page was made from.
     pub artifacts: Vec<(String, String)>,
-    /// Duration of a frame, s.
+    /// Duration of a frame, in s.
     pub frame_seconds: f64,
-    /// How lengths are given and shown.
+    /// Unit in which lengths are shown.
     pub length: Measure,
-    /// Demonstrations, by number.
+    /// Demonstrations, sorted by number.
     pub demos: Vec<AuditedEpisodeRow>,
     /// Checks, in the order of the artifact.
     pub checks: Vec<CheckRow>,
     /// Findings, in the order of the artifact.
     pub findings: Vec<FindingRow>,
-    /// Segments, by demonstration and frame.
+    /// Segments, sorted by demonstration and frame.
     pub segments: Vec<Segment>,
-    /// Grasps: where the end effector took the object, in the object's frame. In the plane, where contact begins.
+    /// The grasps of all demonstrations; for Push-T, the frames at which contact begins.
     pub grasps: Vec<Grasp>,
-    /// Outline of the object in its own frame, where it is planar; there grasps have no height.
+    /// Outline of the object in its own frame; only for a planar object, whose grasps have no height.
     pub outline: Option<Vec<[f64; 2]>>,
-    /// Steps by contact and motion of the object, where contacts are recorded.
+    /// Numbers of steps by contact and motion of the object, if contacts were recorded.
     pub contacts: Option<Contacts>,
     /// Conventions of the dataset.
     pub conventions: Vec<Convention>,
-    /// Summary of each frame that hold or not, beside the mode.
+    /// Boolean evidence by frame.
     pub flags: Vec<Flag>,
-    /// Evidence by frame, plot by plot.
+    /// Numeric evidence by frame, one entry per plot.
     pub panels: Vec<Panel>,
 }
 
-/// How a quantity is shown.
+/// The unit in which a quantity is shown.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measure {
     /// Unit on the page.
     pub unit: String,
-    /// By what the artifact's values are multiplied to be in that unit.
+    /// Factor from the artifact's unit to the unit on the page.
     pub factor: f64,
 }
 
-/// A segment; lengths in the artifact's unit, angles in rad.
+/// A segment. Lengths are in the artifact's unit, angles in rad.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Segment {
-    /// Number of its demonstration.
+    /// Number of its demonstration in the artifact.
     pub episode: u32,
-    /// Number in its demonstration.
+    /// Number of the segment in its demonstration.
     pub number: u32,
-    /// Whether it is transfer; else transit.
+    /// Whether the mode is transfer; otherwise it is transit.
     pub transfer: bool,
     /// First frame.
     pub first_frame: u32,
@@ -77,65 +77,65 @@ pub struct Segment {
     pub end_frame: u32,
     /// First frame at which the fingers have stopped closing.
     pub settled_frame: Option<u32>,
-    /// Distance between the fingers there.
+    /// Distance between the fingers at the grasp.
     pub finger_separation: Option<f64>,
-    /// Largest distance of the end effector in the object's frame from the grasp.
+    /// Largest distance of the end effector, in the object's frame, from the grasp transform.
     pub residual: Option<f64>,
-    /// Largest angle likewise.
+    /// Largest angle of the end effector, in the object's frame, from the grasp transform.
     pub residual_rotation: Option<f64>,
-    /// Distance of the object's origin at the end from where it was at the start.
+    /// Distance between the positions of the object's origin at the start and at the end.
     pub object_displacement: f64,
-    /// Height of the object's origin at the end over that at the start.
+    /// Height of the object's origin at the end, minus that at the start.
     pub object_rise: Option<f64>,
 }
 
-/// A grasp.
+/// A grasp, or a contact of Push-T's pusher.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grasp {
-    /// Number of its demonstration.
+    /// Number of its demonstration in the artifact.
     pub episode: u32,
-    /// Number of its segment.
+    /// Number of its segment in the demonstration.
     pub segment: u32,
     /// First frame of the segment, or of the contact.
     pub first_frame: u32,
     /// Frame after the last one of the segment, or of the contact.
     pub end_frame: u32,
-    /// How it went; empty where that is not told.
+    /// Outcome of the grasp; empty for a contact, which has none.
     pub outcome: String,
-    /// The end effector in the object's frame, in the artifact's unit; the height is 0 in the plane.
+    /// Position of the end effector in the object's frame, in the artifact's unit; the height is 0 for a planar object.
     pub position: [f64; 3],
 }
 
-/// Steps by contact and motion of the object.
+/// Numbers of steps by contact and motion of the object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contacts {
-    /// With contact and with motion.
+    /// Steps with contact and with motion.
     pub both: u64,
-    /// With contact, and the object rests.
+    /// Steps with contact, but without motion.
     pub contact_alone: u64,
-    /// With motion, and without contact.
+    /// Steps with motion, but without contact.
     pub motion_alone: u64,
-    /// With neither.
+    /// Steps with neither.
     pub neither: u64,
-    /// Steps with both over steps with either; `None` where there are none.
+    /// Jaccard index: steps with both, divided by steps with at least one of them; `None` if there are none.
     pub jaccard: Option<f64>,
 }
 
-/// A fact of each frame that holds or not.
+/// Boolean evidence by frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flag {
-    /// Its name on the page.
+    /// Name on the page.
     pub label: String,
-    /// For all frames of all demonstrations, in order.
+    /// Values of all frames of all demonstrations, in order; `None` if unknown.
     pub values: Vec<Option<bool>>,
 }
 
-/// A plot of evidence over frames.
+/// A plot of numeric evidence over frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panel {
-    /// What it shows.
+    /// Title of the plot.
     pub title: String,
-    /// How its values are shown.
+    /// Unit in which its values are shown.
     pub measure: Measure,
     /// Its curves.
     pub series: Vec<Series>,
@@ -144,16 +144,16 @@ pub struct Panel {
 /// A curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Its name; empty where it is the plot's only one.
+    /// Name of the curve; empty if it is the only one of its plot.
     pub label: String,
-    /// For all frames of all demonstrations, in order; not a number where there is none.
+    /// Values of all frames of all demonstrations, in order; NaN if there is none.
     pub values: Vec<f64>,
 }
 
-/// Severities, the worst first.
+/// Severities, the most severe first.
 pub(crate) const SEVERITIES: [Severity; 3] = [Severity::Error, Severity::Warning, Severity::Note];
 
-/// The script, part by part, after what all pages share.
+/// Script parts of this page. They run after the parts that all pages have.
 const SCRIPT: [&str; 7] = [
     include_str!("script/data.js"),
     include_str!("script/state.js"),
@@ -164,7 +164,7 @@ const SCRIPT: [&str; 7] = [
     include_str!("script/main.js"),
 ];
 
-/// The page.
+/// Renders the page.
 pub fn page(audit: &Audit) -> String {
     Document {
         tool_version: &audit.tool_version,
@@ -179,7 +179,7 @@ pub fn page(audit: &Audit) -> String {
 
 fn body(audit: &Audit) -> Markup {
     html! {
-        a.skip href="#evidence" { "Skip to the chosen demonstration" }
+        a.skip href="#evidence" { "Skip to the selected demonstration" }
         (sections::header(audit))
         main {
             (sections::findings(audit))

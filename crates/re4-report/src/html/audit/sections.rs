@@ -1,4 +1,4 @@
-//! The parts of the page.
+//! The sections of the page.
 
 use maud::{Markup, html};
 use re4_audit::{CheckRow, Severity};
@@ -7,7 +7,7 @@ use super::{Audit, Contacts, SEVERITIES};
 use crate::html::shell::{self, choice, exact, plural, table};
 use re4_stats::median;
 
-/// The shape that tells a severity apart where colour does not; the script draws it.
+/// The symbol of a severity. Its shape distinguishes severities for readers who cannot see the colours; the script draws it.
 fn glyph(severity: Severity) -> Markup {
     html! {
         svg class={ "glyph sev-" (severity.as_str()) } viewBox="-7 -7 14 14" width="14" height="14" aria-hidden="true" {
@@ -20,7 +20,7 @@ fn words(code: &str) -> String {
     code.replace(['_', '-'], " ")
 }
 
-/// A number as it is, without needless digits.
+/// Formats a number with at most five significant digits.
 fn number(value: f64) -> String {
     let rounded = format!("{value:.4e}").parse::<f64>().unwrap_or(value);
     let magnitude = rounded.abs();
@@ -52,12 +52,12 @@ fn thousands(count: u64) -> String {
     text
 }
 
-/// The title, what was audited, and what fraction of it is which mode.
+/// The header: what was audited, and the fractions of the modes.
 pub(super) fn header(audit: &Audit) -> Markup {
     let frames: u64 = audit.demos.iter().map(|d| d.frames as u64).sum();
     let transit: u64 = audit.demos.iter().map(|d| d.transit_frames as u64).sum();
     let transfer: u64 = audit.demos.iter().map(|d| d.transfer_frames as u64).sum();
-    let share = |part: u64| {
+    let percent = |part: u64| {
         if frames == 0 {
             0.0
         } else {
@@ -73,13 +73,13 @@ pub(super) fn header(audit: &Audit) -> Markup {
         ". "
         span data-fact="clean" data-value=(clean) {
             @if audit.demos.is_empty() {}
-            @else if clean == audit.demos.len() { "None of them has an error or a warning." }
-            @else if clean == 0 { "Each of them has an error or a warning." }
-            @else { (clean) " demonstrations have neither error nor warning." }
+            @else if clean == audit.demos.len() { "No demonstration has an error or a warning." }
+            @else if clean == 0 { "Every demonstration has an error or a warning." }
+            @else { (plural(clean, "demonstration has", "demonstrations have")) " neither an error nor a warning." }
         }
     };
     let modes = html! {
-        div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % transfer", share(transit), share(transfer))) {
+        div.split role="img" aria-label=(format!("{:.1} % of the frames are transit, {:.1} % are transfer", percent(transit), percent(transfer))) {
             @for (mode, part) in [("transit", transit), ("transfer", transfer)].into_iter().filter(|(_, part)| *part > 0) {
                 div class={ "mode " (mode) } style=(format!("flex-grow: {part}")) {}
             }
@@ -88,7 +88,7 @@ pub(super) fn header(audit: &Audit) -> Markup {
             @for (mode, part) in [("transit", transit), ("transfer", transfer)] {
                 li data-fact={ (mode) "_frames" } data-value=(part) {
                     span class={ "swatch " (mode) } {}
-                    (mode) " " b { (format!("{:.1} %", share(part))) } " · " (thousands(part)) " frames"
+                    (mode) " " b { (format!("{:.1} %", percent(part))) } " · " (thousands(part)) " frames"
                 }
             }
         }
@@ -98,13 +98,13 @@ pub(super) fn header(audit: &Audit) -> Markup {
     shell::header("audit", &audit.dataset, &lead, without_script, &modes)
 }
 
-/// What was found, by severity and by kind; buttons that filter.
+/// The numbers of findings, by severity and by check, on buttons that filter the demonstrations.
 pub(super) fn findings(audit: &Audit) -> Markup {
     let silent: Vec<&CheckRow> = audit.checks.iter().filter(|check| check.findings == 0).collect();
     html! {
         section #found aria-labelledby="found-title" {
             div.heading {
-                h2 #found-title { "What was found" }
+                h2 #found-title { "Findings" }
                 button.link.gone #clear-filters type="button" { "Show all demonstrations" }
             }
             div.kinds {
@@ -113,7 +113,7 @@ pub(super) fn findings(audit: &Audit) -> Markup {
                     @let checks = sorted_checks(audit, severity);
                     div.card.kind {
                         button.severity type="button" aria-pressed="false" data-severity=(severity.as_str())
-                            data-count=(count) disabled[count == 0] title={ "Show demonstrations with a finding of severity " (severity.as_str()) } {
+                            data-count=(count) disabled[count == 0] title={ "Show only demonstrations with a finding of severity " (severity.as_str()) } {
                             (glyph(severity))
                             b { (count) } " "
                             (if count == 1 { severity.as_str().to_owned() } else { format!("{}s", severity.as_str()) })
@@ -135,9 +135,9 @@ pub(super) fn findings(audit: &Audit) -> Markup {
                 }
             }
             p.hint {
-                "Numbers on a kind: findings, and in how many demonstrations. Press one to see only those demonstrations. "
+                "Each button shows the number of findings and the number of affected demonstrations. Press it to list only those demonstrations. "
                 @if !silent.is_empty() {
-                    "Looked for and not found: "
+                    "Checks without findings: "
                     @for (i, check) in silent.iter().enumerate() {
                         @if i > 0 { ", " }
                         span title=(check.meaning) data-silent=(check.code) { (words(&check.code)) }
@@ -151,13 +151,13 @@ pub(super) fn findings(audit: &Audit) -> Markup {
 
 fn meaning(severity: Severity) -> &'static str {
     match severity {
-        Severity::Error => "The segmentation or the data is wrong there.",
-        Severity::Warning => "Probably not what the demonstrator wanted, or a trap for a learner.",
+        Severity::Error => "The segmentation or the data is wrong in these frames.",
+        Severity::Warning => "Probably not what the demonstrator wanted, or harmful to a policy that is trained on it.",
         Severity::Note => "Worth knowing.",
     }
 }
 
-/// Checks of a severity that found something, the most frequent first.
+/// Returns the checks of a severity that have findings, the most frequent first.
 fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&CheckRow> {
     let mut checks: Vec<&CheckRow> = audit
         .checks
@@ -168,7 +168,7 @@ fn sorted_checks(audit: &Audit, severity: Severity) -> Vec<&CheckRow> {
     checks
 }
 
-/// Codes of the notes that more than half of the demonstrations have.
+/// Returns the codes of the notes that more than half of the demonstrations have.
 fn usual_notes(audit: &Audit) -> Vec<&str> {
     let is_usual =
         |check: &&CheckRow| check.severity == Severity::Note && 2 * check.episodes as usize > audit.demos.len();
@@ -177,7 +177,7 @@ fn usual_notes(audit: &Audit) -> Vec<&str> {
     codes
 }
 
-/// All timelines, and the evidence of the chosen demonstration beside them.
+/// All timelines, and next to them the evidence of the selected demonstration.
 pub(super) fn workbench(audit: &Audit) -> Markup {
     let usual = usual_notes(audit);
     html! {
@@ -185,35 +185,35 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
             section #timelines aria-labelledby="timelines-title" {
                 div.card.rows {
                     div.heading {
-                        h2 #timelines-title { "Every demonstration" }
+                        h2 #timelines-title { "Demonstrations" }
                         output #shown-count {}
                     }
                     div.controls {
                         label { span { "Sort by" } select #sort {
-                            option value="worst" selected { "findings, worst first" }
+                            option value="worst" selected { "findings, most severe first" }
                             option value="number" { "number" }
                             option value="length" { "length" }
-                            option value="share" { "fraction of transfer" }
+                            option value="fraction" { "fraction of transfer" }
                             option value="grasp" { "first grasp" }
                         } }
                         button #reverse type="button" aria-pressed="false" title="Reverse the order" aria-label="Reverse the order" { "⇅" }
-                        label.grow { span.hidden { "Filter by text" } input #filter-text type="search" placeholder="Name or words" title="Shows demonstrations by their name or by words of their findings" autocomplete="off"; }
-                        (choice("scale", "Scale of the timelines", &[("frames", "Frames"), ("share", "Whole length")]))
+                        label.grow { span.hidden { "Filter by text" } input #filter-text type="search" placeholder="Name or finding" title="Show only demonstrations whose name or findings contain this text" autocomplete="off"; }
+                        (choice("scale", "Scale of the timelines", &[("frames", "Frames"), ("fraction", "Percent")]))
                     }
                     div.plot #timeline-axis aria-hidden="true" {}
-                    div #timeline-rows data-usual=(usual.join(" ")) tabindex="0" role="listbox" aria-label="Demonstrations; up and down choose one" aria-activedescendant="timeline-choice" {
+                    div #timeline-rows data-usual=(usual.join(" ")) tabindex="0" role="listbox" aria-label="Demonstrations; the up and down keys select one" aria-activedescendant="timeline-choice" {
                         canvas #timeline-canvas {}
                         div.hidden #timeline-choice role="option" aria-selected="true" {}
                         div #timeline-spacer {}
                     }
-                    p.none.gone #no-rows { "No demonstration fits the filter." }
+                    p.none.gone #no-rows { "No demonstration matches the filter." }
                     ul.legend {
                         li { span.swatch.transit {} "transit" }
                         li { span.swatch.transfer {} "transfer" }
                         @for severity in SEVERITIES { li { (glyph(severity)) (severity.as_str()) } }
                     }
                     @if !usual.is_empty() {
-                        p.hint { "Not drawn here, since more than half of the demonstrations have it: " (usual.join(", ")) ". Press it above to see where." }
+                        p.hint { "Not marked here, because more than half of the demonstrations have it: " (usual.join(", ")) ". Press its button above to show it." }
                     }
                     div #timeline-tip role="tooltip" {}
                 }
@@ -233,13 +233,13 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                     ul #evidence-findings aria-label="Findings of this demonstration" {}
                     div.row {
                         p.hint #readout aria-live="off" {}
-                        button #whole type="button" disabled { "Whole length" }
+                        button #whole type="button" disabled { "All frames" }
                     }
-                    div #evidence-plots tabindex="0" role="group" aria-label="Evidence over frames; left and right move the frame, Escape shows the whole length" {}
+                    div #evidence-plots tabindex="0" role="group" aria-label="Evidence over frames; the left and right keys select a frame, Escape shows all frames" {}
                     p.hint {
-                        "Background: the mode. Drag over the plots to look closer. "
+                        "The background shows the mode. Drag across the plots to zoom in. "
                         @if audit.panels.is_empty() { "This audit has no evidence by frame." }
-                        @else { "Curves are the artifact’s own values, every frame of them, as 32-bit floats." }
+                        @else { "The curves show the artifact’s value of every frame, as 32-bit floats." }
                     }
                     h3.above { "Segments" }
                     div.scroll tabindex="0" role="region" aria-label="Segments of this demonstration" {
@@ -258,7 +258,7 @@ fn segment_columns(audit: &Audit) -> Vec<String> {
     let unit = &audit.length.unit;
     let mut columns = vec!["Frames".to_owned(), "Length".to_owned()];
     if audit.outline.is_none() {
-        columns.extend(["Settled".to_owned(), format!("Fingers, {unit}")]);
+        columns.extend(["Settled at".to_owned(), format!("Fingers, {unit}")]);
     }
     columns.push(format!("Residual, {unit}"));
     if audit.outline.is_none() {
@@ -271,11 +271,11 @@ fn segment_columns(audit: &Audit) -> Vec<String> {
     columns
 }
 
-/// Grasps of all demonstrations, and lengths of segments.
+/// The grasps of all demonstrations, and the lengths of their segments.
 pub(super) fn dataset(audit: &Audit) -> Markup {
     let planar = audit.outline.is_some();
     let views: &[(&str, &str)] = if planar {
-        &[("xy", "The object’s plane")]
+        &[("xy", "In the block’s frame")]
     } else {
         &[("xy", "From above"), ("xz", "From the side"), ("yz", "From the front")]
     };
@@ -287,12 +287,12 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
             }
             p.note {
                 @if audit.grasps.is_empty() {
-                    @if planar { "No contact is recorded to begin in any demonstration, so there is nothing to show." }
+                    @if planar { "No contact begins in any demonstration of this audit, so there is nothing to show." }
                     @else { "No demonstration of this audit has a transfer segment, so there is nothing to show." }
                 } @else if planar {
-                    "The pusher’s centre in the block’s frame, at each frame from which on contact was counted and before which it was not. A pusher has no grasp that could be missed or lost, so there are no outcomes."
+                    "The position of the pusher’s centre in the block’s frame, at each frame with contact that follows a frame without contact. The cross is the block’s origin. A pusher does not grasp, so there are no outcomes."
                 } @else {
-                    "The end effector in the object’s frame, one mark a transfer segment, at the frame where the fingers have settled. The cross is the object’s origin; lengths in " (audit.length.unit) "."
+                    "The position of the end effector in the object’s frame, at the frame where the fingers have stopped closing; one mark per transfer segment. The cross is the object’s origin; lengths are in " (audit.length.unit) "."
                 }
             }
             @if !audit.grasps.is_empty() {
@@ -300,13 +300,13 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                     @for (axes, name) in views {
                         figure.card {
                             figcaption { h3 { (name) } p.grasp-words {} }
-                            canvas.grasps data-axes=(axes) tabindex="0" role="img" aria-label={ (name) ": positions in the object’s frame. Left and right choose one; click one to see its demonstration." } {}
+                            canvas.grasps data-axes=(axes) tabindex="0" role="img" aria-label={ (name) ": positions in the object’s frame. The left and right keys select one; click one to see its demonstration." } {}
                         }
                     }
                 }
             }
             @if let Some(contacts) = &audit.contacts { (contact_words(*contacts)) }
-            h2.above { "How long segments are" }
+            h2.above { "Segment lengths" }
             div.columns.even {
                 @for (transfer, mode) in [(false, "transit"), (true, "transfer")] {
                     @let lengths = lengths(audit, transfer);
@@ -322,27 +322,27 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
                     }
                 }
             }
-            p.hint { "Triangles under the axis are the segments of the chosen demonstration." }
+            p.hint { "The triangles below the axis mark the segments of the selected demonstration." }
         }
     }
 }
 
-/// Whether contact and motion of the object say the same.
+/// How well contact and motion of the object agree.
 fn contact_words(contacts: Contacts) -> Markup {
     html! {
-        h2.above { "Contact against motion" }
+        h2.above { "Contact and motion of the block" }
         p.note {
-            "The block moves and is touched in "
+            "There is contact and motion in "
             b data-contacts="both" data-value=(contacts.both) { (thousands(contacts.both)) }
-            " steps; it is touched and rests in "
+            " steps, contact without motion in "
             b data-contacts="contact_alone" data-value=(contacts.contact_alone) { (thousands(contacts.contact_alone)) }
-            "; it moves untouched in "
+            ", motion without contact in "
             b data-contacts="motion_alone" data-value=(contacts.motion_alone) { (thousands(contacts.motion_alone)) }
-            "; neither in "
+            ", and neither in "
             b data-contacts="neither" data-value=(contacts.neither) { (thousands(contacts.neither)) }
             "."
             @if let Some(jaccard) = contacts.jaccard {
-                " Both over either: " b data-contacts="jaccard" data-value=(exact(jaccard)) { (format!("{jaccard:.3}")) } "."
+                " The Jaccard index of contact and motion is " b data-contacts="jaccard" data-value=(exact(jaccard)) { (format!("{jaccard:.3}")) } "."
             }
         }
     }
@@ -355,7 +355,7 @@ fn lengths(audit: &Audit, transfer: bool) -> Vec<f64> {
         .collect()
 }
 
-/// Every check with its threshold.
+/// All checks with their thresholds.
 pub(super) fn checks(audit: &Audit) -> Markup {
     let columns = [
         ("Check", false),
@@ -363,7 +363,7 @@ pub(super) fn checks(audit: &Audit) -> Markup {
         ("Demos", true),
         ("Threshold", true),
         ("Origin", false),
-        ("What is measured, what a finding means", false),
+        ("Measure and meaning", false),
     ];
     let rows = html! {
         @for check in &audit.checks {
@@ -379,22 +379,22 @@ pub(super) fn checks(audit: &Audit) -> Markup {
     };
     html! {
         section #checks aria-labelledby="checks-title" {
-            h2 #checks-title { "Checks and their thresholds" }
+            h2 #checks-title { "Checks and thresholds" }
             p.note { "A threshold is derived from this dataset (data), set in the pipeline file (setting), or built in (default)." }
             (table("Checks", "card scroll", "plain wide", &columns, &rows))
         }
     }
 }
 
-/// How the dataset's values are meant, and why that is believed.
+/// The conventions of the dataset, with the evidence for them.
 pub(super) fn conventions(audit: &Audit) -> Markup {
     let columns = [
         ("Convention", false),
-        ("Here", false),
+        ("Value", false),
         ("Basis", false),
         ("Residual", true),
         ("Limit", true),
-        ("Next best", true),
+        ("Runner-up", true),
         ("Evidence", false),
     ];
     let rows = html! {
@@ -406,7 +406,7 @@ pub(super) fn conventions(audit: &Audit) -> Markup {
                 @for value in [convention.residual, convention.threshold, convention.runner_up] {
                     td.figure { (measured(value, &convention.unit)) }
                 }
-                td.text { p { (convention.evidence) } @if convention.frames > 0 { p.soft { "On " (thousands(convention.frames as u64)) " frames." } } }
+                td.text { p { (convention.evidence) } @if convention.frames > 0 { p.soft { "Checked on " (thousands(convention.frames as u64)) " frames." } } }
             }
         }
     };
@@ -414,14 +414,14 @@ pub(super) fn conventions(audit: &Audit) -> Markup {
         @if !audit.conventions.is_empty() {
             section #conventions aria-labelledby="conventions-title" {
                 h2 #conventions-title { "Conventions of the dataset" }
-                p.note { "What its numbers mean, each with why that is believed." }
+                p.note { "What the numbers of the dataset mean, and the evidence for it. The residual has to be below the limit; the runner-up is the residual of the next best value." }
                 (table("Conventions", "card scroll", "plain wide", &columns, &rows))
             }
         }
     }
 }
 
-/// Where the page is from.
+/// The footer: how the page was generated, and from which artifacts.
 pub(super) fn footer(audit: &Audit) -> Markup {
     shell::footer(
         &html! { (audit.tool_version) " with " code { (audit.command) } },

@@ -102,7 +102,7 @@ fn bytes(packed: &Value) -> Vec<u8> {
 }
 
 #[test]
-fn columns_by_frame_are_packed_whole() {
+fn columns_by_frame_are_packed_completely() {
     let data = data_of(&page(&audit()));
     let values: Vec<f32> = bytes(&data["panels"][0]["series"][0]["values"])
         .chunks_exact(4)
@@ -114,7 +114,7 @@ fn columns_by_frame_are_packed_whole() {
 }
 
 #[test]
-fn findings_keep_all_digits_and_end_no_script() {
+fn findings_keep_all_digits_and_cannot_end_the_script() {
     let text = page(&audit());
     let data = data_of(&text);
     assert_eq!(data["findings"]["value"][0], 0.1 + 0.2);
@@ -126,16 +126,16 @@ fn findings_keep_all_digits_and_end_no_script() {
 }
 
 #[test]
-fn words_are_there_without_the_script() {
+fn figures_and_texts_are_readable_without_the_script() {
     let text = page(&audit());
     assert!(text.contains("data-fact=\"frames\" data-value=\"5\""));
     assert!(text.contains("data-code=\"grasp_lost\" data-findings=\"2\" data-episodes=\"2\""));
-    // A check that found nothing is no button, and is named all the same.
+    // A check without findings has no button, but is named.
     assert!(!text.contains("data-code=\"idle\""));
     assert!(text.contains("data-silent=\"idle\""));
     assert!(
         text.contains("data-value=\"0.000012345\">1.2345e-5 m<"),
-        "a threshold with its digits"
+        "the threshold with all its digits"
     );
     assert!(text.contains("three times the median"));
     assert!(text.contains("No demonstration of this audit has a transfer segment"));
@@ -143,8 +143,8 @@ fn words_are_there_without_the_script() {
 }
 
 #[test]
-fn an_empty_audit_is_a_page() {
-    let nothing = Audit {
+fn an_empty_audit_has_a_page() {
+    let empty = Audit {
         demos: Vec::new(),
         checks: Vec::new(),
         findings: Vec::new(),
@@ -152,6 +152,6 @@ fn an_empty_audit_is_a_page() {
         panels: Vec::new(),
         ..audit()
     };
-    let text = page(&nothing);
+    let text = page(&empty);
     assert!(text.contains("0 demonstrations") && !text.contains("NaN"));
 }

@@ -1,5 +1,5 @@
-//! The page over sets of rollouts: scores, every rollout, and a viewer that shows for every step what was retrieved, how it was
-//! moved, and why. What differs between the plane and space is a [`Scene`].
+//! The page of sets of rollouts: scores, plots of all rollouts, and a viewer that shows for every step which demonstration was
+//! retrieved, how it was reframed, and why. The differences between Push-T and robosuite's tasks are in the trait [`Scene`].
 
 pub mod plane;
 mod sections;
@@ -19,40 +19,41 @@ use re4_rollout::{DecisionCore, ResultCore, StepCore};
 use super::pack::{Pack, f32s};
 use super::shell::{Column, Document};
 
-/// What the page shows.
+/// The content of the page.
 #[derive(Debug, Clone)]
 pub struct Report<S: Scene> {
     /// Version of the program that makes the page.
     pub tool_version: String,
     /// Sets of rollouts, in the order in which they are shown.
     pub artifacts: Vec<Rollouts<S>>,
-    /// Demonstrations that decisions refer to, by the key of their index. An index that could not be read is not in it.
+    /// Demonstrations that decisions refer to, by the key of their index and by their number. An index that was not found has no
+    /// entry.
     pub demonstrations: BTreeMap<String, BTreeMap<u32, Demonstration>>,
 }
 
-/// Frames of a demonstration: the numbers of each.
+/// Frames of a demonstration. [`Scene::frame`] defines the numbers of a frame.
 pub type Demonstration = Vec<Vec<f64>>;
 
 /// One `rollouts` artifact.
 #[derive(Debug, Clone)]
 pub struct Rollouts<S: Scene> {
-    /// Its key, 64 hexadecimal digits.
+    /// Key of the artifact, 64 hexadecimal digits.
     pub key: String,
-    /// Key of the index that demonstrations were retrieved from.
+    /// Key of the index from which demonstrations were retrieved.
     pub index_key: String,
     /// Preset of the policy.
     pub preset: String,
-    /// Whether single settings of the preset were changed.
+    /// Whether any setting differs from the preset.
     pub altered: bool,
     /// What the policy observed: state or image.
     pub variant: String,
-    /// Control steps a rollout lasts at most.
+    /// Maximum number of control steps of a rollout.
     pub max_steps: u32,
-    /// The protocol that the artifact states, one entry a fact.
+    /// The protocol, as the artifact's manifest states it.
     pub protocol: Value,
     /// Settings of the policy.
     pub settings: Value,
-    /// What else it states.
+    /// Data that depends on the kind of scene.
     pub scene: S,
     /// The rollouts.
     pub rollouts: Vec<Rollout<S>>,
@@ -61,9 +62,9 @@ pub struct Rollouts<S: Scene> {
 /// One rollout.
 #[derive(Debug, Clone)]
 pub struct Rollout<S: Scene> {
-    /// Its row in table results.
+    /// Its row in table `results`.
     pub result: S::Result,
-    /// Whether the viewer holds it; if not, its figures alone are on the page.
+    /// Whether the viewer contains it. If not, the page has only its results.
     pub shown: bool,
     /// Control steps.
     pub steps: Vec<S::Step>,
@@ -74,33 +75,33 @@ pub struct Rollout<S: Scene> {
 /// A decision.
 #[derive(Debug, Clone)]
 pub struct Decided<S: Scene> {
-    /// What every policy says.
+    /// The data that every policy records.
     pub core: S::Decision,
-    /// What RE4 says besides; nothing of other policies.
+    /// The data that only RE4 records; `None` for other policies.
     pub detail: Option<S::Detail>,
 }
 
 impl<S: Scene> Rollout<S> {
-    /// What all scenes say of it.
+    /// Returns the part of the result that all scenes have.
     pub fn core(&self) -> &ResultCore {
         S::result(&self.result)
     }
 }
 
 impl<S: Scene> Decided<S> {
-    /// What all scenes say of it.
+    /// Returns the part of the decision that all scenes have.
     pub fn core(&self) -> &DecisionCore {
         S::decision(&self.core)
     }
 }
 
 impl<S: Scene> Rollouts<S> {
-    /// The rollouts that the viewer holds.
+    /// Iterates over the rollouts in the viewer.
     pub(crate) fn shown(&self) -> impl Iterator<Item = &Rollout<S>> + Clone {
         self.rollouts.iter().filter(|rollout| rollout.shown)
     }
 
-    /// What its name in the score table ends in.
+    /// Returns the suffix that marks a changed preset in the score table; empty if the preset is unchanged.
     pub(crate) fn changed(&self) -> &'static str {
         if self.altered { " · settings changed" } else { "" }
     }
@@ -139,8 +140,8 @@ impl<S: Scene> Rollouts<S> {
     }
 }
 
-/// What the demonstration of a decision is called; nothing where none is followed. Artifacts of older versions have numbers in the
-/// index alone.
+/// Returns the name of the demonstration that a decision follows; empty if it follows none. Artifacts of older versions have only
+/// the number of the demonstration in the index.
 pub(crate) fn demo_name(core: &DecisionCore) -> String {
     match (core.demo, &core.demo_name) {
         (_, Some(name)) => name.clone(),
@@ -149,95 +150,95 @@ pub(crate) fn demo_name(core: &DecisionCore) -> String {
     }
 }
 
-/// A number that is not there.
+/// Marks a missing number in a packed column of integers.
 const NONE: u32 = u32::MAX;
 
-/// The words of a kind of page.
+/// The texts of a kind of page.
 #[derive(Debug)]
 pub struct Words {
-    /// What follows on the names of the policies in the first sentence.
+    /// Text after the names of the policies in the first sentence.
     pub of: &'static str,
-    /// Title of the scores, name of their table, and its classes.
+    /// Title of the section of scores, name of its table, and the table's CSS classes.
     pub scores: [&'static str; 3],
-    /// How scores are to be read.
+    /// Explains how scores are computed.
     pub note: &'static str,
-    /// Columns of the score table, the policy's first.
+    /// Columns of the score table, starting with the policy.
     pub score_columns: &'static [Column<'static>],
-    /// What must not be compared.
+    /// States which results are not comparable.
     pub comparison: &'static str,
-    /// Class of the viewer's stage.
+    /// CSS class of the viewer's stage.
     pub stage: &'static str,
-    /// Columns of the table of rollouts: name in the data, words, and whether four digits of it are shown.
+    /// Columns of the table of rollouts: name in the data, heading, and whether four decimals are shown.
     pub columns: &'static [(&'static str, &'static str, bool)],
 }
 
-/// What the page shows of rollouts and how, in the plane or in space.
+/// The parts of the page that differ between Push-T and robosuite's tasks.
 pub trait Scene: Clone + std::fmt::Debug {
-    /// A rollout's row.
+    /// Row of a rollout.
     type Result: Row + Clone + std::fmt::Debug;
-    /// A control step's row.
+    /// Row of a control step.
     type Step: Row + Clone + std::fmt::Debug;
-    /// A decision's row.
+    /// Row of a decision.
     type Decision: Row + Clone + std::fmt::Debug;
-    /// The row of what RE4 says of a decision.
+    /// Row of the data of a decision that only RE4 records.
     type Detail: Row + Clone + std::fmt::Debug;
-    /// The row of a demonstration's frame in the index.
+    /// Row of a demonstration's frame in the index.
     type Frame: Row;
     /// Kinds of policies.
     type Policies: Kinds;
-    /// What is worked out of an artifact once.
+    /// Data that is computed once per artifact.
     type Extra;
 
-    /// Its words.
+    /// Texts of the page.
     const WORDS: Words;
-    /// Its rules of style, after those of all pages of rollouts.
+    /// CSS rules, which follow those of all pages of rollouts.
     const STYLE: &'static str;
-    /// Its parts of the script, which give what `script/traces.js`, `viewer.js`, `timeline.js` and `table.js` ask for.
+    /// Script parts. They define what `script/traces.js`, `viewer.js`, `timeline.js` and `table.js` require.
     const SCRIPT: &'static [&'static str];
 
-    /// What a rollout's number is called: seed or scene.
+    /// Returns the name of a rollout's number: seed or scene.
     fn noun(&self) -> &'static str;
-    /// What the rollouts are of.
+    /// Returns the title of the page.
     fn title(artifacts: &[Rollouts<Self>]) -> String;
-    /// Names that tell the artifacts apart.
+    /// Returns labels that distinguish the artifacts.
     fn labels(artifacts: &[Rollouts<Self>]) -> Vec<String>;
-    /// What is worked out of an artifact once.
+    /// Computes the data that is needed once per artifact.
     fn extra(artifact: &Rollouts<Self>) -> Self::Extra;
-    /// What stands under an artifact's name in the score table.
+    /// Returns the lines under an artifact's name in the score table.
     fn details(artifact: &Rollouts<Self>) -> Vec<String>;
-    /// An artifact's cells in the score table.
+    /// Renders an artifact's cells in the score table.
     fn score_cells(artifact: &Rollouts<Self>) -> Markup;
-    /// The section of plots over all rollouts; the script draws them.
+    /// Renders the section with the plots of all rollouts; the script draws the plots.
     fn overview(labels: &[String]) -> Markup;
-    /// What stands beside the scene in the viewer, under a decision's reason.
+    /// Renders the part of the viewer below a decision's reason.
     fn evidence(report: &Report<Self>) -> Markup;
-    /// Further tables: under the scores, and under the rollouts.
+    /// Renders further tables: one below the scores, one below the table of rollouts.
     fn more_tables(labels: &[String], extras: &[Self::Extra]) -> [Markup; 2] {
         let _ = (labels, extras);
         [html! {}, html! {}]
     }
 
-    /// What all scenes say of a rollout.
+    /// Returns the part of a result that all scenes have.
     fn result(row: &Self::Result) -> &ResultCore;
-    /// What all scenes say of a step.
+    /// Returns the part of a step that all scenes have.
     fn step(row: &Self::Step) -> &StepCore;
-    /// What all scenes say of a decision.
+    /// Returns the part of a decision that all scenes have.
     fn decision(row: &Self::Decision) -> &DecisionCore;
-    /// The demonstration that a frame is of, and its numbers.
+    /// Returns the number of the demonstration of a frame, and the frame's numbers.
     fn frame(frame: &Self::Frame) -> (u32, Vec<f64>);
-    /// Numbers of a rollout's first state.
+    /// Returns the numbers of a rollout's first state.
     fn start(rollout: &Rollout<Self>) -> Vec<f64>;
-    /// What the script reads of rollouts, beside what all scenes say.
+    /// Adds the columns of rollouts that only this scene has.
     fn pack_results(pack: Pack<'_, Rollout<Self>>) -> Pack<'_, Rollout<Self>>;
-    /// What it reads of control steps.
+    /// Adds the columns of control steps that only this scene has.
     fn pack_steps<'a>(pack: Pack<'a, Self::Step>, artifact: &'a Rollouts<Self>) -> Pack<'a, Self::Step>;
-    /// What it reads of decisions.
+    /// Adds the columns of decisions that only this scene has.
     fn pack_decisions(pack: Pack<'_, Decided<Self>>) -> Pack<'_, Decided<Self>>;
-    /// What else it reads of an artifact.
+    /// Adds the data of an artifact that only this scene has.
     fn pack_more<'a>(pack: Pack<'a, Self>, artifact: &Rollouts<Self>, extra: &Self::Extra) -> Pack<'a, Self>;
 }
 
-/// The script, before and after the scene's own parts.
+/// The script parts of all pages of rollouts, which go before and after the scene's own parts.
 const SCRIPT: [[&str; 3]; 2] = [
     [
         concat!(include_str!("script/selection.js"), include_str!("script/traces.js")),
@@ -251,7 +252,7 @@ const SCRIPT: [[&str; 3]; 2] = [
     ],
 ];
 
-/// The page.
+/// Renders the page.
 pub fn page<S: Scene>(report: &Report<S>) -> String {
     let summary = Summary::of(report);
     Document {

@@ -1,4 +1,4 @@
-//! The parts of the page.
+//! The sections of the page.
 
 use maud::{Markup, html};
 use re4_stats::Interval;
@@ -7,13 +7,13 @@ use super::summary::{Row, Summary};
 use super::{Scene, Words};
 use crate::html::shell::{self, exact, plural, short, table};
 
-/// Distinct marks for this many artifacts; further ones repeat them.
+/// Number of distinct marks. Further artifacts use the same marks again.
 const MARKS: usize = 8;
 
-/// The page's first sentence names this many artifacts at most.
-const MOST_NAMED: usize = 4;
+/// Maximum number of artifacts that the first sentence of the page names.
+const MAX_NAMED: usize = 4;
 
-/// The mark of an artifact, and its name.
+/// The mark of an artifact, and its label.
 pub(super) fn named(artifact: usize, label: &str) -> Markup {
     html! {
         svg class={ "mark series-" (artifact % MARKS) } viewBox="-6 -6 12 12" width="12" height="12" aria-hidden="true" {
@@ -23,13 +23,13 @@ pub(super) fn named(artifact: usize, label: &str) -> Markup {
     }
 }
 
-/// The title, and what the page is about.
+/// The header: the title, and the policies that the page shows.
 pub(super) fn header<S: Scene>(summary: &Summary<S>) -> Markup {
     let Summary { report, labels, .. } = summary;
     let rollouts: usize = report.artifacts.iter().map(|artifact| artifact.rollouts.len()).sum();
     let lead = html! {
         (plural(rollouts, "rollout", "rollouts")) " of "
-        @if labels.len() > MOST_NAMED {
+        @if labels.len() > MAX_NAMED {
             strong { (labels.len()) } " policies and protocols"
         } @else {
             @for (i, label) in labels.iter().enumerate() {
@@ -37,7 +37,7 @@ pub(super) fn header<S: Scene>(summary: &Summary<S>) -> Markup {
                 strong { (label) }
             }
         }
-        (S::WORDS.of) ". Every action can be traced to the demonstration that it was taken from."
+        (S::WORDS.of) ". Every action can be traced to the demonstration that it comes from."
     };
     let without_script = "The plots and the viewer need JavaScript; the tables do not.";
     shell::header(
@@ -49,7 +49,7 @@ pub(super) fn header<S: Scene>(summary: &Summary<S>) -> Markup {
     )
 }
 
-/// One row an artifact, and what differs between them.
+/// The score table, with one row per artifact, and the differences between their protocols.
 pub(super) fn scores<S: Scene>(summary: &Summary<S>) -> Markup {
     let Words {
         scores: [title, name, class],
@@ -75,9 +75,9 @@ pub(super) fn scores<S: Scene>(summary: &Summary<S>) -> Markup {
             p.note { (note) }
             @if !differences.is_empty() {
                 p.notice #protocol-differs data-differences=(differences.join(" ")) {
-                    strong { "These rollouts were not made under one protocol." }
-                    " They differ in " (differences.join(", ").replace('_', " ")) ". Compare rows with that in mind; "
-                    a href="#protocol" { "the protocol" } " has the details."
+                    strong { "These rollouts were not made under the same protocol." }
+                    " They differ in " (differences.join(", ").replace('_', " ")) ". Take this into account when you compare rows; see "
+                    a href="#protocol" { "the protocol" } " for details."
                 }
             }
             (table(name, "scroll", class, score_columns, &rows))
@@ -86,7 +86,7 @@ pub(super) fn scores<S: Scene>(summary: &Summary<S>) -> Markup {
     }
 }
 
-/// A figure with its interval, in digits and as a bar from 0 to 1 on which a tick marks the paper's figure.
+/// A result with its interval, as text and as a bar from 0 to 1. A tick on the bar marks the paper's result.
 pub(super) fn figure(metric: &str, interval: Interval, paper: Option<f64>) -> Markup {
     let at = |value: f64| format!("{:.2}", 100.0 * value.clamp(0.0, 1.0));
     let Interval { value, low, high } = interval;
@@ -106,7 +106,7 @@ pub(super) fn figure(metric: &str, interval: Interval, paper: Option<f64>) -> Ma
     }
 }
 
-/// The viewer; the script fills it.
+/// The viewer of rollouts; the script fills it.
 pub(super) fn viewer<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         section #viewer aria-labelledby="viewer-title" tabindex="-1" {
@@ -124,7 +124,7 @@ pub(super) fn viewer<S: Scene>(summary: &Summary<S>) -> Markup {
                 }
             }
             @if summary.report.artifacts.iter().all(|artifact| artifact.shown().next().is_none()) {
-                p.notice { "No rollout is embedded in this page." }
+                p.notice { "This page contains no rollouts for the viewer." }
             }
             div class=(S::WORDS.stage) {
                 figure.card.scene {
@@ -149,6 +149,7 @@ pub(super) fn viewer<S: Scene>(summary: &Summary<S>) -> Markup {
     }
 }
 
+/// The controls for playing and stepping, and the timeline.
 fn transport() -> Markup {
     let button = |id: &str, name: &str, keys: &str, sign: &str| {
         html! { button id=(id) type="button" aria-label=(name) title={ (name) " (" (keys) ")" } { (sign) } }
@@ -184,11 +185,11 @@ fn transport() -> Markup {
     }
 }
 
-/// The table of rollouts, which the script fills, and further figures.
+/// The table of rollouts, which the script fills, and further tables.
 pub(super) fn tables<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         section #tables aria-labelledby="tables-title" {
-            h2 #tables-title { "Figures" }
+            h2 #tables-title { "Results per rollout" }
             details.card open {
                 summary { "Rollouts of " span #seeds-of { (summary.labels.first().map_or("", String::as_str)) } }
                 div.scroll.tall tabindex="0" role="region" aria-label="Seeds" {
@@ -207,13 +208,13 @@ pub(super) fn tables<S: Scene>(summary: &Summary<S>) -> Markup {
     }
 }
 
-/// Protocol and settings, fact by fact.
+/// The protocol and the settings, one entry per row.
 pub(super) fn protocol<S: Scene>(summary: &Summary<S>) -> Markup {
     html! {
         section #protocol aria-labelledby="protocol-title" {
             h2 #protocol-title { "Protocol" }
             p.note {
-                @if summary.labels.len() > 1 && summary.differences().is_empty() { "All rollouts were made under one protocol. " }
+                @if summary.labels.len() > 1 && summary.differences().is_empty() { "All rollouts were made under the same protocol. " }
                 (S::WORDS.comparison)
             }
             div.card { (fact_table("Protocol", &summary.protocol, &summary.labels)) }
@@ -254,7 +255,7 @@ fn stated(value: &str) -> &str {
     if value.is_empty() { "–" } else { value }
 }
 
-/// Where the page is from.
+/// The footer: how the page was generated, and from which artifacts.
 pub(super) fn footer<S: Scene>(summary: &Summary<S>) -> Markup {
     let artifacts = summary.report.artifacts.iter().zip(&summary.labels);
     shell::footer(

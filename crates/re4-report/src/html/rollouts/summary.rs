@@ -1,4 +1,4 @@
-//! What follows from several artifacts together: names that tell them apart, differences of protocol.
+//! Comparison of several artifacts: labels that distinguish them, and the differences between their protocols.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::{Report, Rollouts, Scene};
 
-/// Summary of protocol that come first: what most often tells two sets of rollouts apart.
+/// Entries of the protocol that are listed first, because sets of rollouts most often differ in them.
 const FIRST: [&str; 9] = [
     "variant",
     "seeds",
@@ -20,35 +20,35 @@ const FIRST: [&str; 9] = [
     "measure",
 ];
 
-/// A fact that changes no rollout: whether images lie beside the states.
+/// An entry of the protocol that has no effect on rollouts: whether the demonstrations have images in addition to states.
 const WITHOUT_EFFECT: &str = "demonstrations.images";
 
-/// See the module.
+/// The comparison of the artifacts of a report.
 pub(super) struct Summary<'a, S: Scene> {
     /// The artifacts.
     pub(super) report: &'a Report<S>,
-    /// Name of each artifact on the page.
+    /// Label of each artifact on the page.
     pub(super) labels: Vec<String>,
     /// Rows of the protocol table.
     pub(super) protocol: Vec<Row>,
     /// Rows of the table of settings.
     pub(super) settings: Vec<Row>,
-    /// What is worked out of each artifact once.
+    /// Data that is computed once per artifact.
     pub(super) extras: Vec<S::Extra>,
     /// Tables that only this scene has.
     pub(super) tables: [Markup; 2],
 }
 
-/// One fact, and what it is for each artifact.
+/// One entry of the protocol or the settings, with its value for each artifact.
 pub(super) struct Row {
-    /// Name of the fact.
+    /// Dotted name of the entry.
     pub(super) name: String,
-    /// Its value for each artifact; empty where the artifact does not state it.
+    /// Its value for each artifact; empty if the artifact does not state it.
     pub(super) values: Vec<String>,
 }
 
 impl Row {
-    /// Whether the artifacts disagree.
+    /// Whether the artifacts have different values.
     pub(super) fn differs(&self) -> bool {
         self.values.iter().any(|value| Some(value) != self.values.first())
     }
@@ -61,8 +61,8 @@ impl<'a, S: Scene> Summary<'a, S> {
             artifacts.iter().map(|artifact| flatten(value(artifact))).collect()
         };
         let mut protocols = flattened(|artifact| &artifact.protocol);
-        for (summary, artifact) in protocols.iter_mut().zip(artifacts) {
-            summary.insert("variant".to_owned(), artifact.variant.clone());
+        for (protocol, artifact) in protocols.iter_mut().zip(artifacts) {
+            protocol.insert("variant".to_owned(), artifact.variant.clone());
         }
         let labels = S::labels(artifacts);
         let extras: Vec<S::Extra> = artifacts.iter().map(S::extra).collect();
@@ -76,7 +76,8 @@ impl<'a, S: Scene> Summary<'a, S> {
         }
     }
 
-    /// Names of what the artifacts disagree on in their protocols, each group of summary once.
+    /// Returns the names of the protocol entries that differ between the artifacts. Entries of the same group are named once, by
+    /// the group.
     pub(super) fn differences(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for row in self
@@ -93,11 +94,12 @@ impl<'a, S: Scene> Summary<'a, S> {
     }
 }
 
-/// A part of an artifact's name.
+/// A part of an artifact's label.
 pub(super) type Part<'a, S> = &'a dyn Fn(&Rollouts<S>) -> String;
 
-/// Names of artifacts with as many of the parts appended, and of their steps and keys, as it takes to tell them apart.
-pub(super) fn told_apart<S: Scene>(
+/// Returns labels that distinguish artifacts. Each starts with `name`. Where labels are equal, the parts are appended that
+/// differ, in order: first `parts`, then the maximum number of steps, then the beginning of the key.
+pub(super) fn distinct_labels<S: Scene>(
     artifacts: &[Rollouts<S>],
     name: impl Fn(&Rollouts<S>) -> String,
     parts: &[Part<'_, S>],
@@ -126,7 +128,7 @@ pub(super) fn told_apart<S: Scene>(
     labels
 }
 
-/// Leaves of a JSON value by their dotted names.
+/// Returns the leaves of a JSON value by their dotted names.
 fn flatten(value: &Value) -> BTreeMap<String, String> {
     fn walk(name: &str, value: &Value, leaves: &mut BTreeMap<String, String>) {
         match value {
@@ -153,7 +155,7 @@ fn flatten(value: &Value) -> BTreeMap<String, String> {
     leaves
 }
 
-/// One row a fact: those that differ first, then those of [`FIRST`], then by name.
+/// Returns one row per entry: first those that differ, then those of [`FIRST`], then the others by name.
 fn rows(artifacts: &[BTreeMap<String, String>]) -> Vec<Row> {
     let names: BTreeSet<&String> = artifacts.iter().flat_map(BTreeMap::keys).collect();
     let mut rows: Vec<Row> = names
@@ -162,7 +164,7 @@ fn rows(artifacts: &[BTreeMap<String, String>]) -> Vec<Row> {
             name: name.clone(),
             values: artifacts
                 .iter()
-                .map(|summary| summary.get(name).cloned().unwrap_or_default())
+                .map(|entries| entries.get(name).cloned().unwrap_or_default())
                 .collect(),
         })
         .collect();

@@ -1,4 +1,4 @@
-// Small helpers to draw with.
+// Helpers for drawing, formatting and controls.
 const SVG = "http://www.w3.org/2000/svg";
 const byId = (id) => document.getElementById(id);
 
@@ -17,13 +17,15 @@ const digits = (value, count = 3) => (Number.isFinite(value) ? value.toFixed(cou
 const degrees = (angle) => `${digits((angle * 180) / Math.PI, 1)}°`;
 const counted = (count, one, many = `${one}s`) => `${count} ${count === 1 ? one : many}`;
 const titled = (word) => word[0].toUpperCase() + word.slice(1);
-const around = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
+// Wraps an angle to [-pi, pi].
+const wrapAngle = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+// Rounds a coordinate to two decimals, to keep the SVG short.
 const near = (value) => Math.round(value * 100) / 100;
 
 const line = (points) => points.map(([x, y], i) => `${i === 0 ? "M" : "L"}${near(x)} ${near(y)}`).join("");
 
-// The shapes that tell artifacts apart where colour does not.
+// The shapes of the marks of artifacts, which distinguish them for readers who cannot see the colours.
 const MARKS = [
   "M-4 0A4 4 0 1 0 4 0A4 4 0 1 0 -4 0Z",
   "M-3.5 -3.5H3.5V3.5H-3.5Z",
@@ -36,7 +38,7 @@ const MARKS = [
 ];
 const markOf = (artifact) => artifact % MARKS.length;
 
-// Draws again whenever the element's width changes.
+// Calls `draw` whenever the width of the element changes.
 const onWidth = (element, draw) => {
   let width = 0;
   new ResizeObserver(() => {

@@ -1,4 +1,5 @@
-// A frame with axes: horizontal lines with their values, ticks below.
+// The frame of a chart: horizontal grid lines with their values, and ticks below. Returns the SVG and the mapping from values to
+// pixels.
 const chartFrame = (width, { height, left, right, top, bottom, y, yTicks, x, xTicks, xLabel, name }) => {
   const place = {
     x: (value) => left + ((value - x[0]) / (x[1] - x[0] || 1)) * (width - left - right),

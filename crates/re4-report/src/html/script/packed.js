@@ -1,7 +1,7 @@
-// The page's data.
+// The data of the page.
 const REPORT = JSON.parse(document.getElementById("report-data").textContent);
 
-// Columns packed as base64 of little-endian numbers, unpacked where they are needed.
+// Columns are packed as base64 of little-endian numbers, and unpacked when they are needed.
 const ARRAYS = { f32: Float32Array, f64: Float64Array, u32: Uint32Array, u8: Uint8Array };
 
 const unpack = ({ type, data }) => {
@@ -14,6 +14,7 @@ const isPacked = (value) => value !== null && typeof value === "object" && "data
 const unpackAll = (columns) =>
   Object.fromEntries(Object.entries(columns).map(([name, value]) => [name, isPacked(value) ? unpack(value) : value]));
 
+// Caches the results of a function by its argument.
 const remember = (make) => {
   const made = new Map();
   return (key) => {

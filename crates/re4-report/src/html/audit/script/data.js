@@ -1,4 +1,4 @@
-// The page's data: demonstrations by place in the artifact, their findings, segments and grasps, and evidence by frame.
+// The data of the page: demonstrations by index, their findings, segments and grasps, and the evidence by frame.
 const DEMOS = REPORT.demos;
 const COUNT = DEMOS.number.length;
 const SEVERITIES = REPORT.severities;
@@ -21,10 +21,10 @@ const FINDINGS_OF = byDemo(FINDINGS);
 const SEGMENTS_OF = byDemo(SEGMENTS);
 const GRASPS_OF = byDemo(GRASPS);
 
-// Where each demonstration's frames begin in columns by frame.
+// Index of the first frame of each demonstration in the columns by frame.
 const FRAME_START = [0];
 for (const frames of DEMOS.frames) FRAME_START.push(FRAME_START[FRAME_START.length - 1] + frames);
-const MOST_FRAMES = Math.max(1, ...DEMOS.frames);
+const MAX_FRAMES = Math.max(1, ...DEMOS.frames);
 
 const framesOf = (values, demo) => values.subarray(FRAME_START[demo], FRAME_START[demo + 1]);
 const panelValues = remember((key) => {
@@ -36,15 +36,16 @@ const flagValues = remember((flag) => unpack(REPORT.flags[flag].values));
 const nameOf = (demo) => DEMOS.name[demo];
 const wordsOf = (code) => code.replaceAll(/[_-]/g, " ");
 
-// Frames in words, both ends included.
+// Describes a range of frames. Both ends are inclusive in the text; `end` is exclusive in the data.
 const spanWords = ({ first, end }) => (end - first <= 1 ? `frame ${first}` : `frames ${first}–${end - 1}`);
+// Findings that cover nearly the whole demonstration are marked once, not as a range.
 const isWhole = ({ first, end, demo }) => end - first >= 0.9 * DEMOS.frames[demo] && DEMOS.frames[demo] > 1;
 
-// Four significant digits, with a real minus sign.
-const figure = (value, most = 4) => {
+// Formats a number with four significant digits and a typographic minus sign.
+const figure = (value, precision = 4) => {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  const text = size !== 0 && (size < 1e-4 || size >= 1e7) ? value.toExponential(2) : String(Number(value.toPrecision(most)));
+  const text = size !== 0 && (size < 1e-4 || size >= 1e7) ? value.toExponential(2) : String(Number(value.toPrecision(precision)));
   return text.replace("-", "−");
 };
 const lengthWords = (value) => {
@@ -53,7 +54,7 @@ const lengthWords = (value) => {
   return digits(value * LENGTH.factor, size < 10 ? 2 : size < 100 ? 1 : 0);
 };
 
-// Colours of the page's scheme, for canvases; read again when the scheme changes.
+// Colours of the current scheme, for canvases, which cannot use CSS variables. They are read again when the scheme changes.
 const COLOURS = {};
 const readColours = () => {
   const style = getComputedStyle(document.documentElement);
@@ -72,7 +73,7 @@ const GLYPH_PATHS = Object.fromEntries(Object.entries(GLYPHS).map(([name, path])
 const glyph = (severity) =>
   svg("svg", { class: `glyph sev-${severity}`, viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" }, svg("path", { d: GLYPHS[severity] }));
 
-// A canvas of this size in CSS pixels, sharp on the screen; its context.
+// Sizes a canvas in CSS pixels, with enough device pixels to be sharp, and returns its context.
 const fitCanvas = (canvas, width, height) => {
   const ratio = Math.min(window.devicePixelRatio || 1, 3);
   const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];

@@ -1,4 +1,4 @@
-// The chosen demonstration: its findings in sentences, its evidence over frames, its segments.
+// The selected demonstration: its findings, its evidence over frames, and its segments.
 const PLOT = { left: 88, right: 12, strip: 15, height: 92, top: 22, bottom: 8, axis: 24 };
 const SEVERITY_COUNT = 3;
 
@@ -9,13 +9,13 @@ const plotScale = (width) => {
   const room = width - PLOT.left - PLOT.right;
   return {
     first, end, room,
-    // A frame's state lies in the middle of its cell.
+    // Frame f has the cell from f to f + 1; its values are plotted in the middle of the cell, at f + 0.5.
     x: (frame) => PLOT.left + ((frame - first) / Math.max(1, end - first)) * room,
     frame: (x) => clamp(Math.floor(first + ((x - PLOT.left) / room) * (end - first)), first, end - 1),
   };
 };
 
-// Pieces of a curve without the frames that have no value.
+// The path of a curve, interrupted at frames without a value.
 const curvePath = (values, scale, y) => {
   const pieces = [];
   let piece = [];
@@ -40,7 +40,7 @@ const niceTicks = (low, high, count = 3) => {
   return ticks;
 };
 
-// Minimum and maximum value over the whole demonstration, so that zooming in frames does not change the height.
+// The range of values over all frames of the demonstration, so that zooming does not change the vertical scale.
 const valueRange = (curves) => {
   let [low, high] = [Infinity, -Infinity];
   for (const values of curves) {
@@ -51,7 +51,7 @@ const valueRange = (curves) => {
     }
   }
   if (low > high) return null;
-  // Distances and speeds are measured from zero.
+  // Distances and speeds get an axis that starts at 0, unless they vary only little.
   if (low >= 0 && low < 0.6 * high) low = 0;
   if (low === high) high = low + (Math.abs(low) || 1);
   return [low, high + 0.06 * (high - low)];
@@ -65,11 +65,11 @@ const modeBands = (root, scale, top, height) => {
   }
 };
 
-// The chosen finding over the whole height, the others as edges, so that the modes stay in view.
+// Marks the selected finding over the whole height of a plot, and the others only at its top, so that the modes stay visible.
 const findingBands = (root, scale, top, height) => {
   for (const finding of FINDINGS_OF[selection.demo]) {
     const active = finding.number === selection.finding;
-    // Notes are long and many, and stand in the strips above.
+    // Notes are often long and numerous. They are shown only in the strips above the plots.
     if (isWhole(finding) || (SEVERITIES[finding.severity] === "note" && !active)) continue;
     const [a, b] = [Math.max(finding.first, scale.first), Math.min(finding.end, scale.end)];
     if (a >= b) continue;
@@ -93,7 +93,7 @@ const runsOf = (values) => {
   return runs.filter(({ value }) => value !== 0).map(({ first, end, value }) => ({ first, end, kind: value === 1 ? "yes" : "unknown" }));
 };
 
-// Findings in as many lanes as are needed for none to cover another.
+// Assigns findings to lanes so that none covers another.
 const lanesOf = (findings) => {
   const lanes = [];
   return findings.map((finding) => {
@@ -109,8 +109,8 @@ const drawStrips = (width, scale) => {
   const found = lanesOf([...FINDINGS_OF[selection.demo]].filter((f) => !isWhole(f)).sort((a, b) => a.first - b.first));
   const lanes = Math.max(0, ...found.map(({ lane }) => lane + 1));
   const height = strips.length * PLOT.strip + lanes * PLOT.strip + 6;
-  const root = svg("svg", { class: "chart strips", width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Mode, findings and summary of each frame" });
-  // Of all plots below, which begin at the same height and are equally wide.
+  const root = svg("svg", { class: "chart strips", width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Mode, boolean evidence and findings over frames" });
+  // The clip path of all plots below, which have the same size.
   root.append(svg("defs", {}, svg("clipPath", { id: "plot-clip" }, svg("rect", { x: PLOT.left, y: PLOT.top - 2, width: scale.room, height: PLOT.height - PLOT.top - PLOT.bottom + 4 }))));
   strips.forEach(({ label, at }, row) => {
     const y = row * PLOT.strip + 2;
@@ -152,7 +152,7 @@ const drawPanel = (number, width, scale) => {
   root.append(heading);
   let words = null;
   if (range === null) {
-    root.append(svg("text", { class: "tick", x: PLOT.left + 8, y: (top + height) / 2 + 4 }, "nothing recorded"));
+    root.append(svg("text", { class: "tick", x: PLOT.left + 8, y: (top + height) / 2 + 4 }, "not recorded"));
   } else {
     const y = (value) => height - bottom - ((value - range[0]) / (range[1] - range[0])) * (height - top - bottom);
     for (const tick of niceTicks(range[0] * factor, range[1] * factor)) {
@@ -210,7 +210,7 @@ const stateWords = (demo, frame) => {
   return [segment ? (segment.transfer ? "transfer" : "transit") : "no mode", ...flags].join(" · ");
 };
 
-// The crosshair, and the values under it; without a frame, the names of the curves alone.
+// Shows the crosshair and the values at the selected frame; without a selected frame, only the names of the curves.
 const showFrame = () => {
   if (plots.crosshair === undefined || selection.demo < 0) return;
   const { demo, frame } = selection;
@@ -225,13 +225,13 @@ const showFrame = () => {
   const time = (frame ?? 0) * REPORT.frame_seconds;
   byId("readout").textContent = shown
     ? `Frame ${frame} (${time.toFixed(2)} s) · ${stateWords(demo, frame)}`
-    : `${spanWords({ first, end }).replace("frame", "Frame")} of ${DEMOS.frames[demo]}${selection.range === null ? "" : ", looked at closely"}`;
+    : `${spanWords({ first, end }).replace("frame", "Frame")} of ${DEMOS.frames[demo]}${selection.range === null ? "" : ", zoomed in"}`;
   byId("readout").dataset.frame = shown ? frame : "";
 };
 
 const findingItem = (finding) => {
   const severity = SEVERITIES[finding.severity];
-  const compared = finding.value === null ? "" : `${figure(finding.value)}${finding.unit ? ` ${finding.unit}` : ""}${finding.threshold === null ? "" : ` against ${figure(finding.threshold)}`}`;
+  const compared = finding.value === null ? "" : `${figure(finding.value)}${finding.unit ? ` ${finding.unit}` : ""}${finding.threshold === null ? "" : ` (threshold ${figure(finding.threshold)})`}`;
   const button = html("button", { type: "button", class: "finding", "data-finding": finding.number, "aria-pressed": finding.number === selection.finding, title: CHECKS.get(finding.code)?.meaning },
     glyph(severity),
     html("span", { class: "text" },
@@ -244,7 +244,7 @@ const findingItem = (finding) => {
 const showFindings = () => {
   const { demo } = selection;
   const found = [...FINDINGS_OF[demo]].sort((a, b) => a.severity - b.severity || a.first - b.first);
-  byId("evidence-findings").replaceChildren(...(found.length > 0 ? found.map(findingItem) : [html("li", { class: "soft" }, "Nothing was found in this demonstration.")]));
+  byId("evidence-findings").replaceChildren(...(found.length > 0 ? found.map(findingItem) : [html("li", { class: "soft" }, "This demonstration has no findings.")]));
 };
 
 const markFinding = () => {
@@ -269,7 +269,7 @@ const segmentCells = (segment) => {
 const showSegments = () => {
   byId("segments").tBodies[0].replaceChildren(...SEGMENTS_OF[selection.demo].map((segment) => {
     const mode = segment.transfer ? "transfer" : "transit";
-    const button = html("button", { type: "button", class: "link", title: "Look closely at these frames" }, mode);
+    const button = html("button", { type: "button", class: "link", title: "Zoom in on these frames" }, mode);
     button.addEventListener("click", () => selectRange(segment.end - segment.first >= DEMOS.frames[segment.demo] ? null : [Math.max(0, segment.first - 3), Math.min(DEMOS.frames[segment.demo], segment.end + 3)]));
     return html("tr", {},
       html("th", { scope: "row" }, html("span", { class: "name" }, html("span", { class: `swatch ${mode}` }), button)),
@@ -282,8 +282,8 @@ const showDemo = () => {
   byId("evidence-title").textContent = nameOf(demo);
   byId("evidence").dataset.demo = DEMOS.number[demo];
   const summary = [
-    counted(DEMOS.frames[demo], "frame"), `${(DEMOS.frames[demo] * REPORT.frame_seconds).toFixed(1)} s`, `${Math.round(100 * share(demo))} % transfer`,
-    counted(DEMOS.segments[demo], "segment"), `object ends ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit} from where it began`, severityWords(demo),
+    counted(DEMOS.frames[demo], "frame"), `${(DEMOS.frames[demo] * REPORT.frame_seconds).toFixed(1)} s`, `${Math.round(100 * transferFraction(demo))} % transfer`,
+    counted(DEMOS.segments[demo], "segment"), `object displacement ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit}`, severityWords(demo),
   ];
   byId("evidence-summary").textContent = summary.join(" · ");
   showFindings();

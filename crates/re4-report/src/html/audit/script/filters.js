@@ -1,4 +1,4 @@
-// Buttons, the list of orders and the field that decide which timelines are shown, and in which order.
+// The controls that filter and sort the timelines.
 const toggleIn = (set, value) => (set.has(value) ? set.delete(value) : set.add(value));
 
 const showFilters = () => {
@@ -47,7 +47,7 @@ const setUpFilters = () => {
   });
   onChoice("scale", () => {
     view.scale = checked("scale");
-    tell("view");
+    notify("view");
   });
   listeners.view.push(showFilters);
 };

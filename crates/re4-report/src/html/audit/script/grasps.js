@@ -1,4 +1,4 @@
-// Grasps in the object's frame, from several sides, and how long segments are.
+// Plots of the grasps in the object's frame from several sides, and histograms of the lengths of segments.
 const AXES = { x: 0, y: 1, z: 2 };
 const OUTCOME_MARKS = {
   held: "M-3.6 0A3.6 3.6 0 1 0 3.6 0A3.6 3.6 0 1 0 -3.6 0Z",
@@ -6,32 +6,32 @@ const OUTCOME_MARKS = {
   lost: "M0 4.6L4.6 -3.6H-4.6Z",
   brief: "M-3.2 -3.2H3.2V3.2H-3.2Z",
 };
-const OUTCOME_WORDS = { held: "held", missed: "missed: closed on nothing", lost: "lost: slipped out", brief: "brief: too short to tell", "": "contact begins" };
+const OUTCOME_WORDS = { held: "held", missed: "missed: closed on nothing", lost: "lost: slipped out", brief: "brief: too short to be judged", "": "contact begins" };
 const outcomeOf = (outcome) => (outcome in OUTCOME_MARKS ? outcome : "held");
 const OUTCOME_PATHS = Object.fromEntries(Object.entries(OUTCOME_MARKS).map(([name, path]) => [name, new Path2D(path)]));
-// The rare ones last, so that they lie on top.
+// The order of drawing: rare outcomes come last, so that they are on top.
 const OUTCOME_ORDER = ["", "held", "brief", "lost", "missed"];
 
-// The plane of two axes, both to one scale, in the unit of the page.
+// The mapping from object coordinates, in the unit of the page, to the canvas. Both axes have the same scale.
 const graspScale = (canvas, width, height) => {
   const [across, up] = [...canvas.dataset.axes].map((axis) => AXES[axis]);
   const points = GRASPS.map(({ position }) => [position[across] * LENGTH.factor, position[up] * LENGTH.factor]);
   const outline = (REPORT.outline ?? []).map(([x, y]) => [x * LENGTH.factor, y * LENGTH.factor]);
-  // The origin is always in view.
+  // The plot always contains the origin.
   const all = [...points, ...outline, [0, 0]].filter((point) => point.every(Number.isFinite));
   const minimum = (axis) => all.reduce((low, point) => Math.min(low, point[axis]), Infinity);
-  const most = (axis) => all.reduce((high, point) => Math.max(high, point[axis]), -Infinity);
+  const maximum = (axis) => all.reduce((high, point) => Math.max(high, point[axis]), -Infinity);
   const box = { left: 40, right: 14, top: 12, bottom: 34 };
-  const middle = [(minimum(0) + most(0)) / 2, (minimum(1) + most(1)) / 2];
-  const span = [most(0) - minimum(0) || 1, most(1) - minimum(1) || 1];
+  const middle = [(minimum(0) + maximum(0)) / 2, (minimum(1) + maximum(1)) / 2];
+  const span = [maximum(0) - minimum(0) || 1, maximum(1) - minimum(1) || 1];
   const scale = 0.94 * Math.min((width - box.left - box.right) / span[0], (height - box.top - box.bottom) / span[1]);
   const centre = [(box.left + width - box.right) / 2, (box.top + height - box.bottom) / 2];
-  // The plane of Push-T has its y axis downwards, as images do.
-  const sense = REPORT.outline === null ? -1 : 1;
+  // Push-T's y axis points down, as in images; elsewhere the vertical axis points up.
+  const sign = REPORT.outline === null ? -1 : 1;
   return {
     box, points, outline, axes: canvas.dataset.axes,
     x: (value) => centre[0] + (value - middle[0]) * scale,
-    y: (value) => centre[1] + sense * (value - middle[1]) * scale,
+    y: (value) => centre[1] + sign * (value - middle[1]) * scale,
     low: (axis) => middle[axis] - (axis === 0 ? width : height) / scale / 2,
     high: (axis) => middle[axis] + (axis === 0 ? width : height) / scale / 2,
   };
@@ -125,7 +125,7 @@ const drawAllGrasps = () => {
   document.querySelectorAll("canvas.grasps").forEach(drawGrasps);
   const own = selection.demo < 0 ? [] : GRASPS_OF[selection.demo];
   for (const words of document.querySelectorAll(".grasp-words")) {
-    words.textContent = own.length === 0 ? "" : `large: ${nameOf(selection.demo)}${own[0].outcome ? `, ${own.map(({ outcome }) => outcome).join(", ")}` : ""}`;
+    words.textContent = own.length === 0 ? "" : `large marks: ${nameOf(selection.demo)}${own[0].outcome ? `, ${own.map(({ outcome }) => outcome).join(", ")}` : ""}`;
   }
 };
 
@@ -183,9 +183,9 @@ const drawHistogram = (host, width) => {
     host.replaceChildren(html("p", { class: "none" }, `There are no ${host.dataset.mode} segments.`));
     return;
   }
-  const most = lengths.reduce((high, length) => Math.max(high, length), 1);
-  const gap = [1, 2, 5, 10, 20, 50, 100, 200, 500].find((size) => most / size <= Math.min(40, width / 12)) ?? 1000;
-  const bins = new Array(Math.floor(most / gap) + 1).fill(0);
+  const longest = lengths.reduce((high, length) => Math.max(high, length), 1);
+  const gap = [1, 2, 5, 10, 20, 50, 100, 200, 500].find((size) => longest / size <= Math.min(40, width / 12)) ?? 1000;
+  const bins = new Array(Math.floor(longest / gap) + 1).fill(0);
   for (const length of lengths) bins[Math.floor(length / gap)] += 1;
   const high = Math.max(1, ...bins);
   const ticks = [];
@@ -193,8 +193,8 @@ const drawHistogram = (host, width) => {
   for (let tick = 0; tick <= bins.length * gap; tick += spacing) ticks.push([tick, String(tick)]);
   const { root, place } = chartFrame(width, {
     height: 190, left: 36, right: 14, top: 14, bottom: 40,
-    y: [0, high], yTicks: [], x: [0, bins.length * gap], xTicks: ticks, xLabel: `frames, ${gap} a bar`,
-    name: `Lengths of ${counted(lengths.length, `${host.dataset.mode} segment`)}, 1 to ${most} frames`,
+    y: [0, high], yTicks: [], x: [0, bins.length * gap], xTicks: ticks, xLabel: `frames, ${gap} per bar`,
+    name: `Lengths of ${counted(lengths.length, `${host.dataset.mode} segment`)}, 1 to ${longest} frames`,
   });
   for (const tick of niceTicks(0, high, 4).filter(Number.isInteger)) {
     root.append(svg("line", { class: "grid", x1: 36, x2: width - 14, y1: place.y(tick), y2: place.y(tick) }), svg("text", { class: "tick", x: 30, y: place.y(tick) + 4, "text-anchor": "end" }, String(tick)));
@@ -205,7 +205,7 @@ const drawHistogram = (host, width) => {
     root.append(svg("rect", { class: `bin ${host.dataset.mode}`, x: near(x + 0.5), y: near(place.y(count)), width: near(Math.max(1, wide - 1)), height: near(place.y(0) - place.y(count)) },
       svg("title", {}, `${gap === 1 ? bin : `${bin * gap} to ${(bin + 1) * gap - 1}`} frames: ${counted(count, "segment")}`)));
   });
-  // The chosen demonstration's own.
+  // The segments of the selected demonstration.
   for (const { first, end } of SEGMENTS_OF[selection.demo]?.filter((segment) => (segment.transfer === 1) === transfer) ?? []) {
     root.append(svg("path", { class: "own", d: "M0 0L4 -6H-4Z", transform: `translate(${near(place.x(end - first + (gap > 1 ? 0 : 0.5)))} ${place.y(0) + 8})` }));
   }

@@ -1,17 +1,18 @@
-// What is looked at: a demonstration, a range of its frames, a frame, a finding; which demonstrations are shown, in which order.
+// The state of the page: the selected demonstration, range of frames, frame and finding; the demonstrations that are listed, and
+// their order.
 const selection = { demo: -1, range: null, frame: null, finding: null };
 const view = { sort: "worst", reversed: false, scale: "frames", text: "", severities: new Set(), codes: new Set(), order: [] };
 const listeners = { demo: [], range: [], frame: [], view: [] };
-const tell = (what) => listeners[what].forEach((act) => act());
+const notify = (what) => listeners[what].forEach((act) => act());
 
-// Quietly: without a change of the page's address, which was followed.
+// With `quiet`, the address of the page is not changed, because the selection comes from it.
 const selectDemo = (demo, { range = null, finding = null, quiet = false } = {}) => {
   if (demo < 0 || demo >= COUNT) return;
   const other = demo !== selection.demo;
   Object.assign(selection, { demo, range, finding, frame: other ? null : selection.frame });
-  if (other) tell("demo");
-  tell("range");
-  tell("frame");
+  if (other) notify("demo");
+  notify("range");
+  notify("frame");
   if (quiet) return;
   warnOfAddress("");
   writeAddress();
@@ -19,7 +20,7 @@ const selectDemo = (demo, { range = null, finding = null, quiet = false } = {}) 
 
 const selectRange = (range, finding = null) => selectDemo(selection.demo, { range, finding });
 
-// The frames of a finding with some round it.
+// The frames of a finding with some context before and after them; null if these are all frames.
 const aroundFinding = (finding) => {
   const frames = DEMOS.frames[finding.demo];
   if (isWhole(finding)) return null;
@@ -33,51 +34,51 @@ const selectFinding = (finding) => selectDemo(finding.demo, { range: aroundFindi
 const selectFrame = (frame) => {
   if (frame === selection.frame) return;
   selection.frame = frame;
-  tell("frame");
+  notify("frame");
 };
 
 // Filters.
 const isFiltered = () => view.text !== "" || view.severities.size > 0 || view.codes.size > 0;
-const wanted = ({ severity, code }) =>
+const matchesButtons = ({ severity, code }) =>
   (view.severities.size === 0 || view.severities.has(SEVERITIES[severity])) && (view.codes.size === 0 || view.codes.has(code));
-const says = ({ code, message }) => `${wordsOf(code)} ${code} ${message}`.toLowerCase().includes(view.text);
-const isNamed = (demo) => nameOf(demo).toLowerCase().includes(view.text);
+const matchesText = ({ code, message }) => `${wordsOf(code)} ${code} ${message}`.toLowerCase().includes(view.text);
+const nameMatches = (demo) => nameOf(demo).toLowerCase().includes(view.text);
 
-// Findings of a demonstration that the filter lets pass.
-const passing = (demo) => FINDINGS_OF[demo].filter((finding) => wanted(finding) && (view.text === "" || isNamed(demo) || says(finding)));
+// The findings of a demonstration that match the filter.
+const matching = (demo) => FINDINGS_OF[demo].filter((finding) => matchesButtons(finding) && (view.text === "" || nameMatches(demo) || matchesText(finding)));
 const isShown = (demo) => {
   if (!isFiltered()) return true;
-  if (passing(demo).length > 0) return true;
-  return view.severities.size === 0 && view.codes.size === 0 && isNamed(demo);
+  if (matching(demo).length > 0) return true;
+  return view.severities.size === 0 && view.codes.size === 0 && nameMatches(demo);
 };
 
-const share = (demo) => DEMOS.transfer[demo] / Math.max(1, DEMOS.frames[demo]);
+const transferFraction = (demo) => DEMOS.transfer[demo] / Math.max(1, DEMOS.frames[demo]);
 const ORDERS = {
   worst: (a, b) => DEMOS.errors[b] - DEMOS.errors[a] || DEMOS.warnings[b] - DEMOS.warnings[a] || DEMOS.notes[b] - DEMOS.notes[a],
   number: () => 0,
   length: (a, b) => DEMOS.frames[a] - DEMOS.frames[b],
-  share: (a, b) => share(a) - share(b),
+  fraction: (a, b) => transferFraction(a) - transferFraction(b),
   // Demonstrations without a grasp come last.
   grasp: (a, b) => (DEMOS.grasp[a] ?? Infinity) - (DEMOS.grasp[b] ?? Infinity) || 0,
 };
 
 const arrange = () => {
-  const way = view.reversed ? -1 : 1;
+  const sign = view.reversed ? -1 : 1;
   const compare = ORDERS[view.sort];
   view.order = Array.from({ length: COUNT }, (_, demo) => demo).filter(isShown);
-  view.order.sort((a, b) => way * (compare(a, b) || a - b));
-  tell("view");
+  view.order.sort((a, b) => sign * (compare(a, b) || a - b));
+  notify("view");
 };
 
 const walkDemos = (steps) => {
   const { order } = view;
   if (order.length === 0) return;
   const at = order.indexOf(selection.demo);
-  // From a demonstration that the filter hides, to the first one.
+  // If the filter hides the selected demonstration, the first listed one is selected.
   selectDemo(order[at < 0 ? 0 : clamp(at + steps, 0, order.length - 1)]);
 };
 
-// The place in the page's address: #demo=<name>, and &frames=<first>-<last> where a part is looked at.
+// The fragment of the page's address for the selection: #demo=<name>, and &frames=<first>-<last> if a range is selected.
 const addressOf = () => {
   const { demo, range } = selection;
   return `#demo=${encodeURIComponent(nameOf(demo))}${range === null ? "" : `&frames=${range[0]}-${range[1] - 1}`}`;
@@ -97,7 +98,7 @@ const warnOfAddress = (words) => {
   notice.textContent = words;
 };
 
-// Names with blanks are written with percent signs; what is not well-formed stays as it is.
+// Names are percent-encoded in addresses. Text that is not well-formed is returned unchanged.
 const decoded = (text) => {
   try {
     return decodeURIComponent(text);
@@ -106,25 +107,26 @@ const decoded = (text) => {
   }
 };
 
-// The place that an address names: a demonstration by its name, and a range of its frames; words where there is none.
+// Parses the fragment of an address: returns the demonstration and the range of frames, or `words` that explain what is wrong
+// with it.
 const placeOf = (hash) => {
   const found = /^#demo=([^&]+)(?:&frames=(\d+)-(\d+))?$/.exec(hash);
   if (found === null) {
-    // The page's own links to its parts are no places of this kind.
+    // Links to sections of the page are valid, but select no demonstration.
     const dead = hash.length > 1 && byId(hash.slice(1)) === null;
-    return { words: dead ? `The link ${hash} leads nowhere in this page. Links look like #demo=${encodeURIComponent(DEMOS.name[0] ?? "demo_0")}.` : "" };
+    return { words: dead ? `The link ${hash} matches nothing on this page. Links to demonstrations look like #demo=${encodeURIComponent(DEMOS.name[0] ?? "demo_0")}.` : "" };
   }
-  const called = decoded(found[1]);
-  const demo = DEMOS.name.indexOf(called);
+  const name = decoded(found[1]);
+  const demo = DEMOS.name.indexOf(name);
   if (demo < 0) {
     const names = COUNT > 0 ? `, ${nameOf(0)} to ${nameOf(COUNT - 1)}` : "";
-    return { words: `The link leads to ${called}, which this audit does not have: it has ${counted(COUNT, "demonstration")}${names}.` };
+    return { words: `The link names the demonstration ${name}, which is not in this audit of ${counted(COUNT, "demonstration")}${names}.` };
   }
   if (found[2] === undefined) return { demo, range: null, words: "" };
   const frames = DEMOS.frames[demo];
   const range = [Number(found[2]), Number(found[3]) + 1];
   if (range[0] < range[1] && range[1] <= frames) return { demo, range, words: "" };
-  return { demo, range: null, words: `The link leads to frames ${found[2]} to ${found[3]} of ${nameOf(demo)}, which has ${counted(frames, "frame")}; all of them are shown.` };
+  return { demo, range: null, words: `The link names frames ${found[2]} to ${found[3]} of ${nameOf(demo)}, which has only ${counted(frames, "frame")}. All frames are shown.` };
 };
 
 const followAddress = () => {

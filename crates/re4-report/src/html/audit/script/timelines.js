@@ -1,4 +1,5 @@
-// One thin row a demonstration, on one canvas as large as what is in view: only rows in view are drawn.
+// The timelines: one thin row per demonstration. The canvas has the size of the visible area, and only the visible rows are
+// drawn, so that scrolling stays smooth with hundreds of demonstrations.
 const ROW = 18;
 const BAR = { top: 5, height: 8 };
 const GUTTER = { name: 78, whole: 16, right: 12 };
@@ -9,7 +10,7 @@ const timelineScale = (width) => {
   const left = GUTTER.name + GUTTER.whole;
   const room = Math.max(10, width - left - GUTTER.right);
   return (demo) => {
-    const frames = view.scale === "share" ? Math.max(1, DEMOS.frames[demo]) : MOST_FRAMES;
+    const frames = view.scale === "fraction" ? Math.max(1, DEMOS.frames[demo]) : MAX_FRAMES;
     return { x: (frame) => left + (frame / frames) * room, frame: (x) => ((x - left) / room) * frames };
   };
 };
@@ -17,11 +18,11 @@ const timelineScale = (width) => {
 const wholeX = () => GUTTER.name + GUTTER.whole / 2;
 const markX = (finding, place) => (isWhole(finding) ? wholeX() : place.x((finding.first + finding.end) / 2));
 
-// What nearly all demonstrations have would hide what single ones have: such notes are drawn when a filter asks.
+// Notes that most demonstrations have would hide the findings of single ones. They are drawn only if a filter is set.
 const USUAL = new Set(byId("timeline-rows").dataset.usual.split(" "));
-// The mildest first, so that the worst lie on top.
+// The least severe findings come first, so that the most severe ones are drawn on top.
 const marksOf = (demo) =>
-  passing(demo).filter(({ code }) => isFiltered() || !USUAL.has(code)).sort((a, b) => b.severity - a.severity || a.first - b.first);
+  matching(demo).filter(({ code }) => isFiltered() || !USUAL.has(code)).sort((a, b) => b.severity - a.severity || a.first - b.first);
 
 const drawMark = (context, severity, x, y, scale = 1) => {
   context.save();
@@ -103,7 +104,7 @@ const drawTimelinesSoon = () => {
   requestAnimationFrame(drawTimelines);
 };
 
-const tickGap = (most, room) => [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].find((gap) => most / gap <= Math.max(2, room / 70)) ?? 10000;
+const tickGap = (length, room) => [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].find((gap) => length / gap <= Math.max(2, room / 70)) ?? 10000;
 
 const drawTimelineAxis = () => {
   const host = byId("timeline-axis");
@@ -116,11 +117,11 @@ const drawTimelineAxis = () => {
     svg("line", { class: "grid", x1: x, x2: x, y1: 15, y2: 20 }),
     svg("text", { class: "tick", x, y: 11, "text-anchor": anchor }, words),
   );
-  if (view.scale === "share") {
+  if (view.scale === "fraction") {
     for (const part of [0, 25, 50, 75, 100]) tick(left + (part / 100) * room, `${part} %`, part === 100 ? "end" : "middle");
   } else {
-    const gap = tickGap(MOST_FRAMES, room);
-    for (let frame = 0; frame <= MOST_FRAMES; frame += gap) tick(left + (frame / MOST_FRAMES) * room, frame === 0 ? "frame 0" : String(frame), left + (frame / MOST_FRAMES) * room > width - 24 ? "end" : "middle");
+    const gap = tickGap(MAX_FRAMES, room);
+    for (let frame = 0; frame <= MAX_FRAMES; frame += gap) tick(left + (frame / MAX_FRAMES) * room, frame === 0 ? "frame 0" : String(frame), left + (frame / MAX_FRAMES) * room > width - 24 ? "end" : "middle");
   }
   host.replaceChildren(root);
 };
@@ -134,7 +135,7 @@ const showOrder = () => {
   drawTimelinesSoon();
 };
 
-// Scrolls no further than needed, without moving the page itself.
+// Scrolls the list just far enough to show the selected row. The page itself does not scroll, as it would with scrollIntoView.
 const revealChosen = () => {
   const host = byId("timeline-rows");
   const at = view.order.indexOf(selection.demo);
@@ -154,9 +155,9 @@ const severityWords = (demo) => {
   return words.length > 0 ? words.join(", ") : "no findings";
 };
 
-const demoWords = (demo) => `${nameOf(demo)}: ${counted(DEMOS.frames[demo], "frame")}, ${Math.round(100 * share(demo))} % transfer, ${severityWords(demo)}`;
+const demoWords = (demo) => `${nameOf(demo)}: ${counted(DEMOS.frames[demo], "frame")}, ${Math.round(100 * transferFraction(demo))} % transfer, ${severityWords(demo)}`;
 
-// What lies under the pointer: a demonstration, a frame of it, and the marks near by.
+// Returns what is under the pointer: a demonstration, a frame of it, and the findings close to it.
 const under = (event) => {
   const host = byId("timeline-rows");
   const box = host.getBoundingClientRect();
@@ -211,7 +212,7 @@ const onTimelineKey = (event) => {
   walkDemos(steps);
 };
 
-// Paper has room for all rows.
+// In print, all rows are drawn, because a printed list cannot be scrolled.
 const printRows = (printing) => {
   rows.printing = printing;
   byId("timeline-rows").classList.toggle("printing", printing);

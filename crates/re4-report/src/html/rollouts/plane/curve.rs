@@ -1,4 +1,4 @@
-//! What fewer steps would reach.
+//! Results as a function of the step budget.
 
 use re4_rollout::PlaneStepRow;
 use re4_stats::{Interval, budgets, mean, mean_interval, running_maxima};
@@ -7,26 +7,26 @@ use serde::Serialize;
 use super::Plane;
 use crate::html::rollouts::Rollouts;
 
-/// Seed of the bootstrap; the same as that of the artifacts' own summaries, so that the last budget has their interval.
+/// Seed of the bootstrap. The summaries of the artifacts use the same seed, so that the interval of the last budget equals theirs.
 const BOOTSTRAP_SEED: u64 = 0;
 
-/// Most points of a drawn curve.
+/// Maximum number of points of a plotted curve.
 const CURVE_POINTS: u32 = 256;
 
-/// Means over rollouts of what they reached within step budgets.
+/// Means over rollouts of the best value that they reached within a step budget.
 #[derive(Debug, Serialize)]
 pub struct Curve {
-    /// Budgets that the table shows.
+    /// Budgets in the table.
     pub budgets: Vec<u32>,
-    /// Mean scaled score within each of them.
+    /// Mean scaled score for each budget in the table.
     pub score: Vec<Interval>,
-    /// Mean coverage within each of them.
+    /// Mean coverage for each budget in the table.
     pub coverage: Vec<Interval>,
-    /// Budgets of the drawn line.
+    /// Budgets of the plotted line.
     pub steps: Vec<u32>,
-    /// Mean scaled score within each of those.
+    /// Mean scaled score for each budget of the line.
     pub score_line: Vec<f64>,
-    /// Mean coverage within each of those.
+    /// Mean coverage for each budget of the line.
     pub coverage_line: Vec<f64>,
 }
 
@@ -37,13 +37,13 @@ impl Curve {
         let steps: Vec<u32> = (1..=artifact.max_steps)
             .filter(|step| step % spacing == 0 || *step == artifact.max_steps)
             .collect();
-        // One column a budget, one value a rollout.
+        // One column per budget, with one value per rollout.
         let columns = |value: fn(&PlaneStepRow) -> f64, at: &[u32]| -> Vec<Vec<f64>> {
             let mut columns = vec![Vec::with_capacity(artifact.rollouts.len()); at.len()];
             for rollout in &artifact.rollouts {
                 let values: Vec<f64> = rollout.steps.iter().map(value).collect();
-                for (column, most) in columns.iter_mut().zip(running_maxima(&values, at)) {
-                    column.push(most);
+                for (column, best) in columns.iter_mut().zip(running_maxima(&values, at)) {
+                    column.push(best);
                 }
             }
             columns

@@ -1,4 +1,4 @@
-//! Rollouts of Push-T, in the plane; pixels and radians, y down.
+//! Rollouts of Push-T. Lengths are in pixels, angles in radians; the y axis points down.
 
 mod curve;
 mod paper;
@@ -16,49 +16,49 @@ use re4_stats::Interval;
 use serde_json::json;
 
 pub use self::curve::Curve;
-use super::summary::told_apart;
+use super::summary::distinct_labels;
 use super::{Decided, NONE, Rollout, Rollouts, Scene, Words};
 use crate::html::pack::Pack;
 use crate::html::shell::plural;
 
-/// What an artifact states of rollouts in the plane.
+/// Data of a set of Push-T rollouts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
-    /// How many demonstrations the policy had, where that is known.
+    /// Number of demonstrations that the policy had, if it is known.
     pub demonstrations: Option<u64>,
-    /// Which of the dataset's demonstrations these were.
+    /// Which demonstrations of the dataset the policy had.
     pub taken: Taken,
-    /// Demonstrations in the whole dataset, where that is known.
+    /// Number of demonstrations in the whole dataset, if it is known.
     pub in_dataset: Option<u64>,
     /// What rollouts start from.
     pub starts: Starts,
-    /// The starts in words.
+    /// Description of the starts.
     pub scenes: String,
-    /// Figures over all rollouts.
+    /// Results over all rollouts.
     pub metrics: Metrics,
 }
 
-/// What rollouts start from, and so what their numbers mean.
+/// What rollouts start from. It determines what the numbers of rollouts mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Starts {
-    /// Scenes made from seeds.
+    /// Scenes that are generated from seeds.
     Seeds,
-    /// Chosen scenes.
+    /// Scenes of a `scenes` artifact.
     Scenes,
 }
 
-/// Which demonstrations of the dataset were taken.
+/// Which demonstrations of the dataset were used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Taken {
     /// All of them.
     All,
-    /// The first so many.
+    /// The first ones, of this number.
     First(u64),
-    /// Some other choice.
+    /// Another selection.
     Other,
 }
 
-/// Figures of a set of rollouts, each with its 95 % interval.
+/// Results of a set of rollouts, each with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
 pub struct Metrics {
     /// Mean scaled score.
@@ -72,17 +72,17 @@ pub struct Metrics {
 }
 
 impl Decided<Plane> {
-    /// A whole number that RE4 states.
+    /// Returns an integer that RE4 records, or [`NONE`].
     fn count(&self, value: fn(&PlaneRe4Row) -> u32) -> u32 {
         self.detail.as_ref().map_or(NONE, value)
     }
 
-    /// Numbers that it states.
+    /// Returns numbers that RE4 records, or NaN.
     fn numbers<const N: usize>(&self, value: impl Fn(&PlaneRe4Row) -> [f64; N]) -> [f64; N] {
         self.detail.as_ref().map_or([f64::NAN; N], value)
     }
 
-    /// The points of the plan.
+    /// Iterates over the points of the plan.
     pub(crate) fn path(&self) -> impl Iterator<Item = [f64; 2]> {
         let path = self.detail.iter().flat_map(|detail| detail.plan_path.as_chunks().0);
         path.copied()
@@ -97,7 +97,7 @@ fn pose(pose: Pose2) -> [f64; 3] {
     [pose.x, pose.y, pose.theta]
 }
 
-/// Corners of Push-T's block in its own frame, in order.
+/// Returns the corners of Push-T's block in its own frame, in order.
 pub(crate) fn block_outline() -> Vec<[f64; 2]> {
     let [bar, stem] = re4_sim::tee_rectangles();
     let corners = [bar[0], bar[1], bar[2], stem[1], stem[2], stem[3], stem[0], bar[3]];
@@ -116,25 +116,25 @@ impl Scene for Plane {
     const WORDS: Words = Words {
         of: "",
         scores: ["Scores", "Score table", "scores"],
-        note: "Mean over rollouts of the maximum value within a rollout, with 95 % intervals. \
-            Scaled score is min(coverage / 0.95, 1). The paper’s measure is its “maximum coverage per episode”, without intervals; \
-            it is set beside the scaled score, which is what the field reports, and marked there in blue.",
+        note: "Mean over rollouts of the maximum value of each rollout, with 95 % intervals. \
+            The scaled score is min(coverage / 0.95, 1). The paper reports its “maximum coverage per episode”, without intervals. \
+            It is compared with the scaled score, which is the usual measure for Push-T; a blue tick marks it on the bar.",
         score_columns: &[
             ("Policy", false),
             ("Scaled score", true),
             ("Raw coverage", true),
             ("IoU", true),
             ("Success rate", true),
-            ("The paper", true),
+            ("RE4 paper", true),
         ],
-        comparison: "Scores of different protocols must not be compared.",
+        comparison: "Scores of different protocols are not comparable.",
         stage: "stage",
         columns: &[
             ("seed", "Seed", false),
             ("score", "Scaled score", true),
             ("coverage", "Raw coverage", true),
             ("iou", "IoU", true),
-            ("coverage_final", "Last coverage", true),
+            ("coverage_final", "Final coverage", true),
             ("steps", "Steps", false),
             ("decisions", "Decisions", false),
             ("success", "Success", false),
@@ -159,12 +159,12 @@ impl Scene for Plane {
         "Push-T".to_owned()
     }
 
-    /// The preset, and as much more as it takes to tell the artifacts apart.
+    /// The preset, and as many further parts as are needed to distinguish the artifacts.
     fn labels(artifacts: &[Rollouts<Self>]) -> Vec<String> {
         let count = |demonstrations: Option<u64>| {
             demonstrations.map_or_else(|| "other demos".to_owned(), |count| format!("{count} demos"))
         };
-        told_apart(
+        distinct_labels(
             artifacts,
             |artifact| artifact.preset.clone(),
             &[
@@ -183,8 +183,8 @@ impl Scene for Plane {
         let demos = match (artifact.scene.taken, artifact.scene.demonstrations) {
             (Taken::All, Some(count)) => format!("all {count} demonstrations"),
             (Taken::First(count), _) => format!("first {count} demonstrations"),
-            (Taken::Other, Some(count)) => format!("{count} chosen demonstrations"),
-            (_, None) => "demonstrations not counted".to_owned(),
+            (Taken::Other, Some(count)) => format!("{count} selected demonstrations"),
+            (_, None) => "unknown number of demonstrations".to_owned(),
         };
         let steps = plural(artifact.max_steps as usize, "step", "steps");
         vec![
@@ -241,7 +241,7 @@ impl Scene for Plane {
     }
 
     fn pack_steps<'a>(pack: Pack<'a, PlaneStepRow>, _: &Rollouts<Self>) -> Pack<'a, PlaneStepRow> {
-        // A recorded pose is not shown once more.
+        // Without a flag, the observed pose is the recorded one, which is in the data already.
         let observed = |s: &PlaneStepRow| s.seen.filter(|_| s.pose_flag.is_some());
         pack.f32("action", |s| point(s.action))
             .f32("eef", |s| point(s.eef))
@@ -290,7 +290,7 @@ impl Scene for Plane {
     }
 
     fn pack_more<'a>(pack: Pack<'a, Self>, _: &Rollouts<Self>, curve: &Curve) -> Pack<'a, Self> {
-        // The walls' inner edges are where gym-pusht draws them, 5 px inside.
+        // gym-pusht draws the inner edges of the walls 5 px inside the workspace.
         let world = json!({
             "side": 512.0,
             "wall": 5.0,

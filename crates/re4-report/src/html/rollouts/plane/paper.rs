@@ -1,6 +1,6 @@
-//! The figures that the paper prints for Push-T, in one place.
+//! The results that the paper reports for Push-T.
 
-/// What a figure of the paper was measured on.
+/// The demonstrations that a result of the paper was measured with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Demonstrations {
     /// All 206 human demonstrations.
@@ -12,21 +12,21 @@ pub(super) enum Demonstrations {
 /// Demonstrations in the paper's dataset (section "Sparse Demonstration Experiment").
 pub(super) const DEMONSTRATIONS: u64 = 206;
 
-/// Control steps of an episode in the paper's tables for Push-T.
+/// Maximum number of control steps of an episode in the paper's tables for Push-T.
 pub(super) const MAX_STEPS: u32 = 200;
 
-/// One method's row in the paper's tables; means over 100 seeds, without intervals. `None` where it prints nothing.
+/// One method's row in the paper's tables: means over 100 seeds, without intervals. `None` if the paper reports no value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PaperRow {
-    /// The paper's name of the method.
+    /// Name of the method in the paper.
     pub(super) method: &'static str,
-    /// All demonstrations: state, image.
+    /// Results with all demonstrations, from states and from images.
     pub(super) all: [Option<f64>; 2],
-    /// The first 50 demonstrations: state, image.
+    /// Results with the first 50 demonstrations, from states and from images.
     pub(super) first_50: [Option<f64>; 2],
 }
 
-/// Where the figures are from and what they are.
+/// Source of the results.
 pub(super) const SOURCE: &str = "RE4: Transformation-aware Imitation of Object Interactions Using Manipulation Modes, \
     tables “Performance over 100 seeded runs” and “Sparse Demonstrations”";
 
@@ -44,7 +44,7 @@ const fn row(method: &'static str, all: [Option<f64>; 2], first_50: [Option<f64>
     PaperRow { method, all, first_50 }
 }
 
-/// The paper's own figure for what a preset of ours follows, if it prints one: the method's name and the value.
+/// Returns the name and the result of the paper's method that corresponds to a preset, if the paper reports one.
 pub(super) fn counterpart(preset: &str, variant: &str, demonstrations: Demonstrations) -> Option<(&'static str, f64)> {
     let method = match preset {
         "re4" | "paper" => "RE4",
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn presets_stand_beside_the_method_they_follow() {
+    fn presets_have_the_results_of_the_corresponding_method() {
         assert_eq!(counterpart("paper", "image", Demonstrations::All), Some(("RE4", 0.883)));
         assert_eq!(
             counterpart("re4", "state", Demonstrations::First50),

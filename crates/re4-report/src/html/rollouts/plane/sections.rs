@@ -1,4 +1,4 @@
-//! What only the page of Push-T has.
+//! The sections that only the page of Push-T has.
 
 use maud::{Markup, html};
 use re4_stats::Interval;
@@ -9,7 +9,7 @@ use crate::html::rollouts::Rollouts;
 use crate::html::rollouts::sections::{figure, named};
 use crate::html::shell::{choice, exact, short, table};
 
-/// Figures, and the paper's beside them.
+/// The results of an artifact, and the corresponding result of the paper.
 pub(super) fn score_cells(artifact: &Rollouts<Plane>) -> Markup {
     let printed = paper_counterpart(artifact);
     let metrics = &artifact.scene.metrics;
@@ -24,13 +24,14 @@ pub(super) fn score_cells(artifact: &Rollouts<Plane>) -> Markup {
                     span.value data-paper=(exact(value)) { (short(value)) }
                     span.interval { (method) ", " (artifact.variant) }
                 }
-                None => { span.value { "–" } span.interval { "has no such figure" } }
+                None => { span.value { "–" } span.interval { "not reported" } }
             }
         }
     }
 }
 
-/// The paper's figure for the same experiment: its dataset, scenes from seeds, its number of steps, a preset as it is.
+/// Returns the paper's result for the same experiment. The experiment is the same if it has the paper's dataset, scenes from seeds,
+/// the paper's number of steps and an unchanged preset.
 fn paper_counterpart(artifact: &Rollouts<Plane>) -> Option<(&'static str, f64)> {
     let experiment = (artifact.scene.in_dataset, artifact.scene.starts, artifact.max_steps);
     if experiment != (Some(paper::DEMONSTRATIONS), Starts::Seeds, paper::MAX_STEPS) {
@@ -47,15 +48,15 @@ fn paper_counterpart(artifact: &Rollouts<Plane>) -> Option<(&'static str, f64)> 
     paper::counterpart(&artifact.preset, &artifact.variant, demonstrations)
 }
 
-/// All that the paper prints.
+/// The table of all results that the paper reports.
 pub(super) fn paper_table() -> Markup {
     let cell = |value: Option<f64>| {
         html! { td.figure { @match value { Some(value) => span data-paper=(exact(value)) { (short(value)) }, None => "–" } } }
     };
     html! {
         details.card {
-            summary { "What the paper reports for Push-T" }
-            div.scroll tabindex="0" role="region" aria-label="Figures of the paper" {
+            summary { "Results of the RE4 paper for Push-T" }
+            div.scroll tabindex="0" role="region" aria-label="Results of the paper" {
                 table.plain {
                     thead {
                         tr {
@@ -76,45 +77,45 @@ pub(super) fn paper_table() -> Markup {
                     }
                 }
             }
-            p.note { (paper::SOURCE) ". Mean over 100 seeds of each episode’s maximum coverage." }
+            p.note { (paper::SOURCE) ". Mean over 100 seeds of the maximum coverage of each episode." }
         }
     }
 }
 
-/// Places for the plots, which the script draws, and the figures behind the budget curve.
+/// The section of plots, which the script draws.
 pub(super) fn plots(labels: &[String]) -> Markup {
     html! {
         section #plots aria-labelledby="plots-title" {
             div.heading {
-                h2 #plots-title { "Every rollout" }
+                h2 #plots-title { "All rollouts" }
                 ul.legend { @for (i, label) in labels.iter().enumerate() { li { (named(i, label)) } } }
             }
             div.columns {
                 figure.card {
                     figcaption {
-                        h3 { "One mark a rollout" }
+                        h3 { "Result of each rollout" }
                         div.choices {
                             (choice("measure", "Measure", &[("score", "Score"), ("coverage", "Coverage"), ("iou", "IoU")]))
                             (choice("order", "Order", &[("rank", "By value"), ("seed", "By seed")]))
                         }
                     }
                     div.plot #seed-plot {}
-                    p.hint { "Filled marks succeeded. Click one, or use the arrow keys in the plot, to see it in the viewer." }
+                    p.hint { "A filled mark is a success. Click a mark, or use the arrow keys in the plot, to show the rollout in the viewer." }
                 }
                 figure.card {
                     figcaption {
-                        h3 { "What fewer steps would reach" }
+                        h3 { "Result by step budget" }
                         div.choices { (choice("budget-measure", "Measure", &[("score", "Score"), ("coverage", "Coverage")])) }
                     }
                     div.plot #budget-plot {}
-                    p.hint { "Mean of the running maximum; a rollout that succeeded keeps its own. Bars are 95 % intervals." }
+                    p.hint { "Mean over rollouts of the running maximum. A rollout that has ended keeps its maximum. Bars are 95 % intervals." }
                 }
             }
         }
     }
 }
 
-/// The recorded chunk, and the figures of a decision; the script fills both.
+/// The recorded chunk, and the data of a decision; the script fills both.
 pub(super) fn evidence() -> Markup {
     html! {
         div.evidence {
@@ -127,7 +128,7 @@ pub(super) fn evidence() -> Markup {
     }
 }
 
-/// The figures of the budget curves.
+/// The table of results by step budget.
 pub(super) fn budgets(labels: &[String], curves: &[Curve]) -> Markup {
     let columns = [
         ("Policy", false),

@@ -74,13 +74,13 @@ fn decision(reason: &str) -> Decided<Plane> {
 }
 
 pub(crate) fn rollout(seed: u32, coverage: &[f64]) -> Rollout<Plane> {
-    let most = coverage.iter().copied().fold(0.0, f64::max);
+    let best = coverage.iter().copied().fold(0.0, f64::max);
     Rollout {
         result: PlaneResultRow {
             core: ResultCore {
                 episode: 0,
                 seed,
-                success: most > 0.95,
+                success: best > 0.95,
                 steps: coverage.len() as u32,
                 decisions: 1,
                 images: None,
@@ -88,9 +88,9 @@ pub(crate) fn rollout(seed: u32, coverage: &[f64]) -> Rollout<Plane> {
             eef: Point2::new(50.0, 60.0),
             object: Pose2::new(256.0, 240.0, 0.5),
             contacts: 0.0,
-            score_max: (most / 0.95).min(1.0),
-            coverage_max: most,
-            iou_max: most / 2.0,
+            score_max: (best / 0.95).min(1.0),
+            coverage_max: best,
+            iou_max: best / 2.0,
             coverage_final: *coverage.last().unwrap(),
         },
         shown: true,
@@ -140,7 +140,7 @@ fn report(artifacts: Vec<Rollouts<Plane>>) -> Report<Plane> {
     }
 }
 
-/// The page's data as its script reads it.
+/// The data of the page, as its script reads it.
 fn data(page: &str) -> Value {
     let start = page.find("type=\"application/json\">").unwrap() + "type=\"application/json\">".len();
     let end = start + page[start..].find("</script>").unwrap();
@@ -157,7 +157,7 @@ fn f64s(packed: &Value) -> Vec<f64> {
 }
 
 #[test]
-fn figures_are_the_artifacts_to_the_last_digit() {
+fn numbers_are_exactly_those_of_the_artifact() {
     let page = page(&report(vec![set('a', "re4")]));
     assert!(
         page.contains(
@@ -168,16 +168,13 @@ fn figures_are_the_artifacts_to_the_last_digit() {
     assert_eq!(f64s(&artifact["steps"]["coverage"]), [0.1, 0.4, 0.3, 0.2, 0.96]);
     assert_eq!(artifact["rollouts"]["score"][0].as_f64(), Some(0.4 / 0.95));
     let d_o = f64s(&artifact["decisions"]["d_o"]);
-    assert!(
-        d_o.iter().all(|value| value.is_nan()),
-        "an absent distance is no number"
-    );
+    assert!(d_o.iter().all(|value| value.is_nan()), "an absent distance is NaN");
     assert_eq!(f64s(&artifact["decisions"]["d_q"]), [0.125; 2]);
     assert_eq!(f64s(&artifact["decisions"]["delta"])[..3], [1.0, 2.0, 0.1]);
 }
 
 #[test]
-fn texts_cannot_leave_their_place() {
+fn texts_are_escaped() {
     let evil = "</script><script>alert(1)</script><!-- \u{2028} \" ' & ]]>";
     let mut set = set('a', evil);
     set.rollouts[0].decisions[0].core.core.reason = evil.to_owned();
@@ -192,7 +189,7 @@ fn texts_cannot_leave_their_place() {
 }
 
 #[test]
-fn nothing_is_loaded_and_only_the_own_script_may_run() {
+fn nothing_is_loaded_and_only_the_pages_script_may_run() {
     let page = page(&report(vec![set('a', "re4")]));
     for forbidden in [
         " src=",
@@ -235,19 +232,19 @@ fn the_same_report_gives_the_same_bytes() {
 }
 
 #[test]
-fn differences_of_protocol_are_said() {
+fn differences_of_protocol_are_reported() {
     let (one, mut other) = (set('a', "re4"), set('b', "paper"));
     let same = page(&report(vec![one.clone(), other.clone()]));
-    assert!(!same.contains("protocol-differs") && same.contains("All rollouts were made under one protocol."));
+    assert!(!same.contains("protocol-differs") && same.contains("All rollouts were made under the same protocol."));
     other.protocol["reset"] = json!("modern");
     other.protocol["further"] = json!(3);
     let page = page(&report(vec![one, other]));
     assert!(page.contains(r#"data-differences="reset further""#));
-    assert!(page.contains("not made under one protocol"));
+    assert!(page.contains("not made under the same protocol"));
 }
 
 #[test]
-fn labels_say_what_tells_artifacts_apart() {
+fn labels_distinguish_artifacts() {
     let labels = |sets: Vec<Rollouts<Plane>>| Summary::of(&report(sets)).labels;
     assert_eq!(labels(vec![set('a', "re4"), set('b', "paper")]), ["re4", "paper"]);
     let mut sparse = set('b', "re4");
@@ -278,7 +275,7 @@ fn budgets_follow_from_the_steps() {
 }
 
 #[test]
-fn rollouts_that_are_not_shown_count_but_leave_no_trace() {
+fn rollouts_that_are_not_shown_count_but_have_no_traces() {
     let mut set = set('a', "re4");
     set.rollouts[0].shown = false;
     let hidden = report(vec![set.clone()]);
@@ -290,7 +287,7 @@ fn rollouts_that_are_not_shown_count_but_leave_no_trace() {
 }
 
 #[test]
-fn estimated_poses_are_packed_where_there_are_any() {
+fn estimated_poses_are_packed_if_there_are_any() {
     let mut set = set('a', "re4");
     let plain = data(&page(&report(vec![set.clone()])));
     assert!(plain["artifacts"][0]["steps"].get("observed").is_none());
@@ -314,8 +311,8 @@ fn estimated_poses_are_packed_where_there_are_any() {
 }
 
 #[test]
-fn the_papers_figures_stand_beside_the_same_experiment_only() {
-    let beside = |change: fn(&mut Rollouts<Plane>)| {
+fn the_papers_results_are_shown_only_for_the_same_experiment() {
+    let paper_result = |change: fn(&mut Rollouts<Plane>)| {
         let mut set = set('a', "re4");
         set.max_steps = 200;
         change(&mut set);
@@ -324,12 +321,15 @@ fn the_papers_figures_stand_beside_the_same_experiment_only() {
         let (_, figure) = table.split_once("</tbody>").unwrap().0.split_once("data-paper=\"")?;
         Some(figure.split_once('"').unwrap().0.to_owned())
     };
-    assert_eq!(beside(|_| {}).as_deref(), Some("0.919"));
+    assert_eq!(paper_result(|_| {}).as_deref(), Some("0.919"));
     assert_eq!(
-        beside(|set| set.scene.taken = Taken::First(50)).as_deref(),
+        paper_result(|set| set.scene.taken = Taken::First(50)).as_deref(),
         Some("0.781")
     );
-    assert_eq!(beside(|set| set.variant = "image".to_owned()).as_deref(), Some("0.883"));
+    assert_eq!(
+        paper_result(|set| set.variant = "image".to_owned()).as_deref(),
+        Some("0.883")
+    );
     for change in [
         |set: &mut Rollouts<Plane>| set.scene.taken = Taken::First(40),
         |set: &mut Rollouts<Plane>| set.scene.taken = Taken::Other,
@@ -339,12 +339,12 @@ fn the_papers_figures_stand_beside_the_same_experiment_only() {
         |set: &mut Rollouts<Plane>| set.preset = "mine".to_owned(),
         |set: &mut Rollouts<Plane>| set.altered = true,
     ] {
-        assert_eq!(beside(change), None);
+        assert_eq!(paper_result(change), None);
     }
 }
 
 #[test]
-fn decisions_of_older_versions_have_numbers_for_names() {
+fn decisions_of_older_versions_have_numbers_instead_of_names() {
     let mut core = decision("nearest").core.core;
     assert_eq!(demo_name(&core), "episode 31");
     core.demo_name = None;

@@ -1,4 +1,4 @@
-// Plays rollouts, and steps through them. The scene gives CONTROL_RATE, its steps in a second.
+// Plays rollouts, and steps through them. The scene's script defines CONTROL_RATE, the number of control steps per second.
 const player = { playing: false, last: 0, owed: 0 };
 
 const setPlaying = (playing) => {
@@ -39,13 +39,13 @@ const onKey = (event) => {
   act();
 };
 
-const walkSeeds = (way) => {
+const walkSeeds = (direction) => {
   const { shown } = REPORT.artifacts[selection.artifact];
-  const next = shown[shown.indexOf(selection.rollout) + way];
+  const next = shown[shown.indexOf(selection.rollout) + direction];
   if (next !== undefined) selectRollout(selection.artifact, next);
 };
 
-// Another policy on the same seed, or on its first one where it lacks that.
+// Selects another policy on the same seed, or on its first seed if it has no rollout of that seed.
 const pickArtifact = (artifact) => {
   const { rollouts, shown } = REPORT.artifacts[artifact];
   const same = shown.find((rollout) => rollouts.seed[rollout] === selection.data.seed);

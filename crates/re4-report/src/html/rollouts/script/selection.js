@@ -1,7 +1,7 @@
-// What is looked at: an artifact, one of its rollouts, a state of that rollout.
+// The state of the page: the selected artifact, rollout and step.
 const selection = { artifact: 0, rollout: 0, step: 0, data: undefined };
 const listeners = { rollout: [], step: [] };
-const tell = (what) => listeners[what].forEach((act) => act());
+const notify = (what) => listeners[what].forEach((act) => act());
 
 const isShown = (artifact, rollout) => traces(artifact).places.has(rollout);
 
@@ -9,29 +9,29 @@ const selectRollout = (artifact, rollout, step = 0) => {
   const data = loadRollout(artifact, rollout);
   if (data === undefined) return;
   Object.assign(selection, { artifact, rollout, data, step: clamp(step, 0, data.length) });
-  tell("rollout");
-  tell("step");
+  notify("rollout");
+  notify("step");
 };
 
 const selectStep = (step) => {
-  const wanted = clamp(step, 0, selection.data.length);
-  if (wanted === selection.step) return;
-  selection.step = wanted;
-  tell("step");
+  const clamped = clamp(step, 0, selection.data.length);
+  if (clamped === selection.step) return;
+  selection.step = clamped;
+  notify("step");
 };
 
-// The decision in force at a state: that of the action which follows it, or at the last state the last one.
+// The decision in force at a state: that of the action that follows, or the last decision at the last state.
 const decisionInForce = (data, step) => data.decisionOf[Math.min(step, data.length - 1)] ?? 0;
 
-const selectDecision = (way) => {
+const selectDecision = (direction) => {
   const { data, step } = selection;
   const starts = data.decisions.map((decision) => decision.step);
-  const next = way > 0 ? starts.find((start) => start > step) : starts.findLast((start) => start < step);
-  selectStep(next ?? (way > 0 ? data.length : 0));
+  const next = direction > 0 ? starts.find((start) => start > step) : starts.findLast((start) => start < step);
+  selectStep(next ?? (direction > 0 ? data.length : 0));
 };
 
-// The place in the page's address: #rollout=<16 digits of the key>/<seed>/<step>. #seed=<seed>&step=<step> is understood too,
-// and means the first artifact with a rollout of that seed.
+// The fragment of the page's address: #rollout=<16 digits of the key>/<seed>/<step>. The short form #seed=<seed>&step=<step> is
+// also accepted; it selects the first artifact with a rollout of that seed.
 const addressOf = () => {
   const { key } = REPORT.artifacts[selection.artifact];
   return `#rollout=${key.slice(0, 16)}/${selection.data.seed}/${selection.step}`;

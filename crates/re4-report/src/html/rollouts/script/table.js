@@ -1,10 +1,10 @@
-// The table of the chosen artifact's rollouts. The scene gives numbersOf, the rollouts that are listed.
-const sorting = { column: "seed", way: 1 };
+// The table of the selected artifact's rollouts. The scene's script defines numbersOf, which returns the rollouts to list.
+const sorting = { column: "seed", sign: 1 };
 const sorters = [...byId("seeds").querySelectorAll("th button")];
 
 const cellText = (column, value, precise) => {
   if (column === "success") return value ? "yes" : "no";
-  // Four digits: a coverage of 0.9496 is no success, and should not look like one.
+  // Four decimals, because a coverage of 0.9496 is not a success and must not be rounded to 0.95.
   return precise ? digits(value, 4) : String(value);
 };
 
@@ -29,7 +29,7 @@ const fillTable = () => {
   const { rollouts, label, noun } = REPORT.artifacts[artifact];
   const values = rollouts[sorting.column];
   const numbers = numbersOf(artifact);
-  numbers.sort((a, b) => sorting.way * (values[a] - values[b]) || rollouts.seed[a] - rollouts.seed[b]);
+  numbers.sort((a, b) => sorting.sign * (values[a] - values[b]) || rollouts.seed[a] - rollouts.seed[b]);
   const rows = numbers.map((rollout) => html("tr", { "data-seed": rollouts.seed[rollout], "data-rollout": rollout },
     ...sorters.map(({ dataset }) => tableCell(dataset, rollouts[dataset.column][rollout], artifact, rollout))));
   byId("seeds").tBodies[0].replaceChildren(...rows);
@@ -37,7 +37,7 @@ const fillTable = () => {
   for (const button of sorters) {
     if (button.dataset.column === "seed") button.textContent = titled(noun);
     const sorted = button.dataset.column === sorting.column;
-    button.parentNode.setAttribute("aria-sort", sorted ? (sorting.way > 0 ? "ascending" : "descending") : "none");
+    button.parentNode.setAttribute("aria-sort", sorted ? (sorting.sign > 0 ? "ascending" : "descending") : "none");
   }
   markRow();
 };
@@ -51,7 +51,7 @@ const setUpTable = () => {
   for (const button of sorters) {
     button.addEventListener("click", () => {
       const { column } = button.dataset;
-      Object.assign(sorting, { column, way: sorting.column === column ? -sorting.way : 1 });
+      Object.assign(sorting, { column, sign: sorting.column === column ? -sorting.sign : 1 });
       fillTable();
     });
   }

@@ -1,4 +1,4 @@
-// The frame of the timeline and its playhead. The scene gives TIMELINE {pad, height, playhead, name} and timelineParts.
+// The frame of the timeline and its playhead. The scene's script defines TIMELINE {pad, height, playhead, name} and timelineParts.
 let playhead;
 
 const timelineX = (width) => {
@@ -6,10 +6,10 @@ const timelineX = (width) => {
   return (step) => TIMELINE.pad + (step / Math.max(1, data.length)) * (width - 2 * TIMELINE.pad);
 };
 
-// The state at a place of the timeline.
+// The step at a position on the timeline.
 const stepAt = (x, width) => {
-  const share = (x - TIMELINE.pad) / (width - 2 * TIMELINE.pad);
-  return Math.round(clamp(share, 0, 1) * selection.data.length);
+  const fraction = (x - TIMELINE.pad) / (width - 2 * TIMELINE.pad);
+  return Math.round(clamp(fraction, 0, 1) * selection.data.length);
 };
 
 const movePlayhead = () => {
@@ -18,7 +18,7 @@ const movePlayhead = () => {
   playhead.setAttribute("transform", `translate(${near(timelineX(width)(selection.step))} 0)`);
 };
 
-// Runs of steps with one value.
+// The maximal runs of steps with equal values.
 const runs = (data, value) => {
   const found = [];
   for (let i = 0; i < data.length; i += 1) {

@@ -1,10 +1,10 @@
-// Traces of rollouts and the frames that decisions retrieved, unpacked where they are needed. The scene gives START and FRAME,
-// the numbers of a first state and of a recorded frame, decisionAt, statesOf and frameOf.
+// The traces of rollouts and the retrieved frames of demonstrations, unpacked when they are needed. The scene's script defines
+// START and FRAME, how many numbers a first state and a recorded frame have, and decisionAt, statesOf and frameOf.
 const PHASES = ["plan", "bridge", "replay", "home"];
 const NONE = 0xffffffff;
 const row = (values, count, i) => Array.from(values.subarray(count * i, count * i + count));
 
-// Columns of an artifact's traces, and where each rollout's rows begin.
+// The columns of an artifact's traces, and the index of each rollout's first rows.
 const traces = remember((number) => {
   const artifact = REPORT.artifacts[number];
   const places = new Map();
@@ -18,7 +18,7 @@ const traces = remember((number) => {
   return { places, starts: unpack(artifact.starts), steps: unpackAll(artifact.steps), decisions: unpackAll(artifact.decisions) };
 });
 
-// A decision, with what the scene has of it; `detailed` says whether RE4 took it, and so whether there is more than what it followed.
+// A decision, including the scene's own data. `detailed` is true if RE4 took it; other policies record only what they followed.
 const readDecision = (columns, i) => ({
   row: i,
   step: columns.step[i],
@@ -35,8 +35,8 @@ const readDecision = (columns, i) => ({
   ...decisionAt(columns, i),
 });
 
-// One rollout: states 0 to `length` (before each step, and the last), the steps between them, and the decisions.
-// Undefined where the page does not hold it.
+// One rollout: the states 0 to `length` (before each step, and after the last), the steps between them, and the decisions.
+// Undefined if the viewer does not contain it.
 const loadRollout = (artifact, rollout) => {
   const { places, starts, steps, decisions } = traces(artifact);
   const place = places.get(rollout);
@@ -71,7 +71,7 @@ const demonstrationsOf = remember((key) => {
   return demos;
 });
 
-// Frames of a decision's chunk as {eef, object}; undefined where the page does not hold them.
+// The frames of a decision's chunk as {eef, object}; undefined if the page does not contain them.
 const loadChunk = (index, { demo, first, last }) => {
   const frames = demo === undefined ? undefined : demonstrationsOf(index)?.get(demo);
   if (frames === undefined || FRAME * (last + 1) > frames.length) return undefined;

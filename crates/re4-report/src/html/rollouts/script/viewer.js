@@ -1,4 +1,4 @@
-// What is shown of the chosen rollout, step and decision. The scene gives SIDES, captionOf, stepWords, drawScene,
+// Shows the selected rollout, step and decision. The scene's script defines SIDES, captionOf, stepWords, drawScene,
 // decisionFacts, stepFacts and showEvidence, and LEGEND, legendShape and isDrawn for its legend.
 const fact = (name, words, key, value, title) => [html("dt", {}, name), html("dd", key === undefined ? {} : { "data-fact": key, "data-value": value, title }, words)];
 
@@ -18,7 +18,7 @@ const showDecision = (data, step, number) => {
   shownDecision = key;
   byId("decision-title").textContent = decision === undefined ? "No decision" : `Decision ${number + 1} of ${data.decisions.length}, taken at step ${decision.step}`;
   byId("reason").textContent = decision === undefined ? "" : `${decision.reason}.`;
-  showEvidence(data, decision, chunk, `cannot be drawn: the index artifact index/${index.slice(0, 16)} was not beside the rollouts when this page was made.`);
+  showEvidence(data, decision, chunk, `cannot be shown: the index artifact index/${index.slice(0, 16)} was not found when this page was made.`);
 };
 
 const showStep = () => {
@@ -55,20 +55,20 @@ const showRollout = () => {
   drawTimeline();
 };
 
-// A chunk's path with an arrow head where it ends.
+// The path of a chunk, with an arrow head at its end.
 const arrow = (points) => {
   const path = line(points);
   const [x, y] = points[points.length - 1];
   const from = points.findLast(([u, v]) => Math.hypot(x - u, y - v) > 6);
   if (from === undefined) return path;
   const angle = Math.atan2(y - from[1], x - from[0]);
-  const barb = (turn) => [x - 10 * Math.cos(angle + turn), y - 10 * Math.sin(angle + turn)];
+  const barb = (offset) => [x - 10 * Math.cos(angle + offset), y - 10 * Math.sin(angle + offset)];
   return `${path}${line([barb(0.45), [x, y], barb(-0.45)])}`;
 };
 
 const cross = ([x, y]) => `M${near(x - 5)} ${near(y)}H${near(x + 5)}M${near(x)} ${near(y - 5)}V${near(y + 5)}`;
 
-// The way travelled up to a state, by layer: the phases of this decision, and those of older ones.
+// The path of the end effector up to a state, by layer: one layer per phase, separate for the current and for older decisions.
 const trails = (data, step, decision, view = (point) => point) => {
   const parts = {};
   for (let i = 0; i < step; i += 1) {

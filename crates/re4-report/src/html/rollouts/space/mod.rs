@@ -1,5 +1,5 @@
-//! Rollouts of robosuite's tasks: the timeline of retrieved demonstrations (paper, Figure 2), the scene from above and from
-//! behind the robot. World frame, metres, radians; quaternions x, y, z, w.
+//! Rollouts of robosuite's tasks: the timeline of retrieved demonstrations (paper, Figure 2), and the scene from above and from
+//! behind the robot. Poses are in the world frame, in metres and radians; quaternions are x, y, z, w.
 
 mod sections;
 
@@ -17,75 +17,75 @@ use re4_stats::Interval;
 use re4_task::{RobosuiteTask, Solid};
 use serde_json::{Value, json};
 
-use super::summary::told_apart;
+use super::summary::distinct_labels;
 use super::{Decided, NONE, Report, Rollout, Rollouts, Scene, Words};
 use crate::html::pack::{Pack, f32s, u32s};
 use crate::html::shell::plural;
 
-/// What an artifact states of rollouts in space.
+/// Data of a set of rollouts of a robosuite task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Space {
     /// The task.
     pub task: RobosuiteTask,
-    /// The seeds in words.
+    /// Description of the seeds.
     pub seeds: String,
     /// Fraction of rollouts that succeed, with its Wilson interval.
     pub success_rate: Interval,
-    /// Rollouts that succeed.
+    /// Number of rollouts that succeed.
     pub successes: u64,
-    /// Median of the steps of those.
+    /// Median number of steps of the rollouts that succeed.
     pub median_steps: Option<f64>,
-    /// How often a grasp was lost, all rollouts together.
+    /// Number of lost grasps in all rollouts.
     pub losses: u64,
-    /// Which demonstrations were used, in words.
+    /// Description of the demonstrations that were used.
     pub demonstrations: String,
-    /// The file that they come from, in words.
+    /// Description of the file that contains them.
     pub dataset: String,
-    /// What was simulated with what, in words.
+    /// Description of the simulator.
     pub simulator: String,
-    /// What the camera saw at decisions, by seed and number of the decision.
+    /// Camera images at decisions, by seed and number of the decision.
     pub images: BTreeMap<(u32, u32), DecisionImage>,
 }
 
-/// What a camera saw when a decision was taken.
+/// The image of a camera at a decision.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecisionImage {
     /// Name of the camera.
     pub camera: &'static str,
-    /// Its side in pixels.
+    /// Width and height of the image in pixels.
     pub side: u32,
     /// The image as the bytes of a PNG file.
     pub png: Vec<u8>,
-    /// The object's frame as the policy was told it.
+    /// The object's frame as the policy observed it.
     pub told: FrameInImage,
-    /// The object's frame as it was in the simulator.
+    /// The object's frame in the simulator.
     pub simulated: FrameInImage,
 }
 
-/// Origin and ends of the three axes of a frame in an image, in pixels from its corner at the top left; none for what is
-/// behind the camera.
+/// The origin and the ends of the three axes of a frame in an image, in pixels from its top left corner; `None` for points behind
+/// the camera.
 pub type FrameInImage = [Option<[f64; 2]>; 4];
 
 impl Decided<Space> {
-    /// A whole number that RE4 states of what was retrieved.
+    /// Returns an integer that RE4 records of the retrieval, or [`NONE`].
     fn count(&self, value: fn(&SpaceRe4Row) -> Option<u32>) -> u32 {
         self.detail.as_ref().and_then(value).unwrap_or(NONE)
     }
 
-    /// A number likewise.
+    /// Returns a number that RE4 records of the retrieval, or NaN.
     fn number(&self, value: fn(&SpaceRe4Row) -> Option<f64>) -> [f64; 1] {
         [self.detail.as_ref().and_then(value).unwrap_or(f64::NAN)]
     }
 }
 
 impl Rollout<Space> {
-    /// The object before a step.
+    /// Returns the pose of the object before a step.
     pub fn object_before(&self, step: usize) -> Isometry3<f64> {
         let before = step.checked_sub(1).and_then(|last| self.steps.get(last));
         before.map_or(self.result.object, |step| step.object)
     }
 
-    /// How often the grasp was lost.
+    /// Returns how often the grasp was lost.
     fn losses(&self) -> usize {
         let kinds = self
             .decisions
@@ -94,7 +94,7 @@ impl Rollout<Space> {
         kinds.filter(|kind| **kind == "grasp_lost").count()
     }
 
-    /// Demonstrations that were followed.
+    /// Returns the number of different demonstrations that were followed.
     fn demos(&self) -> usize {
         let followed: BTreeSet<u32> = self
             .decisions
@@ -104,21 +104,22 @@ impl Rollout<Space> {
         followed.len()
     }
 
-    /// Demonstrations that were not followed again at the end.
+    /// Returns the number of demonstrations that were excluded from retrieval at the end.
     fn banned(&self) -> u32 {
         let last = self.decisions.last().and_then(|decision| decision.detail.as_ref());
         last.map_or(0, |detail| detail.banned)
     }
 
-    /// Whether the policy was told of another object pose than the simulator had.
-    fn told_otherwise(&self) -> bool {
-        let away = |a: Isometry3<f64>, b: Isometry3<f64>| (a.translation.vector - b.translation.vector).amax() > 1e-6;
+    /// Whether the policy observed an object pose that differs from the one in the simulator, at any step.
+    fn observed_differs(&self) -> bool {
+        let differs =
+            |a: Isometry3<f64>, b: Isometry3<f64>| (a.translation.vector - b.translation.vector).amax() > 1e-6;
         let mut steps = self.steps.iter().enumerate();
-        steps.any(|(i, step)| step.seen.is_some_and(|seen| away(seen, self.object_before(i))))
+        steps.any(|(i, step)| step.seen.is_some_and(|seen| differs(seen, self.object_before(i))))
     }
 }
 
-/// Position, then quaternion.
+/// Returns the position, then the quaternion.
 fn pose(pose: Isometry3<f64>) -> [f64; 7] {
     let (t, q) = (pose.translation.vector, pose.rotation.coords);
     [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
@@ -134,19 +135,19 @@ impl Scene for Space {
     type Extra = ();
 
     const WORDS: Words = Words {
-        of: " in robosuite’s scene",
+        of: " in robosuite’s scenes",
         scores: ["Success", "Success table", "scores spatial"],
-        note: "A rollout succeeds when the task’s own rule holds after any control step, which ends it. \
-            Intervals are Wilson’s, at 95 %. A second holds 20 control steps.",
+        note: "A rollout succeeds, and ends, as soon as the task’s own success criterion is met after a control step. \
+            Intervals are 95 % Wilson intervals. The control rate is 20 Hz.",
         score_columns: &[
             ("Policy", false),
             ("Success rate", true),
-            ("Succeeded", true),
+            ("Successes", true),
             ("Median steps", true),
             ("Grasps lost", true),
             ("Demonstrations and simulator", false),
         ],
-        comparison: "Success rates of different protocols, or with other demonstrations, must not be compared.",
+        comparison: "Success rates of different protocols, or with different demonstrations, are not comparable.",
         stage: "stage spatial",
         columns: &[
             ("seed", "Seed", false),
@@ -155,7 +156,7 @@ impl Scene for Space {
             ("decisions", "Decisions", false),
             ("demos", "Demonstrations", false),
             ("losses", "Grasps lost", false),
-            ("banned", "Not followed again", false),
+            ("banned", "Excluded", false),
         ],
     };
     const STYLE: &'static str = include_str!("page.css");
@@ -179,11 +180,11 @@ impl Scene for Space {
     }
 
     fn labels(artifacts: &[Rollouts<Self>]) -> Vec<String> {
-        // Where there are several tasks, a policy's name alone says too little.
+        // With several tasks, the label needs the task in addition to the policy.
         let several = artifacts
             .iter()
             .any(|artifact| artifact.scene.task != artifacts[0].scene.task);
-        told_apart(
+        distinct_labels(
             artifacts,
             |artifact| {
                 if several {
@@ -247,15 +248,15 @@ impl Scene for Space {
         )
     }
 
-    /// The artifact holds no orientation of the end effector at the start; it is that of the first query.
+    /// The artifact does not contain the orientation of the end effector at the start, so that of the first query is used.
     fn start(rollout: &Rollout<Self>) -> Vec<f64> {
-        let turned = rollout
+        let first_query = rollout
             .decisions
             .first()
             .map_or(Isometry3::identity(), |decision| decision.core.query_eef);
         [
             rollout.result.eef.as_slice(),
-            &pose(turned)[3..],
+            &pose(first_query)[3..],
             &pose(rollout.result.object),
         ]
         .concat()
@@ -274,7 +275,7 @@ impl Scene for Space {
             .f32("object", |s| pose(s.object))
             .f32("fingers", |s| [(s.finger[0] - s.finger[1]).abs()])
             .u8("closing", |s| u8::from(s.gripper > 0.0));
-        if artifact.shown().any(Rollout::told_otherwise) {
+        if artifact.shown().any(Rollout::observed_differs) {
             return pack.f32("seen", |s| s.seen.map_or([f64::NAN; 7], pose));
         }
         pack
@@ -295,7 +296,7 @@ impl Scene for Space {
             .f64("d_q", |d| d.number(|d| d.d_q))
             .f64("d_o", |d| d.number(|d| d.d_o))
             .f64("d_e", |d| d.number(|d| d.d_e))
-            .f64("turn", |d| d.number(|d| d.symmetry_rotation))
+            .f64("symmetry_rotation", |d| d.number(|d| d.symmetry_rotation))
             .f64("delta", |d| {
                 d.detail
                     .as_ref()
@@ -318,8 +319,8 @@ fn solids(solids: &[Solid]) -> Value {
     solids.iter().map(solid).collect()
 }
 
-/// Images of some decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers each, the
-/// places of both frames. Null where there are none.
+/// Returns the images of decisions: the number of each decision, counted over all rollouts of the viewer, and 16 numbers for
+/// each, the positions of both frames in the image. Null if there are no images.
 fn images(artifact: &Rollouts<Space>) -> Value {
     let decisions = artifact
         .shown()

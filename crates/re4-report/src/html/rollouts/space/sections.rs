@@ -1,4 +1,4 @@
-//! What only the page of robosuite's tasks has.
+//! The sections that only the page of robosuite's tasks has.
 
 use maud::{Markup, html};
 
@@ -7,7 +7,7 @@ use crate::html::rollouts::Rollouts;
 use crate::html::rollouts::sections::{figure, named};
 use crate::html::shell::{choice, exact};
 
-/// What the grid and the table of seeds can be limited to.
+/// The filters of the grid and of the table of rollouts.
 const FILTERS: [(&str, &str); 4] = [
     ("all", "All"),
     ("failure", "Failures"),
@@ -15,7 +15,7 @@ const FILTERS: [(&str, &str); 4] = [
     ("several", "Several demonstrations"),
 ];
 
-/// Figures of an artifact, and what it was made with.
+/// The results of an artifact, and the demonstrations, dataset and simulator behind them.
 pub(super) fn score_cells(artifact: &Rollouts<Space>) -> Markup {
     let scene = &artifact.scene;
     html! {
@@ -26,7 +26,7 @@ pub(super) fn score_cells(artifact: &Rollouts<Space>) -> Markup {
         }
         td.figure data-metric="median_steps" data-value=[scene.median_steps.map(exact)] {
             span.value { @if let Some(median) = scene.median_steps { (median) } @else { "–" } }
-            span.interval { "where it succeeds" }
+            span.interval { "of the successes" }
         }
         td.figure data-metric="losses" data-value=(scene.losses) {
             span.value { (scene.losses) }
@@ -40,12 +40,12 @@ pub(super) fn score_cells(artifact: &Rollouts<Space>) -> Markup {
     }
 }
 
-/// The place for the grid of rollouts, which the script draws.
+/// The section with the grid of rollouts, which the script draws.
 pub(super) fn grid(labels: &[String]) -> Markup {
     html! {
         section #plots aria-labelledby="plots-title" {
             div.heading {
-                h2 #plots-title { "Every rollout" }
+                h2 #plots-title { "All rollouts" }
                 div.choices {
                     (choice("filter", "Show", &FILTERS))
                     (choice("order", "Order", &[("seed", "By seed"), ("steps", "By steps")]))
@@ -59,17 +59,17 @@ pub(super) fn grid(labels: &[String]) -> Markup {
                     }
                 }
                 ul.legend.cell-legend {
-                    li { span.cell.success aria-hidden="true" { i style="--share: 35%" {} } "succeeded; the bar is as high as the steps it took" }
-                    li { span.cell.failure aria-hidden="true" { i style="--share: 100%" {} } "failed" }
-                    li { span.cell.success.lost aria-hidden="true" { i style="--share: 60%" {} } "lost its grasp on the way" }
+                    li { span.cell.success aria-hidden="true" { i style="--height: 35%" {} } "success; the height of the bar is the number of steps" }
+                    li { span.cell.failure aria-hidden="true" { i style="--height: 100%" {} } "failure" }
+                    li { span.cell.success.lost aria-hidden="true" { i style="--height: 60%" {} } "grasp lost at least once" }
                 }
-                p.hint { "Click one, or use the arrow keys, to see it in the viewer." }
+                p.hint { "Click a rollout, or use the arrow keys, to show it in the viewer." }
             }
         }
     }
 }
 
-/// The figures of a decision, and what the camera saw; the script fills both.
+/// The data of a decision, and the camera's image; the script fills both.
 pub(super) fn evidence(images: bool) -> Markup {
     html! {
         dl.summary #summary {}
@@ -78,30 +78,30 @@ pub(super) fn evidence(images: bool) -> Markup {
     }
 }
 
-/// The place for what the camera saw at a decision.
+/// The camera's image at a decision, which the script fills in.
 fn image() -> Markup {
     html! {
         figure.camera #camera {
             figcaption {
-                h3 { "What the camera saw" }
+                h3 { "Camera image at the decision" }
                 p #camera-caption {}
             }
             div #camera-image {}
             ul.legend {
                 li {
                     svg.plane.sample viewBox="0 0 24 18" aria-hidden="true" {
-                        path.told.x d="M4 14H14" {} path.told.y d="M4 14L11 7" {} path.told.z d="M4 14V3" {}
+                        path.estimate.x d="M4 14H14" {} path.estimate.y d="M4 14L11 7" {} path.estimate.z d="M4 14V3" {}
                     }
-                    "frame that the policy was told: x, y, z"
+                    "object frame that the policy observed: x, y, z"
                 }
                 li {
                     svg.plane.sample viewBox="0 0 24 18" aria-hidden="true" { path.simulated d="M4 14H14M4 14L11 7M4 14V3" {} }
-                    "the object’s own frame in the simulator"
+                    "object frame in the simulator"
                 }
             }
             p.hint #camera-note {
-                "A frame estimated from an image is that of the gripper that would hold the object. "
-                "It is a constant rigid motion away from the object’s own at best, which is not taken away here."
+                "A frame that is estimated from an image is the frame of a gripper that would hold the object. "
+                "Even without error, it differs from the object’s own frame by a constant rigid transform, which is not removed here."
             }
         }
     }

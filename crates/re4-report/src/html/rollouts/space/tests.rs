@@ -126,7 +126,7 @@ fn data(page: &str) -> Value {
 }
 
 #[test]
-fn the_table_holds_the_artifacts_figures() {
+fn the_table_shows_the_results_of_the_artifacts() {
     let page = rollouts_page(&report(vec![rollouts("Lift", "re4"), rollouts("Lift", "re2")]));
     for words in [
         "data-metric=\"success_rate\" data-value=\"0.5\" data-low=\"0.094\" data-high=\"0.905\"",
@@ -142,7 +142,7 @@ fn the_table_holds_the_artifacts_figures() {
 }
 
 #[test]
-fn tasks_and_settings_tell_artifacts_apart() {
+fn labels_contain_the_tasks_and_settings_that_differ() {
     let mut fast = rollouts("Can", "re4");
     fast.scene.simulator = "MuJoCo 2.3.7, fast".to_owned();
     let mut other = rollouts("Can", "re4");
@@ -182,7 +182,7 @@ fn traces_are_packed_in_order_and_texts_cannot_end_the_script() {
         .map(|bytes| u32::from_le_bytes(bytes.try_into().unwrap()))
         .collect();
     assert_eq!(demos, [17, u32::MAX, 17, u32::MAX]);
-    // Where the policy was told the truth, the page does not say it twice.
+    // If the policy observed the true poses, the page does not contain them twice.
     assert!(artifact["steps"]["seen"].is_null());
     let mut noisy = rollouts("Lift", "re4");
     noisy.rollouts[1].steps[2].seen = Some(Isometry3::translation(0.002, 0.0, 0.0) * at());
@@ -191,7 +191,7 @@ fn traces_are_packed_in_order_and_texts_cannot_end_the_script() {
 }
 
 #[test]
-fn rollouts_that_are_not_shown_are_counted_alone() {
+fn rollouts_that_are_not_shown_are_only_counted() {
     let mut set = rollouts("Lift", "re4");
     set.rollouts[0].shown = false;
     let page = data(&rollouts_page(&report(vec![set])));
@@ -204,7 +204,7 @@ fn rollouts_that_are_not_shown_are_counted_alone() {
 }
 
 #[test]
-fn images_of_decisions_stand_beside_their_numbers() {
+fn images_of_decisions_are_packed_with_their_numbers() {
     let bare = rollouts_page(&report(vec![rollouts("Lift", "re4")]));
     assert!(!bare.contains("id=\"camera\"") && data(&bare)["artifacts"][0]["images"].is_null());
 
@@ -222,7 +222,7 @@ fn images_of_decisions_stand_beside_their_numbers() {
     assert!(page.contains("id=\"camera\""));
     let images = &data(&page)["artifacts"][0]["images"];
     assert_eq!((&images["camera"], &images["side"]), (&"agentview".into(), &84.into()));
-    assert_eq!(images["png"], serde_json::json!(["cGljdHVyZQ=="]));
+    assert_eq!(images["png"], serde_json::json!(["aW1hZ2U="]));
     // The second decision of the second rollout, of two decisions each.
     assert_eq!(images["decision"], u32s([3].into_iter()));
     let nan = f64::NAN;
@@ -231,7 +231,7 @@ fn images_of_decisions_stand_beside_their_numbers() {
         [nan, nan, 3.0, 4.0, nan, nan, nan, nan],
     ];
     assert_eq!(images["places"], f32s(places.into_iter().flatten()));
-    // What the viewer does not hold has no image, and does not count.
+    // Rollouts that are not in the viewer have no images, and their decisions are not counted.
     artifact.rollouts[0].shown = false;
     let fewer = rollouts_page(&report(vec![artifact]));
     assert_eq!(

@@ -1,4 +1,4 @@
-// The plots over all rollouts.
+// The plots of all rollouts.
 const UNIT_TICKS = [0, 0.2, 0.4, 0.6, 0.8, 1];
 const MEASURES = { score: "scaled score", coverage: "raw coverage", iou: "IoU" };
 
@@ -7,14 +7,14 @@ const markPath = (artifact, x, y, extra, scale = 1) =>
 
 const drawBudgets = (host, width) => {
   const measure = checked("budget-measure");
-  const most = Math.max(...REPORT.artifacts.map((artifact) => artifact.max_steps));
-  const spacing = [10, 20, 50, 100, 200, 500].find((gap) => most / gap <= Math.min(6, width / 60)) ?? 1000;
+  const maxSteps = Math.max(...REPORT.artifacts.map((artifact) => artifact.max_steps));
+  const spacing = [10, 20, 50, 100, 200, 500].find((gap) => maxSteps / gap <= Math.min(6, width / 60)) ?? 1000;
   const ticks = [];
-  for (let tick = 0; tick <= most; tick += spacing) ticks.push([tick, String(tick)]);
+  for (let tick = 0; tick <= maxSteps; tick += spacing) ticks.push([tick, String(tick)]);
   const { root, place } = chartFrame(width, {
     height: 300, left: 36, right: 14, top: 12, bottom: 40,
-    y: [0, 1], yTicks: UNIT_TICKS, x: [0, most], xTicks: ticks, xLabel: "steps allowed",
-    name: `Mean ${MEASURES[measure]} of the running maximum by step budget; the table of budgets below has the figures`,
+    y: [0, 1], yTicks: UNIT_TICKS, x: [0, maxSteps], xTicks: ticks, xLabel: "step budget",
+    name: `Mean running maximum of the ${MEASURES[measure]} by step budget; the table of budgets below has the values`,
   });
   REPORT.artifacts.forEach(({ curve, label }, number) => {
     const group = svg("g", { class: `series series-${markOf(number)}` });
@@ -34,7 +34,8 @@ const drawBudgets = (host, width) => {
   host.replaceChildren(root);
 };
 
-// Marks of all rollouts: [artifact, rollout, place on the x axis], by rank within its artifact or by seed over all of them.
+// The marks of all rollouts as [artifact, rollout, position on the x axis]: by rank within the artifact, or by seed over all
+// artifacts.
 const orderedMarks = (measure, order) => {
   const seeds = new Map();
   if (order === "seed") {
@@ -71,12 +72,12 @@ const drawSeeds = (host, width) => {
     x: bySeed ? [-0.5, last + 0.5] : [0, 1],
     xTicks: bySeed ? seedTicks(marks, width) : [[0.005, "minimum"], [0.5, "median"], [0.96, "maximum"]],
     xLabel: bySeed ? "seed" : "fraction of rollouts",
-    name: `${MEASURES[measure]} of every rollout; the table of seeds below has the figures. Arrow keys choose a rollout.`,
+    name: `${titled(MEASURES[measure])} of every rollout; the table of rollouts below has the values. The arrow keys select a rollout.`,
   });
   root.setAttribute("tabindex", "0");
   root.setAttribute("role", "application");
-  const most = Math.max(...REPORT.artifacts.map(({ rollouts }) => rollouts.seed.length));
-  const scale = near(clamp((width - 50) / most / 5, 0.55, 1));
+  const maxRollouts = Math.max(...REPORT.artifacts.map(({ rollouts }) => rollouts.seed.length));
+  const scale = near(clamp((width - 50) / maxRollouts / 5, 0.55, 1));
   for (const [artifact, rollout, x] of marks) {
     const { rollouts, label, noun } = REPORT.artifacts[artifact];
     const kinds = ["point", rollouts.success[rollout] ? "success" : "failure", isShown(artifact, rollout) ? "" : "absent"];
@@ -84,7 +85,7 @@ const drawSeeds = (host, width) => {
       class: `${kinds.join(" ")} series-${markOf(artifact)}`,
       "data-artifact": artifact, "data-rollout": rollout,
     }, scale);
-    const ending = isShown(artifact, rollout) ? "" : " (not embedded in this page)";
+    const ending = isShown(artifact, rollout) ? "" : " (not in the viewer of this page)";
     mark.append(svg("title", {}, `${label}, ${noun} ${rollouts.seed[rollout]}: ${MEASURES[measure]} ${digits(rollouts[measure][rollout])}${ending}`));
     mark.addEventListener("click", () => selectRollout(artifact, rollout));
     root.append(mark);
@@ -105,14 +106,14 @@ const markSelected = () => {
 };
 
 const walkMarks = (event) => {
-  const way = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-  if (way === undefined) return;
+  const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  if (direction === undefined) return;
   event.preventDefault();
   const order = orderedMarks(checked("measure"), checked("order"))
     .filter(([artifact, rollout]) => artifact === selection.artifact && isShown(artifact, rollout))
     .sort((a, b) => a[2] - b[2])
     .map(([, rollout]) => rollout);
-  const next = order[order.indexOf(selection.rollout) + way];
+  const next = order[order.indexOf(selection.rollout) + direction];
   if (next !== undefined) selectRollout(selection.artifact, next);
 };
 

@@ -1,4 +1,4 @@
-// Rollouts in the plane; pixels and radians, y down.
+// The data of Push-T rollouts. Lengths are in pixels, angles in radians; the y axis points down.
 const WORLD = REPORT.artifacts[0]?.world;
 const SUCCESS = WORLD?.success_coverage;
 const CONTROL_RATE = 10;
@@ -10,7 +10,7 @@ const scoreOf = (coverage) => Math.min(coverage / SUCCESS, 1);
 
 const frameOf = (values) => ({ eef: values.slice(0, 2), object: values.slice(2) });
 
-// Where each decision's plan begins in the column of their points.
+// The index of the first point of each decision's plan in the column of points.
 const pathStarts = (columns) => {
   let at = 0;
   columns.path_start ??= Array.from(columns.path_length, (length) => {
@@ -36,8 +36,8 @@ const decisionAt = (columns, i) => ({
 });
 
 const bestSoFar = (coverage) => {
-  let most = 0;
-  return coverage.map((value) => (most = Math.max(most, value)));
+  let best = 0;
+  return coverage.map((value) => (best = Math.max(best, value)));
 };
 
 const statesOf = (start, steps, rows) => {
@@ -57,7 +57,7 @@ const statesOf = (start, steps, rows) => {
   };
 };
 
-// The motion [x, y, angle] turns about the origin and then moves.
+// Applies a motion [x, y, angle] to a point: rotates it about the origin, then translates it.
 const carry = ([x, y, angle], [u, v]) => {
   const c = Math.cos(angle);
   const s = Math.sin(angle);

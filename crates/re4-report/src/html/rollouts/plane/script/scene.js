@@ -1,6 +1,6 @@
 const blockAt = (pose) => `${line(WORLD.outline.map((corner) => carry(pose, corner)))}Z`;
 
-// The plane as an image: floor, walls and goal, with named layers above that are filled for each state.
+// The workspace as an SVG image: floor, walls and goal, with named layers on top whose content is set for each state.
 const plane = (name, layers) => {
   const { side, wall } = WORLD;
   const root = svg("svg", { class: "plane", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": name });
@@ -24,30 +24,30 @@ const setCircle = (element, [x, y]) => {
 };
 const setShown = (element, shown) => element.classList.toggle("gone", !shown);
 
-const WAYS = ["trail plan old", "trail replay old", "trail plan", "trail replay"].map((layer) => [layer, "path"]);
+const TRAILS = ["trail plan old", "trail replay old", "trail plan", "trail replay"].map((layer) => [layer, "path"]);
 const SCENE = plane("Scene", [
-  ...WAYS, ["before", "path"], ["block", "path"], ["predicted", "path"], ["observed", "path"],
+  ...TRAILS, ["before", "path"], ["block", "path"], ["predicted", "path"], ["observed", "path"],
   ["plan-path", "path"], ["chunk", "path"], ["set-point", "circle"], ["pusher", "circle"], ["command", "path"],
 ]);
 const DEMO = plane("Retrieved demonstration", [
   ["block", "path"], ["predicted", "path"], ["chunk", "path"], ["set-point", "circle"], ["pusher", "circle"],
 ]);
 
-// The estimate that the policy was given for its next action, where there is one.
+// The estimated pose that the policy observed before its next action, if there is one, and its error.
 const estimateAt = (data, step) => {
   const pose = data.observed[step];
   if (!pose) return undefined;
   const truth = data.object[step];
-  const away = Math.hypot(pose[0] - truth[0], pose[1] - truth[1]);
-  const turn = Math.abs(around(pose[2] - truth[2]));
-  return { pose, away, turn, confidence: data.confidence[step], flag: data.flag[step], differs: away > 1e-3 || turn > 1e-4 };
+  const distance = Math.hypot(pose[0] - truth[0], pose[1] - truth[1]);
+  const angle = Math.abs(wrapAngle(pose[2] - truth[2]));
+  return { pose, distance, angle, confidence: data.confidence[step], flag: data.flag[step], differs: distance > 1e-3 || angle > 1e-4 };
 };
 
 const drawScene = (data, step, number, chunk) => {
   const decision = data.decisions[number];
   const { root, named } = SCENE;
-  const ways = trails(data, step, number);
-  for (const [layer] of WAYS) setPath(named[layer], ways[layer] ?? "");
+  const paths = trails(data, step, number);
+  for (const [layer] of TRAILS) setPath(named[layer], paths[layer] ?? "");
   const estimate = estimateAt(data, step);
   setPath(named.block, blockAt(data.object[step]));
   setPath(named.observed, estimate?.differs ? blockAt(estimate.pose) : "");
@@ -79,9 +79,9 @@ const drawDemo = (chunk) => {
 
 const LEGEND = [
   ["block", "block"], ["goal", "goal"], ["pusher", "pusher"],
-  ["trail plan", "way travelled: plan"], ["trail replay", "way travelled: replay"],
-  ["plan-path", "plan"], ["chunk", "reframed chunk"], ["predicted", "block expected after the chunk"],
-  ["before", "block at the decision"], ["command", "next command"], ["observed", "pose that the policy was given"],
+  ["trail plan", "path so far: plan"], ["trail replay", "path so far: replay"],
+  ["plan-path", "plan"], ["chunk", "reframed chunk"], ["predicted", "predicted block after the chunk"],
+  ["before", "block at the decision"], ["command", "next command"], ["observed", "estimated block pose"],
 ];
 
 const legendShape = (layer) => {

@@ -1,4 +1,4 @@
-// The words and figures beside the scene, and the timeline of coverage.
+// The texts and values next to the scene, and the timeline of coverage.
 const SIDES = "";
 
 const numbersOf = (artifact) => REPORT.artifacts[artifact].rollouts.seed.map((_, rollout) => rollout);
@@ -7,14 +7,14 @@ const captionOf = (rollouts, rollout, ending) => `scaled score ${digits(rollouts
 
 const point = ([x, y]) => `${digits(x, 1)}, ${digits(y, 1)} px`;
 
-const PLAN_WORDS = { direct: "straight", planned: "round the block", failed: "no free way, straight", off: "off" };
+const PLAN_WORDS = { direct: "straight", planned: "around the block", failed: "no free path found, straight", off: "off" };
 
 const distanceFacts = ({ dq, do: d_o, predictedCoverage, selector, compared }) => [
   ...(dq === null ? [fact("Rule", "by outcome")] : [
-    fact("d_q", digits(dq, 4), "d_q", dq, "Distance of the states, normalised"),
-    fact("d_o", digits(d_o, 4), "d_o", d_o, "Distance of the object poses, normalised"),
+    fact("d_q", digits(dq, 4), "d_q", dq, "Distance between the states, normalised"),
+    fact("d_o", digits(d_o, 4), "d_o", d_o, "Distance between the object poses, normalised"),
   ]),
-  fact("Expected coverage", digits(predictedCoverage), "predicted_coverage", predictedCoverage),
+  fact("Predicted coverage", digits(predictedCoverage), "predicted_coverage", predictedCoverage),
   fact("Compared", `${compared} ${selector === "outcome" ? "chunks" : "demonstrations"}`, "compared", compared),
 ];
 
@@ -25,8 +25,8 @@ const decisionFacts = (decision) => [
 
 const detailFacts = (decision) => [
   ...distanceFacts(decision),
-  fact("δ", `${point(decision.delta)}, ${degrees(around(decision.delta[2]))}`, "delta", decision.delta.join(" "),
-    "Motion that carries the demonstration's block onto ours: translation, rotation about the world's origin"),
+  fact("δ", `${point(decision.delta)}, ${degrees(wrapAngle(decision.delta[2]))}`, "delta", decision.delta.join(" "),
+    "Rigid motion from the demonstration's block to the observed one: translation, rotation about the world origin"),
   fact("Set-point", point(decision.setPoint), "set_point", decision.setPoint.join(" ")),
   fact("Plan", PLAN_WORDS[decision.plan] ?? decision.plan, "plan", decision.plan),
   fact("Plan steps, nodes", `${decision.planSteps}, ${decision.planNodes}`, "plan_steps", `${decision.planSteps} ${decision.planNodes}`),
@@ -36,9 +36,9 @@ const detailFacts = (decision) => [
 const stepFacts = (data, step) => {
   const estimate = estimateAt(data, step);
   if (estimate === undefined) return [];
-  const { away, turn, confidence, flag } = estimate;
-  const summary = [fact("Pose given", `off by ${digits(away, 2)} px, ${digits((turn * 180) / Math.PI, 2)}°`, "pose_error", `${away} ${turn}`)];
-  if (flag) summary.push(fact("Estimator says", flag.replaceAll("_", " "), "pose_flag", flag));
+  const { distance, angle, confidence, flag } = estimate;
+  const summary = [fact("Pose error", `${digits(distance, 2)} px, ${digits((angle * 180) / Math.PI, 2)}°`, "pose_error", `${distance} ${angle}`)];
+  if (flag) summary.push(fact("Estimator flag", flag.replaceAll("_", " "), "pose_flag", flag));
   if (confidence !== null) summary.push(fact("Confidence", digits(confidence), "pose_confidence", confidence));
   return summary;
 };
@@ -47,7 +47,7 @@ const showEvidence = (data, decision, chunk, lacking) => {
   drawDemo(chunk);
   if (decision?.demo === undefined) return;
   byId("demo-note").textContent = chunk
-    ? `As recorded in ${decision.name}: frame ${decision.first}, the pusher’s way and the block (dashed) up to frame ${decision.last}.`
+    ? `Recording of ${decision.name}: frame ${decision.first}, with the path of the pusher and the block (dashed) until frame ${decision.last}.`
     : `The recording of ${decision.name}, frame ${decision.first}, ${lacking}`;
 };
 

@@ -1,4 +1,4 @@
-// What the camera saw at a decision, with the object's frame as the policy was told it and as it was.
+// The camera's image at a decision, with the object's frame as the policy observed it and as it was in the simulator.
 const imagesOf = remember((number) => {
   const { images } = REPORT.artifacts[number];
   if (!images) return undefined;
@@ -6,7 +6,7 @@ const imagesOf = remember((number) => {
   const of = new Map();
   unpack(images.decision).forEach((decision, i) => {
     const points = Array.from({ length: 8 }, (_, k) => row(places, 2, 8 * i + k));
-    of.set(decision, { png: images.png[i], told: points.slice(0, 4), simulated: points.slice(4) });
+    of.set(decision, { png: images.png[i], estimate: points.slice(0, 4), simulated: points.slice(4) });
   });
   return of;
 });
@@ -24,7 +24,7 @@ const frameMark = (points, name) => {
 };
 
 // The angle between two orientations.
-const turnBetween = (a, b) => {
+const angleBetween = (a, b) => {
   const w = Math.abs(a.slice(3).reduce((sum, value, k) => sum + value * b[3 + k], 0));
   return 2 * Math.acos(Math.min(1, w));
 };
@@ -38,17 +38,17 @@ const showImage = (data, decision) => {
   if (image === undefined) return;
   const side = images.side;
   const simulated = data.object[decision.step];
-  const off = decision.object.slice(0, 3).map((value, k) => value - simulated[k]);
-  const away = apart(decision.object, simulated);
-  const turn = turnBetween(decision.object, simulated);
+  const offset = decision.object.slice(0, 3).map((value, k) => value - simulated[k]);
+  const distance = apart(decision.object, simulated);
+  const angle = angleBetween(decision.object, simulated);
   const caption = byId("camera-caption");
-  caption.textContent = `${images.camera} · origins ${millimetres(away)} apart (${off.map((value) => digits(1000 * value, 1)).join(", ")}) · axes ${degrees(turn)}`;
-  Object.assign(caption.dataset, { decision: decision.row, distance: away, turn });
+  caption.textContent = `${images.camera} · origins ${millimetres(distance)} apart (${offset.map((value) => digits(1000 * value, 1)).join(", ")}) · axes ${degrees(angle)} apart`;
+  Object.assign(caption.dataset, { decision: decision.row, distance, angle });
   byId("camera-image").replaceChildren(svg(
     "svg",
-    { class: "plane seen-image", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Image of ${images.camera} at step ${decision.step}, with the frame of the object` },
+    { class: "plane camera-image", viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Image of ${images.camera} at step ${decision.step}, with the frame of the object` },
     svg("image", { href: `data:image/png;base64,${image.png}`, width: side, height: side }),
     ...["simulated under", "simulated"].flatMap((name) => [...frameLines(image.simulated, [name, name, name]), ...frameMark(image.simulated, name)]),
-    ...frameLines(image.told, AXES.map((axis) => `told ${axis}`)),
+    ...frameLines(image.estimate, AXES.map((axis) => `estimate ${axis}`)),
   ));
 };

@@ -1,4 +1,4 @@
-// Every rollout as a cell of a grid; the grid's filter is the table's, too.
+// The grid with one cell per rollout. Its filter also applies to the table of rollouts.
 const FILTERS = {
   all: () => true,
   failure: ({ success }, i) => !success[i],
@@ -16,7 +16,7 @@ const ordered = (artifact) => {
   const { rollouts } = REPORT.artifacts[artifact];
   const numbers = numbersOf(artifact);
   if (checked("order") === "steps") {
-    // Failures last, whatever they took.
+    // Failures come last, regardless of their number of steps.
     const rank = (i) => (rollouts.success[i] ? 0 : 1e9) + rollouts.steps[i];
     numbers.sort((a, b) => rank(a) - rank(b) || rollouts.seed[a] - rollouts.seed[b]);
   } else {
@@ -29,17 +29,17 @@ const inWords = ({ rollouts, label }, i) =>
   `${label}, seed ${rollouts.seed[i]}: ${rollouts.success[i] ? "succeeded" : "failed"} after ${counted(rollouts.steps[i], "step")}, ` +
   `${counted(rollouts.demos[i], "demonstration")} followed, grasp lost ${counted(rollouts.losses[i], "time")}`;
 
-// Bars are as high as the longest rollout of all.
+// Bars are relative to the longest rollout of all artifacts.
 const LONGEST = Math.max(1, ...REPORT.artifacts.flatMap(({ rollouts }) => rollouts.steps));
 
 const cellOf = (number, i) => {
   const artifact = REPORT.artifacts[number];
   const { rollouts } = artifact;
   const kinds = ["cell", rollouts.success[i] ? "success" : "failure", rollouts.losses[i] > 0 ? "lost" : "", `series-${markOf(number)}`];
-  const words = inWords(artifact, i) + (isShown(number, i) ? "" : " (not embedded in this page)");
-  const share = Math.max(6, (100 * rollouts.steps[i]) / LONGEST);
+  const words = inWords(artifact, i) + (isShown(number, i) ? "" : " (not in the viewer of this page)");
+  const height = Math.max(6, (100 * rollouts.steps[i]) / LONGEST);
   const cell = html("button", { type: "button", class: kinds.join(" "), title: words, "aria-label": words, tabindex: -1, "data-rollout": i },
-    html("i", { style: `--share:${near(share)}%` }));
+    html("i", { style: `--height:${near(height)}%` }));
   cell.disabled = !isShown(number, i);
   cell.addEventListener("click", () => selectRollout(number, i));
   return cell;
@@ -50,7 +50,7 @@ const drawCells = () => {
     const number = Number(host.dataset.artifact);
     const numbers = ordered(number);
     host.replaceChildren(...numbers.map((i) => cellOf(number, i)));
-    if (numbers.length === 0) host.append(html("p", { class: "hint" }, "None."));
+    if (numbers.length === 0) host.append(html("p", { class: "hint" }, "No rollouts."));
     const all = REPORT.artifacts[number].rollouts.seed.length;
     document.querySelector(`[data-count-of="${number}"]`).textContent = numbers.length === all ? `${all}` : `${numbers.length} of ${all}`;
   }
@@ -75,12 +75,13 @@ const markCell = () => {
 const walkCells = (event) => {
   const cells = [...event.currentTarget.querySelectorAll("button:not(:disabled)")];
   const at = cells.indexOf(document.activeElement);
-  const beside = cells.findIndex((cell, i) => i > 0 && cell.offsetTop > cells[0].offsetTop);
-  const columns = beside < 0 ? cells.length : beside;
-  const way = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: -columns, ArrowDown: columns }[event.key];
-  if (way === undefined || at < 0) return;
+  // The number of columns depends on the width of the page: the first cell of the second row is lower than the first cell.
+  const secondRow = cells.findIndex((cell, i) => i > 0 && cell.offsetTop > cells[0].offsetTop);
+  const columns = secondRow < 0 ? cells.length : secondRow;
+  const offset = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: -columns, ArrowDown: columns }[event.key];
+  if (offset === undefined || at < 0) return;
   event.preventDefault();
-  const next = cells[at + way];
+  const next = cells[at + offset];
   if (next === undefined) return;
   next.click();
   next.focus();

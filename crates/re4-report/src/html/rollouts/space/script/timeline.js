@@ -1,5 +1,5 @@
-// The timeline of retrieved demonstrations (paper, Figure 2): a band a demonstration, what each step is part of, the gripper,
-// and below them the fingers' distance and the object's height.
+// The timeline of retrieved demonstrations (paper, Figure 2): one band per run of steps with the same demonstration; below it the
+// phase, the mode and the gripper command of each step, the finger separation and the height of the object.
 const PARTS = { label: 15, band: 30, thin: 9, plot: 58 };
 const PLACE = (() => {
   let y = 0;
@@ -19,9 +19,9 @@ const TIMELINE = {
   pad: 10,
   height: PLACE.end,
   playhead: [PLACE.demos - 3, PLACE.ticks],
-  name: "Demonstrations followed over the steps, with phases, modes and gripper commands; below, the distance of the fingers and the height of the object",
+  name: "Demonstrations followed over the steps, with phases, modes and gripper commands; below, the finger separation and the height of the object",
 };
-// Height above the top of the table, or of the bins' floor, m.
+// The height above the top of the table, or above the floor of the bins, in m.
 const heightOf = (artifact, z) => {
   const { centre, half } = REPORT.artifacts[artifact].fixtures.find(({ kind }) => kind === "table");
   return z - centre[2] - half[2];
@@ -44,7 +44,7 @@ const bands = (data, x) => {
   for (const run of runs(data, (i) => data.decisions[data.decisionOf[i]]?.demo)) {
     const home = run.value === undefined;
     const { name } = data.decisions[data.decisionOf[run.start]] ?? {};
-    const words = home ? "back to the initial pose" : name;
+    const words = home ? "return to the initial pose" : name;
     const width = rect(run, PLACE.demos, PARTS.band, home ? "demo none" : "demo", `${words}, ${span(run)}`, home ? null : demoStyle(run.value));
     const label = home ? "home" : name;
     if (width > 7.5 * label.length + 8) {
@@ -56,7 +56,7 @@ const bands = (data, x) => {
     rect(run, PLACE.mode, PARTS.thin, run.value ? "mode transfer" : "mode transit", `${run.value ? "transfer" : "transit"}, ${span(run)}`);
   }
   for (const run of runs(data, (i) => data.closing[i])) {
-    rect(run, PLACE.gripper, PARTS.thin, run.value ? "grip closing" : "grip opening", `gripper told to ${run.value ? "close" : "open"}, ${span(run)}`);
+    rect(run, PLACE.gripper, PARTS.thin, run.value ? "grip closing" : "grip opening", `gripper commanded to ${run.value ? "close" : "open"}, ${span(run)}`);
   }
   data.decisions.forEach(({ step, kind }, number) => {
     const at = near(x(step));
@@ -81,7 +81,7 @@ const curve = (values, [low, high], top, x, kind, width, unit) => {
   return group;
 };
 
-// Heights of the object in all rollouts of the artifact, cm.
+// The range of the object's heights over all rollouts of the artifact, in cm.
 const heightsOf = remember((number) => {
   let high = 0.01;
   const { starts, steps } = traces(number);
@@ -92,14 +92,14 @@ const heightsOf = remember((number) => {
 
 const timelineParts = (data, x, width) => {
   const heights = data.object.map((pose) => 100 * heightOf(data.artifact, pose[2]));
-  const intro = width < 520 ? [] : [["", "demonstration followed, and below: "]];
+  const intro = width < 520 ? [] : [["", "demonstration; below: "]];
   return [
     legendOf(PLACE.demosLabel, [...intro, ["bridge", "bridge "], ["replay", "replay "], ["home", "home"],
       ["", " · "], ["transit", "transit "], ["transfer", "transfer"], ["", " · "], ["opening", "open "], ["closing", "close"]]),
     bands(data, x),
-    legendOf(PLACE.fingersLabel, [["", "fingers apart"]]),
+    legendOf(PLACE.fingersLabel, [["", "finger separation"]]),
     curve(data.fingers.map((value) => 1000 * value), [0, 80], PLACE.fingers, x, "fingers", width, "mm"),
-    legendOf(PLACE.heightLabel, [["", "object above the table"]]),
+    legendOf(PLACE.heightLabel, [["", "object height above the table"]]),
     curve(heights, heightsOf(data.artifact), PLACE.height, x, "height", width, "cm"),
     svg("text", { class: "tick", x: TIMELINE.pad, y: PLACE.ticks + 12 }, "0"),
     svg("text", { class: "tick", x: width - TIMELINE.pad, y: PLACE.ticks + 12, "text-anchor": "end" }, counted(data.length, "step")),

@@ -1,10 +1,10 @@
-// The scene from above and from behind the robot, one over the other: y to the left in both, so that a point lies in both
-// below itself. Above, x points up, away from the robot.
-const VIEW = { width: 620, gap: 26, pad: 12, most: 1.25 };
+// The scene from above and, below it, from behind the robot. The y axis points left in both views, so that a point has the same
+// horizontal position in both. In the upper view, x points up, away from the robot.
+const VIEW = { width: 620, gap: 26, pad: 12, maxAspect: 1.25 };
 const TOP = ([x, y]) => [-y, -x];
 const BACK = ([, y, z]) => [-y, -z];
 
-// What both views have to hold: everything that moves in any rollout of the task, and the object's goal.
+// The bounds of both views: they contain everything that moves in any rollout of the artifact, and the object's goal.
 const boundsOf = remember((number) => {
   const artifact = REPORT.artifacts[number];
   const { starts, steps } = traces(number);
@@ -26,16 +26,16 @@ const boundsOf = remember((number) => {
     add(centre.map((value, k) => value - half[k]), 0);
     add(centre.map((value, k) => value + half[k]), 0);
   }
-  // Where nothing moves in the plane, a view of nothing but that would be no view.
-  const room = [0.05, 0.05, 0.04];
-  return { low: low.map((value, k) => value - room[k]), high: high.map((value, k) => value + room[k]) };
+  // The margin also keeps the views from being empty if nothing moves along an axis.
+  const margin = [0.05, 0.05, 0.04];
+  return { low: low.map((value, k) => value - margin[k]), high: high.map((value, k) => value + margin[k]) };
 });
 
-// Scale and places of both views, in units of the image.
+// The scale and the positions of both views, in units of the image.
 const planOf = remember((number) => {
   const { low, high } = boundsOf(number);
   const size = high.map((value, k) => value - low[k]);
-  const wide = Math.max(size[1], (size[0] + size[2]) / VIEW.most);
+  const wide = Math.max(size[1], (size[0] + size[2]) / VIEW.maxAspect);
   const scale = (VIEW.width - 2 * VIEW.pad) / wide;
   const left = VIEW.width / 2 + (scale * (low[1] + high[1])) / 2;
   const above = { top: VIEW.pad, height: scale * size[0] };
@@ -52,14 +52,14 @@ const planOf = remember((number) => {
   };
 });
 
-// The outline of points in the plane.
+// The convex hull of points in the plane (Andrew's monotone chain).
 const hull = (points) => {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
-  const turn = (o, a, b) => (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
+  const crossProduct = (o, a, b) => (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
   const half = (from) => {
     const side = [];
     for (const point of from) {
-      while (side.length > 1 && turn(side[side.length - 2], side[side.length - 1], point) <= 0) side.pop();
+      while (side.length > 1 && crossProduct(side[side.length - 2], side[side.length - 1], point) <= 0) side.pop();
       side.push(point);
     }
     return side.slice(0, -1);
@@ -119,7 +119,7 @@ const drawRuler = (root, number) => {
 
 const ring = ([x, y], r = 5) => `M${near(x - r)} ${near(y)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`;
 
-// The grip site with its fingers, which move along its x axis and point along its z axis.
+// The gripper: its fingers move along the x axis of the grip site and point along its z axis.
 const fingersAt = (pose, apart, view) => {
   const half = Number.isFinite(apart) ? apart / 2 : 0.04;
   const at = (x, z) => view(placed(pose, [x, 0, z]));
@@ -145,7 +145,7 @@ const drawScene = (data, step, number, chunk) => {
     paths.command = step < data.length ? cross(view(data.goal[step])) : "";
     paths.seen = data.seen?.[step]?.every(Number.isFinite) ? solidAt(object, data.seen[step], view) : "";
     paths["set-point"] = decision?.detailed ? ring(view(decision.setPoint)) : "";
-    // In transit the chunk is carried with the object; in transfer it is replayed where it was recorded.
+    // In transit, the chunk is reframed to the observed object; in transfer, it is replayed where it was recorded.
     const carried = decision?.detailed && chunk?.map(({ eef }) => view(decision.transfer ? eef : moved(decision.delta, eef)));
     paths.chunk = carried && carried.length > 0 ? arrow(carried) : "";
     paths.recorded = chunk ? solidAt(object, chunk[0].object, view) : "";
@@ -157,10 +157,10 @@ const drawScene = (data, step, number, chunk) => {
 };
 
 const LEGEND = [
-  ["object", "object"], ["axis", "its axes"], ["goal", "goal"], ["fingers", "gripper"],
-  ["trail bridge", "way travelled: bridge"], ["trail replay", "way travelled: replay"], ["trail home", "way travelled: home"], ["object-trail", "way of the object"],
-  ["chunk", "reframed demonstration"], ["recorded", "its object as recorded, and δ"], ["set-point", "set point"], ["command", "next command"],
-  ["seen", "object pose that the policy was told"],
+  ["object", "object"], ["axis", "axes of the object"], ["goal", "goal"], ["fingers", "gripper"],
+  ["trail bridge", "path so far: bridge"], ["trail replay", "path so far: replay"], ["trail home", "path so far: home"], ["object-trail", "path of the object"],
+  ["chunk", "reframed demonstration"], ["recorded", "recorded object, and δ"], ["set-point", "set point"], ["command", "next command"],
+  ["seen", "observed object pose"],
 ];
 
 const legendShape = (layer) => {
