@@ -1,4 +1,4 @@
-"""Prints the tables of Lift, Can and Square in docs/robosuite.md, in Markdown.
+"""Prints the tables of Lift, Can and Square in docs/results/robosuite.md, in Markdown.
 
 Needs the scripted demonstrations (RE4_DATA), the simulators (scripts/setup-simulators.sh) and the release build:
 
