@@ -76,8 +76,8 @@ FROM_IMAGES = [
     ("`re2`", IMAGE, change("re2")),
     ("`re4`, first 50 demos", SPARSE_IMAGE, change("re4")),
     ("`paper`, first 50 demos", SPARSE_IMAGE, change("paper")),
-    ("`re4`, the paper's estimate alone", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
-    ("`paper`, the paper's estimate alone", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
+    ("`re4`, only the paper's estimate", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
+    ("`paper`, only the paper's estimate", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
 ]
 
 FROM_PAPER = [
@@ -105,7 +105,7 @@ FROM_RE4 = [
     ("no divergence check", STATE, change("re4", "replay.divergence=10000")),
     ("no cost of steps", STATE, change("re4", "retrieve.step_cost=0")),
     ("no cost of pushing", STATE, change("re4", "retrieve.motion_cost=0")),
-    ("nearest outcome alone", STATE, change("re4", "retrieve.candidates=1")),
+    ("only the nearest outcome", STATE, change("re4", "retrieve.candidates=1")),
     ("without Reframe", STATE, change("re4", "reframe.enabled=false")),
     ("without Replan", STATE, change("re4", "replan.enabled=false")),
 ]
@@ -136,7 +136,7 @@ def print_poses(artifacts):
     print("\nPoses from images, over every frame\n")
     print("| estimate | frames | not clear | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
     print("|---|---|---|---|---|---|")
-    for label, refine in [("aligned with the outline", "true"), ("the paper's closed form alone", "false")]:
+    for label, refine in [("aligned with the outline", "true"), ("only the paper's closed form", "false")]:
         command = [BINARY, "train-pose", IMAGE, "--json", "--quiet", "--artifacts", artifacts, "--set", f"pose.refine={refine}"]
         summary = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["summary"]
         evaluation = summary["evaluation"]

@@ -100,7 +100,7 @@ def steps(artifacts):
 
 
 def replay(artifacts):
-    print("\n| task | actions | succeed | object astray at most: median, 99 %, maximum, mm |\n|---|---|---|---|")
+    print("\n| task | actions | succeed | largest deviation of the object: median, 99 %, maximum, mm |\n|---|---|---|---|")
     for task in TASKS:
         for file in ("low_dim.hdf5", "low_dim_abs.hdf5"):
             result = run("replay", task, ["--set", f"ingest.source=robomimic-scripted/{task}/{file}"], artifacts)
