@@ -10,7 +10,7 @@ threads; the first step of every run only warms up. Medians over all other steps
 and with its memory format channels_last.
 
 `flex` is built by `cargo build --release -p re4-encoder --example encoder_rate`; the others with `--features torch` in
-`target/torch`, with LibTorch taken from `PYTHON` (docs/encoder.md says how).
+`target/torch`, with LibTorch taken from `PYTHON` (docs/concepts/encoder.md says how).
 """
 
 import argparse

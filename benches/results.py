@@ -1,9 +1,9 @@
-"""Prints the score tables of docs/results.md, in Markdown.
+"""Prints the score tables of docs/results/pusht.md, in Markdown.
 
 Needs the human demonstrations (RE4_DATA) and the release build:
 
     cargo build --release -p re4-pipe
-    RE4_DATA=... python3 benches/results.py [main|image|poses|observations|paper|re4|protocol ...]
+    RE4_DATA=... python3 benches/results.py [five|main|image|poses|observations|paper|re4|protocol ...]
 
 Nothing here tunes anything: settings come from the presets, which were tuned on seeds from 200000 up; the tables are
 reported on seeds 500-599 and 100000-100299, and on the scenes of the sparse-observation experiment.
@@ -19,7 +19,7 @@ SEEDS = {"100": "500..600", "300": "100000..100300", "400": "500..600,100000..10
 
 
 def rollout(pipeline, arguments, artifacts):
-    without_images = [] if pipeline in (IMAGE, SPARSE_IMAGE, OBSERVATIONS_IMAGE) else ["--no-images"]
+    without_images = [] if pipeline in (IMAGE, FIVE_IMAGE, SPARSE_IMAGE, OBSERVATIONS_IMAGE) else ["--no-images"]
     command = [BINARY, "rollout", pipeline, "--json", "--quiet", "--artifacts", artifacts, *without_images, *arguments]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
@@ -43,16 +43,24 @@ def print_table(title, rows, seeds, artifacts):
 def change(preset, *settings):
     arguments = ["--policy", preset]
     for setting in settings:
-        arguments += ["--set", f"policy.{setting}"]
+        table = "rollout" if setting.startswith(("max_steps", "reset", "seed_scheme")) else "policy"
+        arguments += ["--set", f"{table}.{setting}"]
     return arguments
 
 
 STATE = "pipelines/pusht-state.toml"
+FIVE = "pipelines/pusht-five-demos.toml"
 SPARSE = "pipelines/pusht-sparse-demos.toml"
 OBSERVATIONS = "pipelines/pusht-sparse-observations.toml"
 IMAGE = "pipelines/pusht-image.toml"
+FIVE_IMAGE = "pipelines/pusht-five-demos-image.toml"
 SPARSE_IMAGE = "pipelines/pusht-sparse-demos-image.toml"
 OBSERVATIONS_IMAGE = "pipelines/pusht-sparse-observations-image.toml"
+
+FIVE_DEMOS = [
+    ("`re4`, first 5 demos, state", FIVE, change("re4")),
+    ("`re4`, first 5 demos, image", FIVE_IMAGE, change("re4")),
+]
 
 MAIN = [
     ("`re4`", STATE, change("re4")),
@@ -62,14 +70,14 @@ MAIN = [
     ("`paper`, first 50 demos", SPARSE, change("paper")),
 ]
 
-FROM_PICTURES = [
+FROM_IMAGES = [
     ("`re4`", IMAGE, change("re4")),
     ("`paper`", IMAGE, change("paper")),
     ("`re2`", IMAGE, change("re2")),
     ("`re4`, first 50 demos", SPARSE_IMAGE, change("re4")),
     ("`paper`, first 50 demos", SPARSE_IMAGE, change("paper")),
-    ("`re4`, the paper's estimate alone", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
-    ("`paper`, the paper's estimate alone", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
+    ("`re4`, only the paper's estimate", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
+    ("`paper`, only the paper's estimate", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
 ]
 
 FROM_PAPER = [
@@ -95,9 +103,9 @@ FROM_RE4 = [
     ("keep-out 15", STATE, change("re4", "replan.keepout=15")),
     ("speed 10 px a step", STATE, change("re4", "replay.speed=10")),
     ("no divergence check", STATE, change("re4", "replay.divergence=10000")),
-    ("no price of steps", STATE, change("re4", "retrieve.step_cost=0")),
-    ("no price of pushing", STATE, change("re4", "retrieve.motion_cost=0")),
-    ("nearest outcome alone", STATE, change("re4", "retrieve.candidates=1")),
+    ("no cost of steps", STATE, change("re4", "retrieve.step_cost=0")),
+    ("no cost of pushing", STATE, change("re4", "retrieve.motion_cost=0")),
+    ("only the nearest outcome", STATE, change("re4", "retrieve.candidates=1")),
     ("without Reframe", STATE, change("re4", "reframe.enabled=false")),
     ("without Replan", STATE, change("re4", "replan.enabled=false")),
 ]
@@ -114,8 +122,9 @@ PROTOCOL = [
 ]
 
 TABLES = {
+    "five": ("Five demonstrations", FIVE_DEMOS, ["100", "300"]),
     "main": ("Scores", MAIN, ["100", "300"]),
-    "image": ("From images", FROM_PICTURES, ["100", "300"]),
+    "image": ("From images", FROM_IMAGES, ["100", "300"]),
     "paper": ("The `paper` preset, one setting changed at a time", FROM_PAPER, ["400"]),
     "re4": ("The `re4` preset, one setting changed at a time", FROM_RE4, ["400"]),
     "protocol": ("Other protocols", PROTOCOL, ["400"]),
@@ -127,7 +136,7 @@ def print_poses(artifacts):
     print("\nPoses from images, over every frame\n")
     print("| estimate | frames | not clear | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
     print("|---|---|---|---|---|---|")
-    for label, refine in [("aligned with the outline", "true"), ("the paper's closed form alone", "false")]:
+    for label, refine in [("aligned with the outline", "true"), ("only the paper's closed form", "false")]:
         command = [BINARY, "train-pose", IMAGE, "--json", "--quiet", "--artifacts", artifacts, "--set", f"pose.refine={refine}"]
         summary = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["summary"]
         evaluation = summary["evaluation"]

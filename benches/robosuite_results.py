@@ -1,4 +1,4 @@
-"""Prints the tables of Lift, Can and Square in docs/robosuite.md, in Markdown.
+"""Prints the tables of Lift, Can and Square in docs/results/robosuite.md, in Markdown.
 
 Needs the scripted demonstrations (RE4_DATA), the simulators (scripts/setup-simulators.sh) and the release build:
 
@@ -100,7 +100,7 @@ def steps(artifacts):
 
 
 def replay(artifacts):
-    print("\n| task | actions | succeed | object astray at most: median, 99 %, maximum, mm |\n|---|---|---|---|")
+    print("\n| task | actions | succeed | largest deviation of the object: median, 99 %, maximum, mm |\n|---|---|---|---|")
     for task in TASKS:
         for file in ("low_dim.hdf5", "low_dim_abs.hdf5"):
             result = run("replay", task, ["--set", f"ingest.source=robomimic-scripted/{task}/{file}"], artifacts)

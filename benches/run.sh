@@ -1,5 +1,5 @@
 #!/bin/sh
-# Runs every benchmark against its named rival and prints the figures of docs/performance.md.
+# Runs every benchmark against its named rival and prints the figures of docs/results/performance.md.
 # usage: RE4_DATA=<folder with pusht/pusht_cchi_v7_replay.zarr> benches/run.sh
 set -eu
 cd "$(dirname "$0")/.."

@@ -258,7 +258,7 @@ fn every_retry_of_the_scripted_demonstrations_is_found_and_no_error_beside() {
 /// The table of checks in the documentation is what the code says; `RE4_UPDATE=1` writes it.
 #[test]
 fn the_documented_checks_are_up_to_date() {
-    let path = repository().join("docs/audit.md");
+    let path = repository().join("docs/reference/audit-checks.md");
     let text = fs::read_to_string(&path).unwrap();
     let (before, rest) = text.split_once("<!-- checks -->\n").unwrap();
     let (table, after) = rest.split_once("<!-- end of checks -->\n").unwrap();

@@ -1,6 +1,6 @@
 //! Images that ingest draws of robosuite's tasks: robosuite's own, whatever happens meanwhile.
 //!
-//! `RE4_PICTURES=all cargo test -p re4-pipe drawn::` compares all images that there are, which takes minutes.
+//! `RE4_IMAGES=all cargo test -p re4-pipe rendered::` compares all available images, which takes minutes.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -56,7 +56,7 @@ fn images_are_those_that_robosuite_recorded() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
-    let all = std::env::var("RE4_PICTURES").is_ok_and(|value| value == "all");
+    let all = std::env::var("RE4_IMAGES").is_ok_and(|value| value == "all");
     for (task, first) in [("lift", 2), ("can", 1), ("square", 1)] {
         let select = format!("select = {{ first = {} }}", if all { 5 } else { first });
         let recorded = Place::empty();
