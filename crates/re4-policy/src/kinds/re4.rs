@@ -17,7 +17,7 @@ use crate::spatial::{SpatialDecision, SpatialPolicyConfig, SpatialRe4Factory};
 table! {
     /// One row per decision of RE4 or RE2 for Push-T, in the order of table decisions: the query, the retrieved chunk, how it is
     /// reframed, the plan to its start, and what is replayed.
-    #[table("decisions_re4", version = 4, formerly = "decisions")]
+    #[table("decisions_re4", version = 3, formerly = "decisions")]
     pub struct PlaneRe4Row {
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
