@@ -201,7 +201,7 @@ fn an_interrupt_ends_both_and_leaves_nothing() {
     let answer = Answer::new(&child.wait_with_output().unwrap(), place.path());
     assert_eq!(
         by_whoever(&answer.refused_at_once()),
-        "error: ingest was interrupted; nothing half-written was left, run the same command again to go on"
+        "error: ingest was interrupted; no unfinished artifact remains, so run the same command again to continue"
     );
     assert!(!worker.is_running(), "the worker lives on");
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
@@ -212,6 +212,6 @@ fn the_worker_is_no_command_for_people() {
     let place = Place::empty();
     assert_eq!(
         place.run("ingest-worker").refused_at_once(),
-        "error: ingest-worker is started by re4-pipe itself: EOF while parsing a value at line 1 column 0; use re4-pipe ingest"
+        "error: ingest-worker is an internal command: EOF while parsing a value at line 1 column 0; use re4-pipe ingest"
     );
 }

@@ -202,7 +202,7 @@ fn rendered_images_serve_as_recorded_ones_do() {
     write_pipeline(&recorded, "render = [\"image\"]");
     let refusal = recorded.run("ingest image.toml").refused_at_once();
     assert!(
-        refusal.contains("it holds recorded ones; leave ingest.render out"),
+        refusal.contains("it has recorded images; remove ingest.render"),
         "{refusal}"
     );
 }
@@ -336,7 +336,7 @@ fn images_that_give_no_poses() {
     // Where no frame shows a block, there are poses to look at and nothing to index.
     place.run("train-pose image.toml").done();
     let refusal = place.run("index image.toml --quiet").refused();
-    assert!(refusal.contains("no frame of it has a clear pose"), "{refusal}");
+    assert!(refusal.contains("no frame has a clear pose"), "{refusal}");
 }
 
 #[test]

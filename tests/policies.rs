@@ -61,7 +61,7 @@ fn settings_of_another_kind_are_refused_by_name() {
         ),
         (
             "today.toml --set policy.recovery.check=step",
-            "unknown key policy.recovery; known here: retrieve, reframe, replan, replay, kind",
+            "unknown key policy.recovery; the known keys are retrieve, reframe, replan, replay, kind",
         ),
         ("today.toml --set rollout.fidelity=fast", "unknown key rollout.fidelity"),
         (

@@ -1,4 +1,4 @@
-//! Rollouts of robosuite's tasks.
+//! The stage `rollout` for robosuite tasks.
 
 use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
@@ -19,51 +19,54 @@ use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same states give other images.
-const DRAWING_VERSION: u32 = 1;
+/// Increase it whenever the same states give different images.
+const RENDERING_VERSION: u32 = 1;
 
-/// Makes the estimator of an episode.
+/// Makes the pose estimator of an episode.
 pub(crate) type MakeEstimator = dyn Fn() -> Box<dyn Estimator<Space>> + Sync;
 
-/// What stands between a simulation and who senses it.
+/// Wraps an environment before it is observed. Tests use it to record what is rendered.
 type Through = for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>;
 
-/// Who looks at images.
+/// How a policy observes the object through images.
 pub(crate) struct Watching<'a> {
-    /// Opens the estimators.
+    /// Opens the encoder and returns the constructor of estimators.
     pub(crate) open: &'a dyn Fn() -> Result<Box<MakeEstimator>>,
-    /// What the simulation is seen through.
+    /// Wraps each environment.
     pub(crate) through: Through,
 }
 
-/// What the key of an artifact says of images drawn in rollouts.
-fn drawing(camera: &str) -> Result<Value> {
+/// The rendering settings that are part of the artifact's key.
+fn rendering(camera: &str) -> Result<Value> {
     Ok(json!({
         "assets": "robosuite-1.4.1",
         "camera": camera,
-        "gl": Gl::of_process().context("cannot draw what the policy sees")?.to_string(),
+        "gl": Gl::of_process().context("cannot render the policy's images")?.to_string(),
         "side": SIDE,
-        "version": DRAWING_VERSION,
+        "version": RENDERING_VERSION,
     }))
 }
 
-/// The scene of these demonstrations, which has this camera.
+/// A renderer of these demonstrations' scene.
 ///
 /// # Errors
-/// When an asset is missing, or the model has no such camera.
+/// If an asset is missing, or the model has no such camera.
 pub(crate) fn scene_renderer(scenes: &Scenes, episodes: &Artifact, camera: &str) -> Result<SceneRenderer> {
     let mjcf = scenes.rendered_mjcf(episodes)?;
     let model = scenes.compile(&mjcf)?.mujoco().clone();
     let scene_renderer = SceneRenderer::new(mjcf, model, SIDE);
-    scene_renderer
-        .camera(camera)
-        .with_context(|| format!("cannot draw what the policy sees of {}", episodes.path().display()))?;
+    scene_renderer.camera(camera).with_context(|| {
+        format!(
+            "cannot render the policy's images with the models of {}",
+            episodes.path().display()
+        )
+    })?;
     Ok(scene_renderer)
 }
 
 impl Runner {
-    /// The `rollouts` artifact of a robosuite task: with the simulator's own object poses, or, where there is a `poses` artifact,
-    /// with what its encoder says of images.
+    /// Makes the `rollouts` artifact of a robosuite task, or returns the existing one. The policy observes the simulator's object
+    /// pose or, if `made.poses` is given, the estimates of its encoder.
     pub(super) fn rollout_space(&self, policy: &SpacePolicy, made: &Made<'_>) -> Result<Built> {
         let Some(poses) = made.poses else {
             return self.rollout_watching(policy, made, None);
@@ -80,7 +83,7 @@ impl Runner {
         self.rollout_watching(policy, made, Some(&watching))
     }
 
-    /// The `rollouts` artifact, with the estimators that are opened for a `poses` artifact.
+    /// As [`Self::rollout_space`], with the given estimators.
     pub(crate) fn rollout_watching(
         &self,
         policy: &SpacePolicy,
@@ -99,7 +102,7 @@ impl Runner {
             "seeds": section.seeds,
         }))?;
         if watching.is_some() {
-            config["images"] = drawing(&camera)?;
+            config["images"] = rendering(&camera)?;
         }
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION).config(&config)?;
         for built in made.all() {
@@ -109,9 +112,9 @@ impl Runner {
         self.build(&recipe, |writer| {
             let scenes = Scenes::open(episodes, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
-            // Where the size of a box is drawn, every seed has a model of its own.
+            // If the seed determines the size of a box (Lift's cube), every seed needs its own compiled model.
             let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
-            let seen = match watching {
+            let observed = match watching {
                 Some(watching) => Some((
                     scene_renderer(&scenes, episodes, &camera)?,
                     (watching.open)()?,
@@ -124,14 +127,14 @@ impl Runner {
                     Some(model) => model.clone(),
                     None => scenes.compile(&start.scene.in_model(mjcf)?)?,
                 };
-                let scene_renderer = seen.as_ref().map(|(scene_renderer, ..)| scene_renderer);
+                let scene_renderer = observed.as_ref().map(|(scene_renderer, ..)| scene_renderer);
                 let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, scene_renderer)?);
-                Ok(match &seen {
+                Ok(match &observed {
                     Some((.., through)) => through(env),
                     None => env,
                 })
             };
-            let source = |seed: u32| match (&seen, section.noise) {
+            let source = |seed: u32| match (&observed, section.noise) {
                 (Some((_, estimator, _)), _) => Source::Image {
                     camera: camera.clone(),
                     estimator: estimator(),
@@ -159,10 +162,10 @@ impl Runner {
             let protocol = self.protocol(
                 episodes,
                 json!({
-                    "measure": "success of the task's own rule after any control step",
+                    "measure": "success by the task's own rule after any control step",
                     "intervals": "95 %, Wilson",
                     "seeds": section.seeds,
-                    "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube's size of the seed",
+                    "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube size of the seed",
                     "robosuite": scenes.profile(),
                     "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
                     "fidelity": section.fidelity,
@@ -179,7 +182,7 @@ impl Runner {
     }
 }
 
-/// What the tables of rollouts come to.
+/// Accumulates the summary of rollouts.
 #[derive(Default)]
 struct Summary {
     rollouts: u64,
@@ -214,7 +217,7 @@ impl Summary {
         if watched {
             summary["images"] = json!(self.images);
             summary["protocol"]["observation"] = json!(
-                "grip site, fingers, and where the policy asks for it the image of the camera, 84 x 84; no recorded object pose"
+                "grip site, fingers and, when the policy requests it, the camera image, 84 x 84; no recorded object pose"
             );
         }
         summary
