@@ -138,11 +138,11 @@ impl Runner {
     pub(crate) fn unchanged(&self, recipe: &Recipe, start: Instant) -> Result<Option<Built>> {
         let stage = recipe.stage();
         let Some(artifact) = self.store.lookup(stage, &recipe.key())? else {
-            info!(key = %recipe.key(), "no such artifact yet, so it is made");
+            info!(key = %recipe.key(), "artifact does not exist yet");
             return Ok(None);
         };
         crate::tables::refuse_newer(&artifact)?;
-        info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact is there, and whole");
+        info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact exists and is intact");
         self.notes.note(&format!(
             "{:>10}  {}  unchanged, skipped",
             stage.as_str(),

@@ -31,7 +31,7 @@ thread_local! {
 }
 
 /// A pipeline whose stages up to `segment` have been run, and a `poses` artifact.
-pub struct Invented<'a> {
+pub struct MockRun<'a> {
     /// The pipeline file.
     pub pipeline: &'a Path,
     /// Overrides, as for `--set`.
@@ -68,9 +68,9 @@ impl Env<Space> for RecordingEnv<'_> {
     }
 }
 
-struct InventedEncoder(Estimate);
+struct MockEncoder(Estimate);
 
-impl Estimator<Space> for InventedEncoder {
+impl Estimator<Space> for MockEncoder {
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
         Ok(ObservedPose {
             pose: (self.0)(&image.pixels, &RENDERED.get()),
@@ -80,7 +80,7 @@ impl Estimator<Space> for InventedEncoder {
     }
 }
 
-impl Invented<'_> {
+impl MockRun<'_> {
     fn runner(&self) -> Result<Runner> {
         runner(self.pipeline, self.overrides, self.artifacts)
     }
@@ -117,7 +117,7 @@ impl Invented<'_> {
     pub fn roll_out(&self, estimate: &Estimate) -> Result<PathBuf, String> {
         let open = || -> Result<Box<MakeEstimator>> {
             let estimate = Arc::clone(estimate);
-            Ok(Box::new(move || Box::new(InventedEncoder(Arc::clone(&estimate)))))
+            Ok(Box::new(move || Box::new(MockEncoder(Arc::clone(&estimate)))))
         };
         let made = || {
             let runner = self.runner()?;
