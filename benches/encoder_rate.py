@@ -1,16 +1,16 @@
-"""Times the training of the pose encoder in PyTorch and in re4-encoder: images a second, and the ratio to PyTorch.
+"""Times the training of the pose encoder in PyTorch and in re4-encoder: images per second, and the ratio to PyTorch.
 
     venv/bin/python benches/encoder_rate.py [--python PYTHON] [--widths 64 16] [--batch 64] [--steps 5] [--rounds 3]
         [--threads 2] [--backends flex torch] [--cuda]
 
-`PYTHON` is one with torch 2.9.0, by default the one that runs this. Both sides have the same network (ResNet-18 with another
-first width, an embedding of 256 and nine numbers), random images of 76 x 76 that stay the same, the mean square as loss, and
-AdamW; a step is forward, loss, backward and update. The programs run in turn, `rounds` times each, with the same number of
-threads; the first step of every run only warms up. Medians over all other steps are compared. PyTorch is timed twice, as it comes
-and with its memory format channels_last.
+`PYTHON` is an interpreter with torch 2.9.0, by default the one that runs this script. Both sides have the same network (ResNet-18
+with another first width, an embedding of 256 and nine outputs), the same random images of 76 x 76 in every step, the mean squared
+error as loss, and AdamW; a step is forward, loss, backward and update. The programs alternate, `rounds` times each, with the same
+number of threads. The first step of every run is a warm-up; medians over all other steps are compared. PyTorch is timed twice, with
+its default memory format and with channels_last.
 
 `flex` is built by `cargo build --release -p re4-encoder --example encoder_rate`; the others with `--features torch` in
-`target/torch`, with LibTorch taken from `PYTHON` (docs/encoder.md says how).
+`target/torch`, with the LibTorch of `PYTHON` (see docs/encoder.md).
 """
 
 import argparse
@@ -73,7 +73,7 @@ def pytorch_side(width: int, batch: int, steps: int, threads: int, layout: str, 
 
 
 def run(command: list, environment: dict) -> tuple[dict, float]:
-    """Its answer, and the most memory that it used in MiB."""
+    """Runs a program. Returns its JSON output and its peak memory in MiB."""
     child = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, text=True, env=environment, cwd=ROOT)
     answer = child.stdout.read()
     _, status, usage = os.wait4(child.pid, 0)
@@ -84,7 +84,7 @@ def run(command: list, environment: dict) -> tuple[dict, float]:
 
 
 def torch_environment(python: str) -> dict:
-    """Where the build and the loader find the LibTorch of this Python."""
+    """Environment variables with which the build and the loader find the LibTorch of this Python."""
     script = "import sys, torch, pathlib; print(sys.prefix, pathlib.Path(torch.__file__).parent / 'lib', sep='\\n')"
     prefix, libraries = subprocess.run([python, "-c", script], check=True, capture_output=True, text=True).stdout.split("\n")[:2]
     path = lambda name, first: os.pathsep.join([first, *filter(None, [os.environ.get(name)])])  # noqa: E731
@@ -119,16 +119,16 @@ def main(arguments: argparse.Namespace) -> None:
         f"PyTorch {layout}": [arguments.python, __file__, CHILD, *sizes, "--layout", layout, "--device", device]
         for layout in ("contiguous_format", "channels_last")
     } | {f"burn {name}": [programs[name], *sizes, "--backend", name] for name in arguments.backends}
-    print(f"training images a second, batch {arguments.batch}, 76 x 76, {arguments.threads} threads, {device}, "
+    print(f"training images per second, batch {arguments.batch}, 76 x 76, {arguments.threads} threads, {device}, "
           f"medians of {arguments.rounds} x {arguments.steps} steps (min-max)")
     for width in arguments.widths:
         seconds = {name: [] for name in sides}
         memory = dict.fromkeys(sides, 0.0)
         for _ in range(arguments.rounds):
             for name, command in sides.items():
-                answer, most = run([*command, "--width", width], environment)
+                answer, peak = run([*command, "--width", width], environment)
                 seconds[name] += answer["seconds"]
-                memory[name] = max(memory[name], most)
+                memory[name] = max(memory[name], peak)
         rates = {name: [arguments.batch / each for each in all_of] for name, all_of in seconds.items()}
         plain = statistics.median(rates["PyTorch contiguous_format"])
         for name, all_of in rates.items():

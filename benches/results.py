@@ -5,8 +5,8 @@ Needs the human demonstrations (RE4_DATA) and the release build:
     cargo build --release -p re4-pipe
     RE4_DATA=... python3 benches/results.py [main|image|poses|observations|paper|re4|protocol ...]
 
-Nothing here tunes anything: settings come from the presets, which were tuned on seeds from 200000 up; the tables are
-reported on seeds 500-599 and 100000-100299, and on the scenes of the sparse-observation experiment.
+Nothing is tuned here: settings come from the presets, which were tuned on seeds from 200000 up. The tables report seeds 500-599 and
+100000-100299, and the scenes of the sparse-observation experiment.
 """
 
 import json
@@ -62,23 +62,23 @@ MAIN = [
     ("`paper`, first 50 demos", SPARSE, change("paper")),
 ]
 
-FROM_PICTURES = [
+FROM_IMAGES = [
     ("`re4`", IMAGE, change("re4")),
     ("`paper`", IMAGE, change("paper")),
     ("`re2`", IMAGE, change("re2")),
     ("`re4`, first 50 demos", SPARSE_IMAGE, change("re4")),
     ("`paper`, first 50 demos", SPARSE_IMAGE, change("paper")),
-    ("`re4`, the paper's estimate alone", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
-    ("`paper`, the paper's estimate alone", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
+    ("`re4`, only the paper's estimate", IMAGE, [*change("re4"), "--set", "pose.refine=false"]),
+    ("`paper`, only the paper's estimate", IMAGE, [*change("paper"), "--set", "pose.refine=false"]),
 ]
 
 FROM_PAPER = [
     ("`paper`", STATE, change("paper")),
     ("Retrieve by outcome", STATE, change("paper", "retrieve.selector=outcome", "retrieve.candidates=256", "retrieve.step_cost=0.8", "retrieve.motion_cost=0.05", "replay.horizon=200")),
     ("periodic angle", STATE, change("paper", "retrieve.angle=periodic")),
-    ("shortest path for RRT, keep-out 18", STATE, change("paper", "replan.planner=visibility", "replan.keepout=18")),
+    ("shortest path instead of RRT, keep-out 18", STATE, change("paper", "replan.planner=visibility", "replan.keepout=18")),
     ("waypoints every 15 px", STATE, change("paper", "replan.spacing=15")),
-    ("path tracking at 20 px a step", STATE, change("paper", "replay.tracking=path", "replan.spacing=60")),
+    ("path tracking at 20 px per step", STATE, change("paper", "replay.tracking=path", "replan.spacing=60")),
     ("every 2nd action, n = 16", STATE, change("paper", "replay.stride=2", "replay.horizon=16")),
     ("without epsilon filter", STATE, change("paper", "retrieve.epsilon=1000")),
     ("without Reframe", STATE, change("paper", "reframe.enabled=false")),
@@ -90,14 +90,14 @@ FROM_PAPER = [
 FROM_RE4 = [
     ("`re4`", STATE, change("re4")),
     ("two-stage Retrieve, n = 24", STATE, change("re4", "retrieve.selector=two_stage", "replay.horizon=24")),
-    ("recorded actions for path tracking", STATE, change("re4", "replay.tracking=actions")),
-    ("RRT for the shortest path", STATE, change("re4", "replan.planner=rrt")),
+    ("recorded actions instead of path tracking", STATE, change("re4", "replay.tracking=actions")),
+    ("RRT instead of the shortest path", STATE, change("re4", "replan.planner=rrt")),
     ("keep-out 15", STATE, change("re4", "replan.keepout=15")),
-    ("speed 10 px a step", STATE, change("re4", "replay.speed=10")),
+    ("speed 10 px per step", STATE, change("re4", "replay.speed=10")),
     ("no divergence check", STATE, change("re4", "replay.divergence=10000")),
-    ("no price of steps", STATE, change("re4", "retrieve.step_cost=0")),
-    ("no price of pushing", STATE, change("re4", "retrieve.motion_cost=0")),
-    ("nearest outcome alone", STATE, change("re4", "retrieve.candidates=1")),
+    ("no step cost", STATE, change("re4", "retrieve.step_cost=0")),
+    ("no motion cost", STATE, change("re4", "retrieve.motion_cost=0")),
+    ("only the nearest outcome", STATE, change("re4", "retrieve.candidates=1")),
     ("without Reframe", STATE, change("re4", "reframe.enabled=false")),
     ("without Replan", STATE, change("re4", "replan.enabled=false")),
 ]
@@ -115,7 +115,7 @@ PROTOCOL = [
 
 TABLES = {
     "main": ("Scores", MAIN, ["100", "300"]),
-    "image": ("From images", FROM_PICTURES, ["100", "300"]),
+    "image": ("From images", FROM_IMAGES, ["100", "300"]),
     "paper": ("The `paper` preset, one setting changed at a time", FROM_PAPER, ["400"]),
     "re4": ("The `re4` preset, one setting changed at a time", FROM_RE4, ["400"]),
     "protocol": ("Other protocols", PROTOCOL, ["400"]),
@@ -123,11 +123,11 @@ TABLES = {
 
 
 def print_poses(artifacts):
-    """How far the estimated poses are from the recorded ones, over every frame."""
-    print("\nPoses from images, over every frame\n")
+    """Errors of the estimated poses over all frames."""
+    print("\nPoses from images, over all frames\n")
     print("| estimate | frames | not clear | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
     print("|---|---|---|---|---|---|")
-    for label, refine in [("aligned with the outline", "true"), ("the paper's closed form alone", "false")]:
+    for label, refine in [("aligned with the outline", "true"), ("only the paper's closed form", "false")]:
         command = [BINARY, "train-pose", IMAGE, "--json", "--quiet", "--artifacts", artifacts, "--set", f"pose.refine={refine}"]
         summary = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["summary"]
         evaluation = summary["evaluation"]
@@ -140,7 +140,7 @@ def print_poses(artifacts):
 
 
 def print_observations(artifacts):
-    """Scores under budgets of steps on the scenes far from the demonstrations."""
+    """Scores by budget of steps on the scenes far from the demonstrations."""
     print("\nSparse observations: scaled score / raw coverage by the budget of steps\n")
     columns = [(f"`{preset}`, {variant}", pipeline, preset) for variant, pipeline in (("state", OBSERVATIONS), ("image", OBSERVATIONS_IMAGE)) for preset in ("re4", "paper", "re2")]
     results = [rollout(pipeline, ["--policy", preset], artifacts) for _, pipeline, preset in columns]

@@ -5,8 +5,9 @@ Needs the scripted demonstrations (RE4_DATA), the simulators (scripts/setup-simu
     cargo build --release -p re4-pipe
     RE4_DATA=... [TASKS="lift can"] python3 benches/robosuite_results.py [main|demos|noise|steps|replay ...]
 
-With everything it takes about an hour on two cores. Nothing here tunes anything: settings come from the presets, which were tuned on seeds from 200000 up; the tables are
-reported on seeds 500-599 and 100000-100299. `paper` and `re2` index every frame, also those that lead to a failed grasp.
+All tables take about an hour on two cores. Nothing is tuned here: settings come from the presets, which were tuned on seeds from
+200000 up. The tables report seeds 500-599 and 100000-100299. `paper` and `re2` index every frame, including those before a failed
+grasp.
 """
 
 import json
@@ -100,15 +101,15 @@ def steps(artifacts):
 
 
 def replay(artifacts):
-    print("\n| task | actions | succeed | object astray at most: median, 99 %, maximum, mm |\n|---|---|---|---|")
+    print("\n| task | actions | succeed | maximum object error: median, 99 %, maximum, mm |\n|---|---|---|---|")
     for task in TASKS:
         for file in ("low_dim.hdf5", "low_dim_abs.hdf5"):
             result = run("replay", task, ["--set", f"ingest.source=robomimic-scripted/{task}/{file}"], artifacts)
             for kind in ("delta", "absolute"):
                 of = result["summary"][kind]
                 origin = "recorded" if result["summary"]["recorded_actions"] == kind else "converted"
-                astray = ", ".join(f"{1e3 * of['object_max_m'][part]:.3f}" for part in ("p50", "p99", "max"))
-                print(f"| {task} | {kind}, {origin} | {of['successes']} of {of['replays']} | {astray} |", flush=True)
+                errors = ", ".join(f"{1e3 * of['object_max_m'][part]:.3f}" for part in ("p50", "p99", "max"))
+                print(f"| {task} | {kind}, {origin} | {of['successes']} of {of['replays']} | {errors} |", flush=True)
 
 
 if __name__ == "__main__":

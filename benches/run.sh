@@ -1,23 +1,23 @@
 #!/bin/sh
-# Runs every benchmark against its named rival and prints the figures of docs/performance.md.
+# Runs all benchmarks against other software and prints the figures of docs/performance.md.
 # usage: RE4_DATA=<folder with pusht/pusht_cchi_v7_replay.zarr> benches/run.sh
 set -eu
 cd "$(dirname "$0")/.."
-: "${RE4_DATA:?name the folder that holds pusht/pusht_cchi_v7_replay.zarr}"
+: "${RE4_DATA:?name the folder that contains pusht/pusht_cchi_v7_replay.zarr}"
 scripts/setup.sh
 dataset="$RE4_DATA/pusht/pusht_cchi_v7_replay.zarr"
 venv="${VENV:-target/bench-venv}"
 [ -x "$venv/bin/python" ] || python3 -m venv "$venv"
 "$venv/bin/pip" install -q gym-pusht==0.1.8 zarr==2.18.7 "numcodecs<0.16" scipy
 
-echo "== simulator: control steps a second, against gym-pusht"
+echo "== simulator: control steps per second, compared with gym-pusht"
 "$venv/bin/python" benches/pusht_sim.py 5
-echo "== ingest: all images as bytes, against zarr-python"
+echo "== ingest: all images as bytes, compared with zarr-python"
 "$venv/bin/python" benches/ingest_rate.py "$dataset" 5
-echo "== retrieve: against numpy and scipy"
+echo "== retrieve: compared with numpy and scipy"
 "$venv/bin/python" benches/retrieve.py "$dataset"
 cargo build --release -q -p re4-pipe
-echo "== poses from images: against OpenCV and numpy"
+echo "== poses from images: compared with OpenCV and numpy"
 "$venv/bin/python" benches/poses.py "$dataset"
 echo "== stages, whole commands"
 artifacts="$(mktemp -d)"
