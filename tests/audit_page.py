@@ -48,9 +48,9 @@ requestAnimationFrame(tick);
 """
 
 
-def check(holds, what):
-    if not holds:
-        sys.exit(f"{what}")
+def check(condition, message):
+    if not condition:
+        sys.exit(message)
 
 
 def equal(found, expected, what):
@@ -130,7 +130,7 @@ class Page:
         return hash(self.run("return document.getElementById('timeline-canvas').toDataURL()"))
 
 
-def figures_are_the_audits(page, expected):
+def figures_match_the_audit(page, expected):
     equal(page.fact("demos"), len(expected["demos"]), "demonstrations")
     for name in ["frames", "transit_frames", "transfer_frames"]:
         equal(page.fact(name), expected[name], name)
@@ -152,7 +152,7 @@ def figures_are_the_audits(page, expected):
         equal(float(page.one(f"[data-contacts={name}]").get_attribute("data-value")), value, f"steps: {name}")
 
 
-def every_demonstration_has_its_own(page, expected):
+def demonstrations_show_their_evidence(page, expected):
     """Choosing a demonstration shows its figures, findings and evidence."""
     worst = sorted(expected["demos"], key=lambda d: [-d[s] for s in SEVERITIES] + [d["number"]])
     images = set()
@@ -233,7 +233,7 @@ def filters_change_the_rows(page, expected):
     page.press("input[name=scale][value=frames]")
 
 
-def findings_lead_to_their_frames(page, expected):
+def findings_show_their_frames(page, expected):
     demo = max(expected["demos"], key=lambda d: sum(d[s] for s in SEVERITIES))
     page.open(address(demo))
     if not page.all("#evidence-findings button"):
@@ -277,7 +277,7 @@ def address(demo):
     return f"#demo={quote(demo['name'])}"
 
 
-def addresses_lead_to_places(page, expected):
+def addresses_open_demonstrations(page, expected):
     by_number = {demo["number"]: demo for demo in expected["demos"]}
     first, last = expected["demos"][0], expected["demos"][-1]
     page.open(address(last) + "&frames=2-6")
@@ -330,7 +330,7 @@ def controls_have_names(page):
     check(not names, f"controls without a name: {names}")
 
 
-def widths_and_schemes_hold(page):
+def page_fits_widths_and_schemes(page):
     images = set()
     for width in [1440, 1024, 768, 380]:
         for dark in [False, True]:
@@ -345,7 +345,7 @@ def widths_and_schemes_hold(page):
     page.settle()
 
 
-def it_prints(page, expected):
+def page_prints(page, expected):
     """All rows are printed, and afterwards the screen is as before."""
     page.open()
     drawn = page.run("window.dispatchEvent(new Event('beforeprint')); return document.getElementById('timeline-rows').dataset.drawn")
@@ -355,7 +355,7 @@ def it_prints(page, expected):
     check(len(page.driver.execute_cdp_cmd("Page.printToPDF", {})["data"]) > 10_000, "the printed page is empty")
 
 
-def scrolling_draws_few_rows(page, expected):
+def scrolling_renders_few_rows(page, expected):
     page.open()
     measured = page.driver.execute_async_script(SCROLL, len(expected["demos"]))
     times = sorted(measured["times"])
@@ -369,7 +369,7 @@ def scrolling_draws_few_rows(page, expected):
     check(elements < 2500, f"the page has {elements} elements")
 
 
-def nothing_was_loaded(page):
+def no_files_were_loaded(page):
     entries = page.run("return performance.getEntriesByType('resource').map(entry => entry.name)")
     check(all(name.startswith("data:") for name in entries), f"the page loaded {entries}")
     log = page.driver.get_log("browser")
@@ -382,20 +382,20 @@ def main():
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(Path(path), profile)
         try:
-            figures_are_the_audits(page, expected)
-            every_demonstration_has_its_own(page, expected)
+            figures_match_the_audit(page, expected)
+            demonstrations_show_their_evidence(page, expected)
             orders_change_the_rows(page, expected)
             filters_change_the_rows(page, expected)
-            findings_lead_to_their_frames(page, expected)
+            findings_show_their_frames(page, expected)
             crosshair_reads_values(page, expected)
-            addresses_lead_to_places(page, expected)
+            addresses_open_demonstrations(page, expected)
             marks_can_be_clicked(page, expected)
             controls_have_names(page)
-            widths_and_schemes_hold(page)
-            it_prints(page, expected)
+            page_fits_widths_and_schemes(page)
+            page_prints(page, expected)
             if "--many" in more:
-                scrolling_draws_few_rows(page, expected)
-            nothing_was_loaded(page)
+                scrolling_renders_few_rows(page, expected)
+            no_files_were_loaded(page)
         finally:
             page.driver.quit()
     print(f"{Path(path).name}: the page matches the audit of {len(expected['demos'])} demonstrations")

@@ -24,9 +24,9 @@ RESULTS = {"score": "score_max", "coverage": "coverage_max", "iou": "iou_max", "
            "steps": "steps", "decisions": "decisions", "success": "success"}
 
 
-def check(holds, what):
-    if not holds:
-        sys.exit(f"{what}")
+def check(condition, message):
+    if not condition:
+        sys.exit(message)
 
 
 def equal(found, expected, what):
@@ -122,7 +122,7 @@ def with_estimates(path, target):
     target.write_text(f'{before}type="application/json">{text}</script>{after}')
 
 
-def scores_are_the_manifests(page, artifacts):
+def scores_match_the_manifest(page, artifacts):
     for artifact in artifacts:
         row = f"tr[data-artifact='{artifact.manifest['key']}']"
         for metric in METRICS:
@@ -134,7 +134,7 @@ def scores_are_the_manifests(page, artifacts):
             equal(words, f"{stated['value']:.3f}", f"{metric} in words")
 
 
-def budgets_are_the_steps(page, artifacts):
+def budgets_match_the_steps(page, artifacts):
     for number, artifact in enumerate(artifacts):
         for row in page.all(f"#budgets tr[data-series='{number}']"):
             budget = int(row.get_attribute("data-budget"))
@@ -145,7 +145,7 @@ def budgets_are_the_steps(page, artifacts):
                 check(math.isclose(found, expected, rel_tol=1e-12), f"{measure} at {budget}: {found} is not {expected}")
 
 
-def seeds_are_the_results(page, number, artifact):
+def seeds_match_the_results(page, number, artifact):
     Select(page.one("#pick-artifact")).select_by_value(str(number))
     rows = page.all("#seeds tbody tr")
     equal(len(rows), artifact.results.height, "rows of the table of seeds")
@@ -166,7 +166,7 @@ def columns_sort(page):
     page.run("document.querySelector('#seeds th button[data-column=seed]').click()")
 
 
-def plots_are_drawn(page, artifacts):
+def plots_are_rendered(page, artifacts):
     rollouts = sum(artifact.results.height for artifact in artifacts)
     for order in ["rank", "seed"]:
         for measure in ["score", "coverage", "iou"]:
@@ -215,12 +215,12 @@ def scrubbing_shows_each_state(page, artifact):
         if step > 0:
             coverage = float(page.one("#step-text").get_attribute("data-coverage"))
             equal(coverage, steps["coverage"][step - 1], f"coverage after step {step}")
-        decision_is_the_tables(page, artifact.decision(seed, step))
+        decision_matches_the_tables(page, artifact.decision(seed, step))
         seen.add(page.image())
     check(len(seen) >= 5, "the image does not follow the scrubber")
 
 
-def decision_is_the_tables(page, decision):
+def decision_matches_the_tables(page, decision):
     at = f"decision {decision['decision']}"
     fact = lambda name: page.one(f"#summary [data-fact={name}]").get_attribute("data-value")
     equal(page.one("#reason").text, decision["reason"] + ".", f"{at}, reason")
@@ -236,7 +236,7 @@ def decision_is_the_tables(page, decision):
             check(not page.all(f"#summary [data-fact={name}]"), f"{at}: {name} is shown, but the artifact has none")
 
 
-def chunk_is_carried_by_delta(page, artifact):
+def chunk_is_moved_by_delta(page, artifact):
     """With Reframe, the chunk begins at the set-point, because delta moves the demonstration's pusher there."""
     seed = artifact.results["seed"][0]
     Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
@@ -278,7 +278,7 @@ def keys_step_through(page, artifact):
     equal(page.step(), 0, "first step")
 
 
-def keys_walk_the_plot(page, artifact):
+def keys_navigate_the_plot(page, artifact):
     page.run("document.querySelector('input[name=order][value=seed]').click()")
     seeds = artifact.results["seed"].to_list()
     Select(page.one("#pick-seed")).select_by_visible_text(str(seeds[0]))
@@ -286,7 +286,7 @@ def keys_walk_the_plot(page, artifact):
     check(f" {seeds[2]} · " in page.one("#scene-caption").text, "arrow keys in the plot do not select the next rollout")
 
 
-def estimates_are_drawn(page):
+def estimates_are_shown(page):
     """Checks a page made by with_estimates."""
     page.scrub(1)
     outline = page.one("#scene .observed").get_attribute("d")
@@ -314,7 +314,7 @@ watch();
 """
 
 
-def it_plays(page, speed="5"):
+def playback_works(page, speed="5"):
     Select(page.one("#speed")).select_by_value(speed)
     # On a busy machine, a browser's frames can be so far apart that a rollout ends within one, so this is tried several times.
     for _ in range(20):
@@ -329,7 +329,7 @@ def it_plays(page, speed="5"):
     equal(page.step(), stopped, "step after a pause")
 
 
-def widths_and_schemes_hold(page):
+def page_fits_widths_and_schemes(page):
     for width in [1280, 1024, 768, 380]:
         for dark in [False, True]:
             page.resize(width, dark)
@@ -339,7 +339,7 @@ def widths_and_schemes_hold(page):
     page.resize(1280)
 
 
-def nothing_was_loaded(page):
+def no_files_were_loaded(page):
     entries = page.run("return performance.getEntriesByType('resource').map(entry => entry.name)")
     check(all(name.startswith("data:") for name in entries), f"the page loaded {entries}")
     log = page.log()
@@ -352,27 +352,27 @@ def main():
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(path, profile)
         try:
-            scores_are_the_manifests(page, artifacts)
-            budgets_are_the_steps(page, artifacts)
+            scores_match_the_manifest(page, artifacts)
+            budgets_match_the_steps(page, artifacts)
             for number, artifact in enumerate(artifacts):
-                seeds_are_the_results(page, number, artifact)
+                seeds_match_the_results(page, number, artifact)
             columns_sort(page)
-            plots_are_drawn(page, artifacts)
+            plots_are_rendered(page, artifacts)
             seeds_can_be_chosen(page, artifacts[0])
             scrubbing_shows_each_state(page, artifacts[0])
-            chunk_is_carried_by_delta(page, artifacts[0])
+            chunk_is_moved_by_delta(page, artifacts[0])
             keys_step_through(page, artifacts[0])
-            keys_walk_the_plot(page, artifacts[0])
-            it_plays(page)
-            widths_and_schemes_hold(page)
-            nothing_was_loaded(page)
+            keys_navigate_the_plot(page, artifacts[0])
+            playback_works(page)
+            page_fits_widths_and_schemes(page)
+            no_files_were_loaded(page)
             if artifacts[0].steps["pose_flag"].is_null().all():
                 check(not page.all("#scene .observed[d^=M]"), "an estimated pose is shown without estimates")
             estimated = Path(profile) / "estimated.html"
             with_estimates(path, estimated)
             page.open(estimated)
-            estimates_are_drawn(page)
-            nothing_was_loaded(page)
+            estimates_are_shown(page)
+            no_files_were_loaded(page)
         finally:
             page.driver.quit()
     print(f"{path.name}: the page matches {len(artifacts)} artifacts")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import browser
 import polars as pl
-from report_page import Page, check, equal, it_plays, nothing_was_loaded, widths_and_schemes_hold
+from report_page import Page, check, equal, playback_works, no_files_were_loaded, page_fits_widths_and_schemes
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
@@ -42,7 +42,7 @@ def choose(page, filters="all"):
     page.run(f"document.querySelector('input[name=filter][value={filters}]').click()")
 
 
-def rates_are_the_manifests(page, artifacts):
+def rates_match_the_manifest(page, artifacts):
     for artifact in artifacts:
         cell = f"tr[data-artifact='{artifact.manifest['key']}'] [data-metric=success_rate]"
         for part, value in artifact.manifest["summary"]["metrics"]["success_rate"].items():
@@ -68,7 +68,7 @@ def cells_and_rows_follow_the_filter(page, artifacts):
                 equal(shown[column], float(stated[column]), f"seed {stated['seed']}, {column}")
 
 
-def cells_can_be_walked(page, artifact):
+def cells_can_be_navigated(page, artifact):
     Select(page.one("#pick-artifact")).select_by_value("0")
     seeds = artifact.results["seed"].to_list()
     cell = page.one(".cells[data-artifact='0'] button")
@@ -110,7 +110,7 @@ def steps_show_the_tables(page, artifact):
         check(len(images) >= 4, "the image does not follow the scrubber")
 
 
-def images_are_those_of_decisions(page, artifact):
+def images_belong_to_decisions(page, artifact):
     """Images are shown at the decisions that have one, with the axes of the frames and the error of the observed pose."""
     data = page.run("return JSON.parse(document.getElementById('report-data').textContent).artifacts[0]")
     images = data["images"]
@@ -136,7 +136,7 @@ def images_are_those_of_decisions(page, artifact):
     check(page.run("return document.getElementById('camera').hidden"), "a rollout without images shows one")
 
 
-def timeline_shows_what_was_followed(page, artifact):
+def timeline_shows_the_demonstrations(page, artifact):
     """The timeline has one band with a name for each run of steps with the same demonstration."""
     for seed in artifact.results["seed"].to_list():
         Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
@@ -165,7 +165,7 @@ def chunks_begin_at_the_set_point(page, artifact):
     check(False, "there is no decision in transit")
 
 
-def addresses_lead_to_a_step(page, path, artifact):
+def addresses_open_a_step(page, path, artifact):
     seed = artifact.results["seed"][1]
     page.driver.get(f"{path.resolve().as_uri()}#seed={seed}&step=7")
     page.driver.refresh()
@@ -183,18 +183,18 @@ def main():
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(path, profile)
         try:
-            rates_are_the_manifests(page, artifacts)
+            rates_match_the_manifest(page, artifacts)
             cells_and_rows_follow_the_filter(page, artifacts)
-            cells_can_be_walked(page, artifacts[0])
+            cells_can_be_navigated(page, artifacts[0])
             steps_show_the_tables(page, artifacts[0])
-            timeline_shows_what_was_followed(page, artifacts[0])
+            timeline_shows_the_demonstrations(page, artifacts[0])
             chunks_begin_at_the_set_point(page, artifacts[0])
-            images_are_those_of_decisions(page, artifacts[0])
+            images_belong_to_decisions(page, artifacts[0])
             # A low speed, because the rollouts are short.
-            it_plays(page, "0.5")
-            widths_and_schemes_hold(page)
-            addresses_lead_to_a_step(page, path, artifacts[0])
-            nothing_was_loaded(page)
+            playback_works(page, "0.5")
+            page_fits_widths_and_schemes(page)
+            addresses_open_a_step(page, path, artifacts[0])
+            no_files_were_loaded(page)
         finally:
             page.driver.quit()
     print(f"{path.name}: the page matches {len(artifacts)} artifacts")

@@ -121,7 +121,7 @@ impl Runner {
         let mut checkpoints = None;
         let mut rate = None;
         let built = self.build(&recipe, |writer| {
-            info!(checkpoints = %folder.display(), going_on = folder.is_dir(), "training the encoder");
+            info!(checkpoints = %folder.display(), resumed = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (summary, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
