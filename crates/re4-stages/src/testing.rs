@@ -19,7 +19,7 @@ use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner, Settings};
-use crate::stages::{Made, MakeEstimator, Watching, scene_renderer};
+use crate::stages::{ImageObserver, MakeEstimator, RolloutArtifacts, scene_renderer};
 
 /// The function of a mock encoder: image bytes and the true object pose in the image (which a real encoder never gets) to an
 /// estimated pose, both in the world frame.
@@ -99,13 +99,13 @@ impl MockRun<'_> {
     /// # Errors
     /// The message that the program would print.
     pub fn index(&self) -> Result<PathBuf, String> {
-        let made = || {
+        let build = || {
             let runner = self.runner()?;
             let episodes = runner.ingest()?;
             let modes = runner.segment(&episodes)?;
             runner.index_spatial(&episodes, &modes, Some(&self.poses()?))
         };
-        made()
+        build()
             .map(|built| built.artifact.path().to_owned())
             .map_err(sentence_of)
     }
@@ -119,7 +119,7 @@ impl MockRun<'_> {
             let estimate = Arc::clone(estimate);
             Ok(Box::new(move || Box::new(MockEncoder(Arc::clone(&estimate)))))
         };
-        let made = || {
+        let build = || {
             let runner = self.runner()?;
             let episodes = runner.ingest()?;
             let modes = runner.segment(&episodes)?;
@@ -129,19 +129,19 @@ impl MockRun<'_> {
             let Policy::Space(policy) = policy else {
                 bail!("{} is a planar policy", policy.kind());
             };
-            let watching = Watching {
+            let observer = ImageObserver {
                 open: &open,
-                through: |env| Box::new(RecordingEnv(env)),
+                wrap: |env| Box::new(RecordingEnv(env)),
             };
-            let made = Made {
+            let artifacts = RolloutArtifacts {
                 episodes: &episodes,
                 poses: Some(&poses),
                 scenes: None,
                 inputs: &[index],
             };
-            runner.rollout_watching(policy, &made, Some(&watching))
+            runner.rollout_with_observer(policy, &artifacts, Some(&observer))
         };
-        made()
+        build()
             .map(|built| built.artifact.path().to_owned())
             .map_err(sentence_of)
     }

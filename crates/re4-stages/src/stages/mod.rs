@@ -13,4 +13,4 @@ pub(crate) use ingest::WorkerCrashed;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 pub use rollout::{BudgetRow, metrics, read_rollouts};
-pub(crate) use rollout::{Made, MakeEstimator, Watching, scene_renderer};
+pub(crate) use rollout::{ImageObserver, MakeEstimator, RolloutArtifacts, scene_renderer};

@@ -18,7 +18,7 @@ use crate::runner::{Built, Runner};
 
 pub use budgets::BudgetRow;
 pub use plane::read_rollouts;
-pub(crate) use space::{MakeEstimator, Watching, scene_renderer};
+pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 7;
@@ -27,7 +27,7 @@ const CODE_VERSION: u32 = 7;
 const BATCH: usize = 128;
 
 /// The artifacts that rollouts are made from.
-pub(crate) struct Made<'a> {
+pub(crate) struct RolloutArtifacts<'a> {
     /// The `episodes` artifact.
     pub(crate) episodes: &'a Built,
     /// The `poses` artifact, if object poses are estimated from images.
@@ -38,7 +38,7 @@ pub(crate) struct Made<'a> {
     pub(crate) inputs: &'a [Built],
 }
 
-impl Made<'_> {
+impl RolloutArtifacts<'_> {
     /// All artifacts, in the order in which they were made.
     fn all(&self) -> impl Iterator<Item = &Built> {
         let own = [Some(self.episodes), self.poses, self.scenes];
@@ -47,7 +47,7 @@ impl Made<'_> {
 }
 
 /// A policy and the environments and pose sources of its rollouts.
-struct Play<'a, 'e, D: Recorded> {
+struct RolloutSetup<'a, 'e, D: Recorded> {
     policy: &'a dyn Settings<D>,
     symmetry: Symmetry,
     env: &'a MakeEnv<'a, 'e, D>,
@@ -83,15 +83,15 @@ impl Runner {
             });
         }
         let scenes = if planar { self.scenes(&episodes)? } else { None };
-        let made = Made {
+        let artifacts = RolloutArtifacts {
             episodes: &episodes,
             poses: poses.as_ref(),
             scenes: scenes.as_ref(),
             inputs: &inputs,
         };
         let built = match policy {
-            Policy::Plane(policy) => self.rollout_plane(policy, &made)?,
-            Policy::Space(policy) => self.rollout_space(policy, &made)?,
+            Policy::Plane(policy) => self.rollout_plane(policy, &artifacts)?,
+            Policy::Space(policy) => self.rollout_space(policy, &artifacts)?,
         };
         Ok((built, scenes))
     }
@@ -99,17 +99,21 @@ impl Runner {
     /// Rolls out from `starts` and writes the tables that all domains and policies have. Calls `add` with each batch of rows.
     fn record<D: Recorded>(
         &self,
-        play: &Play<'_, '_, D>,
-        made: &Made<'_>,
+        setup: &RolloutSetup<'_, '_, D>,
+        artifacts: &RolloutArtifacts<'_>,
         starts: &mut dyn ExactSizeIterator<Item = Start<D>>,
         writer: &Writer,
         add: &mut dyn FnMut(&Batch<D>),
     ) -> Result<()> {
-        let inputs: Vec<(Stage, &Artifact)> = made.inputs.iter().map(|built| (built.stage, &built.artifact)).collect();
-        let opened = play.policy.open(&Inputs {
+        let inputs: Vec<(Stage, &Artifact)> = artifacts
+            .inputs
+            .iter()
+            .map(|built| (built.stage, &built.artifact))
+            .collect();
+        let opened = setup.policy.open(&Inputs {
             artifacts: &inputs,
-            names: demo_names(&made.episodes.artifact)?,
-            symmetry: play.symmetry,
+            names: demo_names(&artifacts.episodes.artifact)?,
+            symmetry: setup.symmetry,
         })?;
         let bar = self.notes.progress(starts.len() as u64, "rollouts");
         // Called after every rollout; false stops the harness.
@@ -118,8 +122,8 @@ impl Runner {
             !self.interrupt.requested()
         };
         let harness = Harness {
-            env: play.env,
-            source: play.source,
+            env: setup.env,
+            source: setup.source,
             max_steps: self.pipeline.rollout()?.max_steps,
             progress: &going,
         };

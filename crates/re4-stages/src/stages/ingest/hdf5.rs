@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 
 use super::rendered::{self, Rendering};
 use super::spool::Spool;
-use super::worker::{self, Message, Order, send};
+use super::worker::{self, Message, Request, send};
 use super::write::{Images, Ingest};
 use super::{STAGE, recipe};
 use crate::inputs::sources::find_source;
@@ -30,8 +30,8 @@ use crate::runner::{Built, Runner};
 /// How long a worker may take to stop by itself after its parent has closed the worker's standard input.
 const GRACE: Duration = Duration::from_millis(400);
 
-/// Maximum length of an order that a worker reads, in bytes.
-const LONGEST_ORDER: u64 = 16 << 20;
+/// Maximum length of a request that a worker reads, in bytes.
+const MAX_REQUEST: u64 = 16 << 20;
 
 impl Runner {
     /// Makes the `episodes` artifact of an HDF5 file, or returns the existing one. This process never uses the HDF5 library: it
@@ -47,7 +47,7 @@ impl Runner {
         let mut sources = Sources::open(&source)?;
         let compare = section.compare.as_deref().map(find_source).transpose()?;
         let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
-        let mut order = Order {
+        let mut request = Request {
             hash: None,
             identity: sources.identity(),
             compare_hash: None,
@@ -73,25 +73,25 @@ impl Runner {
             (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
         });
         let direct = direct?;
-        tracing::info!(source = %order.source.display(), library = direct.is_none(), "HDF5 file opened");
+        tracing::info!(source = %request.source.display(), library = direct.is_none(), "HDF5 file opened");
         match &direct {
             Some(reader) => sources = reader.sources().clone(),
             // Only the library can read which models the file refers to.
             None if !single_file => {
-                let names = self.attended(&order, |bar| worker::models(&order, &self.interrupt, bar))?;
+                let names = self.attended(&request, |bar| worker::models(&request, &self.interrupt, bar))?;
                 sources = sources.with_models(names);
             }
             None => {}
         }
-        order.identity = sources.identity();
-        order.hash = Some(match early {
+        request.identity = sources.identity();
+        request.hash = Some(match early {
             Some(hashed) => hashed.map_err(|_| fault!("the thread that hashes the source stopped"; "run again"))??,
             None => hash(&sources)?,
         });
-        order.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
-        let recipe = order.recipe(Value::Null)?;
+        request.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
+        let recipe = request.recipe(Value::Null)?;
         if let Some(built) = self.unchanged(&recipe, start)? {
-            self.refuse_left_out(&built.artifact, &order.source)?;
+            self.refuse_left_out(&built.artifact, &request.source)?;
             return Ok(built);
         }
         if let Some(reader) = direct.filter(|_| section.render.is_empty()) {
@@ -106,18 +106,18 @@ impl Runner {
                 access: Access::Direct,
                 learned,
             };
-            let made = make(&order, inputs, &self.interrupt, &show);
+            let made = make(&request, inputs, &self.interrupt, &show);
             bar.finish_and_clear();
             match made {
                 Err(error) if needs_library(&error) => tracing::info!("the HDF5 library is needed after all"),
                 made => return self.made(made?, &recipe, start),
             }
         }
-        self.attended(&order, |bar| worker::run(&order, &self.interrupt, bar))?;
+        self.attended(&request, |bar| worker::run(&request, &self.interrupt, bar))?;
         let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
         let artifact = artifact.or_fault(|| {
             fault!(
-                "cannot ingest {}: the new artifact has disappeared, perhaps removed by another process", order.source.display();
+                "cannot ingest {}: the new artifact has disappeared, perhaps removed by another process", request.source.display();
                 "run again"
             )
         })?;
@@ -136,12 +136,12 @@ impl Runner {
     }
 
     /// Runs `work`, which uses a worker, and removes the unfinished artifact of a worker that failed.
-    fn attended<T>(&self, order: &Order, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
+    fn attended<T>(&self, request: &Request, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
         let ended = work(&self.notes.progress(0, STAGE));
         if ended.is_err() {
             self.interrupt.check(STAGE)?;
             // Opening the store removes unfinished artifacts.
-            Store::open(&order.artifacts)?;
+            Store::open(&request.artifacts)?;
         }
         ended
     }
@@ -155,7 +155,7 @@ fn needs_library(error: &anyhow::Error) -> bool {
     cause.is_some_and(IngestError::needs_library)
 }
 
-impl Order {
+impl Request {
     /// The recipe of the artifact.
     fn recipe(&self, summary: Value) -> Result<re4_artifact::Recipe> {
         let hash = self.hash.as_ref().context("the source was not hashed")?;
@@ -164,26 +164,26 @@ impl Order {
     }
 }
 
-/// The worker process: reads its order from standard input, makes and publishes the artifact, and reports to its parent on
+/// The worker process: reads its request from standard input, makes and publishes the artifact, and reports to its parent on
 /// standard output.
 ///
 /// # Errors
-/// If the order cannot be read or the store cannot be opened. Later errors are reported to the parent.
+/// If the request cannot be read or the store cannot be opened. Later errors are reported to the parent.
 pub fn serve_ingest() -> Result<()> {
     let mut input = BufReader::new(std::io::stdin());
     let mut line = String::new();
     input
         .by_ref()
-        .take(LONGEST_ORDER)
+        .take(MAX_REQUEST)
         .read_line(&mut line)
-        .context("cannot read the order")?;
-    let order: Order = serde_json::from_str(&line)
+        .context("cannot read the request")?;
+    let request: Request = serde_json::from_str(&line)
         .or_fault(|| fault!("ingest-worker is an internal command"; "use re4-pipe ingest"))?;
     // The limits are a safeguard against damaged files. If the system refuses them, the sizes in the file are still checked.
-    let memory = worker::memory(&order);
+    let memory = worker::memory(&request);
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
-    let store = Store::open(&order.artifacts)?;
+    let store = Store::open(&request.artifacts)?;
     let interrupt = Interrupt::listen_and_say(Some(&store), |fault| send(&Message::failed(&fault)));
     let stop = interrupt.clone();
     std::thread::spawn(move || {
@@ -195,7 +195,7 @@ pub fn serve_ingest() -> Result<()> {
         #[allow(clippy::exit, reason = "the parent has ended, and the thread may be stuck in C code")]
         std::process::exit(2);
     });
-    let message = match serve(&order, &interrupt) {
+    let message = match serve(&request, &interrupt) {
         Ok(message) => message,
         Err(error) => Message::failed(&fault_of(&error)),
     };
@@ -203,23 +203,23 @@ pub fn serve_ingest() -> Result<()> {
     Ok(())
 }
 
-fn serve(order: &Order, interrupt: &Interrupt) -> Result<Message> {
+fn serve(request: &Request, interrupt: &Interrupt) -> Result<Message> {
     rayon::ThreadPoolBuilder::new()
-        .num_threads(order.threads)
+        .num_threads(request.threads)
         .build_global()
-        .or_fault(|| fault!("cannot start {} worker threads", order.threads; "give a smaller --jobs"))?;
-    let sources = Sources::open_again(&order.source, &order.identity)?;
-    let reader = RobomimicReader::open(&sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
-    if order.hash.is_none() {
+        .or_fault(|| fault!("cannot start {} worker threads", request.threads; "give a smaller --jobs"))?;
+    let sources = Sources::open_again(&request.source, &request.identity)?;
+    let reader = RobomimicReader::open(&sources, &choice(&request.pipeline, request.cautious), Access::Library)?;
+    if request.hash.is_none() {
         return Ok(Message::Models(
             reader.sources().model_names().map(str::to_owned).collect(),
         ));
     }
     // Models that were added or removed since the parent hashed the files are a change, too.
-    if reader.sources().identity() != order.identity {
+    if reader.sources().identity() != request.identity {
         return Err(reader.sources().changed().into());
     }
-    let compare = match (&order.compare, &order.compare_identity) {
+    let compare = match (&request.compare, &request.compare_identity) {
         (Some(path), Some(identity)) => Some(Sources::open_again(path, identity)?),
         _ => None,
     };
@@ -229,7 +229,7 @@ fn serve(order: &Order, interrupt: &Interrupt) -> Result<Message> {
         access: Access::Library,
         learned: None,
     };
-    make(order, inputs, interrupt, &|done, all| {
+    make(request, inputs, interrupt, &|done, all| {
         worker::progress(done, all, interrupt);
     })?;
     Ok(Message::Done)
@@ -249,46 +249,46 @@ struct Inputs {
 
 /// Makes and publishes the artifact.
 fn make(
-    order: &Order,
+    request: &Request,
     inputs: Inputs,
     interrupt: &Interrupt,
     progress: &(dyn Fn(u64, u64) + Sync),
 ) -> Result<Artifact> {
     let files = inputs.reader.sources().clone();
     let compare = inputs.compare.clone();
-    let source = open(order, inputs).or_else(|error| {
+    let source = open(request, inputs).or_else(|error| {
         interrupt.check(STAGE)?;
         // If a file changed while it was read, that is the error to report, not its consequences.
         files.unchanged()?;
         compare.map_or(Ok(()), |compare| compare.unchanged())?;
         Err(error)
     })?;
-    let recipe = order.recipe(json!(source.info()))?;
+    let recipe = request.recipe(json!(source.info()))?;
     let ingest = Ingest {
-        section: &order.pipeline.ingest,
-        source: &order.source,
-        compare: order.compare.as_deref(),
+        section: &request.pipeline.ingest,
+        source: &request.source,
+        compare: request.compare.as_deref(),
         conventions: source.conventions(),
-        images: match rendering(order, source.reader(), source.env())? {
-            Some(rendering) => Images::Rendered(rendering, Spool::open(&order.artifacts, recipe.key())?),
+        images: match rendering(request, source.reader(), source.env())? {
+            Some(rendering) => Images::Rendered(rendering, Spool::open(&request.artifacts, recipe.key())?),
             None => Images::Recorded,
         },
-        threads: order.threads,
+        threads: request.threads,
         interrupt,
         progress,
     };
-    ingest.publish(&source, &Store::open(&order.artifacts)?, &recipe)
+    ingest.publish(&source, &Store::open(&request.artifacts)?, &recipe)
 }
 
-fn open(order: &Order, inputs: Inputs) -> Result<RobomimicSource> {
-    let section = &order.pipeline.ingest;
+fn open(request: &Request, inputs: Inputs) -> Result<RobomimicSource> {
+    let section = &request.pipeline.ingest;
     let Inputs {
         reader,
         compare,
         access,
         learned,
     } = inputs;
-    let learned = learned.unwrap_or_else(|| Interpreter::learn(&reader, &reading(&order.pipeline)))?;
+    let learned = learned.unwrap_or_else(|| Interpreter::learn(&reader, &reading(&request.pipeline)))?;
     let comparison = compare.map(|sources| Comparison::open(&sources, access)).transpose()?;
     let cameras = if section.images && section.render.is_empty() {
         reader.cameras(section.cameras.as_deref())?
@@ -299,18 +299,18 @@ fn open(order: &Order, inputs: Inputs) -> Result<RobomimicSource> {
 }
 
 /// The rendering of the images that `ingest.render` requests; `None` if it requests none.
-fn rendering<'a>(order: &'a Order, reader: &RobomimicReader, env: &EnvArgs) -> Result<Option<Rendering<'a>>> {
-    let render = &order.pipeline.ingest.render;
+fn rendering<'a>(request: &'a Request, reader: &RobomimicReader, env: &EnvArgs) -> Result<Option<Rendering<'a>>> {
+    let render = &request.pipeline.ingest.render;
     if render.is_empty() {
         return Ok(None);
     }
     let recorded = reader.cameras(None)?;
     ensure!(
         recorded.is_empty(),
-        "cannot render images for {}: it has recorded images ({})", order.source.display(), recorded.join(", ");
+        "cannot render images for {}: it has recorded images ({})", request.source.display(), recorded.join(", ");
         "remove ingest.render"
     );
-    Ok(Some(Rendering::new(render, env, &order.source)?))
+    Ok(Some(Rendering::new(render, env, &request.source)?))
 }
 
 fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {

@@ -77,14 +77,14 @@ struct Job {
 }
 
 /// Threads that render demonstrations with the same model (up to box sizes), until the queue ends.
-struct Crew<'scope> {
+struct RenderPool<'scope> {
     /// The common part of the models: MJCF without the box sizes.
     looks: String,
     jobs: SyncSender<Job>,
     threads: Vec<ScopedJoinHandle<'scope, ()>>,
 }
 
-impl Crew<'_> {
+impl RenderPool<'_> {
     /// Waits until all queued demonstrations are rendered and the renderers' memory is freed.
     fn finish(self) {
         drop(self.jobs);
@@ -97,7 +97,7 @@ impl Crew<'_> {
 }
 
 /// Number of threads, at most `threads`, that can render a model at the same time within [`MEMORY`].
-fn crew_size(model: &Model, threads: usize) -> usize {
+fn pool_size(model: &Model, threads: usize) -> usize {
     let Footprint { shared, each } = Renderer::footprint(model, SIDE, SIDE);
     let room = MEMORY.saturating_sub(PROCESS + shared);
     usize::try_from(room / each.max(1)).map_or(threads, |fit| fit.clamp(1, threads.max(1)))
@@ -166,8 +166,8 @@ impl<'a> Rendering<'a> {
             }
         };
         let result = std::thread::scope(|scope| {
-            let mut crew: Option<Crew<'_>> = None;
-            // When reading ends, the crew is dropped, which closes its queue and ends its threads.
+            let mut pool: Option<RenderPool<'_>> = None;
+            // When reading ends, the pool is dropped, which closes its queue and ends its threads.
             read(&mut |episode, mut demo| {
                 let frames = demo.frames.count();
                 let name = demo.name.name;
@@ -190,15 +190,15 @@ impl<'a> Rendering<'a> {
                 let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
                 let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&name))?;
-                let crew = match &mut crew {
-                    Some(crew) if crew.looks == rest => crew,
+                let pool = match &mut pool {
+                    Some(pool) if pool.looks == rest => pool,
                     other => {
-                        // Frees the memory of the previous crew before the next model is compiled.
+                        // Frees the memory of the previous pool before the next model is compiled.
                         if let Some(last) = other.take() {
                             last.finish();
                         }
                         let model = self.compile(&mjcf).with_context(|| self.cannot(&name))?;
-                        other.insert(crew_of(scope, rest, &model, threads, &work))
+                        other.insert(start_pool(scope, rest, &model, threads, &work))
                     }
                 };
                 let job = Job {
@@ -208,7 +208,7 @@ impl<'a> Rendering<'a> {
                     states,
                     cameras: missing,
                 };
-                crew.jobs
+                pool.jobs
                     .send(job)
                     .map_err(|_| fault!("all rendering threads have stopped"; "run again").into())
             })
@@ -292,14 +292,14 @@ fn render_demo(
 }
 
 /// Starts threads that render demonstrations of a model, each with its own renderer.
-fn crew_of<'scope>(
+fn start_pool<'scope>(
     scope: &'scope Scope<'scope, '_>,
     looks: String,
     model: &Model,
     threads: usize,
     work: &'scope (impl Fn(&Job, &Model, &mut Option<Renderer>) + Sync),
-) -> Crew<'scope> {
-    let threads = crew_size(model, threads);
+) -> RenderPool<'scope> {
+    let threads = pool_size(model, threads);
     let (jobs, queue) = sync_channel(threads);
     let queue = Arc::new(Mutex::new(queue));
     let threads = (0..threads)
@@ -313,7 +313,7 @@ fn crew_of<'scope>(
             })
         })
         .collect();
-    Crew { looks, jobs, threads }
+    RenderPool { looks, jobs, threads }
 }
 
 /// Waits for the next demonstration; `None` if there are no more.

@@ -52,9 +52,13 @@ const MEMORY: u64 = 4 << 30;
 /// Additional memory limit per rendering thread, in bytes. MuJoCo reserves far more for a simulation than it uses.
 const RENDERING: u64 = 2 << 30;
 
-/// Memory limit (`RLIMIT_DATA`) of the worker of this order, in bytes.
-pub(super) fn memory(order: &Order) -> u64 {
-    let rendering = if order.gl.is_some() { order.threads as u64 } else { 0 };
+/// Memory limit (`RLIMIT_DATA`) of the worker of this request, in bytes.
+pub(super) fn memory(request: &Request) -> u64 {
+    let rendering = if request.gl.is_some() {
+        request.threads as u64
+    } else {
+        0
+    };
     MEMORY + RENDERING.saturating_mul(rendering)
 }
 
@@ -63,7 +67,7 @@ const STDERR_KEPT: u64 = 1 << 16;
 
 /// The task of a worker, sent to it as one line of JSON.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct Order {
+pub(crate) struct Request {
     /// The pipeline, overrides applied.
     pub(crate) pipeline: Pipeline,
     /// The HDF5 file.
@@ -152,29 +156,29 @@ fn wait_at_gate(done: u64, interrupt: &Interrupt) {
 }
 
 /// Runs a worker that makes the artifact.
-pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
-    work(order, interrupt, bar).map(drop)
+pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
+    work(request, interrupt, bar).map(drop)
 }
 
 /// Asks a worker for the names of the model files that the source's demonstrations refer to.
-pub(super) fn models(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
-    match work(order, interrupt, bar)? {
+pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
+    match work(request, interrupt, bar)? {
         Message::Models(names) => Ok(names),
         _ => {
-            bail!("the worker process did not return the names of the models in {}", order.source.display(); "run again")
+            bail!("the worker process did not return the names of the models in {}", request.source.display(); "run again")
         }
     }
 }
 
 /// Runs a worker to its end. Returns its last message.
-fn work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
-    match try_to_work(order, interrupt, bar) {
+fn work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+    match try_to_work(request, interrupt, bar) {
         // The crash may be the consequence of an earlier error in the file, after which reading went on. A second, cautious
         // worker stops at the first error, which is then reported.
         Err(error) if error.is::<WorkerCrashed>() => {
-            let cautious = Order {
+            let cautious = Request {
                 cautious: true,
-                ..order.clone()
+                ..request.clone()
             };
             try_to_work(&cautious, interrupt, bar)
         }
@@ -188,17 +192,17 @@ fn work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Messa
 #[remedy(_0.remedy())]
 pub(crate) struct WorkerCrashed(Fault);
 
-fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
-    let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", order.source.display()));
+fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+    let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", request.source.display()));
     let program = std::env::current_exe()
         .context("cannot find the program's own file, which is needed to read HDF5 in a worker process")?;
     let mut command = Command::new(program);
     command.arg(SUBCOMMAND);
-    if order.cautious {
+    if request.cautious {
         // The gate of a test applies only to the first worker.
         command.env_remove(GATE_VARIABLE);
     }
-    if let Some(gl) = &order.gl {
+    if let Some(gl) = &request.gl {
         command.env("RE4_GL", gl);
         // Every rendering thread has its own context, so additional threads in Mesa would only compete with them.
         if std::env::var_os(MESA_THREADS).is_none() {
@@ -211,9 +215,9 @@ fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Resul
         .stderr(Stdio::piped())
         .spawn()
         .or_fault(|| fault!("cannot start a worker process to read HDF5"; "end other programs and run again"))?;
-    info!(process = child.id(), source = %order.source.display(), cautious = order.cautious, "worker started to read HDF5");
+    info!(process = child.id(), source = %request.source.display(), cautious = request.cautious, "worker started to read HDF5");
     interrupt.set_worker(Some(child.id()));
-    let mut line = serde_json::to_vec(order)?;
+    let mut line = serde_json::to_vec(request)?;
     line.push(b'\n');
     let mut stdin = child.stdin.take();
     if let Some(stdin) = &mut stdin {

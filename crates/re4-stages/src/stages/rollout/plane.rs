@@ -18,22 +18,22 @@ use serde_json::{Value, json};
 
 use super::budgets::{BOOTSTRAP_SEED, Budgets};
 use super::estimators::LogPolar;
-use super::{CODE_VERSION, Made, Play, extend};
+use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
 use crate::inputs::estimators::open_estimator;
 use crate::inputs::starts::read_starts;
 use crate::runner::{Built, Runner};
 
 impl Runner {
-    /// Makes the `rollouts` artifact, or returns the existing one. Rollouts start from `made.scenes` if given, otherwise from
-    /// seeds.
-    pub(super) fn rollout_plane(&self, policy: &PlanePolicy, made: &Made<'_>) -> Result<Built> {
+    /// Makes the `rollouts` artifact, or returns the existing one. Rollouts start from `artifacts.scenes` if given, otherwise
+    /// from seeds.
+    pub(super) fn rollout_plane(&self, policy: &PlanePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
         let mut recipe =
             Recipe::new(Stage::Rollout, CODE_VERSION).config(&self.rollout_config(self.starts_config()?)?)?;
-        for built in made.all() {
+        for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let estimator = match made.poses {
+            let estimator = match artifacts.poses {
                 Some(poses) => Some(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
                 None => None,
             };
@@ -45,16 +45,16 @@ impl Runner {
                 },
                 None => Source::Recorded,
             };
-            let starts = self.starts(made.scenes)?;
+            let starts = self.starts(artifacts.scenes)?;
             let mut summary = Summary::up_to(self.pipeline.rollout()?.max_steps);
             let add = &mut |batch: &Batch<Plane>| summary.add(&batch.results, &batch.steps);
-            let play = Play {
+            let setup = RolloutSetup {
                 policy: policy.settings(),
                 symmetry: Symmetry::None,
                 env: &env,
                 source: &source,
             };
-            self.record(&play, made, &mut starts.into_iter(), writer, add)?;
+            self.record(&setup, artifacts, &mut starts.into_iter(), writer, add)?;
             writer.write_rows(summary.budgets.rows())?;
             let mut protocol = json!({
                 "measure": "maximum value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
@@ -70,7 +70,7 @@ impl Runner {
             });
             extend(&mut protocol, self.starts_config()?);
             Ok(ArtifactSummary {
-                summary: summary.state(&self.protocol(&made.episodes.artifact, protocol)?),
+                summary: summary.state(&self.protocol(&artifacts.episodes.artifact, protocol)?),
                 warnings: Vec::new(),
             })
         })

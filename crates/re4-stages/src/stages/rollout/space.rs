@@ -14,7 +14,7 @@ use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
 use super::estimators::Encoder;
-use super::{CODE_VERSION, Made, Play};
+use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup};
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
@@ -26,14 +26,14 @@ const RENDERING_VERSION: u32 = 1;
 pub(crate) type MakeEstimator = dyn Fn() -> Box<dyn Estimator<Space>> + Sync;
 
 /// Wraps an environment before it is observed. Tests use it to record what is rendered.
-type Through = for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>;
+type WrapEnv = for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>;
 
 /// How a policy observes the object through images.
-pub(crate) struct Watching<'a> {
+pub(crate) struct ImageObserver<'a> {
     /// Opens the encoder and returns the constructor of estimators.
     pub(crate) open: &'a dyn Fn() -> Result<Box<MakeEstimator>>,
     /// Wraps each environment.
-    pub(crate) through: Through,
+    pub(crate) wrap: WrapEnv,
 }
 
 /// The rendering settings that are part of the artifact's key.
@@ -66,29 +66,29 @@ pub(crate) fn scene_renderer(scenes: &Scenes, episodes: &Artifact, camera: &str)
 
 impl Runner {
     /// Makes the `rollouts` artifact of a robosuite task, or returns the existing one. The policy observes the simulator's object
-    /// pose or, if `made.poses` is given, the estimates of its encoder.
-    pub(super) fn rollout_space(&self, policy: &SpacePolicy, made: &Made<'_>) -> Result<Built> {
-        let Some(poses) = made.poses else {
-            return self.rollout_watching(policy, made, None);
+    /// pose or, if `artifacts.poses` is given, the estimates of its encoder.
+    pub(super) fn rollout_space(&self, policy: &SpacePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
+        let Some(poses) = artifacts.poses else {
+            return self.rollout_with_observer(policy, artifacts, None);
         };
         let backend = self.pipeline.pose()?.encoder().backend;
         let open = || -> Result<Box<MakeEstimator>> {
             let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), backend)?;
             Ok(Box::new(move || Box::new(Encoder(predictor.clone()))))
         };
-        let watching = Watching {
+        let observer = ImageObserver {
             open: &open,
-            through: |env| env,
+            wrap: |env| env,
         };
-        self.rollout_watching(policy, made, Some(&watching))
+        self.rollout_with_observer(policy, artifacts, Some(&observer))
     }
 
     /// As [`Self::rollout_space`], with the given estimators.
-    pub(crate) fn rollout_watching(
+    pub(crate) fn rollout_with_observer(
         &self,
         policy: &SpacePolicy,
-        made: &Made<'_>,
-        watching: Option<&Watching<'_>>,
+        artifacts: &RolloutArtifacts<'_>,
+        observer: Option<&ImageObserver<'_>>,
     ) -> Result<Built> {
         let section = self.pipeline.rollout()?;
         let task = self.pipeline.task.robosuite().context("no simulator for this task")?;
@@ -98,27 +98,27 @@ impl Runner {
             "symmetry": symmetry,
             "noise": section.noise,
             "fidelity": section.fidelity,
-            "robosuite": profile(&made.episodes.artifact)?,
+            "robosuite": profile(&artifacts.episodes.artifact)?,
             "seeds": section.seeds,
         }))?;
-        if watching.is_some() {
+        if observer.is_some() {
             config["images"] = rendering(&camera)?;
         }
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION).config(&config)?;
-        for built in made.all() {
+        for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
-        let episodes = &made.episodes.artifact;
+        let episodes = &artifacts.episodes.artifact;
         self.build(&recipe, |writer| {
             let scenes = Scenes::open(episodes, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
             // If the seed determines the size of a box (Lift's cube), every seed needs its own compiled model.
             let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
-            let observed = match watching {
-                Some(watching) => Some((
+            let observed = match observer {
+                Some(observer) => Some((
                     scene_renderer(&scenes, episodes, &camera)?,
-                    (watching.open)()?,
-                    watching.through,
+                    (observer.open)()?,
+                    observer.wrap,
                 )),
                 None => None,
             };
@@ -130,7 +130,7 @@ impl Runner {
                 let scene_renderer = observed.as_ref().map(|(scene_renderer, ..)| scene_renderer);
                 let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, scene_renderer)?);
                 Ok(match &observed {
-                    Some((.., through)) => through(env),
+                    Some((.., wrap)) => wrap(env),
                     None => env,
                 })
             };
@@ -150,7 +150,7 @@ impl Runner {
                 seed,
                 scene: Placement::draw(task, seed),
             });
-            let play = Play {
+            let setup = RolloutSetup {
                 policy: policy.settings(),
                 symmetry,
                 env: &env,
@@ -158,7 +158,7 @@ impl Runner {
             };
             let mut summary = Summary::default();
             let add = &mut |batch: &Batch<Space>| summary.add(&batch.results, &batch.decisions);
-            self.record(&play, made, &mut starts, writer, add)?;
+            self.record(&setup, artifacts, &mut starts, writer, add)?;
             let protocol = self.protocol(
                 episodes,
                 json!({
@@ -175,7 +175,7 @@ impl Runner {
                 }),
             )?;
             Ok(ArtifactSummary {
-                summary: summary.state(&protocol, watching.is_some()),
+                summary: summary.state(&protocol, observer.is_some()),
                 warnings: Vec::new(),
             })
         })
