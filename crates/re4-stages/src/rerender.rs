@@ -184,13 +184,13 @@ fn images(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &
         for (number, decision) in (0..).zip(rollout.decisions.iter().take(DECISIONS)) {
             let pixels = rerendered.draw(place, decision.core().step as usize)?;
             let view = rerendered.renderer.as_mut().and_then(Renderer::view);
-            let seen = |pose: Option<&Isometry3<f64>>| seen(view.as_ref(), pose);
+            let project = |pose: Option<&Isometry3<f64>>| project(view.as_ref(), pose);
             let image = DecisionImage {
                 camera: CAMERA,
                 side: SIDE,
                 png: encode_png(&pixels, SIDE, SIDE)?,
-                told: seen(decision.core.query_object.as_ref()),
-                simulated: seen(Some(&rollout.object_before(decision.core().step as usize))),
+                told: project(decision.core.query_object.as_ref()),
+                simulated: project(Some(&rollout.object_before(decision.core().step as usize))),
             };
             set.scene.images.insert((rollout.core().seed, number), image);
         }
@@ -199,7 +199,7 @@ fn images(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &
 }
 
 /// Pixel coordinates of a frame's origin and of the ends of its axes; `None` for points that are not visible and for no frame.
-fn seen(view: Option<&View>, pose: Option<&Isometry3<f64>>) -> FrameInImage {
+fn project(view: Option<&View>, pose: Option<&Isometry3<f64>>) -> FrameInImage {
     let ends = [[0.0; 3], [AXIS, 0.0, 0.0], [0.0, AXIS, 0.0], [0.0, 0.0, AXIS]];
     ends.map(|end| {
         let point = pose?.transform_point(&end.into());

@@ -108,7 +108,12 @@ impl SegmentedEpisodes {
 
     fn join(&mut self, number: u32, episode: SpatialEpisode) -> Result<SpatialDemo> {
         let name = episode.name.clone();
-        let missing = || fault!("the modes artifact does not match the demonstrations: {name} is not segmented"; "delete the modes artifact and segment the dataset again");
+        let missing = || {
+            fault!(
+                "the modes artifact does not match the demonstrations: {name} is not segmented";
+                "delete the modes artifact and segment the dataset again"
+            )
+        };
         let (modes_of, modes) = self.modes.next().with_context(missing)??;
         let (segments_of, segments) = self.segments.next().with_context(missing)??;
         let segmented = SegmentedSpatial::from_rows(modes, segments);

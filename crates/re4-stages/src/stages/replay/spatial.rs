@@ -185,7 +185,12 @@ impl Iterator for Recordings {
         let episode = self.episodes.next()?;
         Some(episode.and_then(|(number, episode)| {
             let name = episode.name.clone();
-            let missing = || fault!("table states does not match the frames of {name}"; "delete the episodes artifact and ingest again");
+            let missing = || {
+                fault!(
+                    "table states does not match the frames of {name}";
+                    "delete the episodes artifact and ingest again"
+                )
+            };
             let (of, rows) = self.states.next().with_context(missing)??;
             let states: Vec<Vec<f64>> = rows.into_iter().map(|row| row.state).collect();
             ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());
