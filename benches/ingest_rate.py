@@ -1,9 +1,9 @@
-"""Times reading all images of a Push-T dataset as bytes: re4-ingest and zarr-python in turn, in one run.
+"""Times reading all images of a Push-T dataset as bytes with re4-ingest and zarr-python, alternating in one run.
 
 usage: ingest_rate.py DATASET [ROUNDS]   (needs zarr 2 and numpy; builds the example `decode_rate` with cargo)
 
-Both decode every chunk of data/img, convert float32 to uint8 and sum the bytes; the sums must agree. Rounds alternate, so
-that other load on the machine falls on both; CPU seconds are given too, since other load hardly changes them (those of
+Both decode every chunk of data/img, convert float32 to uint8 and sum the bytes; the sums have to agree. Rounds alternate, so
+that other load on the machine affects both. CPU seconds are given, too, because other load hardly changes them (those of
 re4-ingest include reading and hashing the rest of the dataset). Prints one JSON object.
 """
 

@@ -2,8 +2,8 @@
 
     python benches/poses.py <pusht_cchi_v7_replay.zarr> [binary]
 
-Both estimate the pose of all 25,650 frames on one thread. The rival has its images as bytes in memory; re4-pipe reads them
-from the artifact, decodes them, estimates and writes the poses. Errors are against the recorded poses.
+Both estimate the poses of all 25,650 frames on one thread. The OpenCV program has its images as bytes in memory; re4-pipe reads
+them from the artifact, decodes them, estimates and writes the poses. Errors are differences from the recorded poses.
 """
 
 import json
@@ -55,7 +55,7 @@ def estimate(image, anchor):
 
 
 def spread(errors):
-    return " / ".join(f"{np.quantile(errors, share):.2f}" for share in (0.5, 0.9, 0.99, 1.0))
+    return " / ".join(f"{np.quantile(errors, q):.2f}" for q in (0.5, 0.9, 0.99, 1.0))
 
 
 def main():

@@ -1,8 +1,8 @@
 """Times gym-pusht and re4-sim on the same actions, one process and one thread each, and prints the ratio.
 
 Needs gym-pusht 0.1.8 and cargo. Run: python benches/pusht_sim.py [repetitions]
-Both run the 40 episodes of crates/re4-sim/tests/data/reference_trace.bin (300 control steps each) with the coverage after
-every step. The two are timed in turn; the medians are compared.
+Both run the 40 episodes of crates/re4-sim/tests/data/reference_trace.bin (300 control steps each) and compute the coverage after
+every step. Runs alternate, and the medians are compared.
 """
 
 import pathlib
@@ -20,7 +20,7 @@ TRACE = ROOT / "crates/re4-sim/tests/data/reference_trace.bin"
 
 
 def read_trace() -> tuple[np.ndarray, np.ndarray]:
-    """Scenes [E, 5] and actions [E, S, 2]; make_reference_trace.py tells the layout."""
+    """Scenes [E, 5] and actions [E, S, 2]; make_reference_trace.py describes the layout."""
     data = TRACE.read_bytes()
     (length,) = struct.unpack_from("<I", data, 8)
     episodes, steps, _ = struct.unpack_from("<III", data, 12 + length)
@@ -63,7 +63,7 @@ def main() -> None:
         speed, our_mean = time_re4_sim()
         ours.append(speed)
         if abs(mean - our_mean) > 1e-9:
-            sys.exit(f"the two did not simulate the same: mean coverage {mean} and {our_mean}")
+            sys.exit(f"the simulations differ: mean coverage {mean} and {our_mean}")
     for name, speeds in (("gym-pusht", theirs), ("re4-sim", ours)):
         print(f"{name:10} {statistics.median(speeds):10,.0f} steps/s  (of {', '.join(f'{s:,.0f}' for s in sorted(speeds))})")
     print(f"ratio      {statistics.median(ours) / statistics.median(theirs):10.1f}")

@@ -3,11 +3,11 @@
 Needs numpy, scipy, zarr (2.x) and cargo. Run: python benches/retrieve.py [DATASET]
 DATASET is the Push-T replay dataset; without it, pusht/pusht_cchi_v7_replay.zarr in the folder RE4_DATA, else in data/.
 
-The Rust example `retrieve_bench` makes the queries, answers them and writes both down; here the same queries go through
-  numpy     the two-stage scan over normalised columns: the same answer, which is checked frame by frame;
-  kd1       scipy's cKDTree over normalised object poses, nearest neighbour, one call a query: another, easier answer;
-  kd_batch  the same, all queries in one call, so without Python's cost of a call.
-Times are medians in microseconds a query (kd_batch: the mean); ratios are over Rust's median.
+The Rust example `retrieve_bench` makes the queries, answers them and writes both to files. The same queries are answered here by
+  numpy     the two-stage scan over normalised columns; gives the same answer, which is checked frame by frame;
+  kd1       scipy's cKDTree over normalised object poses, nearest neighbour, one call per query; a different, easier problem;
+  kd_batch  the same with all queries in one call, which avoids Python's overhead per call.
+Times are medians in microseconds per query (kd_batch: the mean); ratios are relative to Rust's median.
 """
 
 import os
@@ -37,7 +37,7 @@ def dataset_path() -> pathlib.Path:
 
 
 class Columns:
-    """Min-max-normalised states, demonstration after demonstration."""
+    """Min-max-normalised states of all demonstrations."""
 
     def __init__(self, states: np.ndarray, ends: np.ndarray, periodic: bool) -> None:
         states = states.astype(np.float64)
@@ -56,9 +56,9 @@ class Columns:
     def retrieve(self, q: np.ndarray, epsilon: float) -> tuple[int, int, float, float]:
         """Episode, frame, d_q and d_o for a normalised query."""
         eef_x, eef_y, x, y, theta = self.columns
-        turn = np.abs(q[4] - theta)
-        turn = np.minimum(turn, np.abs(self.period - turn))
-        d_o = (q[2] - x) ** 2 + (q[3] - y) ** 2 + turn**2
+        angle = np.abs(q[4] - theta)
+        angle = np.minimum(angle, np.abs(self.period - angle))
+        d_o = (q[2] - x) ** 2 + (q[3] - y) ** 2 + angle**2
         d_q = (q[0] - eef_x) ** 2 + (q[1] - eef_y) ** 2 + d_o
         if np.isfinite(epsilon):
             minimum = np.minimum.reduceat(d_o, self.starts)
@@ -82,7 +82,7 @@ def time_each(function, items) -> tuple[list, float]:
 
 
 def run_rust(dataset: pathlib.Path, folder: str) -> dict[tuple[str, str, str], float]:
-    """Median of every (angle, epsilon, kind of queries); queries and answers are in the folder."""
+    """Medians by (angle, epsilon, kind of queries). Queries and answers are written to the folder."""
     command = ["cargo", "run", "--release", "--quiet", "-p", "re4-index", "--example", "retrieve_bench", "--"]
     output = subprocess.run(
         [*command, dataset, "--dump", folder], cwd=ROOT, check=True, capture_output=True, text=True

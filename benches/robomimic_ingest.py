@@ -1,11 +1,11 @@
-"""Times `re4-pipe ingest` on robomimic low-dim files against h5py reading the same arrays, in one run.
+"""Times `re4-pipe ingest` on robomimic low-dim files, and h5py reading the same arrays, in one run.
 
 usage: robomimic_ingest.py FILE.hdf5=TASK... [--rounds N] [--artifacts FOLDER] [--program PROGRAM]   (needs h5py, numpy)
 
-For ours the whole command counts: start, hash of the file, reading, proving, writing, publishing and verifying. For h5py only
-reading counts: of the datasets that ours reads, in a process that is already running with the file open. Rounds alternate, so
-that other load on the machine falls on both; the median is given. Rates are bytes of the file over seconds. Prints one JSON
-object a file, and one over all files.
+For re4-pipe, the whole command is timed: start, hashing, reading, proving conventions, writing, publishing and verifying. For h5py,
+only reading the same datasets is timed, in a running process with the file open. Rounds alternate, so that other load on the
+machine affects both; the median is given. Rates are bytes of the file per second. Prints one JSON object per file, and one for all
+files.
 """
 
 import argparse
@@ -80,7 +80,7 @@ with tempfile.TemporaryDirectory(dir=arguments.artifacts) as folder:
             seconds, peak = ours(path, task, Path(folder))
             rounds.append((seconds, theirs(path)))
             memory = max(memory, peak)
-        # The first round warms the caches.
+        # The first round fills the caches.
         medians = [statistics.median(column) for column in zip(*rounds[1:])]
         totals["ours"] += medians[0]
         totals["h5py"] += medians[1]

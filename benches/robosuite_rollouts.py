@@ -1,12 +1,12 @@
-"""Plays the actions of native rollouts in robosuite itself, open-loop from the same seeds, and counts what succeeds there.
+"""Replays the actions of native rollouts open-loop in robosuite, from the same seeds, and counts the successes.
 
     rs14/bin/python benches/robosuite_rollouts.py TASK steps.parquet [rollouts] [plain|robomimic]
 
-TASK is lift, can or square. Run with the Python of either environment that tests/robosuite_reference.py describes, and
-`pip install 'pyarrow<20'` in it. The table's columns: seed, step, action_x, action_y, action_z (goal of the grip site, world frame,
-m), action_rx, action_ry, action_rz (its rotation vector, rad), gripper (-1 opens, 1 closes). A seed's episode starts as
-`np.random.seed(seed); env.reset()` makes it (plain), or from there by robomimic's `reset_to`, on the model read back from its own
-XML (robomimic). Success counts at any step.
+TASK is lift, can or square. Run it with the Python of either environment that tests/robosuite_reference.py describes, after
+`pip install 'pyarrow<20'`. The table has the columns seed, step, action_x, action_y, action_z (goal of the grip site, world frame,
+m), action_rx, action_ry, action_rz (its rotation vector, rad), gripper (-1 opens, 1 closes). The episode of a seed starts after
+`np.random.seed(seed); env.reset()` (plain), or after robomimic's `reset_to` to that state, on the model read back from its own
+XML (robomimic). Success at any step counts.
 """
 
 import pathlib

@@ -2,9 +2,9 @@
 
     rs14/bin/python benches/robosuite_sim.py [repetitions]
 
-Run with the Python of either environment that tests/robosuite_reference.py describes, and with cargo at hand. Both sides play
-the 60 absolute actions of the committed trace of that version from its first state, without cameras, again and again; only
-policy steps are timed, not resets. The two are timed in turn; the medians are compared.
+Run it with the Python of either environment that tests/robosuite_reference.py describes; it needs cargo. Both sides execute the 60
+absolute actions of the committed trace of that version from its first state, without cameras, repeatedly. Only policy steps are
+timed, not resets. Runs alternate, and the medians are compared.
 """
 
 import json
@@ -28,7 +28,7 @@ EPISODES = 5
 def rate_of_robosuite(env, arrays) -> float:
     spent = 0.0
     for _ in range(EPISODES):
-        # A soft reset: the model is the one that was loaded from the trace.
+        # A soft reset keeps the model that was loaded from the trace.
         env.deterministic_reset = True
         env.reset()
         env.deterministic_reset = False
@@ -42,7 +42,7 @@ def rate_of_robosuite(env, arrays) -> float:
 
 
 def rate_of_re4(binary: pathlib.Path, trace: pathlib.Path) -> float:
-    """`robosuite_rate TRACE EPISODES` plays the trace's actions and prints {"steps_per_s": …}."""
+    """`robosuite_rate TRACE EPISODES` executes the trace's actions and prints {"steps_per_s": …}."""
     result = subprocess.run([binary, trace, str(EPISODES)], check=True, capture_output=True, text=True, cwd=ROOT)
     return json.loads(result.stdout)["steps_per_s"]
 
@@ -52,7 +52,7 @@ def main(repetitions: int) -> None:
     subprocess.run(build, check=True, cwd=ROOT)
     binary = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release/examples/robosuite_rate"
     version = reference.robosuite.__version__
-    print(f"policy steps a second, robosuite {version} on MuJoCo {reference.mujoco.__version__}, medians of {repetitions} runs")
+    print(f"policy steps per second, robosuite {version} on MuJoCo {reference.mujoco.__version__}, medians of {repetitions} runs")
     for task in reference.TASKS:
         path = DATA / f"trace_{task}_{version}_absolute.bin.gz"
         header, arrays = reference.read(path)

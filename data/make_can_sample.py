@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Writes can-sample.hdf5: invented demonstrations of a pick-and-place in robomimic's low-dim layout, with known faults.
+"""Writes can-sample.hdf5: synthetic pick-and-place demonstrations in robomimic's low-dim layout, with known errors.
 
-Nothing is simulated: a hand follows waypoints, a can hangs on it while the fingers clamp it, and falls when they do not.
-The file is the model of what an audit has to find; FAULTS says which demonstration has which fault.
+Nothing is simulated: an end effector follows waypoints; the can moves with it while the fingers clamp it, and falls when they do
+not. The file defines what an audit has to find; FAULTS maps demonstrations to their errors.
 
     python data/make_can_sample.py data/can-sample.hdf5
 
@@ -15,29 +15,29 @@ import sys
 import h5py
 import numpy as np
 
-# Demonstrations that are not flawless. All others are.
+# Demonstrations with errors. All others have none.
 FAULTS = {
-    3: "missed",  # the fingers close beside the can; then a second, good grasp
-    5: "lost",  # the can slips out of the hand on the way
-    6: "pushed",  # the open hand shoves the can before it grasps it
-    8: "early",  # the can is let go before the goal
-    10: "never",  # the hand visits the can and leaves without closing
-    11: "flicker",  # one single command to open on the way
-    13: "frozen",  # the same state recorded over and over
-    14: "saturated",  # the controls at their limit for most of the time
-    16: "duplicate",  # demo_2 once more
-    18: "teleport",  # frames are missing: the hand jumps
+    3: "missed",  # the fingers close next to the can, then grasp it at the second attempt
+    5: "lost",  # the can slips out of the gripper during the transfer
+    6: "pushed",  # the open gripper pushes the can before it grasps it
+    8: "early",  # the can is released before the goal
+    10: "never",  # the end effector moves to the can and leaves without closing
+    11: "flicker",  # a single command to open during the transfer
+    13: "frozen",  # the same state is recorded repeatedly
+    14: "saturated",  # the actions are at their limit most of the time
+    16: "duplicate",  # a copy of demo_2
+    18: "teleport",  # frames are missing, so the end effector jumps
 }
 DEMOS = 19
 VALID = ["demo_4", "demo_17"]
 
 STEP_S = 0.05  # control step
-FOLLOWED = 0.3  # part of the way to its goal that the hand makes in a step
-OUTPUT_MAX = (0.05, 0.5)  # metres, radians: what an action of 1 means
+FOLLOWED = 0.3  # fraction of the distance to its goal that the end effector moves in a step
+OUTPUT_MAX = (0.05, 0.5)  # motion for an action of 1: metres, radians
 FINGER_TRAVEL = 0.04  # of each finger
-RAMP = 0.25  # of the gripper command, from -1 (open) to 1 (closed), in a step
+RAMP = 0.25  # change of the gripper opening per step, from -1 (open) to 1 (closed)
 CAN_RADIUS = 0.025
-FLOOR = 0.86  # height of the can's origin when it stands
+FLOOR = 0.86  # height of the origin of the standing can
 GRAVITY = 9.81
 
 
@@ -71,46 +71,46 @@ def from_rotation_vector(r):
 
 
 class Scene:
-    """A hand, two fingers and a can, and what is recorded of them."""
+    """An end effector, two fingers and a can, and their recorded frames."""
 
     def __init__(self, random, can):
         self.random = random
         self.hand = np.array([-0.02, -0.08, 0.96]) + random.uniform(-0.012, 0.012, 3)
-        self.turn = random.uniform(-0.05, 0.05)  # of the hand about the vertical
+        self.yaw = random.uniform(-0.05, 0.05)  # rotation of the end effector about the vertical
         self.tilt = random.uniform(-0.02, 0.02, 2)
         self.can = np.append(can, FLOOR)
-        self.can_turn = from_rotation_vector(np.array([0.0, 0.0, random.uniform(-3.0, 3.0)]))
+        self.can_rotation = from_rotation_vector(np.array([0.0, 0.0, random.uniform(-3.0, 3.0)]))
         self.grip = 0.0  # -1 open, 1 closed
         self.finger = FINGER_TRAVEL / 2
-        self.held = None  # the can in the hand's frame
+        self.held = None  # the can in the end effector's frame
         self.fall = 0.0  # speed
         self.velocity = np.zeros(3)
         self.slippery = False
         self.rows = []
 
     def attitude(self):
-        """Of the hand: it points down."""
+        """Orientation of the end effector, which points down."""
         down = np.array([1.0, 0.0, 0.0, 0.0])
-        lean = from_rotation_vector(np.array([self.tilt[0], self.tilt[1], self.turn]))
+        lean = from_rotation_vector(np.array([self.tilt[0], self.tilt[1], self.yaw]))
         return multiply(lean, down)
 
     def record(self, command, follow_can=None, step=None):
-        """One control step: records the state, then moves."""
-        before, before_turn = self.hand.copy(), self.attitude()
+        """Makes one control step: records the state, then moves."""
+        before, before_rotation = self.hand.copy(), self.attitude()
         row = {
             "eef": before,
-            "quat": before_turn,
+            "quat": before_rotation,
             "fingers": np.array([self.finger, -self.finger]),
             "can": self.can.copy(),
-            "can_quat": self.can_turn.copy(),
+            "can_quat": self.can_rotation.copy(),
         }
         step = np.zeros(3) if step is None else step
         self.hand = self.hand + step
         self.tilt = 0.97 * self.tilt + self.random.normal(0.0, 0.0006, 2)
-        self.turn += self.random.normal(0.0, 0.0015)
-        turned = multiply(self.attitude(), conjugate(before_turn))
-        turned = turned * np.sign(turned[3])
-        rotation = 2.0 * turned[:3] / max(turned[3], 1e-9)
+        self.yaw += self.random.normal(0.0, 0.0015)
+        relative = multiply(self.attitude(), conjugate(before_rotation))
+        relative = relative * np.sign(relative[3])
+        rotation = 2.0 * relative[:3] / max(relative[3], 1e-9)
         scale = [FOLLOWED * limit for limit in OUTPUT_MAX]
         row["action"] = np.clip(np.concatenate([step / scale[0], rotation / scale[1], [command]]), -1.0, 1.0)
         row["rotation"] = rotation
@@ -123,9 +123,9 @@ class Scene:
         if clamps and self.finger == CAN_RADIUS:
             if self.held is None:
                 inverse = conjugate(self.attitude())
-                self.held = (rotate(inverse, self.can - self.hand), multiply(inverse, self.can_turn))
+                self.held = (rotate(inverse, self.can - self.hand), multiply(inverse, self.can_rotation))
             self.can = self.hand + rotate(self.attitude(), self.held[0])
-            self.can_turn = multiply(self.attitude(), self.held[1])
+            self.can_rotation = multiply(self.attitude(), self.held[1])
             self.fall = 0.0
         else:
             self.held = None
@@ -166,7 +166,7 @@ def demonstration(seed, fault):
     bang = fault == "saturated"
     scene.wait(-1.0, 3 + random.randint(3))
 
-    above = lambda place, height: np.append(place, height)
+    above = lambda position, height: np.append(position, height)
     grasp_height = 0.874 + random.uniform(-0.003, 0.003)
     offset = random.uniform(-0.0006, 0.0006, 2)
     if fault == "missed":
@@ -212,7 +212,7 @@ def demonstration(seed, fault):
     scene.go(above(goal, 0.95), -1.0, near=0.014, bang=bang)
     rows = scene.rows
     if fault == "teleport":
-        # In the approach, where the hand is fast and holds nothing.
+        # In the approach, where the end effector is fast and does not hold the can.
         rows = rows[:6] + rows[13:]
     return rows
 

@@ -1,8 +1,8 @@
 #!/bin/sh
-# Fuzzes every reader of foreign bytes, one after another: fuzz/run.sh [SECONDS] [TARGET...], 600 seconds each by default.
-# What is found goes to fuzz/target/corpus, inputs that crash, hang or take too much memory to fuzz/artifacts; the kept inputs
-# in fuzz/corpus are where it starts from, and stay as they are. fuzz/run.sh merge TARGET... makes them anew: the fewest of
-# both that reach all that any of them reaches.
+# Fuzzes all readers of untrusted bytes one after another: fuzz/run.sh [SECONDS] [TARGET...], 600 seconds each by default. It starts
+# from the kept inputs in fuzz/corpus, which do not change. New inputs are written to fuzz/target/corpus; inputs that crash, hang or
+# need too much memory to fuzz/artifacts. fuzz/run.sh merge TARGET... replaces the kept inputs by the smallest set of old and new
+# ones that has the same coverage.
 set -eu
 cd "$(dirname "$0")/.."
 scripts/setup.sh
@@ -20,12 +20,12 @@ case "${1:-}" in
 esac
 [ $# -gt 0 ] || set -- zarr zip hdf5 artifact pipeline
 
-# Files of an input lie in memory where the system has such a folder.
+# Files of an input are kept in memory if the system has such a folder.
 temporary="$(mktemp -d -p "$([ -w /dev/shm ] && echo /dev/shm || echo "${TMPDIR:-/tmp}")" re4-fuzz.XXXXXX)"
 trap 'rm -rf "$temporary"' EXIT
 trap 'exit 130' INT TERM
 TMPDIR="$temporary"
-# One thread of work: coverage then follows from the input alone.
+# One worker thread, so that coverage depends only on the input.
 RAYON_NUM_THREADS=1
 export TMPDIR RAYON_NUM_THREADS
 
@@ -33,7 +33,7 @@ for target in "$@"; do
     found="fuzz/target/corpus/$target"
     kept="fuzz/corpus/$target"
     mkdir -p "$found" "$kept"
-    # Of the compiler's stable release: the sanitizers need another one, and there is no unsafe code here to watch.
+    # With the stable compiler and without sanitizers, which need nightly: there is no unsafe code to check here.
     if [ "$merge" = yes ]; then
         new="fuzz/target/merged/$target"
         rm -rf "$new"

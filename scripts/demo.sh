@@ -1,6 +1,6 @@
 #!/bin/sh
-# Sets up what is missing, builds re4-pipe and runs the demo pipeline on the sample in data/: writes the page demo.html and
-# ends with a score table.
+# Installs missing requirements, builds re4-pipe and runs the demo pipeline on the sample in data/. Writes the page demo.html and
+# prints a score table.
 set -eu
 cd "$(dirname "$0")/.."
 scripts/setup.sh

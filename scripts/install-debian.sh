@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs Debian packages, as root or with sudo. The arguments: who asks, for its messages, and the packages.
+# Installs Debian packages, as root or with sudo. Arguments: the name of the calling script, for messages, and the packages.
 set -eu
 asker="$1"
 shift
@@ -14,8 +14,7 @@ if [ "$(id -u)" -ne 0 ]; then
     run=sudo
 fi
 echo "$asker: installing $*" >&2
-# A machine that was just started may be installing updates: others' locks are waited for, and lists that could not be had are
-# asked for again.
+# A machine that was just started may be installing updates, so this waits for locks and retries failed downloads of the lists.
 for left in 5 4 3 2 1 0; do
     if $run apt-get -o DPkg::Lock::Timeout=600 update -q >/dev/null; then
         break
@@ -25,5 +24,5 @@ for left in 5 4 3 2 1 0; do
     fi
     sleep 10
 done
-# sudo drops the caller's environment, so the variable is set behind it.
+# sudo drops the caller's environment, so the variable is set after it.
 $run env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=600 install -y -q --no-install-recommends "$@" >/dev/null

@@ -1,9 +1,9 @@
 #!/bin/sh
-# Runs the tests N times beside a load that keeps all processors and the disk busy, and counts what fails, test by test.
+# Runs the tests N times under a load that keeps all processors and the disk busy, and counts the failures of each test.
 #
 #   scripts/repeat-tests.sh N [cargo's arguments, as in -p re4-pipe kill::]
 #
-# RE4_LOAD says how many busy loops run (one a processor by default, 0 for a quiet machine). Logs are in target/repeated-tests.
+# RE4_LOAD is the number of busy loops (default: one per processor; 0: no load). Logs are in target/repeated-tests.
 set -eu
 cd "$(dirname "$0")/.."
 case "${1:-}" in
@@ -37,7 +37,7 @@ for _ in $(seq "$loops"); do
     load="$load $!"
 done
 if [ "$loops" -gt 0 ]; then
-    # 64 MiB again and again, each time to the disk.
+    # Writes 64 MiB repeatedly, each time synced to the disk.
     (while [ -d "$scratch" ]; do dd if=/dev/zero of="$scratch/load" bs=1M count=64 conv=fsync 2>/dev/null || true; done) &
     load="$load $!"
 fi

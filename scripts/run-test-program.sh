@@ -1,14 +1,14 @@
 #!/bin/sh
-# Runs one test program for cargo, so that a test that hangs does not hang the tests behind it: ends it, with all that it
-# started, after RE4_TEST_LIMIT seconds (2700 by default). All that it prints goes to a log below RE4_TEST_LOGS; in the end what
-# tests that passed printed is left out, but for the words of tests that were skipped. In RE4_TEST_LOGS
+# Runs one test program for cargo with a time limit, so that a hanging test does not block the following ones: after RE4_TEST_LIMIT
+# seconds (default 2700), the program and all processes that it started are killed. Its output goes to a log in RE4_TEST_LOGS. The
+# output of passed tests is removed from the log at the end, except for messages about skipped tests. In RE4_TEST_LOGS,
 #   results   gets a line `seconds exit-code package/program`
-#   failed    gets a line `package/program test` for each test that failed, and for each program that was ended or fell over
-#   skipped   gets a line `package/program test: why` for each test that says so
+#   failed    gets a line `package/program test` for each failed test, and for each program that was killed or crashed
+#   skipped   gets a line `package/program test: reason` for each skipped test
 set -u
 limit="${RE4_TEST_LIMIT:-2700}"
 logs="${RE4_TEST_LOGS:-}"
-# Lists of tests are no tests, and without a folder for logs there is nothing to note.
+# Listing tests runs none of them, and without a folder for logs nothing is recorded.
 case " $* " in *' --list '*) exec "$@" ;; esac
 if [ -z "$logs" ]; then
     exec timeout --kill-after=60 "$limit" "$@"
@@ -18,8 +18,8 @@ fi
 name="$(basename "$PWD")/$(basename "$1" | sed 's/-[0-9a-f]\{16\}$//')"
 log="$logs/$(echo "$name" | tr / .).log"
 start="$(date +%s)"
-# In a group of its own, so that what it started ends with it; an interrupt is handed on. The shell has commands in the background
-# ignore interrupts, which is none of the tests' business.
+# The program runs in its own process group, so that its child processes are killed with it, and interrupts are passed on. The shell
+# makes background commands ignore interrupts, which would break tests of interrupts.
 timeout --kill-after=60 "$limit" env --default-signal=INT,QUIT "$@" --show-output >"$log" 2>&1 &
 running=$!
 trap 'kill -TERM "$running" 2>/dev/null' INT TERM HUP
@@ -43,7 +43,7 @@ if [ "$code" -ne 0 ]; then
         case "$code" in
             101) ;;
             124 | 137)
-                # Those that were running, in all likelihood: tests begin in the order of their names.
+                # Probably the tests that were running, because tests start in the order of their names.
                 "$1" --list 2>/dev/null | sed -n 's/: test$//p' | while read -r test; do
                     grep -qF "test $test ... " "$log" || echo "$test"
                 done | head -n "${RUST_TEST_THREADS:-$(nproc)}" | tr '\n' ' ' |

@@ -1,12 +1,12 @@
 #!/bin/sh
-# Sets up what the tests need of Python and of a browser: Debian packages that are missing, and a virtual environment in
-# target/python with the packages that tests/requirements.txt pins. An environment that is up to date is left alone.
+# Installs Python and browser requirements of the tests: missing Debian packages, and a virtual environment in target/python with
+# the packages that tests/requirements.txt pins. An up-to-date environment is not changed.
 set -eu
 cd "$(dirname "$0")/.."
 environment=target/python
 stamp="$environment/requirements.sha256"
 
-# Python 3.11 or newer that can make virtual environments.
+# Whether this is Python 3.11 or newer with support for virtual environments.
 fits() {
     "$1" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1
 }
@@ -40,5 +40,5 @@ echo "setup-python: installing the packages of tests/requirements.txt into $envi
 rm -rf "$environment"
 "$base" -m venv "$environment"
 "$environment/bin/python" -m pip install --quiet --no-compile --disable-pip-version-check --no-input -r tests/requirements.txt
-# Last, so that what was interrupted is made anew.
+# Written last, so that an interrupted setup is repeated.
 echo "$wanted" > "$stamp"

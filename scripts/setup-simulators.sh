@@ -1,7 +1,7 @@
 #!/bin/sh
-# Sets up what simulating Lift, Can and Square takes, in data/simulators: MuJoCo's C library, in the versions that
-# robosuite 1.4.1 and 1.5.1 run on, and the meshes and textures of robosuite's scenes; and OSMesa from Debian, which renders
-# without a display. What is there and up to date is left alone. Some 205 MB are fetched; 65 MB stay.
+# Installs the requirements for simulating Lift, Can and Square to data/simulators: MuJoCo's C library in the versions of robosuite
+# 1.4.1 and 1.5.1, and the meshes and textures of robosuite's scenes. Also installs OSMesa from Debian, which renders without a
+# display. Up-to-date parts are not changed. Downloads about 205 MB, of which 65 MB are kept.
 set -eu
 cd "$(dirname "$0")/.."
 folder=data/simulators
@@ -19,7 +19,7 @@ has_pip() {
 missing=""
 PATH="$PATH:/usr/sbin:/sbin" ldconfig -p | grep -q 'libOSMesa\.so' || missing="$missing libosmesa6"
 
-# What a folder is made from; a folder that says otherwise is made anew.
+# The requirements that a folder was made from; a folder made from other ones is replaced.
 stamp_of() {
     { echo "$1"; cat scripts/unpack_simulator.py; } | sha256sum | cut -d' ' -f1
 }
@@ -60,14 +60,14 @@ for requirement in $outdated; do
     echo "setup-simulators: fetching $requirement" >&2
     echo "$line" > "$work/requirement.txt"
     mkdir "$work/wheel" "$work/$name"
-    # The wheel that the hash is of, whatever Python this machine has: nothing of it is run by Python.
+    # Downloads the wheel with this hash independent of the local Python version, since Python does not run any of it.
     "$python" -m pip download --quiet --disable-pip-version-check --no-input --no-deps --require-hashes \
         --only-binary=:all: --platform manylinux2014_x86_64 --python-version 3.11 --implementation cp \
         --dest "$work/wheel" -r "$work/requirement.txt"
     "$python" scripts/unpack_simulator.py "$work"/wheel/*.whl "$work/$name"
     stamp_of "$line" > "$work/$name/STAMP"
     chmod -R a+rX "$work/$name"
-    # Whole or not at all: an old folder goes only when the new one is complete.
+    # Replaced atomically: the old folder is removed only when the new one is complete.
     if [ -e "$folder/$name" ]; then mv "$folder/$name" "$work/old"; fi
     mv "$work/$name" "$folder/$name"
     rm -rf "$work/wheel" "$work/old"

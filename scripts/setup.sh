@@ -1,6 +1,5 @@
 #!/bin/sh
-# Installs what the build needs and this machine lacks: a C toolchain, the physics library Chipmunk and the HDF5 library, from
-# Debian.
+# Installs missing requirements of the build from Debian: a C toolchain, the physics library Chipmunk and the HDF5 library.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -12,7 +11,7 @@ fi
 missing=""
 command -v cc >/dev/null 2>&1 || missing="$missing gcc libc6-dev"
 [ -e /usr/include/chipmunk/chipmunk.h ] || missing="$missing libchipmunk-dev"
-# The build finds HDF5 by pkg-config.
+# The build finds HDF5 with pkg-config.
 command -v pkg-config >/dev/null 2>&1 || missing="$missing pkg-config"
 pkg-config --exists hdf5 2>/dev/null || missing="$missing libhdf5-dev"
 [ -n "$missing" ] || exit 0

@@ -1,9 +1,9 @@
-# What the scripts that run tests have in common; they read it with `.`, in the top folder of the repository.
+# Settings of the scripts that run tests. They source this file with `.` in the top folder of the repository.
 #
-# Tests that run Python (the notebook, the report in a browser) run where RE4_PYTHON names its interpreter, as here.
-# Tests that simulate Lift, Can and Square find MuJoCo and robosuite's assets where RE4_SIMULATORS names their folder.
-# Tests on the human Push-T demonstrations run where RE4_DATA names the folder that holds them, or where they lie in
-# ../shared/data; otherwise they say that they are skipped.
+# Tests that run Python (notebooks, reports in a browser) need its interpreter in RE4_PYTHON, which is set here.
+# Tests that simulate Lift, Can and Square find MuJoCo and robosuite's assets in the folder RE4_SIMULATORS.
+# Tests on the human Push-T demonstrations need them in the folder RE4_DATA or in ../shared/data; otherwise they report that they are
+# skipped.
 RE4_SIMULATORS="${RE4_SIMULATORS:-$PWD/data/simulators}"
 export RE4_SIMULATORS
 if [ -z "${RE4_PYTHON:-}" ] && [ -x target/python/bin/python ]; then
@@ -14,20 +14,20 @@ if [ -z "${RE4_DATA:-}" ] && [ -d ../shared/data/pusht ]; then
     RE4_DATA="$(cd ../shared/data && pwd)"
     export RE4_DATA
 fi
-# The tests' own servers are on this machine, where no proxy leads to.
+# The servers of the tests are on this machine and must not be reached through a proxy.
 no_proxy="${no_proxy:+$no_proxy,}127.0.0.1,localhost"
 NO_PROXY="${NO_PROXY:+$NO_PROXY,}127.0.0.1,localhost"
 export no_proxy NO_PROXY
-# Tests start programs, and browsers, with memory and threads of their own: not as many at once as a large machine has processors.
+# Tests start programs and browsers, which need memory and threads, so the number of concurrent tests is limited on large machines.
 if [ -z "${RUST_TEST_THREADS:-}" ] && [ "$(nproc)" -gt 8 ]; then
     export RUST_TEST_THREADS=8
 fi
 
-# What all tests are to cargo, but for those in documentation.
+# Arguments of cargo for all tests except documentation tests.
 ALL_TESTS="--workspace --lib --bins --tests"
 
-# Runs tests, each test program under scripts/run-test-program.sh, which leaves its notes in the folder $RE4_TEST_LOGS. The
-# arguments are cargo's and say which tests.
+# Runs tests, each test program under scripts/run-test-program.sh, which writes its records to the folder $RE4_TEST_LOGS. The
+# arguments select the tests and are passed to cargo.
 run_tests() {
     rm -rf "$RE4_TEST_LOGS"
     mkdir -p "$RE4_TEST_LOGS"

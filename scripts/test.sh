@@ -1,14 +1,14 @@
 #!/bin/sh
-# Sets up what is missing and runs every check: format, unit, property and end-to-end tests, documentation tests, lints. All of
-# them run, whichever fail; at the end stands what failed and what was skipped, and the exit code is 1 where anything failed.
-# scripts/test-environment.sh says what the tests need, scripts/run-test-program.sh what becomes of one that hangs. Logs of all
+# Installs missing requirements and runs all checks: format, unit, property and end-to-end tests, documentation tests, lints. All
+# checks run even if some fail. At the end it prints what failed and what was skipped; the exit code is 1 if anything failed.
+# scripts/test-environment.sh lists the requirements of the tests, scripts/run-test-program.sh handles hanging tests. Logs of all
 # test programs are in target/test-logs.
 set -eu
 cd "$(dirname "$0")/.."
 started="$(date +%s)"
 failed=""
 
-# check WHAT COMMAND...: runs it, and goes on where it fails.
+# check WHAT COMMAND...: runs a command, and continues if it fails.
 check() {
     what="$1"
     shift
@@ -17,9 +17,9 @@ check() {
   $what"
 }
 
-# Without these nothing can be built.
+# Nothing can be built without these, so their failure ends the script.
 scripts/setup.sh
-# Every package of the lock file, also those for other systems: the test of licences reads them all, without the network.
+# Fetches all packages of the lock file, including those for other systems, because the test of licences reads them offline.
 cargo fetch --locked
 check "setting up Python" scripts/setup-python.sh
 check "setting up the simulators" scripts/setup-simulators.sh

@@ -1,10 +1,10 @@
-"""Unpacks the part of a wheel that simulations need.
+"""Unpacks the files of a wheel that simulations need.
 
     python3 scripts/unpack_simulator.py WHEEL FOLDER
 
-A wheel of `mujoco` gives `libmujoco.so` and `include/`; a wheel of `robosuite` gives the files below `models/assets/` that the
-scenes of Lift, Can and Square name, for the Panda arm. The licences of the wheel lie beside them. Runs on Python 3.7 and
-newer, without any package.
+From a wheel of `mujoco`: `libmujoco.so` and `include/`. From a wheel of `robosuite`: the files below `models/assets/` to which the
+scenes of Lift, Can and Square with the Panda arm refer. Also unpacks the licences of the wheel. Runs on Python 3.7 and newer,
+without any package.
 """
 
 import fnmatch
@@ -13,7 +13,7 @@ import shutil
 import sys
 import zipfile
 
-# The files that the three scenes name, below `robosuite/models/assets/`.
+# The files to which the three scenes refer, below `robosuite/models/assets/`.
 ASSETS = [
     "grippers/meshes/panda_gripper/finger.stl",
     "grippers/meshes/panda_gripper/finger_longer.stl",
@@ -44,15 +44,15 @@ ASSETS = [
     "textures/steel-scratched.png",
     "textures/wood-tiles.png",
 ]
-# Scenes name textures as `arenas/../textures/…`: such a name is found only where the folder before `..` is.
+# Scenes refer to textures as `arenas/../textures/…`. The system resolves such a path only if the folder before `..` exists.
 EMPTY_FOLDERS = ["arenas"]
-# robosuite 1.5 keeps the same mesh in another folder; everything else that its three scenes name is as in 1.4.1, but for
-# comments in the arm's `.obj` files.
+# robosuite 1.5 has the same mesh in another folder. All other files of its three scenes equal those of 1.4.1, except for comments
+# in the arm's `.obj` files.
 COPIES = {"mounts/meshes/rethink_mount/pedestal.stl": "bases/meshes/rethink_mount/pedestal.stl"}
 
 
 def target_of(name):
-    """Where the wheel's file `name` goes, or None."""
+    """The target path of the wheel's file `name`, or None if it is not needed."""
     parts = name.split("/")
     if parts[0].endswith(".dist-info"):
         return parts[-1] if parts[-1].startswith("LICENSE") else None
@@ -87,7 +87,7 @@ def main(wheel, folder):
             (assets / copy).parent.mkdir(parents=True)
             shutil.copyfile(assets / source, assets / copy)
     if unpacked == 0:
-        sys.exit(f"unpack_simulator: {wheel} holds nothing that is wanted")
+        sys.exit(f"unpack_simulator: {wheel} contains none of the needed files")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-//! ARCHITECTURE.md names the crates there are, and dependencies point down only.
+//! ARCHITECTURE.md lists all crates, and dependencies between crates follow its rules.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::support::repository;
 
-/// Crates of the workspace and the crates of the workspace that they need to be built, tests aside.
+/// The crates of the workspace, and for each the workspace crates that it depends on (without dev-dependencies).
 fn crates() -> BTreeMap<String, BTreeSet<String>> {
     let output = Command::new(env!("CARGO"))
         .args([
@@ -32,14 +32,14 @@ fn crates() -> BTreeMap<String, BTreeSet<String>> {
         .map(|package| {
             let needs = package["dependencies"].as_array().unwrap().iter();
             let needs = needs.filter(|dependency| dependency["kind"] != "dev").map(name);
-            // What errors say is below all others.
+            // Every crate may depend on the crate of error messages.
             let needs = needs.filter(|need| members.contains(need) && !need.starts_with("re4-fault"));
             (name(package), needs.collect())
         })
         .collect()
 }
 
-/// Names in backticks in the first column of the Markdown tables of a text, where they are names of crates.
+/// Names of crates in backticks in the first column of the Markdown tables of a text.
 fn listed(text: &str) -> Vec<String> {
     let cells = text
         .lines()
@@ -81,11 +81,11 @@ fn dependencies_point_down() {
     assert!(needs("re4-geometry").is_empty(), "re4-geometry is at the bottom");
     assert_eq!(needs("re4-task").iter().collect::<Vec<_>>(), ["re4-geometry"]);
     assert_eq!(needs("re4-episode").iter().collect::<Vec<_>>(), ["re4-geometry"]);
-    // Pages are made of artifacts, whoever made them.
+    // Pages are made from artifacts only.
     for maker in ["re4-mujoco", "re4-encoder"] {
         assert!(!needs("re4-report").contains(maker), "re4-report needs {maker}");
     }
-    // Poses and modes are cells of tables; of what tables are about, it knows nothing.
+    // Poses and modes are types of table cells; apart from these, the crate of artifacts does not depend on robotics crates.
     assert_eq!(
         needs("re4-artifact").iter().collect::<Vec<_>>(),
         ["re4-episode", "re4-geometry"]
@@ -93,13 +93,13 @@ fn dependencies_point_down() {
     for name in ["re4-fetch", "re4-stats"] {
         assert!(
             needs(name).is_empty(),
-            "{name} knows nothing of robots: {:?}",
+            "{name} depends on a robotics crate: {:?}",
             needs(name)
         );
     }
 }
 
-/// The files below a folder that hold Rust, and their text.
+/// All Rust files below a folder, with their text.
 fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -114,8 +114,8 @@ fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     files
 }
 
-/// A stage knows the others by their artifacts. So whatever path begins at `stages` names the file's own stage, and `super`
-/// does not lead out of it.
+/// Stages exchange data only through artifacts. So a path that begins at `stages` has to name the file's own stage, and `super`
+/// must not leave the stage.
 #[test]
 fn no_stage_imports_another() {
     let stages = repository().join("crates/re4-stages/src/stages");
@@ -130,7 +130,8 @@ fn no_stage_imports_another() {
         for line in text.lines() {
             let named = line.split("stages::").nth(1);
             let foreign = named.is_some_and(|rest| !rest.starts_with(own));
-            // In a file of depth 1, `super` is the module of all stages; a test module is one deeper.
+            // In a file of depth 1, `super` is the module of all stages. A test module is one level deeper, so its `use super::*`
+            // is fine.
             let leads_out = line.contains(&"super::".repeat(depth)) && !line.trim_start().starts_with("use super::*");
             assert!(
                 !foreign && !leads_out,
@@ -141,7 +142,7 @@ fn no_stage_imports_another() {
     }
 }
 
-/// The program holds arguments, printing and exit codes.
+/// The program crate contains only arguments, printing and exit codes.
 #[test]
 fn the_program_is_thin() {
     let files = sources(&repository().join("crates/re4-pipe/src"));
@@ -149,9 +150,9 @@ fn the_program_is_thin() {
     assert!(lines < 3000, "re4-pipe has {lines} lines");
 }
 
-/// A file is one story, and none needs more than this.
+/// Limits the length of all source files.
 #[test]
-fn no_file_is_long() {
+fn source_files_are_short() {
     for package in crates().keys() {
         for (path, text) in sources(&repository().join("crates").join(package).join("src")) {
             let lines = text.lines().count();

@@ -1,5 +1,5 @@
-//! The audit from end to end: on the invented demonstrations, whose faults are known, on Push-T, and on scripted demonstrations
-//! where they are at hand.
+//! End-to-end tests of the audit: on the synthetic demonstrations in `data/`, whose errors are known, on Push-T, and on scripted
+//! demonstrations if they are installed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,7 +10,7 @@ use insta::assert_snapshot;
 use re4_artifact::Stage;
 use serde_json::Value;
 
-/// Runs a command on a pipeline of the repository.
+/// Runs a command with a pipeline of the repository.
 fn on(place: &Place, data: &Path, command: &str, pipeline: &str, more: &str) -> Answer {
     let output = place
         .command()
@@ -33,7 +33,7 @@ fn on_sample(place: &Place, command: &str, more: &str) -> Answer {
     )
 }
 
-/// Codes of the findings of every demonstration that has any, those of some severities.
+/// Codes of the findings with these severities, by demonstration.
 fn codes(answer: &Value, severities: &[&str]) -> BTreeMap<String, Vec<String>> {
     let mut found: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for finding in answer["findings"].as_array().unwrap() {
@@ -51,9 +51,9 @@ fn codes(answer: &Value, severities: &[&str]) -> BTreeMap<String, Vec<String>> {
     found
 }
 
-/// `data/README.md` says which demonstration has which fault. All others have none, and get nothing worse than a note.
+/// `data/README.md` lists the demonstrations with errors. All others have none, and get only notes.
 #[test]
-fn each_invented_fault_is_found_and_nothing_else() {
+fn known_errors_are_found_and_nothing_else() {
     let place = Place::empty();
     let answer = on_sample(&place, "audit", "--json --quiet").done().json();
     let expected: BTreeMap<String, Vec<String>> = [
@@ -90,18 +90,18 @@ fn each_invented_fault_is_found_and_nothing_else() {
     assert_eq!(
         notes.len(),
         19,
-        "goals that point down pass the seam in every demonstration"
+        "the rotation vectors of downward goals jump near pi in every demonstration"
     );
 }
 
 #[test]
-fn an_audit_is_readable() {
+fn printed_audit() {
     let place = Place::empty();
     assert_snapshot!(on_sample(&place, "audit", "--quiet").done().stdout);
 }
 
 #[test]
-fn a_gate_fails_after_everything_is_written() {
+fn a_failing_gate_still_writes_everything() {
     let place = Place::empty();
     for (gate, code) in [("", 0), ("--fail-on error", 1), ("--fail-on warning", 1)] {
         let answer = on_sample(&place, "audit", &format!("--json --quiet {gate}"));
@@ -112,12 +112,12 @@ fn a_gate_fails_after_everything_is_written() {
 
     let pushes = Place::new();
     let answer = pushes.run("audit small.toml --json --quiet --fail-on error");
-    assert_eq!(answer.code, Some(0), "nothing worse than warnings: {}", answer.stderr);
+    assert_eq!(answer.code, Some(0), "an error was found: {}", answer.stderr);
     assert_eq!(answer.json()["summary"]["errors"], 0);
 }
 
 #[test]
-fn the_same_bytes_for_any_number_of_threads() {
+fn bytes_do_not_depend_on_the_number_of_threads() {
     let [one, three] = [1, 3].map(|jobs| {
         let place = Place::empty();
         on_sample(&place, "audit", &format!("--jobs {jobs}")).done();
@@ -127,7 +127,7 @@ fn the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
-fn what_the_json_says_is_what_the_tables_say() {
+fn json_output_matches_the_tables() {
     let place = Place::empty();
     let answer = on_sample(&place, "audit", "--json --quiet").done().json();
     let findings = answer["findings"].as_array().unwrap();
@@ -167,7 +167,7 @@ fn what_the_json_says_is_what_the_tables_say() {
 }
 
 #[test]
-fn segmenting_audits_too() {
+fn segment_also_runs_the_audit() {
     let place = Place::empty();
     let answer = on_sample(&place, "segment", "--quiet").done();
     let last = answer.stdout.lines().last().unwrap();
@@ -182,7 +182,7 @@ fn segmenting_audits_too() {
 }
 
 #[test]
-fn thresholds_can_be_set_and_have_to_make_sense() {
+fn thresholds_can_be_set_and_are_checked() {
     let place = Place::empty();
     let set = on_sample(
         &place,
@@ -191,7 +191,11 @@ fn thresholds_can_be_set_and_have_to_make_sense() {
     );
     let found = codes(&set.done().json(), &["error", "warning"]);
     assert!(!found.contains_key("demo_6"), "{found:?}");
-    assert_eq!(found["demo_11"], ["regrasp"], "what is no flicker is a second transfer");
+    assert_eq!(
+        found["demo_11"],
+        ["regrasp"],
+        "a grasp that is not a flicker is a second transfer"
+    );
     let refusals = [
         on_sample(&place, "audit", "--set audit.flicker=-1").refused(),
         on_sample(&place, "audit", "--set audit.flikker=1").refused(),
@@ -207,8 +211,8 @@ fn thresholds_can_be_set_and_have_to_make_sense() {
     );
 }
 
-/// Retries of the scripted demonstrations, as seen in plots of fingers, heights and distances: first grasps that miss, and first
-/// grasps that hold and are let go of again.
+/// Retries in the scripted demonstrations, read off plots of fingers, heights and distances: first grasps that miss, and first
+/// grasps that hold the object and release it again.
 const MISSED: [(&str, &[u32]); 3] = [
     ("lift", &[1, 14, 32, 135, 149, 190, 198]),
     ("can", &[7, 63, 88, 93, 95, 102, 121, 145, 147, 152, 185, 186, 188]),
@@ -221,7 +225,7 @@ const LET_GO: [(&str, &[u32]); 3] = [
 ];
 
 #[test]
-fn every_retry_of_the_scripted_demonstrations_is_found_and_no_error_beside() {
+fn retries_of_the_scripted_demonstrations_are_found_and_no_other_errors() {
     let Some(data) = real_data() else { return };
     if !data.join("robomimic-scripted").is_dir() {
         println!("skipped: no robomimic-scripted in RE4_DATA");
@@ -255,9 +259,9 @@ fn every_retry_of_the_scripted_demonstrations_is_found_and_no_error_beside() {
     }
 }
 
-/// The table of checks in the documentation is what the code says; `RE4_UPDATE=1` writes it.
+/// The table of checks in the documentation has to match the code; `RE4_UPDATE=1` updates it.
 #[test]
-fn the_documented_checks_are_up_to_date() {
+fn documented_checks_are_up_to_date() {
     let path = repository().join("docs/reference/audit-checks.md");
     let text = fs::read_to_string(&path).unwrap();
     let (before, rest) = text.split_once("<!-- checks -->\n").unwrap();

@@ -1,11 +1,11 @@
-"""Looks at the page of an audit in headless Chromium and compares it with what it was made from.
+"""Checks the page of an audit in headless Chromium against the data from which it was made.
 
     python tests/audit_page.py PAGE.html EXPECTED.json [--many]
 
-EXPECTED.json holds the figures that the page has to show: frames by mode, findings by severity and by code, grasps by outcome,
+EXPECTED.json contains the figures that the page has to show: frames by mode, findings by severity and by code, grasps by outcome,
 values at the third frame, and for every demonstration its number, name, frames and counts. With --many, the page has hundreds of
-demonstrations, and scrolling through all of them is measured. Needs selenium, and Debian's chromium and chromium-driver. Ends
-with exit code 1 and a sentence on the first thing that is not as it should be.
+demonstrations, and the frame times of scrolling through all of them are measured. Needs selenium, and Debian's chromium and
+chromium-driver. Exits with code 1 and a sentence about the first difference.
 """
 
 import json
@@ -21,8 +21,8 @@ from selenium.webdriver.support.ui import Select
 
 SEVERITIES = ["error", "warning", "note"]
 
-# Scrolls from top to bottom, one step a frame of the screen, and notes times and how many rows were drawn. At the bottom it waits
-# for the last rows.
+# Scrolls from top to bottom, one step per screen frame, and records the times and the numbers of rendered rows. At the bottom it
+# waits for the last rows.
 SCROLL = """
 const [rows, done] = arguments;
 const host = document.getElementById("timeline-rows");
@@ -48,9 +48,9 @@ requestAnimationFrame(tick);
 """
 
 
-def check(holds, what):
-    if not holds:
-        sys.exit(f"{what}")
+def check(condition, message):
+    if not condition:
+        sys.exit(message)
 
 
 def equal(found, expected, what):
@@ -85,7 +85,7 @@ class Page:
         return self.driver.execute_script(script, *arguments)
 
     def settle(self):
-        """Waits until what was asked for is drawn."""
+        """Waits until pending changes are rendered."""
         self.run("return new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
 
     def one(self, selector):
@@ -108,7 +108,7 @@ class Page:
         self.settle()
 
     def rows(self):
-        """Numbers of the demonstrations in the order of the rows: walks them with the keyboard."""
+        """Numbers of the demonstrations in the order of the rows, read with the keyboard."""
         rows = self.one("#timeline-rows")
         rows.send_keys(Keys.HOME)
         numbers = [self.chosen()]
@@ -126,11 +126,11 @@ class Page:
         return first, self.chosen()
 
     def image(self):
-        """What the timelines look like, as one number."""
+        """A hash of the image of the timelines."""
         return hash(self.run("return document.getElementById('timeline-canvas').toDataURL()"))
 
 
-def figures_are_the_audits(page, expected):
+def figures_match_the_audit(page, expected):
     equal(page.fact("demos"), len(expected["demos"]), "demonstrations")
     for name in ["frames", "transit_frames", "transfer_frames"]:
         equal(page.fact(name), expected[name], name)
@@ -140,7 +140,7 @@ def figures_are_the_audits(page, expected):
         equal(page.one(f".severity[data-severity={severity}] b").text, str(found), f"{severity} in words")
     for code, (findings, episodes) in expected["codes"].items():
         if findings == 0:
-            check(page.all(f"[data-silent={code}]"), f"no word about the silent check {code}")
+            check(page.all(f"[data-silent={code}]"), f"the check {code}, which has no findings, is not listed")
             continue
         chip = page.one(f".chip[data-code={code}]")
         found = [int(chip.get_attribute(f"data-{name}")) for name in ["findings", "episodes"]]
@@ -152,7 +152,7 @@ def figures_are_the_audits(page, expected):
         equal(float(page.one(f"[data-contacts={name}]").get_attribute("data-value")), value, f"steps: {name}")
 
 
-def every_demonstration_has_its_own(page, expected):
+def demonstrations_show_their_evidence(page, expected):
     """Choosing a demonstration shows its figures, findings and evidence."""
     worst = sorted(expected["demos"], key=lambda d: [-d[s] for s in SEVERITIES] + [d["number"]])
     images = set()
@@ -173,7 +173,7 @@ def every_demonstration_has_its_own(page, expected):
 
 
 def orders_change_the_rows(page, expected):
-    """The first and the last row of every order are what they have to be."""
+    """Every order has the correct first and last row."""
     demos = expected["demos"]
     page.open()
     keys = {
@@ -214,7 +214,7 @@ def filters_change_the_rows(page, expected):
         page.press(f".severity[data-severity={severity}]")
         equal(page.shown(), episodes, f"rows with a finding of severity {severity}")
         page.press("#clear-filters")
-    equal(page.shown(), len(expected["demos"]), "rows after all filters were taken back")
+    equal(page.shown(), len(expected["demos"]), "rows after all filters were removed")
     text = page.one("#filter-text")
     name = expected["demos"][-1]["name"]
     text.send_keys(name)
@@ -223,17 +223,17 @@ def filters_change_the_rows(page, expected):
     text.send_keys("no such words")
     page.settle()
     equal(page.shown(), 0, "rows with words that do not occur")
-    check(page.one("#no-rows").is_displayed(), "no word about an empty list")
+    check(page.one("#no-rows").is_displayed(), "an empty list has no note")
     page.press("#clear-filters")
     page.settle()
-    equal(page.image(), whole, "timelines after all filters were taken back")
+    equal(page.image(), whole, "timelines after all filters were removed")
     page.press("input[name=scale][value=fraction]")
     lengths = {demo["frames"] for demo in expected["demos"]}
-    check((page.image() != whole) == (len(lengths) > 1), "the scale changes rows if and only if lengths differ")
+    check((page.image() != whole) == (len(lengths) > 1), "the scale has to change rows if and only if lengths differ")
     page.press("input[name=scale][value=frames]")
 
 
-def findings_lead_to_their_frames(page, expected):
+def findings_show_their_frames(page, expected):
     demo = max(expected["demos"], key=lambda d: sum(d[s] for s in SEVERITIES))
     page.open(address(demo))
     if not page.all("#evidence-findings button"):
@@ -267,39 +267,39 @@ def crosshair_reads_values(page, expected):
         equal(len(values), len(panel["values"]), f"values of {panel['title']}")
         for found, stated in zip(values, panel["values"]):
             if stated is None:
-                check(found in ("", "NaN"), f"{panel['title']}: {found} where nothing was measured")
+                check(found in ("", "NaN"), f"{panel['title']}: {found} instead of no value")
             else:
                 check(abs(float(found) - stated) <= 1e-6 * max(abs(stated), 1e-30), f"{panel['title']}: {found} is not {stated}")
 
 
 def address(demo):
-    """The place of a demonstration in the page's address."""
+    """The fragment of a demonstration's address."""
     return f"#demo={quote(demo['name'])}"
 
 
-def addresses_lead_to_places(page, expected):
+def addresses_open_demonstrations(page, expected):
     by_number = {demo["number"]: demo for demo in expected["demos"]}
     first, last = expected["demos"][0], expected["demos"][-1]
     page.open(address(last) + "&frames=2-6")
     equal(page.chosen(), last["number"], "demonstration of the address")
     equal([page.one("#evidence-plots").get_attribute(f"data-{name}") for name in ["first", "end"]], ["2", "7"], "frames of the address")
-    check(not page.one("#address-notice").is_displayed(), "a warning about a good address")
+    check(not page.one("#address-notice").is_displayed(), "there is a warning about a valid address")
     page.open(address(first))
     equal(page.chosen(), first["number"], "demonstration of another address")
     for dead, words in [("#demo=123456", "123456"), (address(last) + "&frames=5-999999", "999999"), ("#nowhere", "#nowhere")]:
         page.open(dead)
         page.run("return new Promise(done => setTimeout(done, 400))")
         notice = page.one("#address-notice")
-        check(notice.is_displayed() and words in notice.text, f"no word about the dead address {dead}: {notice.text!r}")
-        check(page.all("#evidence-plots .panel"), f"nothing is shown after the dead address {dead}")
+        check(notice.is_displayed() and words in notice.text, f"there is no warning about the invalid address {dead}: {notice.text!r}")
+        check(page.all("#evidence-plots .panel"), f"nothing is shown after the invalid address {dead}")
     page.one("#timeline-rows").send_keys(Keys.END)
     page.one("#timeline-rows").send_keys(Keys.HOME)
-    check(not page.one("#address-notice").is_displayed(), "the warning stays after a choice")
+    check(not page.one("#address-notice").is_displayed(), "the warning is still shown after a choice")
     browser.wait(page.driver, lambda: page.driver.current_url.endswith(address(by_number[page.chosen()])))
 
 
 def marks_can_be_clicked(page, expected):
-    """A click on a row chooses it, one on a grasp its demonstration."""
+    """A click on a row selects it, and a click on a grasp selects its demonstration."""
     page.open()
     rows = page.one("#timeline-rows")
     before = page.chosen()
@@ -307,7 +307,7 @@ def marks_can_be_clicked(page, expected):
              "{clientX: b.left + 30, clientY: b.top + 18 + 9, bubbles: true}))", rows)
     page.settle()
     if len(expected["demos"]) > 1:
-        check(page.chosen() != before, "a click on the second row does not choose it")
+        check(page.chosen() != before, "a click on the second row does not select it")
     canvases = page.all("canvas.grasps")
     check(canvases or not expected["grasps"], "no plots of grasps")
     for canvas in canvases if expected["grasps"] is not None else []:
@@ -318,7 +318,7 @@ def marks_can_be_clicked(page, expected):
         for _ in range(8):
             canvases[0].send_keys(Keys.ARROW_RIGHT)
             seen.add(page.chosen())
-        check(len(seen) > 1, "arrow keys among the grasps choose nothing")
+        check(len(seen) > 1, "arrow keys among the grasps select nothing")
     for outcome, count in expected["outcomes"].items():
         equal(page.one(f"#grasp-legend [data-outcome='{outcome}']").get_attribute("data-count"), str(count), f"grasps {outcome}")
 
@@ -330,7 +330,7 @@ def controls_have_names(page):
     check(not names, f"controls without a name: {names}")
 
 
-def widths_and_schemes_hold(page):
+def page_fits_widths_and_schemes(page):
     images = set()
     for width in [1440, 1024, 768, 380]:
         for dark in [False, True]:
@@ -345,8 +345,8 @@ def widths_and_schemes_hold(page):
     page.settle()
 
 
-def it_prints(page, expected):
-    """On paper all rows are there, and the screen is as before afterwards."""
+def page_prints(page, expected):
+    """All rows are printed, and afterwards the screen is as before."""
     page.open()
     drawn = page.run("window.dispatchEvent(new Event('beforeprint')); return document.getElementById('timeline-rows').dataset.drawn")
     equal(int(drawn), len(expected["demos"]), "rows on paper")
@@ -355,21 +355,21 @@ def it_prints(page, expected):
     check(len(page.driver.execute_cdp_cmd("Page.printToPDF", {})["data"]) > 10_000, "the printed page is empty")
 
 
-def scrolling_draws_few_rows(page, expected):
+def scrolling_renders_few_rows(page, expected):
     page.open()
     measured = page.driver.execute_async_script(SCROLL, len(expected["demos"]))
     times = sorted(measured["times"])
     at = lambda part: times[min(len(times) - 1, int(part * len(times)))]
-    most = max(measured["drawn"])
+    maximum = max(measured["drawn"])
     print(f"scrolling through {len(expected['demos'])} demonstrations: frames p50 {at(0.5):.1f} ms, p99 {at(0.99):.1f} ms, "
-          f"at most {most} rows a frame, {len(measured['long'])} long tasks, longest {max(measured['long'], default=0):.0f} ms")
+          f"at most {maximum} rows per frame, {len(measured['long'])} long tasks, longest {max(measured['long'], default=0):.0f} ms")
     equal(measured["last"], len(expected["demos"]), "row after the last one in view, at the bottom")
-    check(most <= measured["height"] / 18 + 2, f"{most} rows are drawn in a frame")
+    check(maximum <= measured["height"] / 18 + 2, f"{maximum} rows are rendered in a frame")
     elements = page.run("return document.querySelectorAll('*').length")
     check(elements < 2500, f"the page has {elements} elements")
 
 
-def nothing_was_loaded(page):
+def no_files_were_loaded(page):
     entries = page.run("return performance.getEntriesByType('resource').map(entry => entry.name)")
     check(all(name.startswith("data:") for name in entries), f"the page loaded {entries}")
     log = page.driver.get_log("browser")
@@ -382,23 +382,23 @@ def main():
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(Path(path), profile)
         try:
-            figures_are_the_audits(page, expected)
-            every_demonstration_has_its_own(page, expected)
+            figures_match_the_audit(page, expected)
+            demonstrations_show_their_evidence(page, expected)
             orders_change_the_rows(page, expected)
             filters_change_the_rows(page, expected)
-            findings_lead_to_their_frames(page, expected)
+            findings_show_their_frames(page, expected)
             crosshair_reads_values(page, expected)
-            addresses_lead_to_places(page, expected)
+            addresses_open_demonstrations(page, expected)
             marks_can_be_clicked(page, expected)
             controls_have_names(page)
-            widths_and_schemes_hold(page)
-            it_prints(page, expected)
+            page_fits_widths_and_schemes(page)
+            page_prints(page, expected)
             if "--many" in more:
-                scrolling_draws_few_rows(page, expected)
-            nothing_was_loaded(page)
+                scrolling_renders_few_rows(page, expected)
+            no_files_were_loaded(page)
         finally:
             page.driver.quit()
-    print(f"{Path(path).name}: the page shows what the audit of {len(expected['demos'])} demonstrations holds")
+    print(f"{Path(path).name}: the page matches the audit of {len(expected['demos'])} demonstrations")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-//! The page of an audit: its figures are the artifact's, it needs nothing but itself, and it works in a browser.
+//! The HTML page of an audit: its figures are those of the artifact, it loads no other files, and it works in a browser.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::support::{Place, invented, repository};
+use crate::support::{Place, repository, synthetic_audit};
 use re4_artifact::Row as _;
 use re4_artifact::episodes::{FrameRow, SpatialColumns};
 use re4_artifact::{Artifact, Stage, TableSpec, col_f64_or_null, col_text, col_u32, col_u32_or_null};
@@ -14,10 +14,10 @@ use re4_report::html::audit::{Audit, page};
 use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use serde_json::{Map, Value, json};
 
-/// The largest page for 600 demonstrations of a hundred and some frames.
+/// Maximum size of a page for 600 demonstrations of somewhat over 100 frames.
 const LARGEST: usize = 8_000_000;
 
-/// What `tests/audit_page.py` compares the page with.
+/// The expected contents, with which `tests/audit_page.py` compares the page.
 fn expected(audit: &Audit) -> Value {
     let of = |severity| audit.findings.iter().filter(|f| f.severity == severity).count();
     let codes: Map<String, Value> = audit
@@ -60,7 +60,7 @@ fn python() -> Option<PathBuf> {
     python
 }
 
-/// Looks at a page in the browser; what the script says.
+/// Checks a page in the browser. Returns the output of the script.
 #[track_caller]
 fn look(python: &Path, page: &Path, expected: &Value, more: &[&str]) -> String {
     let summary = page.with_extension("json");
@@ -71,21 +71,21 @@ fn look(python: &Path, page: &Path, expected: &Value, more: &[&str]) -> String {
         .args(more)
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    println!("{said}");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    println!("{text}");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    said
+    text
 }
 
 #[test]
 fn hundreds_of_demonstrations_work_in_a_browser() {
-    let audit = invented::audit(600);
+    let audit = synthetic_audit::audit(600);
     let text = page(&audit);
     println!("600 demonstrations: {} bytes", text.len());
     assert!(text.len() < LARGEST, "{} bytes", text.len());
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let place = folder.path().join("invented.html");
+    let place = folder.path().join("synthetic.html");
     fs::write(&place, text).unwrap();
     look(&python, &place, &expected(&audit), &["--many"]);
 }
@@ -95,33 +95,33 @@ fn a_single_demonstration_works_in_a_browser() {
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("one.html");
-    let audit = invented::audit(1);
+    let audit = synthetic_audit::audit(1);
     fs::write(&place, page(&audit)).unwrap();
     look(&python, &place, &expected(&audit), &[]);
 }
 
 #[test]
-fn the_page_needs_nothing_but_itself() {
-    let text = page(&invented::audit(3));
+fn the_page_loads_no_other_files() {
+    let text = page(&synthetic_audit::audit(3));
     let addresses: Vec<&str> = text
         .match_indices("://")
         .map(|(at, _)| text[..at].rsplit(['"', '\'', ' ', '(']).next().unwrap_or_default())
         .collect();
-    // The name of the SVG language, which nothing loads.
+    // The SVG namespace is a name and is not loaded.
     assert_eq!(addresses, ["http"], "{addresses:?}");
     assert!(text.contains("default-src 'none'"));
     assert!(!text.contains(" src="));
-    // What a finding says cannot end the script that holds it: two scripts begin, two end.
+    // A finding that contains `</script>` must not end the script element: two script elements begin, and two end.
     assert_eq!(text.matches("</script>").count(), 2);
 }
 
 #[test]
 fn the_same_audit_gives_the_same_page() {
-    assert!(page(&invented::audit(5)) == page(&invented::audit(5)));
-    assert!(page(&invented::audit(5)) != page(&invented::audit(6)));
+    assert!(page(&synthetic_audit::audit(5)) == page(&synthetic_audit::audit(5)));
+    assert!(page(&synthetic_audit::audit(5)) != page(&synthetic_audit::audit(6)));
 }
 
-/// A place with the sample of pick-and-place demonstrations.
+/// A folder with the sample of pick-and-place demonstrations.
 fn can() -> Place {
     let place = Place::empty();
     fs::copy(
@@ -136,7 +136,7 @@ fn can() -> Place {
     place
 }
 
-/// What the page of these artifacts has to show: counts as `audit --json` tells them, the rest from the tables.
+/// The expected contents of the page: counts from the output of `audit --json`, everything else from the tables.
 fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static TableSpec, &[&str])]) -> Value {
     let summary = &answer["summary"];
     let mut codes = Map::new();
@@ -197,7 +197,7 @@ fn expected_of(place: &Place, answer: &Value, panels: &[(&str, Stage, &'static T
 }
 
 #[test]
-fn figures_are_those_that_audit_prints() {
+fn figures_match_the_printed_audit() {
     let place = can();
     let answer = place.run("audit can.toml --html page.html --json").done().json();
     let page = place.path().join("page.html");
@@ -220,7 +220,7 @@ fn figures_are_those_that_audit_prints() {
             of("Grip site to object", &["eef_object_distance"]),
         ],
     );
-    // Something to see: findings of several kinds, and grasps that were missed.
+    // The sample has findings of several kinds, and missed grasps.
     assert!(expected["severities"]["error"].as_u64().unwrap() > 0, "{expected}");
     assert!(expected["outcomes"]["missed"].as_u64().unwrap() > 0, "{expected}");
     let text = fs::read_to_string(&page).unwrap();
@@ -242,7 +242,7 @@ fn figures_are_those_that_audit_prints() {
 }
 
 #[test]
-fn push_t_has_contacts_in_place_of_grasps() {
+fn push_t_shows_contacts_instead_of_grasps() {
     let place = Place::new();
     let answer = place
         .run("audit small.toml --no-images --html page.html --json")
@@ -268,17 +268,17 @@ fn push_t_has_contacts_in_place_of_grasps() {
 }
 
 #[test]
-fn the_page_is_there_whole_or_not_at_all() {
+fn the_page_is_written_atomically() {
     let place = can();
     for path in ["nowhere/page.html", "data"] {
         let refusal = place.run(&format!("audit can.toml --html {path}")).refused_at_once();
         assert!(refusal.contains(&format!("cannot write the page {path}")), "{refusal}");
-        assert!(!place.artifacts().exists(), "work was done before the refusal");
+        assert!(!place.artifacts().exists(), "a stage ran before the error");
     }
     let first = place.run("audit can.toml --html page.html --json").done();
     let page = fs::read_to_string(place.path().join("page.html")).unwrap();
     assert!(first.stderr.contains("page  page.html  "), "{}", first.stderr);
-    // The same bytes from artifacts that are there already, on one thread, over another file, by a gate that fails.
+    // The page has the same bytes if artifacts exist already, on one thread, if it replaces a file, and with a failing gate.
     fs::write(place.path().join("other.html"), "old").unwrap();
     let failed = place.run("audit can.toml --html other.html --jobs 1 --fail-on error");
     assert_eq!(failed.code, Some(1), "{}", failed.stderr);

@@ -1,5 +1,6 @@
-//! What goes wrong in datasets, artifacts and on disks: exit code 2, one sentence that says what, where and how to fix,
-//! nothing half-written, and once it is fixed the same bytes as if nothing had happened.
+//! Damaged datasets, damaged artifacts and disk errors: the program exits with code 2 and prints one sentence with the error, its
+//! place and a remedy; it leaves nothing half-written; and once the input is fixed, it writes the same bytes as without the
+//! error.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -34,7 +35,7 @@ fn datasets_that_cannot_be_ingested() {
             fs::create_dir(path).unwrap();
         }),
         ("not a zarr", |path| fs::remove_file(path.join(".zgroup")).unwrap()),
-        ("a file that is no zip", |path| {
+        ("not a zip file", |path| {
             fs::remove_dir_all(path).unwrap();
             fs::write(path, "pusht").unwrap();
         }),
@@ -67,10 +68,10 @@ fn datasets_that_cannot_be_ingested() {
         ("wrong length", |path| {
             replace(path, "data/action", "<f4", &[FRAMES - 1, 2], &[0; (FRAMES - 1) * 8]);
         }),
-        ("episode ends that fall", |path| {
+        ("decreasing episode ends", |path| {
             replace_ends(path, &[70, 140, 139, FRAMES as i64]);
         }),
-        ("episode ends that stay", |path| {
+        ("repeated episode ends", |path| {
             replace_ends(path, &[70, 70, FRAMES as i64]);
         }),
         ("episode ends from zero", |path| {
@@ -94,7 +95,7 @@ fn datasets_that_cannot_be_ingested() {
         sentences.push(format!("{what}\n  {}", place.run("run small.toml").refused_at_once()));
         assert!(
             place.bytes().is_empty() && place.temporaries().is_empty(),
-            "{what} left something"
+            "{what}: files were left"
         );
     };
     for (what, damage) in damages {
@@ -114,21 +115,21 @@ fn datasets_that_cannot_be_ingested() {
 #[test]
 fn zip_files_that_cannot_be_read() {
     let place = Place::empty();
-    let say = |name: &str| {
+    let error_of = |name: &str| {
         let arguments = format!("run small.toml --set ingest.source={name}");
         place.run(&arguments).refused_at_once()
     };
-    place.write("data/text.zip", "this is no zip file");
+    place.write("data/text.zip", "this is not a zip file");
     place.write("data/empty.zip", "");
-    // The end record of a zip without entries.
+    // The end record of a zip file without entries.
     place.write("data/hollow.zip", [b"PK\x05\x06".as_slice(), &[0; 18]].concat());
-    let sentences = ["text.zip", "empty.zip", "hollow.zip", "absent.zip"].map(say);
+    let sentences = ["text.zip", "empty.zip", "hollow.zip", "absent.zip"].map(error_of);
     assert_snapshot!(sentences.join("\n"));
     assert!(place.bytes().is_empty());
 }
 
 #[test]
-fn a_fixed_dataset_gives_the_bytes_of_a_sound_one() {
+fn a_repaired_dataset_gives_the_same_bytes() {
     let place = Place::new();
     let chunk = place.dataset().join("data/img/3.0.0.0");
     let sound = fs::read(&chunk).unwrap();
@@ -142,7 +143,7 @@ fn a_fixed_dataset_gives_the_bytes_of_a_sound_one() {
 #[test]
 fn a_selection_that_does_not_fit_the_dataset() {
     let place = Place::new();
-    let say = |selection: &str| {
+    let error_of = |selection: &str| {
         let arguments = format!("run small.toml --set ingest.select.{selection}");
         place.run(&arguments).refused_at_once()
     };
@@ -154,8 +155,8 @@ fn a_selection_that_does_not_fit_the_dataset() {
         "episodes=[3,12]",
         "episodes=[3,3]",
     ]
-    .map(say);
-    let ranges = ["range=3..3", "range=10..13"].map(say);
+    .map(error_of);
+    let ranges = ["range=3..3", "range=10..13"].map(error_of);
     assert_snapshot!(format!("{}\n{}", sentences.join("\n"), ranges.join("\n")));
 }
 
@@ -163,14 +164,14 @@ fn a_selection_that_does_not_fit_the_dataset() {
 fn demonstrations_without_a_push() {
     let place = Place::new();
     replace_state(&place.dataset(), FRAMES, 0, 0, 100.0);
-    let say = |arguments: &str| place.run(arguments).refused();
-    assert_snapshot!(say("run small.toml --quiet"));
+    let error_of = |arguments: &str| place.run(arguments).refused();
+    assert_snapshot!(error_of("run small.toml --quiet"));
     assert!(place.temporaries().is_empty());
     assert!(folders_in(&place.artifacts().join("rollouts")).is_empty());
 }
 
 #[test]
-fn every_damaged_artifact_is_named() {
+fn all_damaged_artifacts_are_named() {
     let place = Place::new();
     place.run("run small.toml").done();
     for (name, bytes) in place.bytes() {
@@ -207,26 +208,26 @@ fn a_flipped_byte_in_any_file_is_found() {
             let mut flipped = bytes.clone();
             flipped[position] ^= bit;
             fs::write(&file, flipped).unwrap();
-            let said = place.run(&format!("verify {folder}")).refused_at_once();
+            let message = place.run(&format!("verify {folder}")).refused_at_once();
             let short = file.file_name().unwrap().to_str().unwrap();
             assert!(
-                said.contains(short) && said.contains(&folder),
-                "byte {position} of {name}: {said}"
+                message.contains(short) && message.contains(&folder),
+                "byte {position} of {name}: {message}"
             );
             if position != 0 && position != bytes.len() - 1 {
                 let inspected = place.run(&format!("inspect {folder}")).refused_at_once();
-                assert_eq!(inspected, said, "what is damaged is not described");
+                assert_eq!(inspected, message, "inspect reports the same error as verify");
                 let command = if name.starts_with("replays") { "replay" } else { "run" };
                 let run = place.run(&format!("{command} small.toml --quiet")).refused_at_once();
-                assert_eq!(run, said, "the stages look at what verify looks at");
-                sentences.push(said);
+                assert_eq!(run, message, "stages report the same error as verify");
+                sentences.push(message);
             }
         }
         fs::write(&file, bytes).unwrap();
     }
     place.run("verify").done();
     assert_same_bytes(&place.bytes(), &sound);
-    // What exactly is wrong with a manifest depends on where the byte lies.
+    // Which of the two errors of a manifest is reported depends on the position of the byte.
     let mut masks = filters();
     masks.push((
         "manifest.json (is not valid JSON|does not match its own hash)",
@@ -236,10 +237,10 @@ fn a_flipped_byte_in_any_file_is_found() {
 }
 
 #[test]
-fn files_that_are_missing_longer_or_foreign_are_found_and_fixed_by_deletion() {
+fn missing_longer_and_foreign_files_are_found_and_deleting_the_artifact_helps() {
     let place = Place::new();
     place.run("run small.toml").done();
-    let sound = place.bytes();
+    let intact = place.bytes();
     let folder = place.artifact(re4_artifact::Stage::Index).path().to_path_buf();
     let mut sentences = Vec::new();
     let mut check = |damage: &dyn Fn()| {
@@ -251,10 +252,10 @@ fn files_that_are_missing_longer_or_foreign_are_found_and_fixed_by_deletion() {
             listed.stdout.lines().filter(|line| line.starts_with("intact")).count(),
             3
         );
-        // What the sentence advises.
+        // Follows the remedy of the message.
         fs::remove_dir_all(&folder).unwrap();
         place.run("run small.toml").done();
-        assert_same_bytes(&place.bytes(), &sound);
+        assert_same_bytes(&place.bytes(), &intact);
     };
     check(&|| fs::remove_file(folder.join("scales.parquet")).unwrap());
     check(&|| {
@@ -266,7 +267,7 @@ fn files_that_are_missing_longer_or_foreign_are_found_and_fixed_by_deletion() {
     with_settings!({filters => filters()}, { assert_snapshot!(sentences.join("\n")) });
 }
 
-/// Changes a manifest as a newer build would have written it: its own hash fits.
+/// Changes a manifest as a newer version of the program would write it, with a matching hash.
 fn rewrite(folder: &Path, change: impl FnOnce(&mut Value)) {
     let path = folder.join("manifest.json");
     let mut manifest: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
@@ -287,22 +288,22 @@ fn an_artifact_from_a_newer_schema() {
     let mut refuse = |change: fn(&mut Value)| {
         rewrite(&folder, change);
         for command in ["verify", "run small.toml --quiet", "rollout small.toml --quiet"] {
-            let said = place.run(command);
-            assert_eq!(said.code, Some(2), "{command}");
-            sentences.push(said.stderr.trim_end().to_owned());
+            let message = place.run(command);
+            assert_eq!(message.code, Some(2), "{command}");
+            sentences.push(message.stderr.trim_end().to_owned());
         }
         fs::write(folder.join("manifest.json"), &sound).unwrap();
     };
     refuse(|manifest| manifest["tables"]["frames"]["schema_version"] = 99.into());
     refuse(|manifest| manifest["format"] = 99.into());
     with_settings!({filters => filters()}, { assert_snapshot!(sentences.join("\n")) });
-    // The same change without a difference is accepted, so it was not the rewriting that was refused.
+    // Rewriting the manifest unchanged is accepted, so the error above was caused by the change.
     rewrite(&folder, |_| ());
     assert_eq!(fs::read(folder.join("manifest.json")).unwrap(), sound);
     place.run("run small.toml").done();
 }
 
-/// A file system of its own, where this machine lets us mount one.
+/// A separate file system, if this machine allows mounting one.
 struct Disk(TempDir);
 
 impl Disk {
@@ -314,7 +315,7 @@ impl Disk {
             .output()
             .is_ok_and(|output| output.status.success());
         if !mounted {
-            println!("skipped: this machine does not let us mount a file system");
+            println!("skipped: this machine does not allow mounting a file system");
         }
         mounted.then(|| Self(folder))
     }
@@ -336,7 +337,7 @@ impl Drop for Disk {
     }
 }
 
-/// The sentence with the disk's folder written as `[disk]`.
+/// The message with the disk's folder written as `[disk]`.
 fn on_disk(sentence: &str, disk: &Disk) -> String {
     sentence.replace(disk.0.path().to_str().unwrap(), "[disk]")
 }
@@ -346,7 +347,7 @@ fn a_full_disk() {
     let expected = undisturbed();
     let total: usize = expected.values().map(Vec::len).sum();
     let mut sentences = Vec::new();
-    // From a disk that is full at once to one on which only the last artifact finds no room.
+    // From a disk that is full at once to one that has no space only for the last artifact.
     for tenths in 0..10 {
         let size = 4096 + total * tenths / 10;
         let Some(disk) = Disk::new(&format!("size={size}")) else {
@@ -354,18 +355,18 @@ fn a_full_disk() {
         };
         let place = Place::new();
         let command = format!("run small.toml --quiet --artifacts {}", disk.artifacts());
-        let said = on_disk(&place.run(&command).refused(), &disk);
+        let message = on_disk(&place.run(&command).refused(), &disk);
         assert!(
-            said.contains("the disk is full") && said.contains("; free space there"),
-            "{tenths} tenths: {said}"
+            message.contains("the disk is full") && message.contains("; free space there"),
+            "{tenths} tenths: {message}"
         );
         let left = artifact_bytes(Path::new(&disk.artifacts()));
         assert!(
             left.iter().all(|(name, bytes)| expected.get(name) == Some(bytes)),
-            "{tenths} tenths left a part"
+            "{tenths} tenths: a part was left"
         );
         assert!(left.len() < expected.len());
-        sentences.push(said);
+        sentences.push(message);
         disk.remount(&format!("remount,size={}", 8 * total));
         place.run(&command).done();
         assert_same_bytes(&artifact_bytes(Path::new(&disk.artifacts())), &expected);
@@ -377,7 +378,7 @@ fn a_full_disk() {
     place
         .run(&format!("run small.toml --artifacts {}", disk.artifacts()))
         .done();
-    // Fills what room there is, to the last page.
+    // Fills the remaining space, to the last page.
     let mut filler = fs::File::create(disk.0.path().join("filler")).unwrap();
     while filler.write_all(&[1; 4096]).is_ok() {}
     let record = format!(
@@ -385,13 +386,13 @@ fn a_full_disk() {
         disk.artifacts(),
         disk.0.path().display()
     );
-    let said = on_disk(&place.run(&record).refused(), &disk);
+    let message = on_disk(&place.run(&record).refused(), &disk);
     assert_eq!(
         folders_in(disk.0.path()).len(),
         1,
-        "{said}: a part of the recording stayed"
+        "{message}: a part of the recording was left"
     );
-    with_settings!({filters => filters()}, { assert_snapshot!(format!("{}\n{said}", sentences[0])) });
+    with_settings!({filters => filters()}, { assert_snapshot!(format!("{}\n{message}", sentences[0])) });
 }
 
 #[test]
@@ -402,7 +403,7 @@ fn a_read_only_file_system() {
     place.run(&command).done();
     disk.remount("remount,ro");
     let sound = artifact_bytes(Path::new(&disk.artifacts()));
-    // What is there can be used.
+    // Existing artifacts can still be used.
     place.run(&command).done();
     place.run(&format!("verify --artifacts {}", disk.artifacts())).done();
     let other = place.run(&format!("{command} --seeds 900..903")).refused();
@@ -414,8 +415,8 @@ fn a_read_only_file_system() {
         .run(&format!("schemas {}/schemas", disk.0.path().display()))
         .refused();
     assert_same_bytes(&artifact_bytes(Path::new(&disk.artifacts())), &sound);
-    let said = on_disk(&[other, new, record, schemas].join("\n"), &disk);
-    with_settings!({filters => filters()}, { assert_snapshot!(said) });
+    let message = on_disk(&[other, new, record, schemas].join("\n"), &disk);
+    with_settings!({filters => filters()}, { assert_snapshot!(message) });
     disk.remount("remount,rw");
 }
 
@@ -430,7 +431,7 @@ fn a_folder_without_permission() {
     let privileged = fs::write(closed.join("probe"), "").is_ok();
     let mut command = place.command();
     if privileged {
-        // The superuser may do anything: let a process without privileges try.
+        // The superuser ignores permissions, so the program runs without privileges.
         fs::remove_file(closed.join("probe")).unwrap();
         command.uid(65_534).gid(65_534);
     }
@@ -442,26 +443,26 @@ fn a_folder_without_permission() {
             return;
         }
     };
-    let said = crate::support::Answer::new(&output, place.path()).refused();
-    assert!(fs::read_dir(&closed).unwrap().next().is_none(), "{said}");
+    let message = crate::support::Answer::new(&output, place.path()).refused();
+    assert!(fs::read_dir(&closed).unwrap().next().is_none(), "{message}");
     fs::set_permissions(&closed, fs::Permissions::from_mode(0o755)).unwrap();
-    with_settings!({filters => filters()}, { assert_snapshot!(said) });
+    with_settings!({filters => filters()}, { assert_snapshot!(message) });
 }
 
 #[test]
 fn an_artifacts_folder_that_is_a_file() {
     let place = Place::new();
     place.write("taken", "");
-    let say = |command: &str| place.run(command).refused();
-    let said = [
-        say("run small.toml --artifacts taken"),
-        say("run small.toml --artifacts taken/below"),
+    let error_of = |command: &str| place.run(command).refused();
+    let message = [
+        error_of("run small.toml --artifacts taken"),
+        error_of("run small.toml --artifacts taken/below"),
     ];
-    assert_snapshot!(said.join("\n"));
+    assert_snapshot!(message.join("\n"));
 }
 
 #[test]
-fn the_scripted_dataset_is_sound() {
+fn the_scripted_dataset_is_valid() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("x.zarr");
     dataset::write(&path, 2, true);

@@ -1,6 +1,6 @@
 """Headless Chromium for the tests of the pages: needs selenium, and Debian's chromium and chromium-driver.
 
-What is waited for has to happen; how soon, on a busy machine, is not what the tests are about, so the limits are wide.
+Time limits are generous: the tests check that an event happens, not how fast it does on a busy machine.
 """
 
 import os
@@ -16,18 +16,18 @@ from selenium.webdriver.support.ui import WebDriverWait
 CHROMIUM = os.environ.get("RE4_CHROMIUM", "/usr/bin/chromium")
 CHROMEDRIVER = os.environ.get("RE4_CHROMEDRIVER", "/usr/bin/chromedriver")
 
-# Seconds that anything on a page may take.
+# Time limit for any event on a page, in seconds.
 LONGEST = 300
-# Browsers that are started: on a busy machine one may not answer in the time that the driver gives it.
+# Number of attempts to start a browser: on a busy machine, it may not respond within the driver's time limit.
 STARTS = 4
 
 
 def start(profile):
-    """A browser with folders of its own below `profile`."""
+    """Starts a browser with its own folders below `profile`."""
     for left in reversed(range(STARTS)):
         options = Options()
         options.binary_location = CHROMIUM
-        # Shared memory from the temporary folder: containers may have little of their own.
+        # Shared memory is taken from the temporary folder, because containers may have little.
         for argument in ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
                          "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
                          f"--user-data-dir={tempfile.mkdtemp(dir=profile)}"]:
@@ -46,5 +46,5 @@ def start(profile):
 
 
 def wait(driver, until):
-    """Waits until `until` answers with something that holds."""
+    """Waits until `until` returns a true value, and returns it."""
     return WebDriverWait(driver, LONGEST).until(lambda _: until())

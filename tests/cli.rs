@@ -1,4 +1,4 @@
-//! The command line and the pipeline file: help, versions, and every refusal.
+//! The command line and the pipeline file: help, version, and all error messages.
 
 use crate::support::{Answer, Place};
 use insta::assert_snapshot;
@@ -47,26 +47,26 @@ fn help_of_the_program_and_of_every_subcommand() {
     }
 }
 
-/// What the program does is told to those who ask, on standard error; results stay as they are.
+/// Log lines go to standard error with `-v`, `-vv` or the environment variable, and standard output does not change.
 #[test]
-fn what_is_done_is_told_where_asked() {
+fn log_lines_are_printed_on_request() {
     let place = Place::new();
     let logged = |answer: &Answer| answer.stderr.matches(" re4_stages::").count();
     let plain = place.run("segment small.toml").done();
     assert_eq!(logged(&plain), 0, "{}", plain.stderr);
-    let told = place.run("segment small.toml -v").done();
+    let info = place.run("segment small.toml -v").done();
     assert!(
-        told.stderr.contains("INFO") && told.stderr.contains("artifact is there") && !told.stderr.contains("DEBUG"),
+        info.stderr.contains("INFO") && info.stderr.contains("artifact exists") && !info.stderr.contains("DEBUG"),
         "{}",
-        told.stderr
+        info.stderr
     );
     let more = place.run("-vv segment small.toml").done();
     assert!(
-        more.stderr.contains("DEBUG") && logged(&more) > logged(&told),
+        more.stderr.contains("DEBUG") && logged(&more) > logged(&info),
         "{}",
         more.stderr
     );
-    assert_eq!((&told.stdout, &more.stdout), (&plain.stdout, &plain.stdout));
+    assert_eq!((&info.stdout, &more.stdout), (&plain.stdout, &plain.stdout));
     let named = |filter: &str| {
         let output = place
             .command()
@@ -75,15 +75,15 @@ fn what_is_done_is_told_where_asked() {
             .output();
         Answer::new(&output.unwrap(), place.path()).done()
     };
-    assert!(logged(&named("re4_stages=debug")) > logged(&told));
+    assert!(logged(&named("re4_stages=debug")) > logged(&info));
     assert_eq!(logged(&named("re4_stages=warn")), 0);
-    // What is meant for other programs is no reason to stop.
+    // A value that is meant for another program does not stop this one.
     assert_eq!(logged(&named("[span{a=1}]=")), 0);
 }
 
-/// What is wrong and how to fix it are one sentence for people, and two fields for programs.
+/// On standard error, an error and its remedy are one sentence; with `--json` they are two fields.
 #[test]
-fn errors_say_how_to_fix_them() {
+fn errors_have_a_remedy() {
     let place = Place::empty();
     let answer = place.run("run missing.toml --json");
     let what = "cannot read the pipeline file missing.toml: No such file or directory (os error 2)";
@@ -142,7 +142,7 @@ fn errors_of_the_command_line() {
     assert!(!place.artifacts().join("episodes").exists());
 }
 
-/// Sentences without the list of the kinds of policies, which grows.
+/// Snapshots the messages without the list of policy kinds, so that a new kind does not change the snapshot.
 fn kinds_aside(sentences: &[String]) -> String {
     sentences.join("\n").replace(&PlanePolicy::NAMES.join(", "), "[kinds]")
 }
@@ -207,15 +207,15 @@ fn errors_of_overrides() {
         format!("--set {text}\n  {sentence}")
     })
     .collect();
-    // Tasks come and go without this snapshot.
+    // The list of tasks is filtered, so that a new task does not change the snapshot.
     let tasks: Vec<String> = Task::all().map(|task| format!("`{}`", task.name())).collect();
     assert_snapshot!(kinds_aside(&sentences).replace(&tasks.join(", "), "[tasks]"));
 }
 
 #[test]
-fn flags_are_checked_as_overrides_are() {
+fn flags_are_checked_like_overrides() {
     let place = Place::empty();
-    let say = |flag: &str| place.run(&format!("run small.toml {flag}")).refused_at_once();
+    let error_of = |flag: &str| place.run(&format!("run small.toml {flag}")).refused_at_once();
     let sentences = [
         "--seeds 5..5",
         "--seeds 7,7",
@@ -223,7 +223,7 @@ fn flags_are_checked_as_overrides_are() {
         "--policy re5",
         "--max-steps 0",
     ]
-    .map(say);
+    .map(error_of);
     assert_snapshot!(kinds_aside(&sentences));
 }
 
@@ -276,7 +276,7 @@ fn errors_of_the_pipeline_file() {
 }
 
 #[test]
-fn every_stage_command_checks_the_file() {
+fn every_stage_command_checks_the_pipeline_file() {
     let place = Place::empty();
     place.write("bad.toml", "tusk = \"pusht\"\n");
     for command in ["ingest", "segment", "train-pose", "index", "rollout", "run", "replay"] {

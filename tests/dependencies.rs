@@ -1,4 +1,4 @@
-//! What `deny.toml` asks of the dependencies, checked without a further tool: licences, sources, bans, duplicates.
+//! Checks the rules of `deny.toml` for dependencies (licences, sources, bans, duplicates) without an additional tool.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,7 +15,7 @@ fn deny() -> toml::Table {
         .unwrap()
 }
 
-/// Every package that the lock file names, for all platforms.
+/// All packages in the lock file, for all platforms.
 fn packages() -> Vec<Value> {
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--locked", "--offline"])
@@ -29,8 +29,8 @@ fn packages() -> Vec<Value> {
     packages
 }
 
-/// Packages that are built for some platform with all of our features, as `name v1.2.3`: the lock file names more, for
-/// optional parts of dependencies that nobody asks for.
+/// Packages that are built on any platform with all features, as `name v1.2.3`. The lock file has more, for optional parts of
+/// dependencies that are never enabled.
 fn built() -> BTreeSet<String> {
     let output = Command::new(env!("CARGO"))
         .args([
@@ -57,8 +57,8 @@ fn text<'a>(package: &'a Value, key: &str) -> &'a str {
     package[key].as_str().unwrap_or_default()
 }
 
-/// Whether an SPDX expression can be met with these licences: `OR`, `AND`, `WITH`, parentheses, and the slash that older
-/// packages write for `OR`.
+/// Whether the allowed licences satisfy an SPDX expression with `OR`, `AND`, `WITH`, parentheses, and the slash that older
+/// packages use for `OR`.
 fn is_met(expression: &str, allowed: &BTreeSet<&str>) -> bool {
     let spaced = expression.replace('(', " ( ").replace(')', " ) ").replace('/', " OR ");
     let words: Vec<&str> = spaced.split_whitespace().collect();
@@ -116,13 +116,13 @@ fn licences_are_allowed() {
         .map(|package| format!("{} ({})", text(package, "name"), text(package, "license")))
         .collect();
     assert!(refused.is_empty(), "{refused:?}");
-    // A licence that nothing needs should not be allowed.
+    // A licence that no package needs should not be allowed.
     for licence in &allowed {
         let fewer: BTreeSet<&str> = allowed.iter().copied().filter(|other| other != licence).collect();
         let needed = packages.iter().any(|package| !is_met(text(package, "license"), &fewer));
         assert!(
             needed || *licence == "MIT" || *licence == "Apache-2.0",
-            "{licence} is allowed for nothing"
+            "{licence} is allowed, but no package needs it"
         );
     }
 }
@@ -152,7 +152,7 @@ fn licence_expressions_are_understood() {
 }
 
 #[test]
-fn everything_comes_from_one_registry() {
+fn all_dependencies_come_from_one_registry() {
     let packages = packages();
     let sources: BTreeSet<&str> = packages
         .iter()
@@ -167,7 +167,7 @@ fn everything_comes_from_one_registry() {
     for package in packages.iter().filter(|package| package["source"].is_null()) {
         assert!(
             Path::new(text(package, "manifest_path")).starts_with(root.join("crates")),
-            "{} lies outside of the workspace",
+            "{} is outside of the workspace",
             text(package, "name")
         );
     }
@@ -200,7 +200,7 @@ fn banned_crates_are_not_used() {
 }
 
 #[test]
-fn libraries_whose_types_are_shared_come_in_one_version() {
+fn libraries_with_public_types_have_one_version() {
     let mut versions: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for package in packages() {
         let version = text(&package, "version").to_owned();
@@ -222,7 +222,7 @@ fn libraries_whose_types_are_shared_come_in_one_version() {
     ] {
         let found = versions
             .get(name)
-            .unwrap_or_else(|| panic!("{name} is not used; take it off this list"));
-        assert_eq!(found.len(), 1, "{name} comes in {found:?}");
+            .unwrap_or_else(|| panic!("{name} is not used; remove it from this list"));
+        assert_eq!(found.len(), 1, "{name} has several versions: {found:?}");
     }
 }

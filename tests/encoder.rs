@@ -1,5 +1,5 @@
-//! The pose encoder, from demonstrations with images to the `poses` artifact. These tests train for real, on the five
-//! recorded demonstrations of Lift; they run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data).
+//! The pose encoder, from demonstrations with images to the `poses` artifact. These tests run real trainings on the five recorded
+//! demonstrations of Lift. They need the datasets in the folder that `RE4_DATA` names, or in ../shared/data.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -40,7 +40,7 @@ fn train(place: &Place, arguments: &str) -> Answer {
     place.run(&format!("train-pose lift.toml {arguments}"))
 }
 
-/// Lift's five demonstrations with images, in a pipeline file.
+/// A folder with a pipeline file on Lift's five demonstrations with images.
 fn lift() -> Option<Place> {
     let data = scripted()?;
     let place = Place::empty();
@@ -49,7 +49,7 @@ fn lift() -> Option<Place> {
 }
 
 #[test]
-fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
+fn training_gives_a_consistent_artifact_for_any_number_of_threads() {
     let Some(place) = lift() else { return };
     train(&place, "--jobs 1 --artifacts one").done();
     train(&place, "--jobs 2 --artifacts two").done();
@@ -73,16 +73,16 @@ fn training_makes_an_artifact_that_holds_together_for_any_number_of_threads() {
     let losses = col_f64(&course, "loss").unwrap();
     assert_eq!(col_u32(&course, "steps").unwrap(), [12, 24, 36]);
     assert!(losses[2] < 0.7 * losses[0], "{losses:?}");
-    // One demonstration in five is held out, and told so.
+    // One demonstration in five is held out and marked.
     assert_eq!(poses.manifest().summary["trained_on"], 4);
-    // Nothing but the artifact is left.
+    // The checkpoints are removed.
     assert!(!place.path().join("one/checkpoints").exists());
-    // And a second run has nothing to do.
+    // A second run skips all stages.
     let again = train(&place, "--artifacts one");
     assert!(again.done().stderr.contains("unchanged, skipped"));
 }
 
-/// What is recorded of the object moves a metre and turns; everything else stays.
+/// Moves the recorded object by a metre and rotates it. Everything else is unchanged.
 fn disturbed(batch: &RecordBatch) -> RecordBatch {
     let mut columns = Columns::new(FrameRow::<SpatialColumns>::table());
     for spec in FrameRow::<SpatialColumns>::table().columns {
@@ -101,7 +101,7 @@ fn disturbed(batch: &RecordBatch) -> RecordBatch {
     columns.finish().unwrap()
 }
 
-/// The same artifact in another store, with other recorded object poses under the same key.
+/// Copies an artifact to another store, under the same key, with different recorded object poses.
 fn forge(original: &Artifact, store: &Path) {
     let manifest = original.manifest();
     let recipe = Recipe::new(Stage::Ingest, manifest.code_version)
@@ -129,7 +129,7 @@ fn forge(original: &Artifact, store: &Path) {
 }
 
 #[test]
-fn no_recorded_object_pose_reaches_training_or_estimates() {
+fn training_and_estimates_do_not_depend_on_recorded_object_poses() {
     let Some(place) = lift() else { return };
     train(&place, "--artifacts true").done();
     forge(&only(&place, "true", Stage::Ingest), &place.path().join("false"));
@@ -150,12 +150,12 @@ fn no_recorded_object_pose_reaches_training_or_estimates() {
             "{file} depends on recorded object poses"
         );
     }
-    // The disturbance was there: what is measured afterwards saw it.
+    // The evaluation reads the recorded poses and differs, so the recorded poses really were changed.
     assert!(bytes(&real, "pose_errors.parquet") != bytes(&fake, "pose_errors.parquet"));
 }
 
 #[test]
-fn what_cannot_be_trained_on_is_told_in_one_sentence() {
+fn unusable_settings_and_data() {
     let Some(place) = lift() else { return };
     let data = scripted().unwrap();
     place.write(
@@ -163,7 +163,7 @@ fn what_cannot_be_trained_on_is_told_in_one_sentence() {
         pipeline(&data.join("lift/low_dim.hdf5")).replace("cameras = [\"agentview\"]\n", "select = { first = 2 }\n"),
     );
     place.write("weights.bin", "not weights");
-    let mut told = String::new();
+    let mut errors = String::new();
     for arguments in [
         "states.toml",
         "lift.toml --set pose.encoder.camera=frontview",
@@ -185,9 +185,9 @@ fn what_cannot_be_trained_on_is_told_in_one_sentence() {
             continue;
         }
         let answer = place.run(&format!("train-pose {arguments} --artifacts artifacts"));
-        writeln!(told, "$ train-pose {arguments}\n{}", answer.refused()).unwrap();
+        writeln!(errors, "$ train-pose {arguments}\n{}", answer.refused()).unwrap();
     }
-    with_settings!({ filters => filters() }, { assert_snapshot!(told) });
-    // The training that diverged in its first epoch left no artifact, and the others none either.
+    with_settings!({ filters => filters() }, { assert_snapshot!(errors) });
+    // No artifact is left, also by the training that diverged in its first epoch.
     assert!(crate::support::folders_in(&place.path().join("artifacts/poses")).is_empty());
 }

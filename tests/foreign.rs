@@ -1,6 +1,6 @@
-//! Files with traits of public datasets, converters and writers: each is read as its author meant it, or refused in one sentence
-//! that names what is odd and what to do. Those in `foreign` beside the datasets were made after public reports; those of
-//! `make_foreign.py` are made here.
+//! Files with peculiarities of public datasets, converters and writers. Each is read as its author meant it, or refused with one
+//! sentence that names the peculiarity and the remedy. The files in the folder `foreign` of the datasets were made after public
+//! reports; `make_foreign.py` makes the others.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,23 +10,23 @@ use crate::support::{Answer, Place, repository, scripted_and_simulators};
 use re4_artifact::{Artifact, Row as _, Stage, col_f64, col_text};
 use re4_ingest::{DemoRow, FrameRow, SpatialColumns};
 
-/// What a user expects.
+/// The expected result of `ingest`.
 #[derive(Debug, Clone, Copy)]
 enum Expected {
-    /// It is read; these words are in its warnings.
+    /// The file is read, and its warnings contain these texts.
     Read(&'static [&'static str]),
-    /// It is refused; these words are in the sentence.
+    /// The file is refused, and the message contains these texts.
     Refused(&'static [&'static str]),
 }
 
 use Expected::{Read, Refused};
 
-/// Case, task, more arguments, and what is expected of `ingest`.
+/// Case, task, additional arguments, and the expected result.
 const CASES: &[(&str, &str, &str, Expected)] = &[
     ("h00_control_can", "can", "", Read(&[])),
     ("h00_control_lift", "lift", "", Read(&[])),
     ("z00_control", "pusht", "", Read(&[])),
-    // Silent wrong results.
+    // Cases that once gave wrong results silently.
     (
         "h03_demo1_no_underscore",
         "lift",
@@ -67,7 +67,7 @@ const CASES: &[(&str, &str, &str, Expected)] = &[
     ),
     ("z06_relative_actions", "pusht", "", Refused(&["relative"])),
     ("z08_unit_coordinates", "pusht", "", Refused(&["unit"])),
-    // Refused without need.
+    // Cases that once were refused without need.
     ("h01_mimicgen_square_d0", "square", "", Read(&[])),
     ("h02a_obs_object_only", "lift", "", Read(&["robot0_eef_pos", "states"])),
     ("h06_lost_demos_stale_total", "lift", "", Read(&["total"])),
@@ -89,7 +89,7 @@ const CASES: &[(&str, &str, &str, Expected)] = &[
     ("z01_zarr3_format3", "pusht", "", Read(&[])),
     ("z02_zarr3_writes_format2", "pusht", "", Read(&[])),
     ("z10_state_with_velocity", "pusht", "", Read(&[])),
-    // Unclear sentences.
+    // Cases that once had unclear messages.
     ("h20_isaaclab_layout", "lift", "", Refused(&["Isaac"])),
     ("h20_isaaclab_layout", "robosuite", "", Refused(&["Isaac"])),
     ("h34_counts_as_arrays", "lift", "", Read(&[])),
@@ -107,7 +107,7 @@ const CASES: &[(&str, &str, &str, Expected)] = &[
         "",
         Read(&["demo_1, demo_2", "demo_0 has no group obs"]),
     ),
-    // Right before.
+    // Cases that always were handled correctly.
     ("h07_attrs_fixed_bytes", "lift", "", Read(&[])),
     ("h14_jammed", "lift", "", Read(&[])),
     (
@@ -139,7 +139,7 @@ const CASES: &[(&str, &str, &str, Expected)] = &[
     ("z29_zattrs_nan", "pusht", "", Read(&[])),
 ];
 
-/// The folder of the cases, where it is.
+/// The folder of the cases, if it exists; otherwise prints that the test is skipped.
 fn foreign() -> Option<PathBuf> {
     let beside = || repository().join("../shared/data");
     let path = std::env::var_os("RE4_DATA")
@@ -170,34 +170,34 @@ fn ingest(place: &Place, task: &str, source: &Path, more: &str) -> Answer {
     place.run(&format!("ingest foreign.toml --json --quiet {more}"))
 }
 
-/// What a case does, where it is not what is expected.
+/// Describes how the result of a case differs from the expected one; `None` if it does not.
 fn odd(answer: Answer, expected: Expected) -> Option<String> {
-    let (code, words, said) = match expected {
+    let (code, words, message) = match expected {
         Refused(words) => {
-            let said = if answer.code == Some(2) {
+            let message = if answer.code == Some(2) {
                 answer.refused()
             } else {
                 format!("it is read: {}{}", answer.stdout, answer.stderr)
             };
-            let code = said.starts_with("error: ");
-            (code, words, said)
+            let code = message.starts_with("error: ");
+            (code, words, message)
         }
         Read(words) => {
             let read = answer.code == Some(0);
-            let said = if read {
+            let message = if read {
                 answer.json()["warnings"].to_string()
             } else {
                 answer.stderr
             };
-            (read, words, said)
+            (read, words, message)
         }
     };
-    let missing: Vec<&&str> = words.iter().filter(|word| !said.contains(**word)).collect();
-    (!code || !missing.is_empty()).then(|| format!("expected {expected:?}, lacks {missing:?}: {said}"))
+    let missing: Vec<&&str> = words.iter().filter(|word| !message.contains(**word)).collect();
+    (!code || !missing.is_empty()).then(|| format!("expected {expected:?}, lacks {missing:?}: {message}"))
 }
 
 #[test]
-fn every_case_ends_as_a_user_expects() {
+fn cases_have_the_expected_results() {
     let Some(folder) = foreign() else { return };
     let place = Place::empty();
     let mut odds = Vec::new();
@@ -228,18 +228,23 @@ fn actions(artifact: &Artifact) -> Vec<Vec<f64>> {
     columns.map(|column| col_f64(&table, column).unwrap().to_vec()).into()
 }
 
-fn apart(ours: &[Vec<f64>], theirs: &[Vec<f64>]) -> f64 {
+/// Maximum absolute difference.
+fn max_difference(ours: &[Vec<f64>], theirs: &[Vec<f64>]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
-    let mut most = 0.0_f64;
+    let mut maximum = 0.0_f64;
     for (ours, theirs) in ours.iter().zip(theirs) {
         assert_eq!(ours.len(), theirs.len());
-        most = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(most, f64::max);
+        maximum = ours
+            .iter()
+            .zip(theirs)
+            .map(|(a, b)| (a - b).abs())
+            .fold(maximum, f64::max);
     }
-    most
+    maximum
 }
 
 #[test]
-fn the_demonstrations_that_are_asked_for_are_taken() {
+fn the_selected_demonstrations_are_ingested() {
     let Some(folder) = foreign() else { return };
     let place = Place::empty();
     let names = |case: &str, more: &str| {
@@ -260,9 +265,9 @@ fn the_demonstrations_that_are_asked_for_are_taken() {
     );
 }
 
-/// The setting that the refusal names makes of an odd file what the usual one is.
+/// With the setting that the error message names, an unusual file gives the same actions as the usual one.
 #[test]
-fn what_a_refusal_names_is_the_remedy() {
+fn the_remedy_in_the_message_works() {
     let Some(folder) = foreign() else { return };
     let place = Place::empty();
     let actions_of = |task: &str, case: &str, more: &str| {
@@ -274,18 +279,18 @@ fn what_a_refusal_names_is_the_remedy() {
         "h26_deltas_in_metres",
         "--set ingest.conventions.action_scale=metres",
     );
-    assert!(apart(&metres, &actions_of("can", "h00_control_can", "")) < 1e-9);
+    assert!(max_difference(&metres, &actions_of("can", "h00_control_can", "")) < 1e-9);
     let gripper = actions_of(
         "lift",
         "h28_gripper_zero_one",
         "--set ingest.conventions.gripper_range=zero_one",
     );
-    assert!(apart(&gripper, &actions_of("lift", "h00_control_lift", "")) < 1e-9);
+    assert!(max_difference(&gripper, &actions_of("lift", "h00_control_lift", "")) < 1e-9);
 }
 
-/// What is read of an odd file still succeeds in the simulator that it was recorded in.
+/// The converted actions of unusual files still succeed in the simulator in which they were recorded.
 #[test]
-fn odd_files_replay_to_success() {
+fn replays_of_unusual_files_succeed() {
     let (Some(folder), Some((_, simulators))) = (foreign(), scripted_and_simulators()) else {
         return;
     };
@@ -323,9 +328,9 @@ fn odd_files_replay_to_success() {
     }
 }
 
-/// One demonstration that cannot be used costs the user that one.
+/// A demonstration that cannot be used does not prevent the audit of the others.
 #[test]
-fn an_audit_leaves_out_what_cannot_be_used_and_reports_it() {
+fn an_audit_leaves_out_and_reports_unusable_demonstrations() {
     let Some(folder) = foreign() else { return };
     let place = Place::empty();
     let case = "h64_preallocated_rows_counted";
@@ -335,7 +340,7 @@ fn an_audit_leaves_out_what_cannot_be_used_and_reports_it() {
     assert_eq!(answer["summary"]["by_code"]["left_out"], 1, "{answer}");
     assert!(answer.to_string().contains("demo_2"), "{answer}");
     assert_eq!(place.run("audit foreign.toml --fail-on error").code, Some(1));
-    // The artifact that lacks a demonstration is not taken for the whole dataset.
+    // The artifact without that demonstration is not used by an ingest of the whole dataset.
     assert!(place.run("ingest foreign.toml").refused().contains("demo_2"));
     let kept = place
         .run("ingest foreign.toml --json --quiet --set ingest.on_bad=leave_out")
@@ -345,7 +350,7 @@ fn an_audit_leaves_out_what_cannot_be_used_and_reports_it() {
     assert_eq!(names(&place.artifact(Stage::Ingest)), ["demo_0", "demo_1"]);
 }
 
-/// The cases that are made here, and what is expected of them.
+/// The cases of `make_foreign.py`.
 const MADE: &[(&str, Expected)] = &[
     ("control", Read(&[])),
     ("counts_as_arrays", Read(&[])),
@@ -364,7 +369,7 @@ const MADE: &[(&str, Expected)] = &[
 ];
 
 #[test]
-fn every_made_case_ends_as_a_user_expects() {
+fn generated_cases_have_the_expected_results() {
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
         println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
         return;
@@ -390,7 +395,7 @@ fn every_made_case_ends_as_a_user_expects() {
             if *case == "control" {
                 control = actions;
             } else {
-                assert!(apart(&actions, &control) == 0.0, "{case}");
+                assert!(max_difference(&actions, &control) == 0.0, "{case}");
             }
         }
     }

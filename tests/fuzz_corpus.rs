@@ -1,4 +1,4 @@
-//! The kept inputs of the fuzzers, and those that once crashed, read again: none may stop the program.
+//! Replays the kept inputs of the fuzzers and the inputs that once crashed. None may stop the program.
 
 #[path = "../fuzz/harness/artifact.rs"]
 mod artifact;
@@ -15,8 +15,8 @@ mod zip;
 
 use crate::support::repository;
 
-/// Runs every kept input of a target. Some have to be refused and some accepted, or the corpus would not say much; every
-/// refusal is a sentence.
+/// Runs all kept inputs of a target. Some have to be accepted and some refused, because otherwise the corpus would cover little.
+/// Every refusal has to be a sentence.
 fn replay(target: &str, run: impl Fn(&[u8]) -> Result<(), String>) {
     let folder = repository().join("fuzz/corpus").join(target);
     let (mut accepted, mut refused, mut bytes) = (0, 0, 0);
@@ -68,9 +68,9 @@ fn pipelines() {
     replay("pipeline", pipeline::run);
 }
 
-/// Longer than fuzzers make their inputs: tables inside of tables are walked recursively, by the library too.
+/// Deeply nested tables, which are longer than the inputs of fuzzers. Tables are walked recursively, also by the TOML library.
 #[test]
-fn pipelines_of_great_depth() {
+fn deeply_nested_pipelines() {
     let deep = 60_000;
     let demo = std::fs::read_to_string(repository().join("pipelines/demo.toml")).unwrap();
     let key = vec!["a"; deep].join(".");

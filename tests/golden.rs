@@ -1,8 +1,8 @@
 //! The demo pipeline on the bundled sample always gives the same bytes.
 //!
-//! The snapshot holds the BLAKE3 hash of every table. It changes when a preset, a stage or the sample changes, and then
-//! on purpose; on another machine it may differ in the last bits of sines and cosines, which the system's mathematical
-//! library computes. Accept a wanted change with `INSTA_UPDATE=always cargo test -p re4-pipe golden::`.
+//! The snapshot contains the BLAKE3 hash of every table. It changes only if a preset, a stage or the sample is changed on
+//! purpose. On another machine it may differ, because the system's math library computes the last bits of sines and cosines.
+//! Accept an intended change with `INSTA_UPDATE=always cargo test -p re4-pipe golden::`.
 
 use std::fmt::Write as _;
 use std::process::Command;
@@ -11,7 +11,7 @@ use crate::support::{Answer, PROGRAM, folders_in, repository};
 use re4_artifact::Artifact;
 use tempfile::TempDir;
 
-/// Runs the demo as a user does, in the top folder of the repository; its score table and the hashes of its tables.
+/// Runs the demo as a user does, in the top folder of the repository. Returns its score table and the hashes of its tables.
 fn demo(pipeline: &str, jobs: &str) -> String {
     let folder = TempDir::new().unwrap();
     let output = Command::new(PROGRAM)

@@ -1,4 +1,4 @@
-//! Damaged HDF5 files and dying workers: one sentence, exit code 2, nothing left behind.
+//! Damaged HDF5 files and crashing workers: the program prints one sentence, exits with code 2 and leaves no files behind.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,7 +8,7 @@ use std::time::Instant;
 use crate::support::{Answer, Gate, LONGEST, Place, assert_same_bytes, filters, repository, signal};
 use insta::{assert_snapshot, with_settings};
 
-/// Mutated copies in an ordinary run; `RE4_MUTATIONS` says another number.
+/// Number of mutated copies. `RE4_MUTATIONS` overrides it.
 const MUTATIONS: u64 = 40;
 
 fn place(select: &str) -> Place {
@@ -25,7 +25,7 @@ fn place(select: &str) -> Place {
     place
 }
 
-/// A generator of numbers from a seed: splitmix64.
+/// A seeded random number generator (splitmix64).
 struct Numbers(u64);
 
 impl Numbers {
@@ -38,7 +38,7 @@ impl Numbers {
     }
 }
 
-/// Flips bits, overwrites bytes, or cuts the file off; most changes are where most of the structure is.
+/// Flips bits, overwrites bytes, or truncates the file. Most changes are near the start, which has most of the structure.
 fn mutate(bytes: &mut Vec<u8>, seed: u64) {
     let mut numbers = Numbers(seed);
     let length = bytes.len() as u64;
@@ -64,9 +64,9 @@ fn mutate(bytes: &mut Vec<u8>, seed: u64) {
     }
 }
 
-/// Every mutated copy is ingested or refused in one sentence: no other exit code, no hang, nothing left behind.
+/// Every mutated copy is ingested or refused with one sentence, without another exit code, a hang or files left behind.
 #[test]
-fn mutated_files_never_end_without_our_own_sentence() {
+fn mutated_files_are_ingested_or_refused_with_one_sentence() {
     let mutations = std::env::var("RE4_MUTATIONS").ok().and_then(|text| text.parse().ok());
     let first: u64 = std::env::var("RE4_MUTATIONS_FROM")
         .ok()
@@ -92,16 +92,16 @@ fn mutated_files_never_end_without_our_own_sentence() {
         let kind = if answer.code == Some(0) {
             "accepted"
         } else {
-            let said = answer.refused();
-            assert!(!said.contains("stopped with exit code"), "seed {seed}: {said}");
-            if said.contains("fell over") {
-                println!("seed {seed}: {said}");
-                "the library fell over"
-            } else if said.contains("no headway") {
-                println!("seed {seed}: {said}");
-                "hung and ended"
-            } else if said.contains("GiB of memory") {
-                println!("seed {seed}: {said}");
+            let message = answer.refused();
+            assert!(!message.contains("stopped with exit code"), "seed {seed}: {message}");
+            if message.contains("library crashed") {
+                println!("seed {seed}: {message}");
+                "the library crashed"
+            } else if message.contains("no progress") {
+                println!("seed {seed}: {message}");
+                "the library hung"
+            } else if message.contains("GiB of memory") {
+                println!("seed {seed}: {message}");
                 "out of memory"
             } else {
                 "refused"
@@ -114,8 +114,8 @@ fn mutated_files_never_end_without_our_own_sentence() {
     println!("{counts:?}");
 }
 
-/// The program that ingests the sample, with a gate at which its worker waits after the first demonstration: what it writes is
-/// begun, and not done.
+/// A command that ingests the sample, with a gate at which its worker waits after the first demonstration, in the middle of
+/// writing the artifact.
 fn at_gate(place: &Place) -> (Command, Gate) {
     let mut command = place.command();
     command
@@ -127,39 +127,39 @@ fn at_gate(place: &Place) -> (Command, Gate) {
 }
 
 #[test]
-fn a_worker_that_dies_or_hangs_is_told_of_in_one_sentence() {
-    let mut told = Vec::new();
+fn a_killed_or_hanging_worker_is_reported() {
+    let mut errors = Vec::new();
     for name in ["KILL", "TERM"] {
         let place = place("\"all\"");
         let (mut command, gate) = at_gate(&place);
         let mut child = command.spawn().unwrap();
         let worker = gate.wait(&mut child);
-        assert!(!place.temporaries().is_empty(), "nothing was begun");
+        assert!(!place.temporaries().is_empty(), "the artifact was not begun");
         worker.end_by(name);
         let answer = Answer::new(&child.wait_with_output().unwrap(), place.path());
-        told.push(format!("{name}: {}", by_whoever(&answer.refused_at_once())));
+        errors.push(format!("{name}: {}", by_either(&answer.refused_at_once())));
         assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
         place.run("ingest can.toml").done();
     }
-    // Whether it is silent at the gate or, on a busy machine, on its way there.
+    // The worker is silent at the gate or, on a busy machine, already before it.
     let place = place("\"all\"");
     let (mut command, gate) = at_gate(&place);
     let output = command.env("RE4_WORKER_PATIENCE", "1").output().unwrap();
-    told.push(format!(
+    errors.push(format!(
         "silent: {}",
         Answer::new(&output, place.path()).refused_at_once()
     ));
     assert!(
         gate.worker().is_none_or(|worker| !worker.is_running()),
-        "the worker lives on"
+        "the worker is still running"
     );
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
-    with_settings!({ filters => filters() }, { assert_snapshot!(told.join("\n")) });
+    with_settings!({ filters => filters() }, { assert_snapshot!(errors.join("\n")) });
 }
 
-/// Where the library falls over, another worker reads the file more cautiously, and here finds nothing wrong.
+/// After the library has crashed, a second worker reads the file cautiously, and here finds no error.
 #[test]
-fn a_library_that_falls_over_gets_a_second_try() {
+fn after_a_crash_of_the_library_ingest_tries_again() {
     let undisturbed = place("\"all\"");
     undisturbed.run("ingest can.toml").done();
     for name in ["SEGV", "ABRT", "BUS"] {
@@ -175,7 +175,7 @@ fn a_library_that_falls_over_gets_a_second_try() {
 }
 
 #[test]
-fn a_worker_ends_with_its_parent_and_leaves_nothing() {
+fn a_worker_ends_with_its_parent_and_leaves_no_files() {
     let place = place("\"all\"");
     let (mut command, gate) = at_gate(&place);
     let mut child = command.spawn().unwrap();
@@ -186,13 +186,13 @@ fn a_worker_ends_with_its_parent_and_leaves_nothing() {
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
 }
 
-/// An interrupted stage says so, or where it is too slow for that, the watchdog does.
-fn by_whoever(said: &str) -> String {
-    said.replace("the run was interrupted", "ingest was interrupted")
+/// The interruption is reported by the stage or, if the stage is too slow, by the watchdog; makes both messages equal.
+fn by_either(message: &str) -> String {
+    message.replace("the run was interrupted", "ingest was interrupted")
 }
 
 #[test]
-fn an_interrupt_ends_both_and_leaves_nothing() {
+fn an_interrupt_ends_both_processes_and_leaves_no_files() {
     let place = place("\"all\"");
     let (mut command, gate) = at_gate(&place);
     let mut child = command.spawn().unwrap();
@@ -200,18 +200,18 @@ fn an_interrupt_ends_both_and_leaves_nothing() {
     signal(&child, "INT");
     let answer = Answer::new(&child.wait_with_output().unwrap(), place.path());
     assert_eq!(
-        by_whoever(&answer.refused_at_once()),
-        "error: ingest was interrupted; nothing half-written was left, run the same command again to go on"
+        by_either(&answer.refused_at_once()),
+        "error: ingest was interrupted; no unfinished artifact remains, so run the same command again to continue"
     );
     assert!(!worker.is_running(), "the worker lives on");
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
 }
 
 #[test]
-fn the_worker_is_no_command_for_people() {
+fn the_worker_command_is_internal() {
     let place = Place::empty();
     assert_eq!(
         place.run("ingest-worker").refused_at_once(),
-        "error: ingest-worker is started by re4-pipe itself: EOF while parsing a value at line 1 column 0; use re4-pipe ingest"
+        "error: ingest-worker is an internal command: EOF while parsing a value at line 1 column 0; use re4-pipe ingest"
     );
 }

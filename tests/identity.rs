@@ -1,4 +1,5 @@
-//! A demonstration is called what its source calls it, from the selection to the rollout, whatever its place in a file or an artifact.
+//! Demonstrations keep the names of their source from the selection to the rollout, independent of their position in a file or an
+//! artifact.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -36,14 +37,14 @@ max_steps = 60
     )
 }
 
-/// A place with a pipeline file on a dataset.
+/// A folder with a pipeline file on a dataset.
 fn place(task: &str, source: &Path) -> Place {
     let place = Place::empty();
     place.write("p.toml", pipeline(task, source));
     place
 }
 
-/// The same, with the dataset beside it, so that sentences name no other folder.
+/// As [`place`], with a copy of the dataset in the folder, so that messages name no other folder.
 fn place_of(made: &Path, name: &str) -> Place {
     let place = place("can", Path::new(name));
     fs::copy(made.join(name), place.path().join("data").join(name)).unwrap();
@@ -54,7 +55,7 @@ fn sample() -> PathBuf {
     repository().join("data/can-sample.hdf5")
 }
 
-/// The files that `make_gaps.py` writes; none without Python.
+/// The folder of the files that `make_gaps.py` writes; `None` without Python.
 fn made(place: &Place) -> Option<PathBuf> {
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
         println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
@@ -70,7 +71,7 @@ fn made(place: &Place) -> Option<PathBuf> {
     Some(folder)
 }
 
-/// A file made from a public report, where it is.
+/// A file made after a public report, if it exists; otherwise prints that the test is skipped.
 fn reported(name: &str) -> Option<PathBuf> {
     let data = std::env::var_os("RE4_DATA").map_or_else(|| repository().join("../shared/data"), PathBuf::from);
     let path = data.join(format!("foreign/{name}/{name}.hdf5"));
@@ -101,7 +102,7 @@ fn names(episodes: &Artifact) -> Vec<String> {
     texts(&rows(episodes, DemoRow::table()), "demo")
 }
 
-/// What a table says of each demonstration, frame by frame, by the name that its place stands for.
+/// The values of a column by frame, for each demonstration by its name.
 fn by_name<T>(rows: &RecordBatch, names: &[String], values: Vec<T>) -> BTreeMap<String, Vec<T>> {
     let mut found: BTreeMap<String, Vec<T>> = BTreeMap::new();
     for (episode, value) in col_u32(rows, "episode").unwrap().iter().zip(values) {
@@ -115,8 +116,9 @@ fn numbers(rows: &RecordBatch, names: &[String], column: &str) -> BTreeMap<Strin
     by_name(rows, names, values.collect())
 }
 
-/// Where the hand is in each demonstration, bit for bit: no two of the sample have the same, but for the copy.
-fn hands(episodes: &Artifact) -> BTreeMap<String, Vec<u64>> {
+/// The bits of the end effector's x position by frame, for each demonstration. They identify a demonstration of the sample,
+/// except for its duplicate.
+fn end_effectors(episodes: &Artifact) -> BTreeMap<String, Vec<u64>> {
     numbers(
         &rows(episodes, FrameRow::<SpatialColumns>::table()),
         &names(episodes),
@@ -124,11 +126,11 @@ fn hands(episodes: &Artifact) -> BTreeMap<String, Vec<u64>> {
     )
 }
 
-/// Ingests anew with more arguments, and says where the hand is.
+/// Deletes the artifacts, ingests with additional arguments and returns the end effector positions.
 fn ingested(place: &Place, arguments: &str) -> BTreeMap<String, Vec<u64>> {
     let _ = fs::remove_dir_all(place.artifacts());
     place.run(&format!("ingest p.toml {arguments}")).done();
-    hands(&place.artifact(Stage::Ingest))
+    end_effectors(&place.artifact(Stage::Ingest))
 }
 
 #[test]
@@ -151,7 +153,7 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
         .iter()
         .map(|name| name.trim_start_matches("demo_").parse::<u32>().unwrap());
     assert_eq!(col_u32(&listing, "source_episode").unwrap(), own.collect::<Vec<_>>());
-    // In the whole sample places, numbers and names agree, so there is nothing to confuse.
+    // In the whole sample, positions, numbers and names agree, so it serves as the reference.
     let whole_names = names(&of(&whole));
     assert!((0..19).all(|number| whole_names[number] == format!("demo_{number}")));
     let same = |what: &str, [whole, gaps]: [BTreeMap<String, Vec<u64>>; 2]| {
@@ -160,7 +162,7 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
             assert!(whole[&name] == values, "{what} of {name}");
         }
     };
-    same("frames", [&whole, &gaps].map(|place| hands(&of(place))));
+    same("frames", [&whole, &gaps].map(|place| end_effectors(&of(place))));
     same(
         "modes",
         [&whole, &gaps].map(|place| {
@@ -189,22 +191,22 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
             .zip(&called)
             .all(|(place, name)| known[*place as usize] == *name)
     );
-    let told: Vec<(String, String)> = called
+    let reported: Vec<(String, String)> = called
         .into_iter()
         .zip(texts(&findings, "code").into_iter().zip(texts(&findings, "message")))
         .filter(|(_, (code, _))| code == "duplicate" || code == "no_transfer")
         .map(|(name, (_, message))| (name, message))
         .collect();
-    assert_eq!(told.len(), 2, "{told:?}");
-    assert_eq!(told[0].0, "demo_10");
+    assert_eq!(reported.len(), 2, "{reported:?}");
+    assert_eq!(reported[0].0, "demo_10");
     assert_eq!(
-        told[1],
+        reported[1],
         ("demo_16".to_owned(), "the same as demo_2, bit for bit".to_owned())
     );
 }
 
 #[test]
-fn selections_are_by_the_names_of_the_file() {
+fn selections_use_the_names_of_the_file() {
     let whole = place("can", &sample());
     let Some(folder) = made(&whole) else { return };
     let whole = ingested(&whole, "");
@@ -219,7 +221,7 @@ fn selections_are_by_the_names_of_the_file() {
     ] {
         let found = ingested(&gaps, &format!("--set ingest.select={{{select}}}"));
         assert_eq!(found.keys().map(String::as_str).collect::<Vec<_>>().join(" "), expected);
-        assert!(found.iter().all(|(name, hand)| whole[name] == *hand), "{select}");
+        assert!(found.iter().all(|(name, eef)| whole[name] == *eef), "{select}");
     }
     let mut sentences = String::new();
     for arguments in [
@@ -240,7 +242,7 @@ fn selections_are_by_the_names_of_the_file() {
 }
 
 #[test]
-fn any_names_come_in_the_order_of_their_numbers() {
+fn demonstrations_are_sorted_by_the_numbers_in_their_names() {
     let whole = place("can", &sample());
     let Some(folder) = made(&whole) else { return };
     let whole = ingested(&whole, "");
@@ -252,14 +254,14 @@ fn any_names_come_in_the_order_of_their_numbers() {
         "demo1 demo2 a_3 b_3 take-7 demo10 run_99999999999999999999 last"
     );
     let listing = rows(&episodes, EpisodeRow::table());
-    // a_3 and b_3 share a number, the next but last has one too long, the last has none.
+    // a_3 and b_3 have the same number; the number of the second-to-last name is too long; the last name has no number.
     let own = [Some(1), Some(2), None, None, Some(7), Some(10), None, None];
     assert_eq!(col_u32_or_null(&listing, "source_episode").unwrap(), own);
     let origins: BTreeMap<String, String> =
         serde_json::from_slice(&fs::read(folder.join("names.json")).unwrap()).unwrap();
     assert_eq!(found.len(), origins.len());
-    for (name, hand) in &found {
-        assert!(whole[&origins[name]] == *hand, "{name}");
+    for (name, eef) in &found {
+        assert!(whole[&origins[name]] == *eef, "{name}");
     }
     let taken = |select: &str| {
         ingested(&others, &format!("--set ingest.select={{{select}}}"));
@@ -313,7 +315,7 @@ fn reported_files_are_read_by_their_names() {
 }
 
 #[test]
-fn replays_and_rollouts_name_what_they_follow() {
+fn replays_and_rollouts_name_their_demonstrations() {
     let (Some(source), Some((_, simulators))) = (reported("h05_lost_demos_masks"), scripted_and_simulators()) else {
         return;
     };
@@ -369,7 +371,7 @@ fn replays_and_rollouts_name_what_they_follow() {
             None => assert_eq!(called[row], ""),
         }
     }
-    // One alone, which is number 3 among those that are there.
+    // A single demonstration, whose position in the file is 3.
     fs::remove_dir_all(place.artifacts()).unwrap();
     run("rollout p.toml --set ingest.select={episodes=[4]}").done();
     let decisions = crate::support::decisions(&place.artifact(Stage::Rollout));

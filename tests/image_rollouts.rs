@@ -1,6 +1,6 @@
-//! Rollouts of robosuite's tasks from images, with an invented encoder in the place of a trained one. They run where `RE4_DATA`
-//! names the folder of the datasets (or it lies in ../shared/data) and `RE4_SIMULATORS` that of the simulators (or
-//! scripts/setup-simulators.sh has put them into data/simulators).
+//! Rollouts of robosuite tasks from images, with a mock encoder instead of a trained one. The tests need the datasets in the
+//! folder that `RE4_DATA` names (or in ../shared/data), and the simulators in the folder that `RE4_SIMULATORS` names (or in
+//! data/simulators, where scripts/setup-simulators.sh installs them).
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ use re4_rollout::{
     Estimator, Image, ObservedPose, PolicyError, RobosuiteEnv, Rollout, SceneRenderer, Source, Space, Start, rollout,
 };
 use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask};
-use re4_stages::testing::{Estimate, Invented, images as rendered_images};
+use re4_stages::testing::{Estimate, MockRun, images as rendered_images};
 use serde_json::json;
 
 fn pipeline(task: &str, source: &Path, variant: &str, policy: &str) -> String {
@@ -60,7 +60,7 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
     Answer::new(&command.output().unwrap(), place.path())
 }
 
-/// The data, and the simulators where this process looks for them, too.
+/// The datasets and the simulators. Sets the simulators for this process, too.
 fn data_and_simulators() -> Option<(PathBuf, PathBuf)> {
     let there = scripted_and_simulators()?;
     std::env::set_current_dir(repository()).unwrap();
@@ -75,10 +75,10 @@ fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
 
 const POSE: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 
-/// Writes a `poses` artifact with these rows of episode, frame and pose.
+/// Writes a `poses` artifact with these rows (episode, frame, pose). Returns its folder.
 pub(crate) fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, rows: &[(u32, u32, [f64; 7])]) -> PathBuf {
     let recipe = Recipe::new(Stage::TrainPose, 1)
-        .config(&json!({ "invented": name }))
+        .config(&json!({ "mock": name }))
         .unwrap()
         .input("episodes", episodes.key());
     let writer = Store::open(artifacts).unwrap().begin(&recipe).unwrap();
@@ -102,7 +102,7 @@ pub(crate) fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, row
     writer.publish(summary).unwrap().path().to_owned()
 }
 
-/// The recorded poses of the object.
+/// The recorded object poses, as (episode, frame, pose).
 pub(crate) fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
     let table = episodes
         .table(FrameRow::<SpatialColumns>::table())
@@ -117,7 +117,7 @@ pub(crate) fn recorded(episodes: &Artifact) -> Vec<(u32, u32, [f64; 7])> {
         .collect()
 }
 
-/// What rollouts did: actions step by step, and who succeeded.
+/// The actions by step, and whether each rollout succeeded.
 fn actions(rollouts: &Artifact) -> (Vec<Vec<u64>>, Vec<bool>) {
     let steps = crate::support::steps(rollouts);
     let bits = ["x", "y", "z", "rx", "ry", "rz"].map(|part| {
@@ -132,10 +132,10 @@ fn actions(rollouts: &Artifact) -> (Vec<Vec<u64>>, Vec<bool>) {
     )
 }
 
-/// With an encoder that makes no errors, a policy that looks at decisions alone does the same as one that is told the pose at
-/// every step and uses it at decisions alone; and the policy that uses it at every step succeeds as often without.
+/// With an encoder without errors, a policy that observes the object only at decisions executes the same actions as one that
+/// observes it at every step but uses it only at decisions. A policy that uses it at every step succeeds as often without that.
 #[test]
-fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
+fn an_encoder_without_errors_matches_recorded_poses() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -169,13 +169,13 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
             *object
         });
         let start = Instant::now();
-        let invented = Invented {
+        let mock = MockRun {
             pipeline: &place.path().join(format!("{policy}-image.toml")),
             overrides: &[],
             artifacts: &artifacts,
             poses: &poses,
         };
-        let image = Artifact::open(&invented.roll_out(&truth).unwrap()).unwrap();
+        let image = Artifact::open(&mock.roll_out(&truth).unwrap()).unwrap();
         println!("{policy}: {:.1} s from images", start.elapsed().as_secs_f64());
         let (there, seen) = (actions(&state), actions(&image));
         assert_eq!(there.1, seen.1, "{policy}");
@@ -183,7 +183,7 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
         if policy == "paper" {
             assert!(there.0 == seen.0, "paper: the actions differ");
         }
-        // One image a decision that depends on the object, and none in between.
+        // One image is rendered per decision that depends on the object, and none in between.
         let summary = &image.manifest().summary;
         let steps = crate::support::steps(&image).num_rows() as u64;
         assert_eq!(summary["images"], asked.load(Ordering::Relaxed));
@@ -200,9 +200,9 @@ fn an_encoder_without_errors_is_as_good_as_recorded_poses() {
     }
 }
 
-/// The image that the policy sees of a state is the one that robosuite recorded of it.
+/// The image that the policy observes in a state equals the image that robosuite recorded.
 #[test]
-fn images_are_those_of_the_demonstrations() {
+fn images_equal_those_of_the_demonstrations() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -234,24 +234,25 @@ fn images_are_those_of_the_demonstrations() {
             let rows: Vec<usize> = (0..demos.len()).filter(|row| demos[*row] == demo).step_by(9).collect();
             let of_rows: Vec<Vec<f64>> = rows.iter().map(|row| states[*row].clone()).collect();
             let start = Instant::now();
-            let drawn = rendered_images(&place.path().join("task.toml"), &place.artifacts(), &boxes, &of_rows).unwrap();
+            let rendered =
+                rendered_images(&place.path().join("task.toml"), &place.artifacts(), &boxes, &of_rows).unwrap();
             println!(
                 "{task}: {} images in {:.2} s",
-                drawn.len(),
+                rendered.len(),
                 start.elapsed().as_secs_f64()
             );
-            for (row, drawn) in rows.iter().zip(&drawn) {
+            for (row, rendered) in rows.iter().zip(&rendered) {
                 let recorded = front + row;
                 assert_eq!(of_episode[recorded], demo);
                 let png = col_binary(&images, "image").unwrap().value(recorded);
                 let recorded = image::load_from_memory(png).unwrap().into_rgb8().into_raw();
-                assert!(recorded == *drawn, "{task}, demonstration {demo}, row {row}");
+                assert!(recorded == *rendered, "{task}, demonstration {demo}, row {row}");
             }
         }
     }
 }
 
-/// An estimator that has seen enough: it always says the same.
+/// An estimator that always returns the same pose.
 struct Always(Isometry3<f64>);
 
 impl Estimator<Space> for Always {
@@ -265,10 +266,10 @@ impl Estimator<Space> for Always {
     }
 }
 
-/// The policy knows of the object what the estimator says, wherever the object is: with one that always says the same,
-/// the whole way to the grasp is the same for a cube that lies elsewhere, to the bit.
+/// The policy learns the object pose only from the estimator. With an estimator that always returns the same pose, the actions up
+/// to the grasp are bit-exact the same for a cube at another position.
 #[test]
-fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
+fn the_policy_observes_the_object_only_through_the_estimator() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -294,17 +295,17 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     let mut elsewhere = here.clone();
     let cube = placement.objects[0].position;
     elsewhere.objects[0].position[0] += 0.1;
-    let said = Isometry3::from_parts(
+    let constant = Isometry3::from_parts(
         Translation3::from(Vector3::new(cube[0], cube[1] - 0.02, cube[2])),
         UnitQuaternion::identity(),
     );
-    let drawn = with_assets(
+    let with_visuals = with_assets(
         col_text(&models, "mjcf").unwrap()[0].unwrap(),
         &simulators.join("robosuite-1.4.1"),
     )
     .unwrap();
-    let drawn_model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &drawn).unwrap();
-    let scene_renderer = SceneRenderer::new(drawn, drawn_model.mujoco().clone(), 84);
+    let visual_model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &with_visuals).unwrap();
+    let scene_renderer = SceneRenderer::new(with_visuals, visual_model.mujoco().clone(), 84);
     let factory = SpatialRe4Factory { config, knowledge };
     let roll_out = |scene: &Placement, truthful: bool| -> Rollout<Space, SpatialDecision> {
         let start = Start {
@@ -317,7 +318,7 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
         } else {
             Source::Image {
                 camera: "agentview".to_owned(),
-                estimator: Box::new(Always(said)),
+                estimator: Box::new(Always(constant)),
             }
         };
         rollout(&factory, &mut env, source, start, 30).unwrap()
@@ -326,7 +327,7 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
     assert_ne!(one.first.observation.object, other.first.observation.object);
     assert_eq!(one.first.observation.grip_site, other.first.observation.grip_site);
     assert_eq!(one.decisions[0], other.decisions[0]);
-    // Until something is touched, every action is the same.
+    // Until the first contact, all actions are the same.
     let same = one
         .steps
         .iter()
@@ -334,15 +335,15 @@ fn nothing_but_the_estimator_tells_the_policy_where_the_object_is() {
         .take_while(|(a, b)| a.action == b.action)
         .count();
     assert!(same >= 15, "{same} steps");
-    assert!(one.steps.iter().take(same).all(|step| step.seen == Some(said)));
-    // An image is rendered where the pose is asked for, and nowhere else.
+    assert!(one.steps.iter().take(same).all(|step| step.seen == Some(constant)));
+    // An image is rendered only when the pose is requested.
     assert!(one.images() >= 1 && one.images() as usize <= one.decisions.len());
     assert!(
         one.steps
             .iter()
             .all(|step| step.asked.object.is_some() == (step.asked.images == 1))
     );
-    // And with the recorded pose, they are not.
+    // With recorded poses, the actions differ.
     let (one, other) = (roll_out(&here, true), roll_out(&elsewhere, true));
     assert_ne!(one.decisions[0].set_point, other.decisions[0].set_point);
     assert!(one.steps.iter().all(|step| step.asked.object.is_some()) && one.images() == 0);
@@ -388,9 +389,9 @@ fn knowledge(index: &Artifact, config: &SpatialPolicyConfig) -> SpatialKnowledge
     .unwrap()
 }
 
-/// Of an index over estimated poses, nothing depends on the recorded ones: not the poses, and not what is left out of it.
+/// An index of estimated poses does not depend on the recorded ones, neither in its poses nor in the frames that it leaves out.
 #[test]
-fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
+fn the_index_contains_estimated_poses_and_never_recorded_ones() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -401,28 +402,28 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     run(&place, &simulators, "index state.toml --artifacts state").done();
     run(&place, &simulators, "segment lift.toml").done();
     let episodes = only(&place, "artifacts", Stage::Ingest);
-    // Poses that no object ever had.
+    // Poses that differ from all recorded ones.
     let rows: Vec<_> = recorded(&episodes)
         .into_iter()
         .map(|(episode, frame, _)| {
-            let turned = UnitQuaternion::from_euler_angles(0.0, 0.0, f64::from(frame)).coords;
+            let rotated = UnitQuaternion::from_euler_angles(0.0, 0.0, f64::from(frame)).coords;
             let place = [f64::from(episode), f64::from(frame), 1.0];
             (
                 episode,
                 frame,
-                [place[0], place[1], place[2], turned.x, turned.y, turned.z, turned.w],
+                [place[0], place[1], place[2], rotated.x, rotated.y, rotated.z, rotated.w],
             )
         })
         .collect();
     let (toml, artifacts) = (place.path().join("lift.toml"), place.path().join("artifacts"));
     let index_over = |poses: &Path| {
-        let invented = Invented {
+        let mock = MockRun {
             pipeline: &toml,
             overrides: &[],
             artifacts: &artifacts,
             poses,
         };
-        invented.index()
+        mock.index()
     };
     let index = index_over(&write_poses(&artifacts, &episodes, "nowhere", &rows)).unwrap();
     let index = Artifact::open(&index).unwrap();
@@ -439,7 +440,7 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
         );
     }
     assert!(index.manifest().inputs.contains_key("poses") && !index.manifest().inputs.contains_key("audit"));
-    // Failed grasps show in the fingers, too.
+    // Failed grasps are detected from the fingers, too.
     let state = only(&place, "state", Stage::Index);
     let of_state = state
         .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
@@ -465,10 +466,10 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     }
 
     // Poses of other demonstrations are refused.
-    let mut told = String::new();
+    let mut errors = String::new();
     let mut refuse = |what: &str, rows: &[(u32, u32, [f64; 7])]| {
         let sentence = index_over(&write_poses(&artifacts, &episodes, what, rows)).unwrap_err();
-        writeln!(told, "{what}\n  {sentence}").unwrap();
+        writeln!(errors, "{what}\n  {sentence}").unwrap();
     };
     refuse("a frame short", &rows[..rows.len() - 1]);
     let first: Vec<_> = rows.iter().copied().filter(|row| row.0 != 3).collect();
@@ -484,12 +485,12 @@ fn the_index_holds_the_estimated_poses_and_never_the_recorded_ones() {
     filters.push((folder.to_str().unwrap(), "[folder]"));
     filters.push((place.path().to_str().unwrap(), "[folder]"));
     filters.push(("poses/[0-9a-f]+", "poses/[key]"));
-    with_settings!({ filters => filters }, { assert_snapshot!(told) });
+    with_settings!({ filters => filters }, { assert_snapshot!(errors) });
 }
 
-/// What keeps an image variant from starting, each in one sentence with exit code 2.
+/// Everything that prevents an image variant from starting gives one sentence and exit code 2.
 #[test]
-fn what_cannot_be_seen_is_told_in_one_sentence() {
+fn missing_images_and_conflicting_settings() {
     let Some((data, simulators)) = data_and_simulators() else {
         return;
     };
@@ -502,31 +503,31 @@ fn what_cannot_be_seen_is_told_in_one_sentence() {
         "state.toml",
         pipeline("lift", &data.join("lift/low_dim.hdf5"), "state", "re4"),
     );
-    let mut told = String::new();
-    let mut tell = |what: &str, arguments: &str| {
+    let mut errors = String::new();
+    let mut refuse = |what: &str, arguments: &str| {
         let sentence = run(&place, &simulators, &format!("{arguments} --quiet")).refused();
-        writeln!(told, "{what}\n  {}", sentence.trim_end()).unwrap();
+        writeln!(errors, "{what}\n  {}", sentence.trim_end()).unwrap();
     };
     for command in ["train-pose", "index", "rollout", "run"] {
-        tell(&format!("{command}, no images"), &format!("{command} lift.toml"));
+        refuse(&format!("{command}, no images"), &format!("{command} lift.toml"));
     }
-    tell("no images at all", "rollout lift.toml --no-images");
-    tell("nothing to train", "train-pose state.toml");
+    refuse("no images at all", "rollout lift.toml --no-images");
+    refuse("nothing to train", "train-pose state.toml");
     let settings = [
-        ("another camera drawn", "ingest.render=[\"robot0_eye_in_hand\"]"),
+        ("another camera rendered", "ingest.render=[\"robot0_eye_in_hand\"]"),
         ("rule", "segment.rule=\"rigid_motion\""),
         ("check of the object", "index.leave_out=[\"dropped\"]"),
         ("noise", "rollout.noise={translation=0.01}"),
         ("state", "variant=\"state\""),
     ];
     for (what, setting) in settings {
-        tell(what, &format!("rollout lift.toml --set {setting}"));
+        refuse(what, &format!("rollout lift.toml --set {setting}"));
     }
-    tell(
+    refuse(
         "another camera recorded",
         "rollout recorded.toml --set pose.encoder.camera=\"frontview\"",
     );
-    tell(
+    refuse(
         "another camera taken",
         "rollout recorded.toml --set ingest.cameras=[\"robot0_eye_in_hand\"]",
     );
@@ -536,5 +537,5 @@ fn what_cannot_be_seen_is_told_in_one_sentence() {
     let folder = place.path().canonicalize().unwrap();
     filters.push((folder.to_str().unwrap(), "[folder]"));
     filters.push(("episodes/[0-9a-f]+", "episodes/[key]"));
-    with_settings!({ filters => filters }, { assert_snapshot!(told) });
+    with_settings!({ filters => filters }, { assert_snapshot!(errors) });
 }

@@ -1,5 +1,5 @@
-//! The image variant from end to end: poses estimated from images, indexed and seen by the policy; and images that no
-//! pose can be estimated from.
+//! End-to-end tests of Push-T's image variant: poses are estimated from images, indexed and observed by the policy; and images
+//! from which no pose can be estimated.
 
 use std::f64::consts::TAU;
 use std::fs;
@@ -17,7 +17,7 @@ use re4_sim::{Canvas, OBSERVATION_SIDE};
 const EPISODES: u32 = 6;
 const FRAMES: usize = EPISODES as usize * LENGTH;
 
-/// A state of the dataset.
+/// A state of the dataset: pusher x and y, block x, y and theta.
 type State = [f64; 5];
 
 fn states(place: &Place) -> Vec<State> {
@@ -28,7 +28,7 @@ fn states(place: &Place) -> Vec<State> {
     episodes.state
 }
 
-fn drawn(state: &State) -> Vec<u8> {
+fn render_state(state: &State) -> Vec<u8> {
     let mut canvas = Canvas::new();
     canvas.draw_state(
         Point2::new(state[0], state[1]),
@@ -37,7 +37,7 @@ fn drawn(state: &State) -> Vec<u8> {
     canvas.observation()
 }
 
-/// Gives the dataset of a place other images.
+/// Replaces the images of a folder's dataset.
 fn set_images(place: &Place, side: usize, images: &[Vec<u8>]) {
     let _ = fs::create_dir(place.dataset().join("data/img"));
     replace(
@@ -49,7 +49,7 @@ fn set_images(place: &Place, side: usize, images: &[Vec<u8>]) {
     );
 }
 
-/// A place with a dataset of states, and `image.toml` on it.
+/// A folder with a dataset without images, and `image.toml` on it.
 fn states_only() -> Place {
     let place = Place::empty();
     dataset::write(&place.dataset(), EPISODES, false);
@@ -57,10 +57,10 @@ fn states_only() -> Place {
     place
 }
 
-/// The same with images of the states.
+/// As [`states_only`], with images of the states.
 fn with_images() -> Place {
     let place = states_only();
-    let images: Vec<Vec<u8>> = states(&place).iter().map(drawn).collect();
+    let images: Vec<Vec<u8>> = states(&place).iter().map(render_state).collect();
     set_images(&place, OBSERVATION_SIDE, &images);
     place
 }
@@ -81,10 +81,10 @@ fn table_bytes(artifact: &Artifact, table: &str) -> Vec<u8> {
     fs::read(artifact.path().join(format!("{table}.parquet"))).unwrap()
 }
 
-/// No recorded pose reaches the poses, the index or the policy: with other recorded poses and the same images they are
-/// the same, byte for byte.
+/// Estimated poses, the index and the policy do not depend on recorded poses: with different recorded poses and the same images
+/// they are the same, byte for byte.
 #[test]
-fn poses_come_from_the_images_alone() {
+fn poses_depend_only_on_the_images() {
     let (honest, doctored) = (with_images(), with_images());
     let shifted: Vec<u8> = states(&doctored)
         .iter()
@@ -100,7 +100,7 @@ fn poses_come_from_the_images_alone() {
     let [one, other] = artifacts(Stage::Ingest);
     assert!(
         table_bytes(&one, "frames") != table_bytes(&other, "frames"),
-        "nothing was doctored"
+        "the recorded poses were not changed"
     );
     for (stage, table) in [
         (Stage::TrainPose, "poses"),
@@ -121,7 +121,7 @@ fn poses_come_from_the_images_alone() {
 }
 
 #[test]
-fn a_run_from_images_is_the_same_for_any_number_of_threads_and_again() {
+fn a_run_from_images_is_deterministic() {
     let (one, two) = (with_images(), with_images());
     one.run("run image.toml --jobs 1").done();
     two.run("run image.toml --jobs 2").done();
@@ -136,30 +136,30 @@ fn a_run_from_images_is_the_same_for_any_number_of_threads_and_again() {
 }
 
 #[test]
-fn the_policy_is_told_what_the_image_shows() {
+fn the_policy_observes_the_pose_in_the_image() {
     let place = with_images();
     place.run("run image.toml").done();
     let rollouts = place.artifact(Stage::Rollout);
     let steps = crate::support::steps(&rollouts);
     let of = |name| col_f64(&steps, name).unwrap();
-    let told = |name| col_f64_or_null(&steps, name).unwrap();
+    let observed = |name| col_f64_or_null(&steps, name).unwrap();
     let (seed, step) = (col_u32(&steps, "seed").unwrap(), col_u32(&steps, "step").unwrap());
     let (x, y, theta) = (of("object_x"), of("object_y"), of("object_theta"));
-    let (seen_x, seen_y) = (told("seen_x"), told("seen_y"));
-    let (seen_theta, confidence) = (told("seen_theta"), told("pose_confidence"));
+    let (seen_x, seen_y) = (observed("seen_x"), observed("seen_y"));
+    let (seen_theta, confidence) = (observed("seen_theta"), observed("pose_confidence"));
     let mut exact = 0;
     for row in 1..seed.len() {
         if step[row] == 0 {
             continue;
         }
-        // The state before an action is that after the one before.
+        // The state before an action is the state after the previous action.
         let off = (seen_x[row].unwrap() - x[row - 1]).hypot(seen_y[row].unwrap() - y[row - 1]);
-        let turned = periodic_distance(seen_theta[row].unwrap(), theta[row - 1], TAU);
-        assert!(off < 3.0 && turned < 0.04, "row {row}: {off} px, {turned} rad");
+        let rotation = periodic_distance(seen_theta[row].unwrap(), theta[row - 1], TAU);
+        assert!(off < 3.0 && rotation < 0.04, "row {row}: {off} px, {rotation} rad");
         assert!((0.7..=1.0).contains(&confidence[row].unwrap()));
         exact += u32::from(off < 1e-6);
     }
-    assert_eq!(exact, 0, "an estimate that is exact is none");
+    assert_eq!(exact, 0, "an exact pose would be a recorded one, not an estimate");
     let flags = col_text(&steps, "pose_flag").unwrap();
     assert!(flags.iter().all(|flag| *flag == Some("clear")));
     let decisions = crate::support::decisions(&rollouts);
@@ -176,7 +176,7 @@ fn the_policy_is_told_what_the_image_shows() {
             .unwrap();
         assert_eq!(Some(query), seen_x[row]);
     }
-    // Of true states there is nothing to tell.
+    // In the state variant, these columns are null.
     place.run("run small.toml --artifacts states").done();
     let folder = &crate::support::folders_in(&place.path().join("states/rollouts"))[0];
     let steps = crate::support::steps(&Artifact::open(folder).unwrap());
@@ -189,7 +189,7 @@ fn the_policy_is_told_what_the_image_shows() {
 }
 
 #[test]
-fn rendered_images_serve_as_recorded_ones_do() {
+fn rendered_images_give_the_same_poses_as_recorded_ones() {
     let (recorded, rendered) = (with_images(), states_only());
     write_pipeline(&rendered, "render = [\"image\"]");
     for place in [&recorded, &rendered] {
@@ -202,7 +202,7 @@ fn rendered_images_serve_as_recorded_ones_do() {
     write_pipeline(&recorded, "render = [\"image\"]");
     let refusal = recorded.run("ingest image.toml").refused_at_once();
     assert!(
-        refusal.contains("it holds recorded ones; leave ingest.render out"),
+        refusal.contains("it has recorded images; remove ingest.render"),
         "{refusal}"
     );
 }
@@ -212,8 +212,8 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let place = with_images();
     let all = states(&place);
     let away = |state: &State| [state[0], state[1], -900.0, -900.0, 0.0];
-    let mut images: Vec<Vec<u8>> = all.iter().map(drawn).collect();
-    // One push leads the block out of the image; those frames are not clear as it is.
+    let mut images: Vec<Vec<u8>> = all.iter().map(render_state).collect();
+    // One push moves the block out of the image, so some frames are not clear in the unchanged images.
     place.run("train-pose image.toml --artifacts before").done();
     let folder = &crate::support::folders_in(&place.path().join("before/poses"))[0];
     let poses = Artifact::open(folder)
@@ -225,7 +225,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let flags = col_text(&poses, "flag").unwrap();
     let doubtful: Vec<usize> = (0..FRAMES).filter(|&row| flags[row] != Some("clear")).collect();
     let count = |flag: &str| flags.iter().filter(|other| **other == Some(flag)).count();
-    // Three frames show no block, one shows two.
+    // Three frames show no block; one shows two.
     let (hidden, two) = ([LENGTH + 10, LENGTH + 11, 3 * LENGTH], 4 * LENGTH + 30);
     let mut wanted = [&hidden[..], &[two], &doubtful].concat();
     wanted.sort_unstable();
@@ -235,11 +235,11 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
             .all(|row| wanted.iter().filter(|other| *other == row).count() == 1)
     );
     for frame in hidden {
-        images[frame] = drawn(&away(&all[frame]));
+        images[frame] = render_state(&away(&all[frame]));
     }
     let (second, empty) = (
-        drawn(&[25.0, 25.0, 90.0, 300.0, 1.0]),
-        drawn(&[25.0, 25.0, -900.0, -900.0, 0.0]),
+        render_state(&[25.0, 25.0, 90.0, 300.0, 1.0]),
+        render_state(&[25.0, 25.0, -900.0, -900.0, 0.0]),
     );
     for (i, byte) in second.iter().enumerate().filter(|(i, byte)| **byte != empty[*i]) {
         images[two][i] = *byte;
@@ -255,10 +255,10 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     assert_eq!(flagged("second_block"), count("second_block") + 1);
     assert_eq!(flagged("occluded"), count("occluded"));
     let message = poses.manifest().warnings[0]["message"].as_str().unwrap().to_owned();
-    let start = format!("the pose is not clear in {} of 420 frames (", wanted.len());
+    let start = format!("the estimated pose is not clear in {} of 420 frames (", wanted.len());
     assert!(message.starts_with(&start), "{message}");
     assert!(
-        message.ends_with("first in episode 1, frame 10; they are not retrieved"),
+        message.ends_with("first in episode 1, frame 10; these frames are not retrieved"),
         "{message}"
     );
     let index = place
@@ -271,7 +271,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
     let left_out: Vec<usize> = (0..FRAMES).filter(|&row| !retrievable.value(row)).collect();
     assert_eq!(left_out, wanted);
     let x = col_f64(&index, "object_x").unwrap();
-    let between = |row: usize, share: f64| x[LENGTH + 9] + share * (x[LENGTH + 12] - x[LENGTH + 9]) - x[row];
+    let between = |row: usize, fraction: f64| x[LENGTH + 9] + fraction * (x[LENGTH + 12] - x[LENGTH + 9]) - x[row];
     assert!(between(LENGTH + 10, 1.0 / 3.0).abs() < 1e-9 && between(LENGTH + 11, 2.0 / 3.0).abs() < 1e-9);
     assert_eq!(x[3 * LENGTH], x[3 * LENGTH + 1]);
     let chunks = place
@@ -293,7 +293,7 @@ fn frames_without_a_clear_pose_are_counted_and_not_retrieved() {
 }
 
 #[test]
-fn images_that_give_no_poses() {
+fn images_without_usable_poses() {
     let mut refusals = String::new();
     let mut refuse = |name: &str, place: &Place, arguments: &str| {
         let refusal = place
@@ -308,7 +308,7 @@ fn images_that_give_no_poses() {
     write_pipeline(&place, "");
     refuse("12 x 12 images", &place, "");
     let place = with_images();
-    let good: Vec<Vec<u8>> = states(&place).iter().map(drawn).collect();
+    let good: Vec<Vec<u8>> = states(&place).iter().map(render_state).collect();
     let changed = |change: fn(&mut [u8; 3])| -> Vec<Vec<u8>> {
         let mut images = good.clone();
         for pixel in images.iter_mut().flat_map(|image| image.as_chunks_mut::<3>().0) {
@@ -330,13 +330,13 @@ fn images_that_give_no_poses() {
     refuse("goal outside", &place, "--set pose.goal=[500,256,0.8]");
     refuse("goal elsewhere", &place, "--set pose.goal=[276,256,0.8]");
     refuse("goal of no number", &place, "--set pose.goal=[nan,256,0.8]");
-    let empty = drawn(&[25.0, 25.0, -900.0, -900.0, 0.0]);
+    let empty = render_state(&[25.0, 25.0, -900.0, -900.0, 0.0]);
     set_images(&place, OBSERVATION_SIDE, &vec![empty; FRAMES]);
     with_settings!({ filters => filters() }, { assert_snapshot!(refusals) });
-    // Where no frame shows a block, there are poses to look at and nothing to index.
+    // If no frame shows a block, the poses artifact is made, but there is nothing to index.
     place.run("train-pose image.toml").done();
     let refusal = place.run("index image.toml --quiet").refused();
-    assert!(refusal.contains("no frame of it has a clear pose"), "{refusal}");
+    assert!(refusal.contains("no frame has a clear pose"), "{refusal}");
 }
 
 #[test]

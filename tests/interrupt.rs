@@ -1,4 +1,4 @@
-//! Ctrl-C: the run ends soon, says so in one sentence, and leaves nothing half-written.
+//! Ctrl-C: the run ends soon, prints one sentence, and leaves nothing half-written.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::process::ExitStatusExt as _;
@@ -6,18 +6,20 @@ use std::time::{Duration, Instant};
 
 use crate::support::{Place, assert_same_bytes, signal};
 
-/// So many rollouts that no machine is done with them before it is interrupted.
+/// More rollouts than any machine finishes before the interrupt.
 const LONG: &str = "run small.toml --set rollout.seeds=0..200000 --policy paper";
 
-/// Latest that an interrupted run may end, on a machine however busy. On a quiet one it takes some milliseconds.
+/// Maximum time that an interrupted run may take to end on a busy machine. On an idle one it takes some milliseconds.
 const LATEST: Duration = Duration::from_secs(30);
 
-/// The stage says that it was interrupted, or where it is too slow for that, the watchdog does.
+/// The interruption is reported by the stage or, if the stage is too slow, by the watchdog.
 #[track_caller]
-fn assert_interrupted(said: &str) {
+fn assert_interrupted(message: &str) {
     assert!(
-        said.starts_with("error: ") && said.contains(" was interrupted; nothing ") && said.contains(" again"),
-        "{said}"
+        message.starts_with("error: ")
+            && message.contains(" was interrupted; no unfinished artifact ")
+            && message.contains(" again"),
+        "{message}"
     );
 }
 
@@ -29,21 +31,24 @@ fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
     let mut line = String::new();
     while !line.trim_start().starts_with("index") {
         line.clear();
-        assert!(notes.read_line(&mut line).unwrap() > 0, "it ended before the rollouts");
+        assert!(
+            notes.read_line(&mut line).unwrap() > 0,
+            "the run ended before the rollouts"
+        );
     }
-    // Into the rollouts, or before them: every moment is as good.
+    // The signal may arrive before or during the rollouts; both are fine.
     std::thread::sleep(Duration::from_millis(200));
     signal(&child, "INT");
     let start = Instant::now();
-    let mut said = String::new();
-    notes.read_to_string(&mut said).unwrap();
+    let mut message = String::new();
+    notes.read_to_string(&mut message).unwrap();
     let status = child.wait().unwrap();
     let latency = start.elapsed();
-    assert_eq!(status.code(), Some(2), "{said}");
+    assert_eq!(status.code(), Some(2), "{message}");
     let mut out = String::new();
     child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
     assert_eq!(out, "");
-    assert_interrupted(said.lines().last().unwrap_or_default());
+    assert_interrupted(message.lines().last().unwrap_or_default());
     println!("it took {latency:?} to stop");
     assert!(latency < LATEST, "it took {latency:?} to stop");
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
@@ -55,7 +60,7 @@ fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
 }
 
 #[test]
-fn an_interrupt_at_any_moment_is_answered_cleanly() {
+fn an_interrupt_at_any_moment_is_handled_cleanly() {
     let expected = Place::new();
     let start = Instant::now();
     expected.run("run small.toml").done();
@@ -66,26 +71,26 @@ fn an_interrupt_at_any_moment_is_answered_cleanly() {
         std::thread::sleep(wall * tenth / 10);
         signal(&child, "INT");
         let output = child.wait_with_output().unwrap();
-        let said = String::from_utf8(output.stderr).unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
         match (output.status.code(), output.status.signal()) {
-            // Done before the signal came.
+            // The run had finished before the signal arrived.
             (Some(0), _) => {}
             (Some(2), _) => {
-                let last = said.lines().last().unwrap_or_default();
+                let last = message.lines().last().unwrap_or_default();
                 assert_interrupted(last);
             }
-            // Before the program listens there is nothing to clean up.
-            (None, Some(2)) => assert_eq!(said, ""),
-            other => panic!("{other:?}: {said}"),
+            // The signal arrived before the program handled it; nothing has to be removed.
+            (None, Some(2)) => assert_eq!(message, ""),
+            other => panic!("{other:?}: {message}"),
         }
         assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
         let whole = expected.bytes();
         assert!(
             place.bytes().iter().all(|(name, bytes)| whole.get(name) == Some(bytes)),
-            "a part stayed"
+            "an incomplete file was left"
         );
         if tenth % 3 == 0 {
-            // Start over, so that the next signals meet every stage again.
+            // Deletes the artifacts, so that the next signals arrive during all stages again.
             let _ = std::fs::remove_dir_all(place.artifacts());
         }
     }

@@ -1,4 +1,4 @@
-//! Runs that are killed at any moment, and runs side by side: the next run ends in the bytes of an undisturbed one.
+//! Runs that are killed at random moments, and concurrent runs: the next run gives the same bytes as an undisturbed one.
 //!
 //! `RE4_KILLS=200 cargo test -p re4-pipe kill::` kills more often than the default of 12.
 
@@ -35,7 +35,7 @@ impl Moments {
 /// Kills programs at random moments of their runs.
 struct Killer {
     moments: Moments,
-    /// About as long as a run takes.
+    /// Approximate duration of a run.
     span: Duration,
 }
 
@@ -47,12 +47,13 @@ impl Killer {
         }
     }
 
-    /// Kills a program that was just started; whether it was still running.
+    /// Kills a program that was just started. Returns whether it was still running.
     fn kill(&mut self, child: &mut Child) -> bool {
         std::thread::sleep(self.span.mul_f64(self.moments.next()));
         child.kill().unwrap();
         let killed = child.wait().unwrap().code().is_none();
-        // How long a run takes depends on what else the machine does: three in four are to be met while they run.
+        // The duration of a run depends on the load of the machine, so the delay is adapted until three in four runs are killed
+        // while they run.
         self.span = self.span.mul_f64(if killed { 1.1 } else { 0.75 });
         killed
     }
@@ -67,7 +68,7 @@ fn a_killed_run_can_be_run_again() {
     let (mut round, mut killed) = (0, 0);
     while round < kills || killed < kills / 2 {
         let _ = fs::remove_dir_all(place.artifacts());
-        // Up to two more kills of the runs that go on from there.
+        // Kills up to two of the runs that continue from there.
         for _ in 0..=round % 3 {
             killed += usize::from(killer.kill(&mut place.start(COMMAND)));
         }
@@ -96,7 +97,7 @@ fn a_killed_recording_leaves_no_dataset() {
     for _ in 0..4 {
         killer.kill(&mut place.start(&format!("{COMMAND} --record out.zarr")));
         if out.exists() {
-            // Whole or not at all.
+            // If the dataset exists, it is complete.
             re4_ingest::pusht::PushtReader::open(&out).unwrap();
             fs::remove_dir_all(&out).unwrap();
         }
@@ -106,15 +107,15 @@ fn a_killed_recording_leaves_no_dataset() {
 }
 
 #[test]
-fn runs_side_by_side_end_in_the_same_bytes() {
+fn concurrent_runs_give_the_same_bytes() {
     let (expected, _) = undisturbed();
     for round in 0..3 {
         let place = Place::new();
         let children: Vec<_> = (0..2 + round).map(|_| place.start(COMMAND)).collect();
         for child in children {
             let output = child.wait_with_output().unwrap();
-            let said = String::from_utf8_lossy(&output.stderr);
-            assert_eq!(output.status.code(), Some(0), "{said}");
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(0), "{message}");
         }
         assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
         assert_same_bytes(&place.bytes(), &expected);
@@ -122,7 +123,7 @@ fn runs_side_by_side_end_in_the_same_bytes() {
 }
 
 #[test]
-fn a_run_beside_a_killed_one_is_not_disturbed() {
+fn a_concurrent_run_survives_a_killed_one() {
     let (expected, wall) = undisturbed();
     let mut killer = Killer::new(99, wall);
     for _ in 0..3 {

@@ -1,4 +1,4 @@
-//! End-to-end tests, one module a subject, in one program: a link of all that there is takes long.
+//! End-to-end tests, one module per subject. They are one test program because linking the whole workspace takes long.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,

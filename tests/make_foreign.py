@@ -1,5 +1,5 @@
-"""Writes files with the traits of public datasets and converters that once were read wrongly, or refused without need: from the
-first demonstrations of data/can-sample.hdf5.
+"""Writes files with peculiarities of public datasets and converters that once were read incorrectly or refused without need. They
+are made from the first demonstrations of data/can-sample.hdf5.
 
 usage: make_foreign.py SAMPLE.hdf5 FOLDER   (needs h5py and numpy)
 """
@@ -16,7 +16,7 @@ DEMOS = ["demo_0", "demo_1", "demo_2", "demo_3"]
 
 
 def hdf5(change):
-    """A copy of the first demonstrations with a change, named after it."""
+    """Writes a copy of the first demonstrations with a change; the file is named after the function."""
     target = folder / f"{change.__name__}.hdf5"
     with h5py.File(sample) as source, h5py.File(target, "w") as file:
         data = file.create_group("data")

@@ -1,9 +1,9 @@
-"""Writes HDF5 files whose demonstrations are not numbered from 0 without gaps, from data/can-sample.hdf5.
+"""Writes HDF5 files whose demonstrations are not numbered consecutively from 0, from data/can-sample.hdf5.
 
 usage: make_gaps.py SAMPLE.hdf5 FOLDER   (needs h5py and numpy)
 
-gaps.hdf5    some demonstrations are lost, as after curation by hand; the filter keys still name them
-names.hdf5   demonstrations with other names than demo_N; NAMES says which is which, and so does names.json
+gaps.hdf5    some demonstrations are missing, as after manual curation; the filter keys still name them
+names.hdf5   demonstrations with names other than demo_N; NAMES and names.json map them to the names of the sample
 """
 
 import json
@@ -44,7 +44,7 @@ with h5py.File(sample) as source:
         finish(file, source)
     with h5py.File(folder / "names.hdf5", "w") as file:
         data = file.create_group("data")
-        # Not in their order, in a file that keeps the order of creation.
+        # Created in another order than that of their numbers, in a file that keeps the order of creation.
         for name in sorted(NAMES, reverse=True):
             source.copy(f"data/{NAMES[name]}", data, name=name)
         file["mask/some"] = np.array(["demo2", "demo10", "take-7", "last"], dtype="S8")

@@ -1,6 +1,6 @@
-"""Writes HDF5 files of robosuite demonstrations with one fault each in what images are drawn from.
+"""Writes HDF5 files of robosuite demonstrations, each with one error in the states or models from which images are rendered.
 
-usage: make_models.py LOW_DIM.hdf5 FOLDER   (needs h5py; the source holds states and model_file)
+usage: make_models.py LOW_DIM.hdf5 FOLDER   (needs h5py; the source has states and model_file)
 """
 
 import sys
@@ -13,7 +13,7 @@ DEMOS = ["demo_0", "demo_1", "demo_2"]
 
 
 def write(name, change):
-    """A copy of the first demonstrations; demo_1's group is handed to `change`."""
+    """Writes a copy of the first demonstrations. `change` gets the group of demo_1."""
     with h5py.File(source) as file, h5py.File(folder / f"{name}.hdf5", "w") as target:
         data = target.create_group("data")
         for demo in DEMOS:

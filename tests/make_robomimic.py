@@ -1,4 +1,4 @@
-"""Writes HDF5 files with one fault each, and two with images, from the first demonstrations of data/can-sample.hdf5.
+"""Writes HDF5 files with one error each, and files with images, from the first demonstrations of data/can-sample.hdf5.
 
 usage: make_robomimic.py SAMPLE.hdf5 FOLDER   (needs h5py and numpy)
 """

@@ -1,6 +1,6 @@
-//! The notebooks run from top to bottom on the artifacts of the demo pipeline, and notice a manifest that is wrong.
+//! The notebooks run from top to bottom on artifacts of the demo pipelines, and detect a wrong manifest.
 //!
-//! They are executed by the Python interpreter that the variable `RE4_PYTHON` names, as `scripts/test.sh` sets it.
+//! They are executed by the Python interpreter that the variable `RE4_PYTHON` names; `scripts/test.sh` sets it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ fn notebook(name: &str) -> PathBuf {
     repository().join("notebooks").join(name)
 }
 
-/// The interpreter; says that the test is skipped where none is named.
+/// The interpreter; if none is named, prints that the test is skipped.
 fn python() -> Option<PathBuf> {
     let python = std::env::var_os("RE4_PYTHON").map(PathBuf::from);
     if python.is_none() {
@@ -22,7 +22,7 @@ fn python() -> Option<PathBuf> {
     python
 }
 
-/// Artifacts of the demo pipeline for two presets, on few scenes.
+/// Artifacts of the demo pipeline for two presets on a few scenes.
 fn demo() -> Place {
     let place = Place::empty();
     for (preset, steps) in [("re4", 200), ("paper", 40)] {
@@ -56,7 +56,7 @@ fn cells(path: &Path) -> Vec<Value> {
     notebook["cells"].as_array().unwrap().clone()
 }
 
-/// Images in the notebook as it was executed.
+/// Number of images in the executed notebook.
 fn count_images(place: &Place) -> usize {
     cells(&place.path().join("executed.ipynb"))
         .iter()
@@ -67,11 +67,14 @@ fn count_images(place: &Place) -> usize {
 }
 
 #[test]
-fn the_notebooks_are_kept_without_outputs() {
+fn notebooks_are_stored_without_outputs() {
     for name in ["pusht.ipynb", "audit.ipynb"] {
         let cells = cells(&notebook(name));
         let code: Vec<&Value> = cells.iter().filter(|cell| cell["cell_type"] == "code").collect();
-        assert!(code.len() >= 5 && code.len() < cells.len(), "code, and words about it");
+        assert!(
+            code.len() >= 5 && code.len() < cells.len(),
+            "a notebook has code and text"
+        );
         for cell in &cells {
             assert_eq!(cell["metadata"], json!({}), "{name} {}", cell["id"]);
         }
@@ -88,7 +91,7 @@ fn the_notebooks_are_kept_without_outputs() {
 }
 
 #[test]
-fn the_notebook_of_an_audit_runs_and_draws_and_holds_the_manifest_to_its_tables() {
+fn the_audit_notebook_runs_plots_and_checks_the_manifest() {
     let Some(python) = python() else { return };
     let place = Place::empty();
     let output = place
@@ -116,13 +119,13 @@ fn the_notebook_of_an_audit_runs_and_draws_and_holds_the_manifest_to_its_tables(
 }
 
 #[test]
-fn the_notebook_runs_and_draws_and_holds_the_manifest_to_its_tables() {
+fn the_pusht_notebook_runs_plots_and_checks_the_manifest() {
     let Some(python) = python() else { return };
     let place = demo();
     execute(&python, &place, "pusht.ipynb").done();
     assert_eq!(count_images(&place), 4, "scores, budgets, decisions, demonstrations");
 
-    // One end of one interval, off in the sixth digit.
+    // Changes one end of one interval in the sixth digit.
     let artifacts = folders_in(&place.artifacts().join("rollouts"));
     assert_eq!(artifacts.len(), 2);
     for artifact in artifacts {

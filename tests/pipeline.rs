@@ -1,4 +1,4 @@
-//! The stages from end to end: what is built, what is skipped, what comes out.
+//! End-to-end tests of the stages: what is built, what is skipped, and the results.
 
 use std::fs;
 
@@ -9,12 +9,12 @@ use re4_artifact::{Artifact, Row as _, Stage, col_binary, col_f64, col_f64_or_nu
 use re4_ingest::{EpisodeRow, FrameRow, ImageRow, PlanarColumns};
 use serde_json::Value;
 
-/// Stages in the order in which the program reported on them, and whether each was skipped.
+/// The stages in the order of the program's notes, and whether each was skipped.
 fn stages(answer: &Answer) -> Vec<(&str, bool)> {
     answer
         .stderr
         .lines()
-        // Lines without the path of an artifact are notes on a stage.
+        // Lines without the path of an artifact are other notes of a stage.
         .filter(|line| line.contains("artifacts/"))
         .map(|line| {
             (
@@ -43,7 +43,7 @@ fn a_run_builds_every_stage_and_a_second_one_skips_them() {
 }
 
 #[test]
-fn json_answers_with_one_object_of_the_agreed_keys() {
+fn json_output_is_one_object_with_the_documented_keys() {
     let place = Place::new();
     let answer = place.run("run small.toml --json").done();
     let object = answer.json();
@@ -116,7 +116,7 @@ fn json_answers_with_one_object_of_the_agreed_keys() {
 }
 
 #[test]
-fn every_command_with_json_answers_with_one_object() {
+fn json_output_of_every_command_is_one_object() {
     let place = Place::new();
     for (command, stage) in [
         ("ingest", "ingest"),
@@ -129,7 +129,7 @@ fn every_command_with_json_answers_with_one_object() {
         let object = answer.json();
         let keys: Vec<&String> = object.as_object().unwrap().keys().collect();
         let mut expected = vec!["stage", "artifact", "key", "skipped", "summary", "warnings", "wall_s"];
-        // A segmentation is audited at once.
+        // `segment` also runs the audit.
         expected.extend((command == "segment").then_some("audit"));
         assert_eq!(keys, expected);
         assert_eq!(object["stage"], stage);
@@ -145,7 +145,7 @@ fn every_command_with_json_answers_with_one_object() {
 }
 
 #[test]
-fn quiet_prints_the_result_alone() {
+fn quiet_prints_only_the_result() {
     let place = Place::new();
     for _ in 0..2 {
         let answer = place.run("run small.toml --quiet").done();
@@ -159,7 +159,7 @@ fn quiet_prints_the_result_alone() {
 }
 
 #[test]
-fn stages_alone_build_what_they_need() {
+fn a_single_stage_builds_the_stages_it_needs() {
     let place = Place::new();
     assert_eq!(
         stages(&place.run("segment small.toml").done()),
@@ -196,7 +196,7 @@ fn bytes_do_not_depend_on_threads_or_on_the_run() {
         assert_eq!(bytes.keys().filter(|file| file.ends_with("manifest.json")).count(), 5);
         assert_same_bytes(reference.get_or_insert(bytes.clone()), &bytes);
     }
-    // Another dataset of the same content in another folder gives the same bytes too.
+    // A dataset with the same content in another folder gives the same bytes, too.
     let other = Place::new();
     other.run("run small.toml").done();
     other.run("replay small.toml").done();
@@ -216,7 +216,7 @@ fn a_changed_setting_rebuilds_the_stages_after_it() {
     assert_eq!(
         built("--set rollout.max_steps=50"),
         [""; 0],
-        "the flag and the override mean the same"
+        "the flag and the override are equivalent"
     );
     assert_eq!(built("--set rollout.replan.keepout=19"), ["rollout"]);
     assert_eq!(built("--policy paper"), ["rollout"]);
@@ -233,14 +233,14 @@ fn a_changed_setting_rebuilds_the_stages_after_it() {
     assert_eq!(
         built("--set ingest.images=false"),
         [""; 0],
-        "the flag and the override mean the same"
+        "the flag and the override are equivalent"
     );
     assert_eq!(built(""), [""; 0]);
     fs::rename(place.dataset(), place.path().join("data/moved.zarr")).unwrap();
     assert_eq!(
         built("--set ingest.source=moved.zarr"),
         [""; 0],
-        "content counts, not the path"
+        "the key depends on the content, not on the path"
     );
     let chunk = place.path().join("data/moved.zarr/data/img/0.0.0.0");
     let mut bytes = fs::read(&chunk).unwrap();
@@ -249,7 +249,7 @@ fn a_changed_setting_rebuilds_the_stages_after_it() {
     assert_eq!(
         built("--set ingest.source=moved.zarr"),
         ["ingest", "segment", "index", "rollout"],
-        "a changed byte of the dataset counts"
+        "the key depends on every byte of the dataset"
     );
 }
 
@@ -308,7 +308,7 @@ fn episodes_are_selected_by_number() {
 }
 
 #[test]
-fn images_are_kept_without_loss_or_left_out() {
+fn images_are_stored_without_loss_or_left_out() {
     let place = Place::new();
     place.run("ingest small.toml").done();
     let with = place.artifact(Stage::Ingest);
@@ -351,7 +351,7 @@ fn a_dataset_without_images_is_ingested_with_a_warning() {
 }
 
 #[test]
-fn a_recording_is_a_dataset_that_holds_the_rollouts() {
+fn a_recording_is_a_dataset_of_the_rollouts() {
     let place = Place::new();
     place.run("run small.toml --record out.zarr").done();
     let rollouts = place.artifact(Stage::Rollout);
@@ -383,7 +383,7 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
     let number = col_u32(&frames, "frame").unwrap();
     let rollout = col_u32(&frames, "episode").unwrap();
     for row in 0..frames.num_rows() {
-        // The state of a frame is what the step before it led to.
+        // The state of a frame is the state after the previous step.
         let before = |in_results: &str, in_steps: &str| match number[row] {
             0 => col_f64(&results, in_results).unwrap()[rollout[row] as usize],
             _ => col_f64(&steps, in_steps).unwrap()[row - 1],
@@ -404,7 +404,7 @@ fn a_recording_is_a_dataset_that_holds_the_rollouts() {
             assert_eq!(found[row], single(executed[row]), "{column} of row {row}");
         }
     }
-    // And a pipeline can go on from it.
+    // A pipeline can use the recording as its dataset.
     place.run(&again.replacen("ingest", "run", 1)).done();
 }
 
@@ -420,7 +420,7 @@ fn a_recording_never_replaces_anything() {
     assert_eq!(
         folders_in(&place.artifacts().join("rollouts")).len(),
         1,
-        "refused before the work"
+        "it is refused before any rollout"
     );
     let lost = place
         .run("run small.toml --quiet --record no/such/folder/out.zarr")
@@ -448,7 +448,7 @@ fn inspect_shows_every_artifact() {
     ]
     .map(|stage| (stage, place.artifact(stage)))
     .into();
-    // Its episodes are others.
+    // Made afterwards, because it has other episodes.
     place.write_image();
     place.run("train-pose image.toml").done();
     let poses = (Stage::TrainPose, place.artifact(Stage::TrainPose));
@@ -486,7 +486,7 @@ fn inspect_shows_every_artifact() {
         }
     }
     seen.sort();
-    // Push-T's: those of robosuite's tasks are not among them, nor the one of demonstrations that cannot be used.
+    // Only Push-T's tables, without those of robosuite tasks and that of unusable demonstrations.
     let others = [
         "conventions",
         "grasps",
@@ -498,7 +498,7 @@ fn inspect_shows_every_artifact() {
     ];
     let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)
-        // Tables of other policies than RE4 are tested with them.
+        // Tables of policies other than RE4 are tested with these policies.
         .filter(|name| *name == "decisions_re4" || !name.starts_with("decisions_"))
         .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
         .collect();
@@ -515,7 +515,7 @@ fn inspect_shows_every_artifact() {
 }
 
 #[test]
-fn images_of_rollouts_and_of_divergence_are_drawn() {
+fn plots_of_rollouts_and_of_divergence_are_written() {
     let place = Place::new();
     place.run("run small.toml").done();
     let path = place.artifact(Stage::Rollout).path().display().to_string();
@@ -569,7 +569,7 @@ fn verify_names_every_artifact() {
 }
 
 #[test]
-fn all_presets_leave_traces_of_the_loop() {
+fn all_presets_record_their_decisions() {
     let place = Place::new();
     for (preset, plans, moves) in [("re4", true, true), ("paper", true, true), ("re2", false, false)] {
         place

@@ -1,4 +1,4 @@
-//! Policies by their kinds: what a table `[policy]` says, and how the older form of it is read.
+//! Kinds of policies: the table `[policy]`, and how its older form is read.
 
 use std::sync::Arc;
 
@@ -7,13 +7,13 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_policy::kinds::{NearestRow, PlaneRe4Row};
 use re4_rollout::{PlaneDecisionRow, PlaneStepRow, SpaceStepRow};
-use re4_stages::testing::{Estimate, Invented};
+use re4_stages::testing::{Estimate, MockRun};
 use serde_json::Value;
 
 use crate::image_rollouts::{recorded, write_poses};
 use crate::support::{Answer, Place, folders_in, repository, scripted_and_simulators};
 
-/// The program's answer to a rollout with these settings.
+/// The program's JSON output for a rollout with these arguments.
 fn rolled(place: &Place, arguments: &str) -> Value {
     place
         .run(&format!("rollout {arguments} --no-images --json"))
@@ -21,27 +21,27 @@ fn rolled(place: &Place, arguments: &str) -> Value {
         .json()
 }
 
-/// The pipeline `small.toml` with its policy in a table of its own.
-fn today(place: &Place) {
+/// Writes `current.toml`, which is `small.toml` with a table `[policy]`, and `older.toml`, which has the older form.
+fn write_pipelines(place: &Place) {
     let small = std::fs::read_to_string(place.path().join("small.toml")).unwrap();
     let text = small.replace("policy = \"re4\"\n", "") + "\n[policy]\nkind = \"re4\"\n[policy.replan]\nkeepout = 19\n";
-    place.write("today.toml", text);
+    place.write("current.toml", text);
     place.write("older.toml", small + "\n[rollout.replan]\nkeepout = 19\n");
 }
 
 #[test]
-fn an_older_file_names_the_same_artifact() {
+fn an_older_file_gives_the_same_artifact() {
     let place = Place::new();
-    today(&place);
+    write_pipelines(&place);
     let key = |arguments: &str| rolled(&place, arguments)["artifact"].clone();
-    let one = key("today.toml");
+    let one = key("current.toml");
     assert_eq!(key("older.toml"), one);
     assert_ne!(key("small.toml"), one);
     assert_eq!(key("small.toml --set rollout.replan.keepout=19"), one);
     assert_eq!(key("small.toml --set policy.replan.keepout=19"), one);
-    let other = key("today.toml --set policy.kind=re2");
+    let other = key("current.toml --set policy.kind=re2");
     for form in [
-        "today.toml --set rollout.policy=re2",
+        "current.toml --set rollout.policy=re2",
         "older.toml --set rollout.policy=re2",
         "older.toml --policy re2",
     ] {
@@ -52,38 +52,41 @@ fn an_older_file_names_the_same_artifact() {
 #[test]
 fn settings_of_another_kind_are_refused_by_name() {
     let place = Place::empty();
-    today(&place);
-    let say = |arguments: &str| place.run(&format!("rollout {arguments}")).refused_at_once();
-    for (arguments, told) in [
+    write_pipelines(&place);
+    let error_of = |arguments: &str| place.run(&format!("rollout {arguments}")).refused_at_once();
+    for (arguments, expected) in [
         (
-            "today.toml --set policy.kind=re44",
+            "current.toml --set policy.kind=re44",
             "unknown policy \"re44\" in policy.kind (did you mean re4?)",
         ),
         (
-            "today.toml --set policy.recovery.check=step",
-            "unknown key policy.recovery; known here: retrieve, reframe, replan, replay, kind",
+            "current.toml --set policy.recovery.check=step",
+            "unknown key policy.recovery; the known keys are retrieve, reframe, replan, replay, kind",
         ),
-        ("today.toml --set rollout.fidelity=fast", "unknown key rollout.fidelity"),
         (
-            "today.toml --set policy.replan.keepot=1",
+            "current.toml --set rollout.fidelity=fast",
+            "unknown key rollout.fidelity",
+        ),
+        (
+            "current.toml --set policy.replan.keepot=1",
             "unknown key policy.replan.keepot (did you mean keepout?)",
         ),
-        ("today.toml --set policy=re4", "policy is \"re4\"; give a table"),
+        ("current.toml --set policy=re4", "policy is \"re4\"; give a table"),
         (
-            "today.toml --set rollout={policy=\"re4\"}",
-            "both rollout.policy and a table [policy] say what the policy is; write policy.kind",
+            "current.toml --set rollout={policy=\"re4\"}",
+            "rollout.policy and a table [policy] both define the policy; replace rollout.policy by policy.kind",
         ),
     ] {
-        let sentence = say(arguments);
-        assert!(sentence.contains(told), "{arguments}: {sentence}");
+        let sentence = error_of(arguments);
+        assert!(sentence.contains(expected), "{arguments}: {sentence}");
     }
 }
 
-/// What the nearest neighbour decides and does: at every step the recorded action of the frame that it names.
+/// Asserts that the nearest neighbour policy executes, at every step, the recorded action of the frame that it retrieved.
 fn replays_the_nearest(rollouts: &Artifact, actions: &[(&str, &str)], index: &Artifact) {
     let (steps, decisions) = (crate::support::steps(rollouts), crate::support::decisions_of(rollouts));
     let details = rollouts.read::<NearestRow>().unwrap();
-    assert_eq!(steps.num_rows(), decisions.num_rows(), "one look-up a step");
+    assert_eq!(steps.num_rows(), decisions.num_rows(), "one decision per step");
     assert_eq!(details.len(), decisions.num_rows());
     let frames = index.table_named("index").unwrap().read_all().unwrap();
     let place: std::collections::BTreeMap<_, _> = col_u32(&frames, "episode")
@@ -119,7 +122,7 @@ fn the_nearest_neighbour_runs_on_push_t_from_state_and_image() {
         assert!(asked.iter().all(|row| row.core.asked_object == Some(true)));
         assert!(asked.iter().all(|row| row.core.asked_images == Some(images)), "{file}");
     }
-    // With a longer horizon it looks up, and asks, less often.
+    // With a longer horizon, it retrieves and observes less often.
     place
         .run("rollout image.toml --policy nearest --set policy.horizon=5 --artifacts longer")
         .done();
@@ -171,17 +174,17 @@ fn the_nearest_neighbour_runs_on_lift_from_state_and_image() {
     let index = place.artifact(Stage::Index);
     let state = place.artifact(Stage::Rollout);
     replays_the_nearest(&state, &goal, &index);
-    // From images, with an encoder that makes no errors: the same actions.
+    // From images, with an encoder without errors, the actions are the same.
     let episodes = place.artifact(Stage::Ingest);
     let poses = write_poses(&place.artifacts(), &episodes, "recorded", &recorded(&episodes));
-    let invented = Invented {
+    let mock = MockRun {
         pipeline: &place.path().join("image.toml"),
         overrides: &[],
         artifacts: &place.artifacts(),
         poses: &poses,
     };
     let truth: Estimate = Arc::new(|_, object| *object);
-    let image = Artifact::open(&invented.roll_out(&truth).unwrap()).unwrap();
+    let image = Artifact::open(&mock.roll_out(&truth).unwrap()).unwrap();
     let (of_state, of_image) = (
         state.read::<SpaceStepRow>().unwrap(),
         image.read::<SpaceStepRow>().unwrap(),
@@ -192,7 +195,7 @@ fn the_nearest_neighbour_runs_on_lift_from_state_and_image() {
 }
 
 table! {
-    /// Decisions of Push-T before what is particular to RE4 had a table of its own.
+    /// Table `decisions` of Push-T in older artifacts, which also has the columns that now are in `decisions_re4`.
     #[table("decisions", version = 2)]
     pub struct OldDecision {
         /// Seed.
@@ -225,21 +228,21 @@ table! {
         pub delta: Pose2,
         /// Start of the chunk.
         pub set_point: Point2,
-        /// Planner's answer.
+        /// Result of the planner.
         pub plan: Label,
         /// Steps.
         pub plan_steps: u32,
         /// Nodes.
         pub plan_nodes: u32,
-        /// Way.
+        /// Path.
         pub plan_path: Vec<f64>,
         /// Steps.
         pub replay_steps: u32,
         /// Block after the chunk.
         pub predicted_object: Pose2,
-        /// Coverage there.
+        /// Coverage after the chunk.
         pub predicted_coverage: f64,
-        /// Words.
+        /// Reason.
         pub reason: String,
         /// Name.
         pub demo_name: Option<String>,

@@ -1,4 +1,4 @@
-//! The human Push-T demonstrations from end to end, where they are at hand (`RE4_DATA`); skipped where they are not.
+//! End-to-end tests on the human Push-T demonstrations. Skipped if they are not below `RE4_DATA`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,7 +18,7 @@ use tempfile::TempDir;
 
 const DATASET: &str = "pusht/pusht_cchi_v7_replay.zarr";
 
-/// What `tests/real_data_reference.py` printed: the words of each line, by the first of them.
+/// The output of `tests/real_data_reference.py`: the words of each line, by the first word.
 fn reference() -> BTreeMap<&'static str, Vec<&'static str>> {
     let lines = include_str!("real_data_reference.txt").lines();
     lines
@@ -62,7 +62,7 @@ fn open(artifacts: &Path, kind: &str) -> Artifact {
     Artifact::open(&folders[0]).unwrap()
 }
 
-/// The reset to seed `i` is frame 0 of demonstration `i`, to the precision of the recording: the agent stands on whole
+/// The reset to seed `i` equals frame 0 of demonstration `i` up to the precision of the recording: the agent is at integer
 /// pixels, the block is stored in float32.
 #[test]
 fn demonstrations_start_from_their_seeds() {
@@ -71,7 +71,7 @@ fn demonstrations_start_from_their_seeds() {
     let (episodes, _) = reader.read_episodes(&Selection::All).unwrap();
     assert_eq!(episodes.episode_count(), 206);
     let mut simulator = PushT::new().unwrap();
-    let (mut farthest, mut most_rotated) = (0.0_f64, 0.0_f64);
+    let (mut farthest, mut max_rotation) = (0.0_f64, 0.0_f64);
     for (episode, rows) in episodes.frames.iter().enumerate() {
         let [agent_x, agent_y, block_x, block_y, theta] = episodes.state[rows.start];
         let scene = scene_from_seed(SeedScheme::DiffusionPolicy, episode as u32);
@@ -81,25 +81,25 @@ fn demonstrations_start_from_their_seeds() {
             [agent_x, agent_y],
             "agent of demonstration {episode}"
         );
-        let turn = (seen.block.theta - theta)
+        let rotation = (seen.block.theta - theta)
             .sin()
             .abs()
             .max(1.0 - (seen.block.theta - theta).cos());
         farthest = farthest.max((seen.block.x - block_x).hypot(seen.block.y - block_y));
-        most_rotated = most_rotated.max(turn);
+        max_rotation = max_rotation.max(rotation);
         assert!(
-            farthest <= 1e-4 && most_rotated <= 1e-6,
-            "demonstration {episode}: {farthest} px, {most_rotated} rad"
+            farthest <= 1e-4 && max_rotation <= 1e-6,
+            "demonstration {episode}: {farthest} px, {max_rotation} rad"
         );
     }
-    println!("206 of 206 start from their seed; block within {farthest:e} px and {most_rotated:e} rad");
+    println!("206 of 206 start from their seed; block within {farthest:e} px and {max_rotation:e} rad");
 }
 
 #[test]
-fn ingest_holds_every_value_and_little_memory() {
+fn ingest_stores_every_value_with_little_memory() {
     let Some(data) = real_data() else { return };
     let folder = TempDir::new().unwrap();
-    // Threads have memory of their own; a machine may have any number of processors.
+    // The number of threads is fixed, because threads use memory and machines have different numbers of processors.
     let mut child = command(&data, folder.path(), "ingest pipelines/pusht-state.toml --jobs 4")
         .stdout(Stdio::null())
         .spawn()
@@ -109,7 +109,7 @@ fn ingest_holds_every_value_and_little_memory() {
         if let Some(status) = child.try_wait().unwrap() {
             break status;
         }
-        // A high-water mark: the last reading before the end is the peak so far.
+        // `VmHWM` is a high-water mark, so the last reading before the end is the peak.
         let text = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
         let mark = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         if let Some(kib) = mark.and_then(|words| words.split_whitespace().next()?.parse().ok()) {
@@ -119,7 +119,7 @@ fn ingest_holds_every_value_and_little_memory() {
     };
     assert!(status.success());
     println!("peak memory of ingest with images: {} MiB", peak_kib / 1024);
-    assert!(peak_kib > 1024, "the peak was not seen");
+    assert!(peak_kib > 1024, "the peak was not measured");
     assert!(peak_kib < 1024 * 1024, "{peak_kib} KiB");
 
     let reference = reference();
@@ -155,7 +155,7 @@ fn ingest_holds_every_value_and_little_memory() {
                 assert_eq!(
                     value.unwrap(),
                     f64::from(single),
-                    "{} is not the recorded number",
+                    "{} is not the recorded value",
                     column.name
                 );
                 single.to_le_bytes()
@@ -172,7 +172,11 @@ fn ingest_holds_every_value_and_little_memory() {
         assert_eq!(digest(bytes), expected[0], "{}", column.name);
         compared += 1;
     }
-    assert_eq!(compared + 3, reference.len(), "every line of the reference is compared");
+    assert_eq!(
+        compared + 3,
+        reference.len(),
+        "not all lines of the reference were compared"
+    );
     let images = artifact.table(ImageRow::table()).unwrap();
     assert_eq!(images_digest(&images), reference["images"][0]);
 }
@@ -207,7 +211,7 @@ fn open_loop_replay_stays_near_the_recording() {
     assert_eq!(summary["episodes"], 206);
     assert_eq!(summary["frames"], 25650);
     let number = |place: &str| summary.pointer(place).unwrap().as_f64().unwrap();
-    // The recording is float32: 512 px in steps of 3e-5. What is above that grew in contact.
+    // The recording is float32, with a resolution of 3e-5 px near 512 px. Larger deviations grow from it in contact.
     assert!(number("/pusher_px/max") < 1e-3);
     assert!(number("/block_px/p50") < 1e-3);
     assert!(number("/block_px/p99") < 0.1);
@@ -239,7 +243,7 @@ fn open_loop_replay_stays_near_the_recording() {
 }
 
 #[test]
-fn policies_score_as_they_should() {
+fn policies_have_the_expected_scores() {
     let Some(data) = real_data() else { return };
     let folder = TempDir::new().unwrap();
     let score = |policy: &str| {
@@ -259,8 +263,8 @@ fn policies_score_as_they_should() {
     );
 }
 
-/// Every recorded image, against the recorded pose: half of what is asked for is kept as the gate, so that a fault of the
-/// estimator shows before its scores do.
+/// Compares the estimates from all recorded images with the recorded poses. The limits are half of the required accuracy, so that
+/// an error of the estimator is noticed before scores suffer.
 #[test]
 fn poses_from_images_are_near_the_recorded_ones() {
     let Some(data) = real_data() else { return };
@@ -271,7 +275,7 @@ fn poses_from_images_are_near_the_recorded_ones() {
     assert_eq!(summary["frames_not_clear"], 0);
     let number = |pointer: &str| summary["evaluation"].pointer(pointer).unwrap().as_f64().unwrap();
     assert_eq!(number("/flips"), 0.0);
-    for (pointer, most) in [
+    for (pointer, limit) in [
         ("/position_px/p50", 0.5),
         ("/position_px/p99", 2.0),
         ("/angle_deg/p50", 0.25),
@@ -279,7 +283,7 @@ fn poses_from_images_are_near_the_recorded_ones() {
     ] {
         let found = number(pointer);
         println!("{pointer}: {found:.3}");
-        assert!(found <= most, "{pointer} is {found}");
+        assert!(found <= limit, "{pointer} is {found}");
     }
     let arguments = "run pipelines/pusht-image.toml --seeds 200000..200020";
     let object = json(&data, folder.path(), arguments);

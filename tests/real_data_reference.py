@@ -1,8 +1,8 @@
-"""Prints what tests/real_data.rs compares an ingest of the human Push-T demonstrations with.
+"""Prints the reference with which tests/real_data.rs compares an ingest of the human Push-T demonstrations.
 
 Reads the dataset with zarr-python: python tests/real_data_reference.py <folder>/pusht/pusht_cchi_v7_replay.zarr
-(zarr 2.18 with numcodecs, numpy). One line a column: name, SHA-256 of its values as little-endian float32, sum in
-float64. The line `images` holds the SHA-256 of every 50th image as bytes, row by row.
+(zarr 2.18 with numcodecs, numpy). One line per column: name, SHA-256 of its values as little-endian float32, sum in
+float64. The line `images` has the SHA-256 of every 50th image as bytes, row by row.
 """
 
 import hashlib

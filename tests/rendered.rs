@@ -1,6 +1,6 @@
-//! Images that ingest draws of robosuite's tasks: robosuite's own, whatever happens meanwhile.
+//! Images of robosuite tasks that ingest renders equal those of robosuite, also after interruptions.
 //!
-//! `RE4_IMAGES=all cargo test -p re4-pipe rendered::` compares all available images, which takes minutes.
+//! `RE4_IMAGES=all cargo test -p re4-pipe rendered::` compares all images, which takes minutes.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -32,7 +32,7 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
     Answer::new(&output, place.path())
 }
 
-/// Camera, episode, frame and bytes of every image.
+/// Camera, episode, frame and bytes of all images.
 fn images(place: &Place) -> Vec<(String, u32, u32, Vec<u8>)> {
     let table = place.artifact(Stage::Ingest).table(ImageRow::table()).unwrap();
     let table = table.read_all().unwrap();
@@ -52,7 +52,7 @@ fn images(place: &Place) -> Vec<(String, u32, u32, Vec<u8>)> {
 }
 
 #[test]
-fn images_are_those_that_robosuite_recorded() {
+fn images_equal_those_that_robosuite_recorded() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -62,25 +62,25 @@ fn images_are_those_that_robosuite_recorded() {
         let recorded = Place::empty();
         pipeline(&recorded, task, task, &data.join(task).join("image_5.hdf5"), &select);
         run(&recorded, &simulators, &format!("ingest {task}.toml")).done();
-        let drawn = Place::empty();
+        let rendered = Place::empty();
         let render = format!("{select}\nrender = [\"robot0_eye_in_hand\", \"agentview\"]");
-        pipeline(&drawn, task, task, &data.join(task).join("low_dim.hdf5"), &render);
-        let told = run(&drawn, &simulators, &format!("ingest {task}.toml --json"))
+        pipeline(&rendered, task, task, &data.join(task).join("low_dim.hdf5"), &render);
+        let output = run(&rendered, &simulators, &format!("ingest {task}.toml --json"))
             .done()
             .json();
         assert!(
-            told["summary"]["drawn"]["by"]
+            output["summary"]["drawn"]["by"]
                 .as_str()
                 .unwrap()
                 .starts_with("MuJoCo 2.3.7 with ")
         );
-        let (recorded, drawn) = (images(&recorded), images(&drawn));
-        assert!(recorded.len() >= 100 && recorded.len() == drawn.len());
+        let (recorded, rendered) = (images(&recorded), images(&rendered));
+        assert!(recorded.len() >= 100 && recorded.len() == rendered.len());
         let other = recorded
             .iter()
-            .zip(&drawn)
-            .position(|(recorded, drawn)| recorded != drawn);
-        // The same pixels are the same bytes, as both went through the same encoder.
+            .zip(&rendered)
+            .position(|(recorded, rendered)| recorded != rendered);
+        // Equal pixels give equal bytes, because both went through the same PNG encoder.
         assert_eq!(
             other.map(|row| (&recorded[row].0, recorded[row].1, recorded[row].2)),
             None,
@@ -89,7 +89,7 @@ fn images_are_those_that_robosuite_recorded() {
     }
 }
 
-/// Most memory that the process that draws took, in MiB, and the answer.
+/// Peak memory of the rendering process in MiB, and the program's output.
 fn peak_of_worker(place: &Place, simulators: &Path, arguments: &str) -> (u64, Answer) {
     let mut child = command(place, simulators, arguments);
     let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -98,7 +98,7 @@ fn peak_of_worker(place: &Place, simulators: &Path, arguments: &str) -> (u64, An
     while child.try_wait().unwrap().is_none() {
         let workers = fs::read_to_string(&children).unwrap_or_default();
         for worker in workers.split_whitespace() {
-            // It may have ended meanwhile.
+            // The process may have ended meanwhile.
             let status = fs::read_to_string(format!("/proc/{worker}/status")).unwrap_or_default();
             let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
             let kilobytes = line.and_then(|line| line.trim().strip_suffix(" kB"));
@@ -113,7 +113,7 @@ fn peak_of_worker(place: &Place, simulators: &Path, arguments: &str) -> (u64, An
 }
 
 #[test]
-fn memory_is_bounded_whatever_the_number_of_jobs() {
+fn memory_is_bounded_for_any_number_of_jobs() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -124,14 +124,14 @@ fn memory_is_bounded_whatever_the_number_of_jobs() {
         let (peak, answer) = peak_of_worker(&place, &simulators, &format!("ingest lift.toml --jobs {jobs}"));
         answer.done();
         println!("{jobs} jobs: {peak} MiB");
-        // A process that draws is not smaller than its libraries.
+        // A lower bound: a rendering process needs at least the memory of its libraries.
         assert!((100..512).contains(&peak), "{jobs} jobs: {peak} MiB");
         place
     });
     assert_same_bytes(&places[0].bytes(), &places[1].bytes());
 }
 
-/// Files of the spool, which has one folder.
+/// Files of the spool, which has a single folder.
 fn spooled(place: &Place) -> Vec<PathBuf> {
     let folders = fs::read_dir(place.artifacts().join("spool")).into_iter().flatten();
     folders
@@ -141,10 +141,11 @@ fn spooled(place: &Place) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Starts the program and kills it once so many demonstrations are drawn, of `frames` each, and before all are.
+/// Starts the program and kills it after `demos` demonstrations have been rendered, and before all are. `frames` are their
+/// lengths.
 fn kill_after(place: &Place, simulators: &Path, demos: usize, frames: &[usize]) {
-    // Two threads draw a demonstration each; whichever those are, so many images are more than fewer whole demonstrations and
-    // parts of two others have.
+    // Two threads render one demonstration each. This number of images is more than `demos - 1` whole demonstrations and parts of
+    // two others can have, so at least `demos` are complete.
     let mut frames = frames.to_vec();
     frames.sort_unstable_by(|a, b| b.cmp(a));
     let images = frames[..demos - 1].iter().sum::<usize>() + 2 * frames[0];
@@ -153,7 +154,7 @@ fn kill_after(place: &Place, simulators: &Path, demos: usize, frames: &[usize]) 
     let gate = Gate::before(&mut command, place, images);
     let mut child = command.spawn().unwrap();
     let worker = gate.wait(&mut child);
-    wait_for("the files of what is drawn", || {
+    wait_for("the files of rendered demonstrations", || {
         (spooled(place).len() >= demos).then_some(())
     });
     child.kill().unwrap();
@@ -162,7 +163,7 @@ fn kill_after(place: &Place, simulators: &Path, demos: usize, frames: &[usize]) 
 }
 
 #[test]
-fn a_killed_run_goes_on_where_it_was() {
+fn a_killed_run_continues() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -189,7 +190,7 @@ fn a_killed_run_goes_on_where_it_was() {
     let mut kept = spooled(&place);
     kept.sort();
     assert!(kept.len() >= 4);
-    // What was drawn is not drawn again, and what is damaged is.
+    // Finished demonstrations are not rendered again; damaged files are.
     let times = |paths: &[PathBuf]| -> Vec<_> {
         paths
             .iter()
@@ -208,11 +209,11 @@ fn a_killed_run_goes_on_where_it_was() {
 }
 
 #[test]
-fn settings_that_do_not_fit_are_refused() {
+fn conflicting_settings() {
     let place = Place::empty();
     let sample = place.path().join("data/can.hdf5");
     fs::copy(repository().join("data/can-sample.hdf5"), &sample).unwrap();
-    let mut told = String::new();
+    let mut errors = String::new();
     for rest in [
         "render = [\"image\"]",
         "render = [\"frontview\"]",
@@ -221,53 +222,53 @@ fn settings_that_do_not_fit_are_refused() {
         "render = [\"agentview\"]\ncameras = [\"agentview\"]",
     ] {
         pipeline(&place, "can", "can", &sample, rest);
-        writeln!(told, "{rest}\n  {}", place.run("ingest can.toml").refused()).unwrap();
+        writeln!(errors, "{rest}\n  {}", place.run("ingest can.toml").refused()).unwrap();
     }
     let planar = "[segment]\nrule = \"always_transit\"";
     place.write(
         "planar.toml",
         format!("task = \"pusht\"\n[ingest]\nsource = \"small.zarr\"\nrender = [\"agentview\"]\n{planar}\n"),
     );
-    writeln!(told, "Push-T\n  {}", place.run("ingest planar.toml").refused()).unwrap();
+    writeln!(errors, "Push-T\n  {}", place.run("ingest planar.toml").refused()).unwrap();
     pipeline(&place, "can", "can", &sample, "render = [\"agentview\"]");
     let output = command(&place, place.path(), "ingest can.toml")
         .env("RE4_GL", "glx")
         .output()
         .unwrap();
-    writeln!(told, "RE4_GL=glx\n  {}", Answer::new(&output, place.path()).refused()).unwrap();
-    with_settings!({ filters => filters() }, { assert_snapshot!(told) });
+    writeln!(errors, "RE4_GL=glx\n  {}", Answer::new(&output, place.path()).refused()).unwrap();
+    with_settings!({ filters => filters() }, { assert_snapshot!(errors) });
 }
 
 #[test]
-fn what_cannot_be_drawn_is_told_in_one_sentence() {
+fn missing_simulators_and_unusable_models() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
     let place = Place::empty();
     let lift = data.join("lift/low_dim.hdf5");
     let rest = "select = { first = 2 }\nrender = [\"agentview\"]";
-    let mut told = String::new();
-    let mut tell = |what: &str, answer: Answer| writeln!(told, "{what}\n  {}", answer.refused()).unwrap();
+    let mut errors = String::new();
+    let mut refuse = |what: &str, answer: Answer| writeln!(errors, "{what}\n  {}", answer.refused()).unwrap();
 
     pipeline(&place, "lift", "lift", &lift, rest);
-    tell(
+    refuse(
         "no library",
         run(&place, &place.path().join("none"), "ingest lift.toml"),
     );
     let some = place.path().join("some");
     fs::create_dir(&some).unwrap();
     std::os::unix::fs::symlink(simulators.join("mujoco-2.3.7"), some.join("mujoco-2.3.7")).unwrap();
-    tell("no assets", run(&place, &some, "ingest lift.toml"));
+    refuse("no assets", run(&place, &some, "ingest lift.toml"));
     fs::create_dir(some.join("mujoco-3.2.7")).unwrap();
     fs::remove_file(some.join("mujoco-2.3.7")).unwrap();
     std::os::unix::fs::symlink(simulators.join("mujoco-3.2.7"), some.join("mujoco-2.3.7")).unwrap();
-    tell("another version", run(&place, &some, "ingest lift.toml"));
+    refuse("another version", run(&place, &some, "ingest lift.toml"));
     fs::remove_file(some.join("mujoco-2.3.7")).unwrap();
     fs::create_dir(some.join("mujoco-2.3.7")).unwrap();
     fs::write(some.join("mujoco-2.3.7/libmujoco.so"), b"no library").unwrap();
-    tell("no shared object", run(&place, &some, "ingest lift.toml"));
+    refuse("no shared object", run(&place, &some, "ingest lift.toml"));
     pipeline(&place, "lift", "lift", &data.join("lift/image_5.hdf5"), rest);
-    tell("recorded images", run(&place, &simulators, "ingest lift.toml"));
+    refuse("recorded images", run(&place, &simulators, "ingest lift.toml"));
     let mut filters = filters();
     let (data, simulators_text) = (data.display().to_string(), simulators.display().to_string());
     filters.push((&data, "[data]"));
@@ -298,5 +299,5 @@ fn what_cannot_be_drawn_is_told_in_one_sentence() {
     } else {
         println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
     }
-    with_settings!({ filters => filters }, { assert_snapshot!(told) });
+    with_settings!({ filters => filters }, { assert_snapshot!(errors) });
 }

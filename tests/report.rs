@@ -1,4 +1,4 @@
-//! The page of rollouts: its figures are the artifacts', it needs nothing but itself, and it works in a browser.
+//! The HTML page of rollouts: its figures are those of the artifacts, it loads no other files, and it works in a browser.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use re4_artifact::Row as _;
 use re4_artifact::{Artifact, Stage, col_f64, col_u32};
 use serde_json::Value;
 
-/// Rollouts of two policies on the small dataset: their folders relative to the place, `re4` first.
+/// Rollouts of two policies on the small dataset. Returns their folders relative to the test folder, `re4` first.
 fn two_policies() -> (Place, [String; 2]) {
     let place = Place::new();
     let roll = |policy: &str| {
@@ -30,7 +30,7 @@ fn page_of(place: &Place, arguments: &str) -> String {
     fs::read_to_string(place.path().join("page.html")).unwrap()
 }
 
-/// The data that the page's script reads.
+/// The data that the script of the page reads.
 fn data(page: &str) -> Value {
     let (_, rest) = page.split_once("type=\"application/json\">").unwrap();
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
@@ -67,7 +67,7 @@ fn numbers(values: &Value) -> Vec<f64> {
         .collect()
 }
 
-/// The number in an attribute of the first element that has all of these words before it, in order.
+/// The number in an attribute of the first element after all of these words, in order.
 fn attribute(page: &str, words: &[&str], name: &str) -> f64 {
     let rest = words.iter().fold(page, |rest, word| {
         rest.split_once(word).unwrap_or_else(|| panic!("no {word}")).1
@@ -88,7 +88,7 @@ fn a_run_writes_the_page_that_report_makes() {
     let artifact = answer.json()["artifact"].as_str().unwrap().to_owned();
     let page = page_of(&place, &artifact);
     assert!(fs::read_to_string(place.path().join("run.html")).unwrap() == page);
-    // What cannot be written is refused before anything is run.
+    // A path that cannot be written is refused before any stage runs.
     for path in ["nowhere/run.html", "data"] {
         let refusal = place
             .run(&format!("run small.toml --report {path} --artifacts other"))
@@ -102,7 +102,7 @@ fn a_run_writes_the_page_that_report_makes() {
 }
 
 #[test]
-fn nothing_but_a_file_is_replaced() {
+fn only_regular_files_are_replaced() {
     let place = Place::new();
     let artifact = place.run("run small.toml --no-images --json").done().json()["artifact"]
         .as_str()
@@ -131,7 +131,7 @@ fn nothing_but_a_file_is_replaced() {
     with_settings!({ filters => filters() }, { assert_snapshot!(refusals.join("\n")) });
     assert!(place.bytes() == before, "an artifact was changed");
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
-    // A link stays a link.
+    // A symbolic link is kept, and its target is replaced.
     let page = page_of(&place, &artifact);
     place.run(&format!("report {artifact} --output link.html")).done();
     assert!(
@@ -156,7 +156,7 @@ fn a_preset_with_changed_settings_is_not_the_preset() {
 }
 
 #[test]
-fn figures_are_those_of_the_artifacts() {
+fn figures_match_the_artifacts() {
     let (place, folders) = two_policies();
     let page = page_of(&place, &folders.join(" "));
     let data = data(&page);
@@ -186,7 +186,7 @@ fn stated_metrics(page: &str, artifact: &Artifact, number: usize) {
             );
         }
     }
-    // The last budget is the whole rollout: the same mean, and the same bootstrap.
+    // The last budget is the whole rollout, so mean and interval are the same.
     for (name, metric) in [("score", "score_scaled_mean"), ("coverage", "coverage_raw_mean")] {
         for part in ["value", "low", "high"] {
             let cell = [
@@ -203,7 +203,7 @@ fn stated_metrics(page: &str, artifact: &Artifact, number: usize) {
     }
 }
 
-/// The table of budgets, computed by the stage, and the page's curve, computed from the steps, are one.
+/// Table `budgets`, computed by the stage, equals the curve of the page, computed from the steps.
 fn budgets_are_equal(artifact: &Artifact, curve: &Value) {
     let budgets = artifact
         .table(re4_stages::tables::of(re4_artifact::Stage::Rollout).pop().unwrap())
@@ -267,7 +267,7 @@ fn traces_are_equal(artifact: &Artifact, shown: &Value) {
 }
 
 #[test]
-fn demonstrations_are_those_that_decisions_name() {
+fn the_page_has_the_demonstrations_of_the_decisions() {
     let (place, [folder, _]) = two_policies();
     let data = data(&page_of(&place, &folder));
     let index = place.artifact(Stage::Index);
@@ -302,20 +302,20 @@ fn the_same_artifacts_give_the_same_page() {
     let page = page_of(&place, &format!("{one} {two}"));
     let absolute = place.path().join(&one);
     let again = page_of(&place, &format!("{} ./{two} --jobs 1", absolute.display()));
-    assert!(page == again, "the way to the artifacts is part of the page");
+    assert!(page == again, "the page depends on the path of the artifacts");
     assert!(!page.contains(place.path().to_str().unwrap()));
     assert!(
         page != page_of(&place, &format!("{two} {one}")),
-        "the order is the user's"
+        "the page has the order of the arguments"
     );
     assert!(place.temporaries().is_empty());
 }
 
 #[test]
-fn the_page_needs_nothing_but_itself() {
+fn the_page_loads_no_other_files() {
     let (place, [folder, _]) = two_policies();
     let page = page_of(&place, &folder);
-    // Addresses occur as the name of the SVG language alone, which nothing loads.
+    // The only URL is the SVG namespace, which is a name and is not loaded.
     let addresses: Vec<&str> = page
         .match_indices("://")
         .map(|(at, _)| page[..at].rsplit(['"', '\'', ' ', '(']).next().unwrap_or_default())
@@ -350,7 +350,7 @@ fn seeds_limit_the_viewer_and_not_the_figures() {
 }
 
 #[test]
-fn without_its_index_the_page_lacks_the_recorded_frames() {
+fn without_the_index_the_page_has_no_recorded_frames() {
     let (place, [folder, _]) = two_policies();
     fs::remove_dir_all(place.artifacts().join("index")).unwrap();
     let answer = place.run(&format!("report {folder} --output page.html")).done();
@@ -362,7 +362,7 @@ fn without_its_index_the_page_lacks_the_recorded_frames() {
 }
 
 #[test]
-fn artifacts_moved_apart_find_their_index_in_the_artifacts_folder() {
+fn moved_artifacts_find_their_index_in_the_artifacts_folder() {
     let (place, [folder, _]) = two_policies();
     fs::rename(place.path().join(&folder), place.path().join("moved")).unwrap();
     let page = page_of(&place, "moved");
@@ -370,7 +370,7 @@ fn artifacts_moved_apart_find_their_index_in_the_artifacts_folder() {
 }
 
 #[test]
-fn different_protocols_are_told_apart() {
+fn different_protocols_are_reported() {
     let (place, [folder, _]) = two_policies();
     place
         .run("run small.toml --no-images --seeds 600..603 --max-steps 30")
@@ -388,7 +388,7 @@ fn different_protocols_are_told_apart() {
 }
 
 #[test]
-fn what_is_no_rollouts_artifact_is_refused() {
+fn other_artifacts_than_rollouts_are_refused() {
     let (place, [folder, other]) = two_policies();
     let damaged = place.path().join(&other).join("steps.parquet");
     let mut content = fs::read(&damaged).unwrap();
@@ -424,14 +424,14 @@ fn what_is_no_rollouts_artifact_is_refused() {
     with_settings!({ filters => filters() }, {
         assert_snapshot!(sentences.join("\n"));
     });
-    // The damage of an index is no reason to leave it out.
+    // A damaged index is an error; it is not left out as a missing one would be.
     let chunks = place.path().join(index).join("index.parquet");
     fs::write(chunks, "").unwrap();
     let sentence = place.run(&format!("report {folder}")).refused_at_once();
     assert!(sentence.contains("is damaged: index.parquet"), "{sentence}");
 }
 
-/// Opens the page of the demo pipeline in headless Chromium; see `tests/report_page.py` for what is looked at there.
+/// Opens the page of the demo pipeline in headless Chromium. `tests/report_page.py` has the checks.
 #[test]
 fn the_page_works_in_a_browser() {
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
@@ -467,7 +467,7 @@ fn the_page_works_in_a_browser() {
         );
     };
     look(&place.path().join("page.html"), &folders);
-    // A page whose recorded frames could not be found says so, and works.
+    // A page without recorded frames reports it, and works.
     fs::remove_dir_all(place.artifacts().join("index")).unwrap();
     page_of(&place, &paths[0]);
     look(&place.path().join("page.html"), &folders[..1]);

@@ -1,9 +1,8 @@
-"""Looks at a page of rollouts in headless Chromium and compares it with the artifacts that it was made from.
+"""Checks a page of rollouts in headless Chromium against the artifacts from which it was made.
 
     python tests/report_page.py PAGE.html ARTIFACT...
 
-Needs selenium, polars, and Debian's chromium and chromium-driver. Ends with exit code 1 and a sentence on the first thing
-that is not as it should be.
+Needs selenium, polars, and Debian's chromium and chromium-driver. Exits with code 1 and a sentence about the first difference.
 """
 
 import base64
@@ -25,9 +24,9 @@ RESULTS = {"score": "score_max", "coverage": "coverage_max", "iou": "iou_max", "
            "steps": "steps", "decisions": "decisions", "success": "success"}
 
 
-def check(holds, what):
-    if not holds:
-        sys.exit(f"{what}")
+def check(condition, message):
+    if not condition:
+        sys.exit(message)
 
 
 def equal(found, expected, what):
@@ -45,7 +44,7 @@ class Artifact:
         self.decisions = tables["decisions"].join(details, on=["seed", "decision"], maintain_order="left")
 
     def decision(self, seed, step):
-        """The decision in force before the step: that of the action that follows."""
+        """The decision to which the action of a step belongs."""
         steps = self.steps.filter(pl.col("seed") == seed)
         number = steps["decision"][min(step, steps.height - 1)]
         return self.decisions.filter((pl.col("seed") == seed) & (pl.col("decision") == number)).row(0, named=True)
@@ -103,7 +102,7 @@ class Page:
 
 
 def with_estimates(path, target):
-    """Writes the page as it is where the policy was given estimated poses: 3 px and 0.1 rad off, confidence 0.75."""
+    """Writes the page as for a policy that observed estimated poses, which are off by 3 px and 0.1 rad, with confidence 0.75."""
     before, rest = path.read_text().split('type="application/json">', 1)
     text, after = rest.split("</script>", 1)
     report = json.loads(text)
@@ -123,7 +122,7 @@ def with_estimates(path, target):
     target.write_text(f'{before}type="application/json">{text}</script>{after}')
 
 
-def scores_are_the_manifests(page, artifacts):
+def scores_match_the_manifest(page, artifacts):
     for artifact in artifacts:
         row = f"tr[data-artifact='{artifact.manifest['key']}']"
         for metric in METRICS:
@@ -135,7 +134,7 @@ def scores_are_the_manifests(page, artifacts):
             equal(words, f"{stated['value']:.3f}", f"{metric} in words")
 
 
-def budgets_are_the_steps(page, artifacts):
+def budgets_match_the_steps(page, artifacts):
     for number, artifact in enumerate(artifacts):
         for row in page.all(f"#budgets tr[data-series='{number}']"):
             budget = int(row.get_attribute("data-budget"))
@@ -146,7 +145,7 @@ def budgets_are_the_steps(page, artifacts):
                 check(math.isclose(found, expected, rel_tol=1e-12), f"{measure} at {budget}: {found} is not {expected}")
 
 
-def seeds_are_the_results(page, number, artifact):
+def seeds_match_the_results(page, number, artifact):
     Select(page.one("#pick-artifact")).select_by_value(str(number))
     rows = page.all("#seeds tbody tr")
     equal(len(rows), artifact.results.height, "rows of the table of seeds")
@@ -163,11 +162,11 @@ def columns_sort(page):
     page.run("arguments[0].click()", button)
     check(page.run(read) == sorted(page.run(read)), "the table of seeds is not sorted by score")
     page.run("arguments[0].click()", button)
-    check(page.run(read) == sorted(page.run(read), reverse=True), "the table of seeds is not sorted by falling score")
+    check(page.run(read) == sorted(page.run(read), reverse=True), "the table of seeds is not sorted by descending score")
     page.run("document.querySelector('#seeds th button[data-column=seed]').click()")
 
 
-def plots_are_drawn(page, artifacts):
+def plots_are_rendered(page, artifacts):
     rollouts = sum(artifact.results.height for artifact in artifacts)
     for order in ["rank", "seed"]:
         for measure in ["score", "coverage", "iou"]:
@@ -179,7 +178,7 @@ def plots_are_drawn(page, artifacts):
     mark = page.one(f"#seed-plot .point[data-artifact='{len(artifacts) - 1}'][data-rollout='{last}']")
     page.run("arguments[0].dispatchEvent(new MouseEvent('click', {bubbles: true}))", mark)
     seed = artifacts[-1].results["seed"][last]
-    check(f" {seed} · " in page.one("#scene-caption").text, "a click on a mark does not choose its rollout")
+    check(f" {seed} · " in page.one("#scene-caption").text, "a click on a mark does not select its rollout")
     check("selected" in mark.get_attribute("class"), "the chosen mark is not marked")
 
 
@@ -199,7 +198,7 @@ def seeds_can_be_chosen(page, artifact):
     check(f" {seeds[1]} · " in page.one("#scene-caption").text, "the button for the previous seed does nothing")
     button = page.one(f"#seeds tr[data-seed='{seeds[4]}'] button")
     page.run("arguments[0].click()", button)
-    check(f" {seeds[4]} · " in page.one("#scene-caption").text, "a row of the table of seeds cannot be chosen")
+    check(f" {seeds[4]} · " in page.one("#scene-caption").text, "a row of the table of seeds cannot be selected")
 
 
 def scrubbing_shows_each_state(page, artifact):
@@ -207,7 +206,7 @@ def scrubbing_shows_each_state(page, artifact):
     Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
     steps = artifact.steps.filter(pl.col("seed") == seed)
     seen = set()
-    # Also where coverage changes most, so that a neighbour's value would be seen.
+    # Includes the largest change of coverage, where the value of a neighbouring step would be noticed.
     jump = steps["coverage"].diff().abs().arg_max() + 1
     for step in sorted({0, 1, jump - 1, jump, steps.height // 2, steps.height - 1, steps.height}):
         page.scrub(step)
@@ -216,12 +215,12 @@ def scrubbing_shows_each_state(page, artifact):
         if step > 0:
             coverage = float(page.one("#step-text").get_attribute("data-coverage"))
             equal(coverage, steps["coverage"][step - 1], f"coverage after step {step}")
-        decision_is_the_tables(page, artifact.decision(seed, step))
+        decision_matches_the_tables(page, artifact.decision(seed, step))
         seen.add(page.image())
     check(len(seen) >= 5, "the image does not follow the scrubber")
 
 
-def decision_is_the_tables(page, decision):
+def decision_matches_the_tables(page, decision):
     at = f"decision {decision['decision']}"
     fact = lambda name: page.one(f"#summary [data-fact={name}]").get_attribute("data-value")
     equal(page.one("#reason").text, decision["reason"] + ".", f"{at}, reason")
@@ -234,11 +233,11 @@ def decision_is_the_tables(page, decision):
         if decision[name] is not None:
             equal(float(fact(name)), decision[name], f"{at}, {name}")
         else:
-            check(not page.all(f"#summary [data-fact={name}]"), f"{at}: {name} is shown though the artifact has none")
+            check(not page.all(f"#summary [data-fact={name}]"), f"{at}: {name} is shown, but the artifact has none")
 
 
-def chunk_is_carried_by_delta(page, artifact):
-    """The reframed chunk begins at the set-point where Reframe is on: delta carries the demonstration's pusher there."""
+def chunk_is_moved_by_delta(page, artifact):
+    """With Reframe, the chunk begins at the set-point, because delta moves the demonstration's pusher there."""
     seed = artifact.results["seed"][0]
     Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
     page.scrub(0)
@@ -246,7 +245,7 @@ def chunk_is_carried_by_delta(page, artifact):
     has_frames = page.run("return Object.keys(JSON.parse(document.getElementById('report-data').textContent).demonstrations).length") > 0
     path = page.one("#scene .chunk").get_attribute("d")
     hidden = "gone" in (page.one("#demo svg").get_attribute("class") or "")
-    check(has_frames != hidden, "the recorded frame is shown if and only if the page has it")
+    check(has_frames != hidden, "the recorded frame has to be shown if and only if the page has it")
     if not has_frames:
         equal(path or "", "", "chunk of an unknown demonstration")
         check("cannot be shown" in page.one("#demo-note").text, "no word about the missing index")
@@ -254,7 +253,7 @@ def chunk_is_carried_by_delta(page, artifact):
     start = [float(v) for v in path[1:].split("L")[0].split()]
     for found, axis in zip(start, "xy"):
         check(abs(found - decision[f"set_point_{axis}"]) < 0.02, f"the chunk begins at {start}, not at the set-point")
-    check(f"{decision['demo_name']}: frame {decision['demo_frame']}" in page.one("#demo-note").text, "the words under the recorded frame")
+    check(f"{decision['demo_name']}: frame {decision['demo_frame']}" in page.one("#demo-note").text, "the text under the recorded frame is wrong")
 
 
 def keys_step_through(page, artifact):
@@ -279,28 +278,28 @@ def keys_step_through(page, artifact):
     equal(page.step(), 0, "first step")
 
 
-def keys_walk_the_plot(page, artifact):
+def keys_navigate_the_plot(page, artifact):
     page.run("document.querySelector('input[name=order][value=seed]').click()")
     seeds = artifact.results["seed"].to_list()
     Select(page.one("#pick-seed")).select_by_visible_text(str(seeds[0]))
     page.one("#seed-plot svg").send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
-    check(f" {seeds[2]} · " in page.one("#scene-caption").text, "arrow keys in the plot do not choose the next rollout")
+    check(f" {seeds[2]} · " in page.one("#scene-caption").text, "arrow keys in the plot do not select the next rollout")
 
 
-def estimates_are_drawn(page):
-    """Of a page made by with_estimates."""
+def estimates_are_shown(page):
+    """Checks a page made by with_estimates."""
     page.scrub(1)
     outline = page.one("#scene .observed").get_attribute("d")
-    check(outline.startswith("M"), "the estimated pose is not drawn")
+    check(outline.startswith("M"), "the estimated pose is not shown")
     check(outline != page.one("#scene .block").get_attribute("d"), "the estimated pose is the true one")
-    away, turn = page.one("#summary [data-fact=pose_error]").get_attribute("data-value").split()
-    check(abs(float(away) - 3) < 1e-3 and abs(float(turn) - 0.1) < 1e-3, f"the estimate is off by {away} px, {turn} rad")
+    distance, rotation = page.one("#summary [data-fact=pose_error]").get_attribute("data-value").split()
+    check(abs(float(distance) - 3) < 1e-3 and abs(float(rotation) - 0.1) < 1e-3, f"the estimate is off by {distance} px, {rotation} rad")
     equal(page.one("#summary [data-fact=pose_confidence]").get_attribute("data-value"), "0.75", "confidence")
     page.press(Keys.END)
     equal(page.one("#scene .observed").get_attribute("d"), "", "estimate after the last action")
 
 
-# Presses the button once the step is beyond 5, in the same task as it is seen to be; not where the rollout came to its end first.
+# Presses the button in the same task in which the step is found to be above 5, unless the rollout has ended first.
 PAUSE = """
 const done = arguments[0];
 const step = () => Number(document.getElementById("step-text").dataset.step);
@@ -315,22 +314,22 @@ watch();
 """
 
 
-def it_plays(page, speed="5"):
+def playback_works(page, speed="5"):
     Select(page.one("#speed")).select_by_value(speed)
-    # Frames of a browser on a busy machine can be so far apart that a rollout is over in one.
+    # On a busy machine, a browser's frames can be so far apart that a rollout ends within one, so this is tried several times.
     for _ in range(20):
         page.scrub(0)
         page.run("document.getElementById('play').click()")
         stopped = page.driver.execute_async_script(PAUSE)
         if stopped is not None:
             break
-    check(stopped is not None and stopped > 5, f"playing leads to step {stopped}")
-    equal(page.one("#play").text, "Play", "words on the button after a pause")
+    check(stopped is not None and stopped > 5, f"playing stopped at step {stopped}")
+    equal(page.one("#play").text, "Play", "text of the button after a pause")
     page.run("return new Promise(done => setTimeout(done, 300))")
     equal(page.step(), stopped, "step after a pause")
 
 
-def widths_and_schemes_hold(page):
+def page_fits_widths_and_schemes(page):
     for width in [1280, 1024, 768, 380]:
         for dark in [False, True]:
             page.resize(width, dark)
@@ -340,7 +339,7 @@ def widths_and_schemes_hold(page):
     page.resize(1280)
 
 
-def nothing_was_loaded(page):
+def no_files_were_loaded(page):
     entries = page.run("return performance.getEntriesByType('resource').map(entry => entry.name)")
     check(all(name.startswith("data:") for name in entries), f"the page loaded {entries}")
     log = page.log()
@@ -353,30 +352,30 @@ def main():
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(path, profile)
         try:
-            scores_are_the_manifests(page, artifacts)
-            budgets_are_the_steps(page, artifacts)
+            scores_match_the_manifest(page, artifacts)
+            budgets_match_the_steps(page, artifacts)
             for number, artifact in enumerate(artifacts):
-                seeds_are_the_results(page, number, artifact)
+                seeds_match_the_results(page, number, artifact)
             columns_sort(page)
-            plots_are_drawn(page, artifacts)
+            plots_are_rendered(page, artifacts)
             seeds_can_be_chosen(page, artifacts[0])
             scrubbing_shows_each_state(page, artifacts[0])
-            chunk_is_carried_by_delta(page, artifacts[0])
+            chunk_is_moved_by_delta(page, artifacts[0])
             keys_step_through(page, artifacts[0])
-            keys_walk_the_plot(page, artifacts[0])
-            it_plays(page)
-            widths_and_schemes_hold(page)
-            nothing_was_loaded(page)
+            keys_navigate_the_plot(page, artifacts[0])
+            playback_works(page)
+            page_fits_widths_and_schemes(page)
+            no_files_were_loaded(page)
             if artifacts[0].steps["pose_flag"].is_null().all():
-                check(not page.all("#scene .observed[d^=M]"), "an estimated pose is drawn where there is none")
+                check(not page.all("#scene .observed[d^=M]"), "an estimated pose is shown without estimates")
             estimated = Path(profile) / "estimated.html"
             with_estimates(path, estimated)
             page.open(estimated)
-            estimates_are_drawn(page)
-            nothing_was_loaded(page)
+            estimates_are_shown(page)
+            no_files_were_loaded(page)
         finally:
             page.driver.quit()
-    print(f"{path.name}: the page shows what {len(artifacts)} artifacts hold")
+    print(f"{path.name}: the page matches {len(artifacts)} artifacts")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-//! Robomimic's HDF5 files from end to end: values bit for bit, every fault in one sentence.
+//! End-to-end tests of robomimic's HDF5 files: values are bit-exact, and every error is one sentence.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -12,7 +12,7 @@ use re4_ingest::{Convention, DemoRow, EpisodeRow};
 
 const TASKS: [&str; 3] = ["lift", "can", "square"];
 
-/// A place with the sample of Can, and a pipeline file on it.
+/// A folder with the sample of Can, and a pipeline file on it.
 fn place() -> Place {
     let place = Place::empty();
     fs::copy(
@@ -38,7 +38,7 @@ fn python() -> Option<PathBuf> {
     python
 }
 
-/// A folder of the real datasets, where it is.
+/// A folder of the real datasets, if it exists; otherwise prints that the test is skipped.
 fn shared(name: &str) -> Option<PathBuf> {
     let beside = || repository().join("../shared/data");
     let path = std::env::var_os("RE4_DATA")
@@ -59,13 +59,13 @@ fn run_python(python: &Path, script: &str, arguments: &[&Path]) -> String {
         .args(arguments)
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(
         output.status.success(),
-        "{script} {arguments:?}: {said}{}",
+        "{script} {arguments:?}: {text}{}",
         String::from_utf8_lossy(&output.stderr)
     );
-    said.trim().to_owned()
+    text.trim().to_owned()
 }
 
 fn only(place: &Place) -> Artifact {
@@ -73,13 +73,13 @@ fn only(place: &Place) -> Artifact {
 }
 
 #[test]
-fn the_sample_is_ingested_and_then_left_alone() {
+fn the_sample_is_ingested_once() {
     let place = place();
     let first = place.run("ingest can.toml").done();
     let mut filters = filters();
     filters.push((r"\b\d+ bytes", "[n] bytes"));
     filters.push((r" +\[n\] bytes", " [n] bytes"));
-    // What is left of exact relations is rounding, and differs between processors.
+    // The residuals of exact relations are rounding errors, which differ between processors.
     filters.push((r"-?\d\.\d\de-1\d\b", "[rounding]"));
     with_settings!({ filters => filters }, {
         assert_snapshot!(first.stdout);
@@ -92,7 +92,7 @@ fn the_sample_is_ingested_and_then_left_alone() {
 }
 
 #[test]
-fn demonstrations_are_filtered_and_then_counted() {
+fn selections_apply_after_filters() {
     let place = place();
     let names = |arguments: &str| {
         let _ = fs::remove_dir_all(place.artifacts());
@@ -134,7 +134,7 @@ fn demonstrations_are_filtered_and_then_counted() {
 }
 
 #[test]
-fn faults_are_told_in_one_sentence_or_accepted_with_a_warning() {
+fn damaged_files_are_refused_or_accepted_with_a_warning() {
     let Some(python) = python() else { return };
     let place = place();
     let folder = place.path().join("data/faults");
@@ -143,7 +143,7 @@ fn faults_are_told_in_one_sentence_or_accepted_with_a_warning() {
         "make_robomimic.py",
         &[&repository().join("data/can-sample.hdf5"), &folder],
     );
-    let mut told = String::new();
+    let mut outcomes = String::new();
     let mut files: Vec<PathBuf> = fs::read_dir(&folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -153,19 +153,19 @@ fn faults_are_told_in_one_sentence_or_accepted_with_a_warning() {
         let name = file.file_stem().unwrap().to_str().unwrap();
         pipeline(&place, "fault", "can", &format!("faults/{name}.hdf5"));
         let _ = fs::remove_dir_all(place.artifacts());
-        writeln!(told, "{name}\n  {}", told_of(&place, "ingest fault.toml")).unwrap();
+        writeln!(outcomes, "{name}\n  {}", outcome_of(&place, "ingest fault.toml")).unwrap();
         let equal =
             only_artifact(&place).map(|artifact| run_python(&python, "robomimic_equal.py", &[&artifact, &file]));
         if let Some(equal) = equal {
-            writeln!(told, "  {equal}").unwrap();
+            writeln!(outcomes, "  {equal}").unwrap();
         }
         assert!(place.temporaries().is_empty(), "{name}");
     }
-    with_settings!({ filters => filters() }, { assert_snapshot!(told) });
+    with_settings!({ filters => filters() }, { assert_snapshot!(outcomes) });
 }
 
-/// The sentence of a refusal, or the codes of the warnings.
-fn told_of(place: &Place, arguments: &str) -> String {
+/// The error message, or the codes of the warnings.
+fn outcome_of(place: &Place, arguments: &str) -> String {
     let answer = place.run(&format!("{arguments} --json --quiet"));
     if answer.code == Some(2) {
         return answer.refused();
@@ -189,7 +189,7 @@ fn only_artifact(place: &Place) -> Option<PathBuf> {
 }
 
 #[test]
-fn conventions_that_other_hands_changed_are_accepted_by_a_setting() {
+fn changed_conventions_are_accepted_by_a_setting() {
     let Some(python) = python() else { return };
     let place = place();
     let folder = place.path().join("data/faults");
@@ -216,10 +216,10 @@ fn conventions_that_other_hands_changed_are_accepted_by_a_setting() {
 }
 
 #[test]
-fn the_malformed_set_is_told_in_one_sentence_or_accepted() {
+fn the_malformed_files_are_refused_or_accepted() {
     let Some(folder) = shared("malformed") else { return };
     let place = place();
-    let mut told = String::new();
+    let mut outcomes = String::new();
     let mut files: Vec<PathBuf> = fs::read_dir(&folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -231,17 +231,17 @@ fn the_malformed_set_is_told_in_one_sentence_or_accepted() {
     {
         pipeline(&place, "malformed", "lift", file.to_str().unwrap());
         let name = file.file_name().unwrap().to_str().unwrap();
-        let said = told_of(&place, "ingest malformed.toml").replace(folder.to_str().unwrap(), "[malformed]");
-        writeln!(told, "{name}\n  {said}").unwrap();
+        let outcome = outcome_of(&place, "ingest malformed.toml").replace(folder.to_str().unwrap(), "[malformed]");
+        writeln!(outcomes, "{name}\n  {outcome}").unwrap();
     }
-    with_settings!({ filters => filters() }, { assert_snapshot!(told) });
+    with_settings!({ filters => filters() }, { assert_snapshot!(outcomes) });
 }
 
 #[test]
-fn raw_files_of_robosuite_are_ingested_by_their_states() {
+fn raw_files_of_robosuite_are_ingested_from_their_states() {
     let Some(folder) = shared("robosuite") else { return };
     let place = place();
-    let mut told = String::new();
+    let mut outcomes = String::new();
     for (file, task, more) in [
         ("robosuite-1.4.1-demos/lift/demo.hdf5", "lift", ""),
         (
@@ -277,10 +277,11 @@ fn raw_files_of_robosuite_are_ingested_by_their_states() {
         ),
     ] {
         pipeline(&place, "raw", task, folder.join(file).to_str().unwrap());
-        let said = told_of(&place, &format!("ingest raw.toml {more}")).replace(folder.to_str().unwrap(), "[robosuite]");
-        writeln!(told, "{file} {task} {more}\n  {said}").unwrap();
+        let outcome =
+            outcome_of(&place, &format!("ingest raw.toml {more}")).replace(folder.to_str().unwrap(), "[robosuite]");
+        writeln!(outcomes, "{file} {task} {more}\n  {outcome}").unwrap();
     }
-    with_settings!({ filters => filters() }, { assert_snapshot!(told) });
+    with_settings!({ filters => filters() }, { assert_snapshot!(outcomes) });
 }
 
 #[test]
@@ -304,9 +305,9 @@ fn the_scripted_demonstrations_are_ingested_bit_for_bit() {
     }
 }
 
-/// Beyond the first step of a demonstration, 99 % of the goals are within 1 mm and 0.2 degrees of the controller's own.
+/// After the first step of a demonstration, 99 % of the goals are within 1 mm and 0.2 degrees of the controller's own.
 #[test]
-fn goals_from_deltas_are_those_of_the_controller() {
+fn goals_from_deltas_match_those_of_the_controller() {
     let Some(folder) = shared("robomimic-scripted") else {
         return;
     };

@@ -1,9 +1,9 @@
-"""Compares an `episodes` artifact of a robosuite task with what h5py reads from its HDF5 file, bit for bit.
+"""Compares an `episodes` artifact of a robosuite task bit for bit with what h5py reads from its HDF5 file.
 
 usage: robomimic_equal.py ARTIFACT SOURCE.hdf5   (needs h5py, numpy, polars and pillow)
 
-Every column that is recorded is compared as 64-bit patterns, so that the signs of zeros and quaternions count; images are
-compared as pixels. Prints one line: how many numbers and images were equal. Exit code 1 names the first that differs.
+Every recorded column is compared as 64-bit patterns, so that the signs of zeros and quaternions matter; images are compared as
+pixels. Prints one line with the numbers of equal values and images. Exits with code 1 and names the first difference.
 """
 
 import io
@@ -21,13 +21,13 @@ frames = tables["frames"]
 conventions = dict(zip(tables["conventions"]["convention"], tables["conventions"]["value"]))
 demos = tables["demos"]["demo"].to_list()
 lengths = tables["episodes"]["frames"].to_list()
-assert conventions["poses"] == "observations", "only what is read from observations can be compared"
+assert conventions["poses"] == "observations", "only poses from observations can be compared"
 
-# Columns of the object vector that hold its pose; columns of the actions, by their kind.
+# Columns of the object vector with its pose, and columns of the actions by their kind.
 pose = 7 if conventions.get("object_layout") == "relative_first" else 0
 kind = "delta" if conventions["action_kind"] == "delta" else "goal"
 assert conventions["eef_quaternion"] == conventions["object_quaternion"] == "xyzw", "columns are in another order"
-# What the dataset has in another frame or with another sign stands beside it.
+# Values that the dataset has in another frame or with another sign are in the columns `raw_*`.
 eef = "raw_eef" if conventions["eef_orientation"] == "hand_body" else "eef"
 gripper = "raw_gripper" if conventions["gripper_sign"] == "positive_opens" else "gripper"
 RECORDED = {
@@ -42,7 +42,7 @@ numbers = images = 0
 
 
 def same(ours, theirs, what):
-    """Counts equal numbers, ends at one that differs in any bit."""
+    """Counts equal numbers, and exits at the first that differs in any bit."""
     global numbers
     ours = np.ascontiguousarray(ours, dtype=np.float64).view(np.uint64)
     theirs = np.ascontiguousarray(theirs, dtype=np.float64).view(np.uint64)
@@ -51,9 +51,9 @@ def same(ours, theirs, what):
     numbers += ours.size
 
 
-def odd(values, sound):
-    """Whether some values are such as the array cannot have: then it is left out."""
-    return not sound(values).all()
+def has_invalid(values, valid):
+    """Whether some values are invalid; ingest then leaves the array out."""
+    return not valid(values).all()
 
 
 def number(name):
@@ -71,13 +71,13 @@ with h5py.File(source) as file:
         assert length == group["actions"].shape[0] and (rows["episode"] == episode).all()
         assert rows["frame"].to_list() == list(range(length))
         for dataset, columns in RECORDED.items():
-            if dataset not in group or (dataset == "rewards" and odd(group[dataset][()], np.isfinite)):
+            if dataset not in group or (dataset == "rewards" and has_invalid(group[dataset][()], np.isfinite)):
                 assert rows[columns[0]].null_count() == length
                 continue
             theirs = group[dataset][()].reshape(length, -1)
             theirs = theirs[:, pose : pose + 7] if dataset == "obs/object" else theirs
             same(rows.select(columns).to_numpy(), theirs, f"{demo}/{dataset}")
-        if "dones" in group and odd(group["dones"][()], lambda flags: np.isin(flags, [0, 1])):
+        if "dones" in group and has_invalid(group["dones"][()], lambda flags: np.isin(flags, [0, 1])):
             assert rows["done"].null_count() == length
         elif "dones" in group:
             same(rows["done"].to_numpy(), group["dones"][()], f"{demo}/dones")

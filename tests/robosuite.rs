@@ -1,4 +1,5 @@
-//! What is observed, and when a task is done, on robosuite's own states: skipped where data or simulators are missing.
+//! Observations and success of robosuite tasks equal robosuite's on its own states. Skipped if datasets or simulators are
+//! missing.
 
 #[path = "../crates/re4-sim/tests/reference/mod.rs"]
 mod reference;
@@ -16,10 +17,10 @@ use re4_sim::Simulator as _;
 use re4_sim::robosuite::{FirstTorques, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask};
 use reference::Reference;
 
-/// Tasks whose demonstrations there are states of.
+/// Tasks for which there are demonstrations with states.
 const TASKS: [&str; 3] = ["lift", "can", "square"];
 
-/// The folder that a variable names, else one of the repository; says so where it is not there.
+/// The folder that a variable names, or a folder of the repository; if it does not exist, prints that the test is skipped.
 fn folder(variable: &str, otherwise: &str, below: &str, how: &str) -> Option<PathBuf> {
     let path = std::env::var_os(variable)
         .map_or_else(|| repository().join(otherwise), PathBuf::from)
@@ -48,20 +49,20 @@ fn demonstrations(path: &Path) -> BTreeMap<u32, Demo> {
 }
 
 /// Maximum absolute difference.
-fn apart(ours: &[f64], theirs: &[f64]) -> f64 {
+fn max_difference(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     assert!(ours.iter().all(|number| number.is_finite()));
     ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// The same of two quaternions, of which the negative one is the same rotation.
-fn apart_as_rotations(ours: &[f64], theirs: &[f64]) -> f64 {
-    let turned: Vec<f64> = theirs.iter().map(|part| -part).collect();
-    apart(ours, theirs).min(apart(ours, &turned))
+/// Maximum absolute difference of two quaternions up to sign, since q and -q are the same rotation.
+fn max_quaternion_difference(ours: &[f64], theirs: &[f64]) -> f64 {
+    let negated: Vec<f64> = theirs.iter().map(|part| -part).collect();
+    max_difference(ours, theirs).min(max_difference(ours, &negated))
 }
 
 #[test]
-fn observations_and_success_are_those_of_robosuite() {
+fn observations_and_success_match_robosuite() {
     let setup = "run scripts/setup-simulators.sh";
     let Some(simulators) = folder("RE4_SIMULATORS", "data/simulators", "", setup) else {
         return;
@@ -108,14 +109,17 @@ fn observations_and_success_are_those_of_robosuite() {
             let object = seen.object_state(task, profile);
             let theirs = objects.row(row);
             poses = poses
-                .max(apart(seen.grip_site.translation.vector.as_slice(), eef.row(row)))
-                .max(apart_as_rotations(seen.hand.coords.as_slice(), hand.row(row)))
-                .max(apart(&seen.fingers, fingers.row(row)))
-                .max(apart(&object[..3], &theirs[..3]))
-                .max(apart_as_rotations(&object[3..7], &theirs[3..7]));
-            relative = relative.max(apart(&object[7..10], &theirs[7..10]));
+                .max(max_difference(
+                    seen.grip_site.translation.vector.as_slice(),
+                    eef.row(row),
+                ))
+                .max(max_quaternion_difference(seen.hand.coords.as_slice(), hand.row(row)))
+                .max(max_difference(&seen.fingers, fingers.row(row)))
+                .max(max_difference(&object[..3], &theirs[..3]))
+                .max(max_quaternion_difference(&object[3..7], &theirs[3..7]));
+            relative = relative.max(max_difference(&object[7..10], &theirs[7..10]));
             if object.len() > 10 {
-                relative = relative.max(apart_as_rotations(&object[10..], &theirs[10..]));
+                relative = relative.max(max_quaternion_difference(&object[10..], &theirs[10..]));
             }
             let ours = u8::from(simulation.success());
             assert_eq!(
@@ -133,7 +137,7 @@ fn observations_and_success_are_those_of_robosuite() {
         );
         assert!(recorded.0 + constructed.0 >= 1000 && verdicts.iter().flatten().all(|&count| count > 0));
         assert!(poses <= 1e-12, "{name}: {poses:e}");
-        // robosuite turns matrices into quaternions and back in single precision, which the relative pose goes through.
+        // The relative pose is less precise because robosuite converts matrices to quaternions and back in single precision.
         assert!(relative <= 1e-6, "{name}: {relative:e}");
     }
 }

@@ -1,11 +1,11 @@
-"""Makes the references that the native simulation of robosuite's tasks is tested against, with robosuite itself.
+"""Uses robosuite to make the references against which the native simulation of its tasks is tested.
 
-Each pair of versions needs a virtual environment of its own:
+Each pair of versions needs its own virtual environment:
 
     python3 -m venv rs14 && rs14/bin/pip install robosuite==1.4.1 mujoco==2.3.7 'numpy<2' h5py
     python3 -m venv rs15 && rs15/bin/pip install robosuite==1.5.1 mujoco==3.2.7 'numpy<2' h5py
 
-The committed files come from these commands (OUT is crates/re4-sim/tests/data/robosuite, DATA holds the folders lift, can
+The committed files come from these commands (OUT is crates/re4-sim/tests/data/robosuite, DATA has the folders lift, can
 and square with low_dim.hdf5 and low_dim_abs.hdf5):
 
     rs14/bin/python tests/robosuite_reference.py trace OUT          # and with rs15
@@ -13,9 +13,9 @@ and square with low_dim.hdf5 and low_dim_abs.hdf5):
     rs14/bin/python tests/robosuite_reference.py states OUT DATA
     rs14/bin/python tests/robosuite_reference.py replay OUT DATA
 
-A task that is added gets one file, with a trace, initial states of seeds and verdicts. NAME is that of pipeline files; GRASP
-where the hand takes the object, in the object's frame, and how far the object falls after its reset; INSIDE a place where it
-succeeds, in metres:
+A new task gets one file, with a trace, initial states of seeds and success verdicts. NAME is the name in pipeline files; GRASP is
+the grasp position in the object's frame and the distance that the object falls after its reset; INSIDE is a position of the
+object at which the task succeeds. All are in metres:
 
     rs14/bin/python tests/robosuite_reference.py task OUT NAME ENVIRONMENT OBJECT GRASP INSIDE
 
@@ -35,7 +35,7 @@ import time
 import warnings
 import xml.etree.ElementTree as ElementTree
 
-# Several threads are of no use to matrices of 7 x 7, and cost much on a machine that does something else, too.
+# One thread: several do not help with matrices of 7 x 7, and are slow on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 warnings.filterwarnings("ignore")
 logging.disable(logging.CRITICAL)
@@ -46,7 +46,7 @@ import robosuite  # noqa: E402
 
 TASKS = {"lift": "Lift", "can": "PickPlaceCan", "square": "NutAssemblySquare"}
 OBJECT = {"lift": ("cube_joint0", "cube_main"), "can": ("Can_joint0", "Can_main"), "square": ("SquareNut_joint0", "SquareNut_main")}
-# Where the hand takes the object, in the object's frame, and how far the object falls after its reset.
+# Grasp position in the object's frame, and the distance that the object falls after its reset, in metres.
 GRASP = {"square": [0.054, 0, 0, 0.06]}
 ASSETS = os.path.dirname(robosuite.__file__)
 OLD = robosuite.__version__.startswith("1.4")
@@ -99,7 +99,7 @@ def controller_of(env):
 
 
 def with_own_assets(xml):
-    """The file with assets of this robosuite: text up to the last path element `robosuite` gives way."""
+    """Replaces asset paths, up to the last path element `robosuite`, by those of this robosuite."""
     return re.sub(r'file="(?:[^"]*/)?robosuite/', f'file="{ASSETS}/', xml)
 
 
@@ -122,7 +122,7 @@ def observation(observations):
 
 
 def write(path, header, arrays):
-    """One line of JSON, then the arrays, compressed; a file appears whole or not at all."""
+    """Writes one line of JSON and the arrays, compressed. The file is written atomically."""
     names = {"float64": "f64", "uint8": "u8", "uint32": "u32"}
     offset, described, raw = 0, [], []
     for name, array in arrays.items():
@@ -136,7 +136,7 @@ def write(path, header, arrays):
     header = dict(header, robosuite=robosuite.__version__, mujoco=mujoco.__version__, arrays=described)
     content = json.dumps(header).encode() + b"\n" + b"".join(raw)
     temporary = path.with_suffix(".tmp")
-    # No time in the file: the same run gives the same bytes.
+    # Without a time stamp, so that the same run gives the same bytes.
     temporary.write_bytes(gzip.compress(content, 9, mtime=0))
     temporary.rename(path)
     print(path, path.stat().st_size, flush=True)
@@ -165,7 +165,7 @@ def axis_angle(matrix):
     return vector
 
 
-def turn(axis, angle):
+def rotation_matrix(axis, angle):
     matrix, quaternion = np.zeros(9), np.zeros(4)
     mujoco.mju_axisAngle2Quat(quaternion, np.array(axis, dtype=float), angle)
     mujoco.mju_quat2Mat(matrix, quaternion)
@@ -173,7 +173,7 @@ def turn(axis, angle):
 
 
 def scripted_action(control, step, site, orientation, start, grasp):
-    """Over the object, down to it, close, lift; the hand turns on the way, in delta mode only in some steps."""
+    """Moves above the object, down to it, closes and lifts. The end effector rotates on the way, in delta mode only in some steps."""
     over = grasp + [0, 0, 0.1]
     if step < 24:
         goal = start + (over - start) * min(1.0, (step + 1) / 20)
@@ -186,16 +186,16 @@ def scripted_action(control, step, site, orientation, start, grasp):
     gripper = -1.0 if step < 44 else 1.0
     if control == "absolute":
         phase = min(1.0, step / 30)
-        rotation = turn([0, 0, 1], 0.5 * phase) @ turn([1, 0, 0], 0.08 * np.sin(0.2 * step)) @ orientation
+        rotation = rotation_matrix([0, 0, 1], 0.5 * phase) @ rotation_matrix([1, 0, 0], 0.08 * np.sin(0.2 * step)) @ orientation
         return np.concatenate([goal, axis_angle(rotation), [gripper]])
-    # Some values beyond 1, which the controller clips; and steps without any turn, in which 1.4 keeps its goal orientation.
+    # Includes values above 1, which the controller clips, and steps without rotation, in which 1.4 keeps its goal orientation.
     move = (goal - site) / 0.05
     angles = np.array([0.05 * np.sin(0.3 * step), 0.0, 0.15]) if step % 7 < 4 and step < 40 else np.zeros(3)
     return np.concatenate([move, angles, [gripper]])
 
 
 def robot_touches(env):
-    """Whether the contacts of the last simulation step have one of a body of the robot."""
+    """Whether a body of the robot is in contact in the last simulation step."""
     model, data = env.sim.model._model, env.sim.data._data
     bodies = {model.geom_bodyid[geom] for contact in data.contact[: data.ncon] for geom in (contact.geom1, contact.geom2)}
     return any(model.body(body).name.startswith(("robot0", "gripper0")) for body in bodies)
@@ -207,13 +207,13 @@ def trace(task, control, out):
 
 
 def traced(task, control):
-    """A trace's header and arrays, and the environment after it."""
+    """Header and arrays of a trace, and the environment after it."""
     env, part = make(task, control)
     np.random.seed(11)
     env.reset()
     state = env.sim.get_state().flatten()
     xml = with_relative_assets(env.sim.model.get_xml())
-    # Both sides simulate the file, whose numbers have six digits, not the model that robosuite had in memory.
+    # Both simulations use the XML file, whose numbers have six digits, and not robosuite's model in memory.
     env.reset_from_xml_string(with_own_assets(xml))
     set_state(env, state)
     controller = controller_of(env)
@@ -309,7 +309,7 @@ PLACEMENT_SEEDS = list(range(150)) + list(range(100000, 100040)) + [2**31 - 1, 2
 
 
 def without_images(xml):
-    """The model without textures and without the arm's meshes, which nothing collides with: compiled seven times as fast."""
+    """The model without textures and without the arm's visual meshes, which have no collisions. It compiles seven times as fast."""
     root = ElementTree.fromstring(xml)
     assets = root.find("asset")
     for texture in assets.findall("texture"):
@@ -328,7 +328,7 @@ def without_images(xml):
 
 
 def sampled(env, task, seed):
-    """What a hard reset draws, in its order, without building the model."""
+    """The random numbers of a hard reset, in their order, without building the model."""
     np.random.seed(seed)
     numbers = []
     if task == "lift":
@@ -352,7 +352,7 @@ def placement(out):
 
 
 def placed(task):
-    """Initial states of seeds: the header's fields, and the arrays."""
+    """Initial states of seeds: the fields of the header, and the arrays."""
     env, _ = make(task, "delta")
     env.set_xml_processor(without_images)
     digest = hashlib.sha256()
@@ -386,9 +386,9 @@ def demos_of(file):
 
 
 def load_model(env, xml, loaded):
-    """robomimic's reset_to, without its first reset, which leaves nothing behind; the same file is not compiled twice."""
+    """robomimic's reset_to, without its first reset, which has no lasting effect. The same file is not compiled twice."""
     if xml == loaded:
-        # What reset_from_xml_string does once the file is compiled.
+        # The rest of reset_from_xml_string after compiling the file.
         env.deterministic_reset = True
         env.reset()
         env.deterministic_reset = False
@@ -398,7 +398,7 @@ def load_model(env, xml, loaded):
 
 
 def constructed(task, eef):
-    """Positions of the task's object about every edge of its success rule, for a hand at `eef`."""
+    """Positions of the task's object on both sides of every boundary of its success rule, for an end effector at `eef`."""
     tiny = [-1e-3, -1e-6, -1e-9, 0.0, 1e-9, 1e-6, 1e-3]
     if task == "lift":
         return [[0.01, 0.02, 0.84 + d] for d in tiny] + [[-0.02, 0.0, 0.8 + 0.04 + d] for d in tiny]
@@ -411,7 +411,7 @@ def constructed(task, eef):
         for edge in (low[axis], high[axis]):
             if edge is not None:
                 places += [inside[:axis] + [edge + d] + inside[axis + 1 :] for d in tiny]
-    # 1 - tanh(10 d) < 0.6 turns at this distance between grip site and object.
+    # The distance between grip site and object at which 1 - tanh(10 d) < 0.6 changes.
     reach = np.arctanh(0.4) / 10
     for direction in ([1, 0, 0], [0, -1, 0], [0, 0, -1], [0.6, 0, -0.8]):
         places += [list(eef + (reach + d) * np.array(direction)) for d in tiny]
@@ -450,7 +450,7 @@ def states(out, data):
                 set_state(env, recorded[frame])
                 record(demo, frame, None)
             if index % (len(demos) // 8) == 0:
-                # The hand far away, at the object, and where the demonstration ends.
+                # Frames with the end effector far away, at the object, and at the end of the demonstration.
                 for frame in (0, len(recorded) // 2, len(recorded) - 1):
                     set_state(env, recorded[frame])
                     eef = np.array(env.sim.data.site_xpos[env.sim.model.site_name2id("gripper0_grip_site")])
@@ -481,7 +481,7 @@ FILES = {"delta": "low_dim.hdf5", "absolute": "low_dim_abs.hdf5"}
 
 
 def play(env, task, group, loaded):
-    """A row of the table: the demonstration's actions from its first state."""
+    """Replays a demonstration's actions from its first state. Returns a row of the table."""
     load_model(env, group.attrs["model_file"], loaded)
     recorded = group["states"][:]
     set_state(env, recorded[0])
@@ -500,7 +500,7 @@ def play(env, task, group, loaded):
 
 
 def replay(out, data):
-    """Rows that the table has already are kept, so that this can be stopped and go on."""
+    """Replays all demonstrations. Existing rows of the table are kept, so that an interrupted run can continue."""
     import h5py
 
     path = out / "replay_python.csv"
@@ -509,7 +509,7 @@ def replay(out, data):
         for line in path.read_text().splitlines()[1:]:
             task, actions, demo, *rest = line.split(",")
             rows[list(TASKS).index(task), list(FILES).index(actions), int(demo)] = rest
-    # The demonstrations that there are absolute actions of come first.
+    # Demonstrations with absolute actions come first.
     for demos, task, actions in [
         (range(60), "can", "delta"),
         (range(60), "square", "delta"),
@@ -525,7 +525,7 @@ def replay(out, data):
         if not missing:
             continue
         env, _ = make(task, actions)
-        # Nobody looks at what the environment would show.
+        # Observations are not used, so they are not computed.
         env._update_observables = lambda force=False: None
         file = h5py.File(data / task / FILES[actions])
         loaded, began = None, time.time()
@@ -550,7 +550,7 @@ def replay(out, data):
 
 
 def edges(succeeds, inside):
-    """Positions about every edge of a success rule, on lines from a place inside."""
+    """Positions on both sides of every boundary of a success rule, on lines from a position inside."""
     found = []
     for direction in [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1], [0.6, -0.8, 0], [0, 0.6, 0.8]]:
         at = lambda distance: np.array(inside) + distance * np.array(direction)  # noqa: E731
@@ -566,7 +566,7 @@ def edges(succeeds, inside):
 
 
 def reach(env, goal):
-    """Sets the arm so that the grip site is at a place, whatever is in the way."""
+    """Sets the arm so that the grip site is at a position, without regard to collisions."""
     model, data = env.sim.model._model, env.sim.data._data
     grip = env.sim.model.site_name2id("gripper0_grip_site" if OLD else "gripper0_right_grip_site")
     joints = [model.joint(f"robot0_joint{i}") for i in range(1, 8)]
@@ -579,11 +579,11 @@ def reach(env, goal):
         for joint, angle in zip(joints, move):
             data.qpos[joint.qposadr[0]] += angle
     env.sim.forward()
-    assert np.linalg.norm(data.site_xpos[grip] - goal) < 1e-3, "the arm does not reach there"
+    assert np.linalg.norm(data.site_xpos[grip] - goal) < 1e-3, "the arm cannot reach the position"
 
 
 def verdicts(env, task, inside):
-    """What the environment says of its object about every edge of its rule, with the hand far off and so near that it decides."""
+    """Success verdicts of the environment near every boundary of its rule, with the end effector far from the object and near it."""
     address = env.sim.model.get_joint_qpos_addr(OBJECT[task][0])[0]
 
     def succeeds(position):
@@ -595,7 +595,7 @@ def verdicts(env, task, inside):
     for offset in ([0.0, 0.0, 0.2], [0.03, 0.0, 0.035], [0.0, -0.046, 0.0]):
         reach(env, np.array(inside) + offset)
         hands.append(env.sim.get_state().flatten())
-        assert succeeds(inside), f"there is no success at {inside} with the hand {offset} from it"
+        assert succeeds(inside), f"the task does not succeed at {inside} with the end effector {offset} from it"
         for position in edges(succeeds, inside):
             rows["hand"].append(len(hands) - 1)
             rows["position"].append(position)

@@ -1,6 +1,6 @@
-//! Rollouts and replays of robosuite's tasks, from demonstrations to tables, in MuJoCo. They run where `RE4_DATA` names the folder
-//! of the datasets (or it lies in ../shared/data) and `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh
-//! has put them into data/simulators).
+//! Rollouts and replays of robosuite tasks in MuJoCo, from demonstrations to tables. The tests need the datasets in the folder
+//! that `RE4_DATA` names (or in ../shared/data), and the simulators in the folder that `RE4_SIMULATORS` names (or in
+//! data/simulators, where scripts/setup-simulators.sh installs them).
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -50,7 +50,7 @@ fn only(place: &Place, artifacts: &str, stage: Stage) -> Artifact {
 }
 
 #[test]
-fn lift_succeeds_and_its_tables_hold_together() {
+fn lift_succeeds_and_its_tables_are_consistent() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -70,7 +70,7 @@ fn lift_succeeds_and_its_tables_hold_together() {
     let seeds = col_u32(&results, "seed").unwrap();
     assert_eq!(seeds, [200_000, 200_001, 200_002, 200_003]);
     assert!((0..4).all(|row| col_bool(&results, "success").unwrap().value(row)));
-    // Every step and every decision is counted once, and success is that of the last step.
+    // Every step and every decision is counted once, and the success of a rollout is that of its last step.
     let (of_steps, of_decisions) = (col_u32(&steps, "seed").unwrap(), col_u32(&decisions, "seed").unwrap());
     let heights = col_f64(&steps, "object_z").unwrap();
     for (row, seed) in seeds.iter().enumerate() {
@@ -78,11 +78,11 @@ fn lift_succeeds_and_its_tables_hold_together() {
         assert_eq!(own.len() as u32, col_u32(&results, "steps").unwrap()[row]);
         let decided = of_decisions.iter().filter(|of| *of == seed).count();
         assert_eq!(decided as u32, col_u32(&results, "decisions").unwrap()[row]);
-        // Lift's rule: the cube is 4 cm over the table.
+        // Lift's success rule: the cube is 4 cm above the table.
         let last = *own.last().unwrap();
         assert!(heights[last] > 0.84 && heights[last - 1] <= 0.84);
     }
-    // A frame that is followed is one that may be retrieved, in the mode of the query.
+    // The retrieved frame is retrievable and has the mode of the query.
     let index = only(&place, "one", Stage::Index);
     let indexed = index
         .table(re4_index::IndexRow::<re4_index::SpatialState>::table())
@@ -107,7 +107,7 @@ fn lift_succeeds_and_its_tables_hold_together() {
         retrieved += 1;
     }
     assert!(retrieved >= 4);
-    // The state after the reset is what robosuite draws for the seed: arm noise about the initial pose, fingers, cube at rest.
+    // The state after the reset is what robosuite samples for the seed: arm noise about the initial pose, fingers, cube at rest.
     let states = col_f64_list(&results, "state").unwrap();
     assert!(
         states
@@ -144,8 +144,8 @@ fn replays_follow_the_recording_and_gate() {
         .iter()
         .zip(col_f64(&table, "arm_max").unwrap())
     {
-        // Recorded deltas go through the controller's own arithmetic; a converted goal is rounded once more, to single
-        // precision.
+        // Recorded deltas go through the controller's own arithmetic. Converted goals are rounded once more, to single precision,
+        // so they deviate more.
         let bound = if *kind == Some("delta") { 1e-7 } else { 1e-6 };
         assert!(*arm < bound, "{kind:?}: {arm}");
     }
@@ -162,7 +162,7 @@ fn replays_follow_the_recording_and_gate() {
     ] {
         assert!(compared.contains(&format!("{name}-space")), "{name}");
     }
-    // The beginning of a demonstration, without the lift: the gate says that it fails.
+    // A demonstration truncated before the lift fails, so the gate fails.
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
         println!("skipped the gate: RE4_PYTHON is not set");
         return;
@@ -199,9 +199,9 @@ with h5py.File({:?}) as whole, h5py.File('cut.hdf5', 'w') as cut:
     run(&place, &simulators, "replay cut.toml").done();
 }
 
-/// What keeps a simulation from starting, each in one sentence with exit code 2.
+/// Everything that prevents a simulation from starting gives one sentence and exit code 2.
 #[test]
-fn what_cannot_be_simulated_is_told_in_one_sentence() {
+fn missing_simulators_and_unusable_settings() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -210,15 +210,15 @@ fn what_cannot_be_simulated_is_told_in_one_sentence() {
     let text = pipeline("lift", &lift).replace("first = 20", "first = 1");
     place.write("lift.toml", &text);
     let empty = place.path().join("none");
-    let mut told = String::new();
-    let mut tell = |what: &str, simulators: &Path, arguments: &str| {
+    let mut errors = String::new();
+    let mut refuse = |what: &str, simulators: &Path, arguments: &str| {
         let sentence = run(&place, simulators, &format!("{arguments} --quiet")).refused();
-        writeln!(told, "{what}\n  {}", sentence.trim_end()).unwrap();
+        writeln!(errors, "{what}\n  {}", sentence.trim_end()).unwrap();
     };
-    tell("no simulators", &empty, "rollout lift.toml");
-    tell("no simulators, replay", &empty, "replay lift.toml");
-    tell("--record", &simulators, "rollout lift.toml --record out.zarr");
-    tell("--plot", &simulators, "replay lift.toml --plot out.svg");
+    refuse("no simulators", &empty, "rollout lift.toml");
+    refuse("no simulators, replay", &empty, "replay lift.toml");
+    refuse("--record", &simulators, "rollout lift.toml --record out.zarr");
+    refuse("--plot", &simulators, "replay lift.toml --plot out.svg");
     let settings = [
         ("unknown policy", "rollout.policy=re5"),
         ("unknown key", "rollout.retrieve.epsilon=1"),
@@ -236,19 +236,19 @@ fn what_cannot_be_simulated_is_told_in_one_sentence() {
         ("any environment", "task=\"robosuite\""),
     ];
     for (what, setting) in settings {
-        tell(what, &simulators, &format!("rollout lift.toml --set {setting}"));
+        refuse(what, &simulators, &format!("rollout lift.toml --set {setting}"));
     }
     let mut filters = filters();
     filters.push((data.to_str().unwrap(), "[data]"));
     filters.push((simulators.to_str().unwrap(), "[simulators]"));
     let folder = place.path().canonicalize().unwrap();
     filters.push((folder.to_str().unwrap(), "[folder]"));
-    // Tasks come and go without this snapshot.
-    let told = told.replace(&RobosuiteTask::known(), "[tasks]");
-    with_settings!({ filters => filters }, { assert_snapshot!(told) });
+    // The list of tasks is filtered, so that a new task does not change the snapshot.
+    let errors = errors.replace(&RobosuiteTask::known(), "[tasks]");
+    with_settings!({ filters => filters }, { assert_snapshot!(errors) });
 }
 
-/// Every single step of the policy can be switched off, and optional tables, too.
+/// Every step of the policy and every optional table can be switched off.
 #[test]
 fn steps_of_the_policy_can_be_switched_off() {
     let Some((data, simulators)) = scripted_and_simulators() else {

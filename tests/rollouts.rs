@@ -1,4 +1,4 @@
-//! The rollouts artifact: steps, decisions and results tell one story, and the simulator tells it again.
+//! The `rollouts` artifact: steps, decisions and results are consistent, and the simulator reproduces them.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use re4_artifact::{Artifact, col_bool, col_f64, col_text, col_u32};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, coverage, scene_from_seed};
 
-/// The tables of a `rollouts` artifact, column by column.
+/// The tables of a `rollouts` artifact by column.
 struct Rollouts {
     results: arrow_array::RecordBatch,
     steps: arrow_array::RecordBatch,
@@ -43,7 +43,7 @@ impl Rollouts {
         col_f64(&self.decisions, column).unwrap()
     }
 
-    /// Rows of the steps and of the decisions of every rollout, in the order of the results.
+    /// Seed, rows of steps and rows of decisions of every rollout, in the order of the results.
     fn rows(&self) -> Vec<(u32, Range<usize>, Range<usize>)> {
         let seeds = col_u32(&self.results, "seed").unwrap();
         let (mut step, mut decision) = (0, 0);
@@ -67,39 +67,46 @@ fn check(preset: &str) {
         (500..510).collect::<Vec<_>>()
     );
     let (_, last_steps, last_decisions) = rows.last().unwrap();
-    assert_eq!(last_steps.end, rollouts.steps.num_rows(), "steps are counted");
+    assert_eq!(
+        last_steps.end,
+        rollouts.steps.num_rows(),
+        "not all steps belong to a rollout"
+    );
     assert_eq!(
         last_decisions.end,
         rollouts.decisions.num_rows(),
-        "decisions are counted"
+        "not all decisions belong to a rollout"
     );
     for (rollout, (seed, steps, decisions)) in rows.into_iter().enumerate() {
         let at = format!("{preset}, seed {seed}");
         results_follow_from_steps(&rollouts, rollout, steps.clone(), &at);
         every_action_has_its_decision(&rollouts, seed, steps.clone(), decisions.clone(), &at);
-        decisions_saw_the_state(&rollouts, rollout, steps.clone(), decisions, &at);
-        the_simulator_agrees(&rollouts, rollout, seed, steps, &at);
+        decisions_have_the_state_of_their_step(&rollouts, rollout, steps.clone(), decisions, &at);
+        the_simulator_reproduces_the_states(&rollouts, rollout, seed, steps, &at);
     }
 }
 
 fn results_follow_from_steps(rollouts: &Rollouts, rollout: usize, steps: Range<usize>, at: &str) {
     let (cover, iou, score) = (rollouts.step("coverage"), rollouts.step("iou"), rollouts.step("score"));
-    let most = |values: &[f64]| values[steps.clone()].iter().copied().fold(0.0, f64::max);
-    assert_eq!(rollouts.result("coverage_max", rollout), most(cover), "{at}");
-    assert_eq!(rollouts.result("iou_max", rollout), most(iou), "{at}");
-    assert_eq!(rollouts.result("score_max", rollout), most(score), "{at}");
+    let maximum = |values: &[f64]| values[steps.clone()].iter().copied().fold(0.0, f64::max);
+    assert_eq!(rollouts.result("coverage_max", rollout), maximum(cover), "{at}");
+    assert_eq!(rollouts.result("iou_max", rollout), maximum(iou), "{at}");
+    assert_eq!(rollouts.result("score_max", rollout), maximum(score), "{at}");
     assert_eq!(rollouts.result("coverage_final", rollout), cover[steps.end - 1], "{at}");
     let success = col_bool(&rollouts.results, "success").unwrap().value(rollout);
-    assert_eq!(success, most(cover) > 0.95, "{at}");
+    assert_eq!(success, maximum(cover) > 0.95, "{at}");
     assert!(steps.len() <= 60, "{at}");
-    assert!(success || steps.len() == 60, "{at}: it ended early without success");
+    assert!(
+        success || steps.len() == 60,
+        "{at}: the rollout ended early without success"
+    );
     for step in steps.clone() {
         assert_eq!(score[step], (cover[step] / 0.95).min(1.0), "{at}");
         assert!((0.0..=1.0).contains(&iou[step]) && iou[step] <= cover[step], "{at}");
         assert_eq!(
             cover[step] > 0.95,
             success && step + 1 == steps.end,
-            "{at}: success ends a rollout"
+            "{at}: the rollout continued after success"
         );
     }
     let number = col_u32(&rollouts.steps, "step").unwrap();
@@ -134,7 +141,7 @@ fn every_action_has_its_decision(
         let first = belongs.partition_point(|d| *d < number);
         let executed = first..belongs.partition_point(|d| *d <= number);
         let index = number as usize;
-        assert!(!executed.is_empty(), "{at}: decision {number} led to no action");
+        assert!(!executed.is_empty(), "{at}: decision {number} has no action");
         assert_eq!(of_decision("step")[index] as usize, first, "{at}, decision {number}");
         let planned = executed.clone().take_while(|i| phases[*i] == Some("plan")).count();
         let replayed = executed.len() - planned;
@@ -142,7 +149,7 @@ fn every_action_has_its_decision(
             phases[executed.start + planned..executed.end]
                 .iter()
                 .all(|phase| *phase == Some("replay")),
-            "{at}, decision {number}: replay comes after the plan"
+            "{at}, decision {number}: a plan step follows a replay step"
         );
         let (plan, replay) = (
             of_decision("plan_steps")[index] as usize,
@@ -154,7 +161,7 @@ fn every_action_has_its_decision(
         );
         assert!(
             replayed == 0 || planned == plan,
-            "{at}, decision {number}: replay began before the plan was over"
+            "{at}, decision {number}: the replay began before the end of the plan"
         );
     }
     assert_eq!(
@@ -171,7 +178,7 @@ fn every_action_has_its_decision(
     );
 }
 
-fn decisions_saw_the_state(
+fn decisions_have_the_state_of_their_step(
     rollouts: &Rollouts,
     rollout: usize,
     steps: Range<usize>,
@@ -210,8 +217,8 @@ fn decisions_saw_the_state(
     }
 }
 
-/// The recorded actions, in a fresh simulator, lead to the recorded states bit by bit.
-fn the_simulator_agrees(rollouts: &Rollouts, rollout: usize, seed: u32, steps: Range<usize>, at: &str) {
+/// In a new simulator, the recorded actions give the recorded states bit for bit.
+fn the_simulator_reproduces_the_states(rollouts: &Rollouts, rollout: usize, seed: u32, steps: Range<usize>, at: &str) {
     let mut simulator = PushT::new().unwrap();
     let scene = scene_from_seed(SeedScheme::DiffusionPolicy, seed);
     let start = simulator.reset(&scene, ResetOrder::Legacy).unwrap();
@@ -254,16 +261,16 @@ fn the_simulator_agrees(rollouts: &Rollouts, rollout: usize, seed: u32, steps: R
 }
 
 #[test]
-fn traces_of_the_re4_preset_hold_together() {
+fn tables_of_the_re4_preset_are_consistent() {
     check("re4");
 }
 
 #[test]
-fn traces_of_the_paper_preset_hold_together() {
+fn tables_of_the_paper_preset_are_consistent() {
     check("paper");
 }
 
 #[test]
-fn traces_of_the_re2_preset_hold_together() {
+fn tables_of_the_re2_preset_are_consistent() {
     check("re2");
 }

@@ -1,8 +1,8 @@
-"""Executes a notebook from top to bottom, in its own folder, and fails where a cell fails.
+"""Executes a notebook from top to bottom, in its own folder, and fails if a cell fails.
 
     python run_notebook.py NOTEBOOK.ipynb [EXECUTED.ipynb]
 
-The second path gets the notebook with its outputs. The first cell that fails is printed with its error; exit code 1.
+The notebook with its outputs is written to the second path. If a cell fails, it is printed with its error, and the exit code is 1.
 """
 
 import os
@@ -19,13 +19,13 @@ from traitlets.config import Config
 def main() -> int:
     path = Path(sys.argv[1]).resolve()
     with tempfile.TemporaryDirectory() as scratch:
-        # Neither history nor settings of whoever runs it.
+        # Without the user's history and settings.
         os.environ.update(IPYTHONDIR=scratch, JUPYTER_RUNTIME_DIR=scratch, JUPYTER_CONFIG_DIR=scratch)
         notebook = nbformat.read(path, as_version=4)
-        # Talks to the kernel through sockets in a folder of its own: ports could be taken by another run.
+        # The kernel communicates through sockets in its own folder, because ports could be in use by another run.
         config = Config({"KernelManager": {"transport": "ipc", "ip": f"{scratch}/kernel"}})
         where = {"metadata": {"path": path.parent}}
-        # Whatever a cell draws has to arrive, on a busy machine, too: by default what comes after 4 seconds is left out in silence.
+        # All outputs of a cell have to arrive, also on a busy machine. By default, outputs after 4 seconds are dropped silently.
         patience = dict(timeout=1800, startup_timeout=600, iopub_timeout=600, raise_on_iopub_timeout=True)
         client = NotebookClient(notebook, config=config, kernel_name="python3", resources=where, **patience)
         try:

@@ -1,5 +1,5 @@
-//! Rollouts from scenes far from the demonstrations, on the sample in `data/`: what is chosen, what the rollouts start from,
-//! what they had reached under smaller budgets of steps, and every refusal.
+//! Rollouts from scenes far from the demonstrations, on the sample in `data/`: the chosen scenes, the start states of rollouts,
+//! the scores under smaller budgets of steps, and all error messages.
 
 use std::fs;
 
@@ -9,7 +9,7 @@ use re4_artifact::{Row as _, Stage, col_bool, col_f64, col_u32};
 use re4_ingest::{FrameRow, PlanarColumns};
 use re4_stats::{mean_interval, wilson_interval};
 
-/// A folder with `sparse.toml`: the sample, 12 scenes, 120 steps; `small.toml` rolls out from seeds.
+/// A folder with `sparse.toml` (the sample, 12 scenes, 120 steps), and `small.toml`, which rolls out from seeds.
 fn place() -> Place {
     let place = Place::empty();
     let small = fs::read_to_string(place.path().join("small.toml")).unwrap();
@@ -68,14 +68,14 @@ fn scenes_are_chosen_rolled_out_and_kept() {
     ] {
         let (asked, found) = (col_f64(&scenes, in_scenes).unwrap(), col_f64(&results, name).unwrap());
         for (asked, found) in asked.iter().zip(found) {
-            assert!((asked - found).abs() < 1e-6, "{name}: {found} in place of {asked}");
+            assert!((asked - found).abs() < 1e-6, "{name}: {found} instead of {asked}");
         }
     }
 }
 
-/// The nearest frame of every scene, looked up in the episodes again.
+/// Computes the nearest frame of every scene again from the episodes.
 #[test]
-fn the_nearest_frame_is_the_nearest() {
+fn the_nearest_frame_is_correct() {
     let place = place();
     place.run("scenes sparse.toml").done();
     assert!(
@@ -90,11 +90,11 @@ fn the_nearest_frame_is_the_nearest() {
         .unwrap();
     let scenes = place.artifact(Stage::Scenes);
     let scenes = scenes.table(re4_scenes::SceneRow::table()).unwrap().read_all().unwrap();
-    let turn = std::f64::consts::TAU;
+    let tau = std::f64::consts::TAU;
     let demonstrated = ["object_x", "object_y", "object_theta"].map(|name| col_f64(&frames, name).unwrap());
     let chosen = ["block_x", "block_y", "block_theta"].map(|name| col_f64(&scenes, name).unwrap());
     let spans = demonstrated.map(|values| {
-        let wrapped = values.iter().map(|v| if *v < 0.0 { v + turn } else { *v });
+        let wrapped = values.iter().map(|v| if *v < 0.0 { v + tau } else { *v });
         let (low, high) = wrapped.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
         high - low
     });
@@ -104,8 +104,8 @@ fn the_nearest_frame_is_the_nearest() {
         let pose = [x[scene], y[scene], theta[scene]];
         let distance = |row: usize| {
             let part = |i: usize| (pose[i] - demonstrated[i][row]).abs();
-            let angle = part(2).rem_euclid(turn);
-            let angle = angle.min(turn - angle);
+            let angle = part(2).rem_euclid(tau);
+            let angle = angle.min(tau - angle);
             (part(0) / spans[0]).hypot(part(1) / spans[1]).hypot(angle / spans[2])
         };
         let minimum = (0..frames.num_rows()).map(distance).fold(f64::MAX, f64::min);
@@ -122,11 +122,11 @@ fn the_nearest_frame_is_the_nearest() {
     }
 }
 
-/// The table of budgets, worked out again from the steps; for scenes and for seeds.
+/// Computes table `budgets` again from the steps, for scenes and for seeds.
 #[test]
-fn budgets_say_what_was_reached_by_then() {
+fn budgets_match_the_steps() {
     let place = place();
-    // Short enough for no budget but its own, a multiple of 50, and one beyond.
+    // Maximum numbers of steps below 50, at a multiple of 50, and above one.
     for (arguments, expected) in [
         ("sparse.toml", vec![50, 100, 120]),
         ("small.toml --set rollout.seeds=500..530 --max-steps 100", vec![50, 100]),
@@ -194,7 +194,7 @@ fn budgets_say_what_was_reached_by_then() {
                 "successes of {budget}"
             );
             let score = col_f64(&budgets, "score_mean").unwrap()[row];
-            assert!(score >= before, "more steps never lose");
+            assert!(score >= before, "the score decreases with more steps");
             before = score;
         }
         let last = expected.len() - 1;
@@ -216,7 +216,7 @@ fn budgets_say_what_was_reached_by_then() {
         assert_eq!(
             rows.is_some(),
             arguments.starts_with("sparse"),
-            "the curve is what scenes are for"
+            "the score is the same for all budgets"
         );
         for (row, stated) in rows.into_iter().flatten().enumerate() {
             assert_eq!(stated["budget"], expected[row]);
@@ -228,7 +228,7 @@ fn budgets_say_what_was_reached_by_then() {
 }
 
 #[test]
-fn settings_rebuild_what_follows_from_them() {
+fn settings_rebuild_the_dependent_stages() {
     let place = place();
     place.run("run sparse.toml").done();
     let count = |kind: &str| folders_in(&place.artifacts().join(kind)).len();
@@ -241,13 +241,9 @@ fn settings_rebuild_what_follows_from_them() {
     place
         .run("run sparse.toml --set rollout.seed_scheme=gym_pusht --set rollout.reset=pose")
         .done();
-    assert_eq!(counts(), [1, 1, 2, 3], "seeds have no part in it");
+    assert_eq!(counts(), [1, 1, 2, 3], "scenes do not depend on settings of seeds");
     place.run("run sparse.toml --set ingest.select.first=20").done();
-    assert_eq!(
-        counts(),
-        [2, 2, 3, 4],
-        "scenes are far from the demonstrations that are used"
-    );
+    assert_eq!(counts(), [2, 2, 3, 4], "scenes depend on the selected demonstrations");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The descriptions in `schemas/`: up to date, and true of the files that stages write.
+//! The schemas in `schemas/` are up to date and match the files that stages write.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -20,11 +20,11 @@ fn the_committed_schemas_are_up_to_date() {
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
-    assert_eq!(named, written, "schemas/ holds nothing else");
+    assert_eq!(named, written, "schemas/ has other files");
 }
 
 #[test]
-fn a_check_finds_what_is_stale_and_writes_nothing() {
+fn a_check_finds_stale_schemas_and_writes_nothing() {
     let place = Place::empty();
     place.run("schemas described").done();
     let file = place.path().join("described/frames-plane.json");
@@ -45,9 +45,10 @@ fn a_check_finds_what_is_stale_and_writes_nothing() {
     );
 }
 
-/// Read with the Parquet library alone, so that the descriptions are compared with the files and not with themselves.
+/// Reads the files with the Parquet library only, so that the schemas are compared with the files and not with the declarations
+/// from which they were generated.
 #[test]
-fn the_schemas_describe_the_columns_that_are_written() {
+fn the_schemas_match_the_written_columns() {
     let place = Place::new();
     place.run("run small.toml").done();
     place.run("replay small.toml").done();
@@ -56,14 +57,14 @@ fn the_schemas_describe_the_columns_that_are_written() {
     place.write_image();
     place.run("train-pose image.toml").done();
     place.run("audit small.toml").done();
-    let invented = place
+    let audited = place
         .command()
         .env("RE4_DATA", repository().join("data"))
         .args(["audit", "--quiet"])
         .arg(repository().join("pipelines/can-sample-audit.toml"))
         .output()
         .unwrap();
-    Answer::new(&invented, place.path()).done();
+    Answer::new(&audited, place.path()).done();
     let sample = repository().join("data/can-sample.hdf5");
     place.write(
         "can.toml",
@@ -79,8 +80,8 @@ fn the_schemas_describe_the_columns_that_are_written() {
         .filter(|title| !compared.contains(title))
         .filter(|title| title.starts_with("decisions_re4") || !title.starts_with("decisions_"))
         .collect();
-    // Tables of other policies than RE4 are tested with them. The invented demonstrations have neither simulator states nor
-    // images; encoders and rollouts in robosuite's simulator are tested elsewhere.
+    // Tables of policies other than RE4 are tested with these policies. The synthetic demonstrations have neither simulator
+    // states nor images; encoders and rollouts in robosuite's simulator are tested elsewhere.
     assert_eq!(
         missing,
         [
@@ -97,7 +98,7 @@ fn the_schemas_describe_the_columns_that_are_written() {
             "replays-space",
             "divergence-space",
         ],
-        "every other table is written by some stage"
+        "some tables were not written by any stage"
     );
 }
 
@@ -107,14 +108,14 @@ fn the_shipped_pipelines_are_accepted() {
     let folder = repository().join("pipelines");
     let mut count = 0;
     for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
-        // Settings are checked before train-pose says that there is nothing to train, or that the dataset is not there.
+        // Settings are checked before train-pose reports that there is nothing to train or that the dataset is missing.
         let sentence = place
             .run_each(&["train-pose", path.to_str().unwrap()])
             .refused_at_once();
         assert!(
             sentence.starts_with("error: nothing to train")
                 || sentence.contains("has no table [pose]")
-                || sentence.contains("it is not below"),
+                || sentence.contains("it was not found in"),
             "{sentence}"
         );
         count += 1;

@@ -1,6 +1,6 @@
-//! A source that changes while it is read: it is refused in one sentence, or what was published is what stands in its key.
+//! A source that changes while it is read is refused with one sentence, or the published artifact matches the hash in its key.
 //!
-//! `RE4_CHANGES=200 cargo test -p re4-pipe source_changes::` changes it more often than the default of 12 times each.
+//! `RE4_CHANGES=200 cargo test -p re4-pipe source_changes::` makes more changes than the default of 12 per test.
 
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
@@ -11,18 +11,18 @@ use std::time::{Duration, Instant};
 
 use crate::support::{Answer, Place, dataset, repository};
 
-/// What happens to a file.
+/// A change of a file.
 #[derive(Debug, Clone, Copy)]
 enum Change {
-    /// Another one is put into its place, as a sync does.
+    /// It is replaced by another file, as by a synchronization.
     Replaced,
-    /// It loses its end.
+    /// It is truncated.
     CutOff,
-    /// Some of its bytes are written anew.
+    /// Some of its bytes are overwritten.
     Overwritten,
 }
 
-/// A generator of numbers: xorshift64*.
+/// A seeded random number generator (xorshift64*).
 struct Numbers(u64);
 
 impl Numbers {
@@ -34,7 +34,7 @@ impl Numbers {
     }
 }
 
-/// A source, and the file of it that changes.
+/// A source, and the file in it that changes.
 struct Case {
     place: Place,
     file: PathBuf,
@@ -60,7 +60,7 @@ impl Case {
         }
     }
 
-    /// A store, whose chunk of states changes to that of one with other episodes.
+    /// A zarr store whose chunk of states is replaced by that of a store with other episodes.
     fn store() -> Self {
         let place = Place::empty();
         let folder = place.path().join("data/source.zarr");
@@ -92,7 +92,7 @@ impl Case {
             .unwrap()
     }
 
-    /// What an undisturbed ingest of the source as it is makes of it; nothing where it is refused.
+    /// The artifact bytes of an undisturbed ingest of the source in its present state; empty if it is refused.
     fn expected(&self) -> BTreeMap<String, Vec<u8>> {
         let output = self.start("expected").wait_with_output().unwrap();
         let answer = Answer::new(&output, self.place.path());
@@ -100,7 +100,7 @@ impl Case {
         self.artifacts("expected")
     }
 
-    /// Files of the artifacts in a folder, which is then removed.
+    /// Returns the artifact bytes in a folder, and removes the folder.
     fn artifacts(&self, folder: &str) -> BTreeMap<String, Vec<u8>> {
         let folder = self.place.path().join(folder);
         let bytes = crate::support::artifact_bytes(&folder);
@@ -122,7 +122,7 @@ impl Case {
     }
 }
 
-/// Puts other content into the place of a file in one step.
+/// Replaces a file atomically.
 fn replace(file: &Path, content: &[u8]) {
     let new = file.with_extension("new");
     fs::write(&new, content).unwrap();
@@ -138,7 +138,7 @@ fn changed_at_any_moment(case: &Case, seed: u64) {
     let start = Instant::now();
     let before = case.expected();
     assert!(!before.is_empty());
-    // The moments cover a run and a little more; where the machine is slower, fewer of them come too late.
+    // The moments cover the duration of a run and a little more.
     let span = start.elapsed().as_micros() as u64;
     let mut numbers = Numbers(seed);
     let mut counts: BTreeMap<String, u32> = BTreeMap::new();
@@ -156,18 +156,24 @@ fn changed_at_any_moment(case: &Case, seed: u64) {
         );
         let made = case.artifacts("artifacts");
         let what = if answer.code == Some(0) {
-            // It was done before the change, or began after it.
-            assert!(made == before || made == case.expected(), "{change:?}: made of neither");
+            // The run finished before the change or began after it.
+            assert!(
+                made == before || made == case.expected(),
+                "{change:?}: the artifact matches neither content"
+            );
             "done"
         } else {
-            let said = answer.refused_at_once();
-            assert!(made.is_empty(), "{change:?}: published and refused: {said}");
-            if said.contains("changed while it was read") {
+            let message = answer.refused_at_once();
+            assert!(
+                made.is_empty(),
+                "{change:?}: an artifact was published with an error: {message}"
+            );
+            if message.contains("changed while it was read") {
                 "refused as changed"
             } else {
-                // It began after the change, and the source is refused as it now is.
-                assert!(case.expected().is_empty(), "{change:?}: {said}");
-                "refused as it is"
+                // The run began after the change, and the changed source is not valid.
+                assert!(case.expected().is_empty(), "{change:?}: {message}");
+                "refused as invalid"
             }
         };
         *counts.entry(format!("{change:?} {what}")).or_default() += 1;
@@ -177,16 +183,16 @@ fn changed_at_any_moment(case: &Case, seed: u64) {
 }
 
 #[test]
-fn an_hdf5_file_that_changes_is_not_published_as_what_it_was() {
+fn a_changing_hdf5_file_is_not_published_under_its_old_hash() {
     changed_at_any_moment(&Case::hdf5(false), 1);
 }
 
 #[test]
-fn an_hdf5_file_that_changes_while_the_library_reads_it_is_not_published_as_what_it_was() {
+fn a_changing_hdf5_file_that_the_library_reads_is_not_published_under_its_old_hash() {
     changed_at_any_moment(&Case::hdf5(true), 2);
 }
 
 #[test]
-fn a_store_that_changes_is_not_published_as_what_it_was() {
+fn a_changing_store_is_not_published_under_its_old_hash() {
     changed_at_any_moment(&Case::store(), 3);
 }

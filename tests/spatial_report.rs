@@ -1,6 +1,7 @@
-//! The page and the video of rollouts of robosuite's tasks: their figures are the artifact's, the page works in a browser, and
-//! the video is the rollout. They run where `RE4_DATA` names the folder of the datasets (or it lies in ../shared/data) and
-//! `RE4_SIMULATORS` that of the simulators (or scripts/setup-simulators.sh has put them into data/simulators).
+//! The HTML page and the video of rollouts of robosuite tasks: their figures are those of the artifact, the page works in a
+//! browser, and the video shows the rollout. The tests need the datasets in the folder that `RE4_DATA` names (or in
+//! ../shared/data), and the simulators in the folder that `RE4_SIMULATORS` names (or in data/simulators, where
+//! scripts/setup-simulators.sh installs them).
 
 use std::fs;
 use std::path::Path;
@@ -19,26 +20,26 @@ fn run(place: &Place, simulators: &Path, arguments: &str) -> Answer {
     Answer::new(&command.output().unwrap(), place.path())
 }
 
-/// Four rollouts of Lift with few demonstrations, and the page that the run writes; the artifact's folder relative to the
-/// place.
+/// Runs four rollouts of Lift with few demonstrations, and writes their page. Returns the artifact's folder relative to the test
+/// folder.
 fn lift(place: &Place, data: &Path, simulators: &Path, policy: &str) -> String {
     let text = format!(
         "task = \"lift\"\nvariant = \"state\"\n[ingest]\nsource = \"{}\"\nselect = {{ first = 10 }}\n[segment]\n[pose]\nsource = \"recorded\"\n[index]\n[rollout]\npolicy = \"re4\"\nseeds = \"200000..200004\"\n",
         data.join("lift/low_dim.hdf5").display()
     );
     place.write("lift.toml", text);
-    let told = run(
+    let answer = run(
         place,
         simulators,
         &format!("run lift.toml --policy {policy} --report run.html --json"),
     )
     .done();
     assert!(
-        told.stderr.contains("  run.html  4 rollouts in the viewer, "),
+        answer.stderr.contains("  run.html  4 rollouts in the viewer, "),
         "{}",
-        told.stderr
+        answer.stderr
     );
-    told.json()["artifact"].as_str().unwrap().to_owned()
+    answer.json()["artifact"].as_str().unwrap().to_owned()
 }
 
 fn data_of(page: &str) -> Value {
@@ -55,7 +56,7 @@ fn numbers<T>(packed: &Value, from: impl Fn(&[u8]) -> T, size: usize) -> Vec<T> 
 }
 
 #[test]
-fn the_page_holds_what_the_artifact_holds() {
+fn the_page_matches_the_artifact() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -112,7 +113,7 @@ fn the_page_holds_what_the_artifact_holds() {
 }
 
 #[test]
-fn what_cannot_be_shown_is_told_in_one_sentence() {
+fn reports_and_videos_that_cannot_be_made() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -139,9 +140,9 @@ fn what_cannot_be_shown_is_told_in_one_sentence() {
     with_settings!({ filters => filters() }, { assert_snapshot!(sentences.join("\n")) });
 }
 
-/// Images are drawn when the page is made; the object's origin, as the page places it, is where the cube is red.
+/// Images are rendered when the page is made. The object's origin, as marked on the page, is in the middle of the red cube.
 #[test]
-fn the_page_shows_what_the_camera_saw() {
+fn the_page_shows_the_camera_images() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -158,7 +159,7 @@ fn the_page_shows_what_the_camera_saw() {
     let shown = &data_of(&page)["artifacts"][0];
     let images = &shown["images"];
     let png = images["png"].as_array().unwrap();
-    // All of one rollout's decisions: of the first one that failed, or of the first one.
+    // All decisions of one rollout: the first failed one, or the first one if none failed.
     let success = shown["rollouts"]["success"].as_array().unwrap();
     let chosen = success.iter().position(|success| success == 0).unwrap_or(0);
     let counts: Vec<usize> = serde_json::from_value(shown["rollouts"]["decisions"].clone()).unwrap();
@@ -171,9 +172,9 @@ fn the_page_shows_what_the_camera_saw() {
     assert_eq!(png.len(), counts[chosen]);
     let places = numbers(&images["places"], |b| f32::from_le_bytes(b.try_into().unwrap()), 4);
     assert_eq!(places.len(), 16 * png.len());
-    // The policy is told the very pose.
+    // The policy observes the simulator's pose.
     assert!(places.chunks_exact(16).all(|both| both[..8] == both[8..]));
-    // At the start nothing is before the cube.
+    // At the start nothing occludes the cube.
     let bytes = {
         use base64::Engine as _;
         base64::prelude::BASE64_STANDARD
@@ -187,15 +188,15 @@ fn the_page_shows_what_the_camera_saw() {
         .filter(|(_, _, pixel)| f64::from(pixel[0]) > 1.8 * f64::from(pixel[1].max(pixel[2])) && pixel[0] > 60)
         .map(|(x, y, _)| [f64::from(x) + 0.5, f64::from(y) + 0.5])
         .collect();
-    let middle = [0, 1].map(|k| red.iter().map(|place| place[k]).sum::<f64>() / red.len() as f64);
+    let middle = [0, 1].map(|k| red.iter().map(|pixel| pixel[k]).sum::<f64>() / red.len() as f64);
     let away = (middle[0] - f64::from(places[0])).hypot(middle[1] - f64::from(places[1]));
     assert!(
         red.len() > 8 && away < 1.5,
-        "{} red pixels about {middle:?}, the page says {:?}",
+        "{} red pixels with centre {middle:?}, the page has {:?}",
         red.len(),
         &places[..2]
     );
-    // The same page again; and none where there is nothing to draw with.
+    // A second report gives the same page; without the episodes artifact there is an error.
     run(&place, &simulators, &report).done();
     assert!(page == fs::read_to_string(place.path().join("page.html")).unwrap());
     fs::rename(place.artifacts().join("episodes"), place.path().join("away")).unwrap();
@@ -207,7 +208,7 @@ fn the_page_shows_what_the_camera_saw() {
 }
 
 #[test]
-fn the_video_is_the_rollout() {
+fn the_video_shows_the_rollout() {
     let Some((data, simulators)) = scripted_and_simulators() else {
         return;
     };
@@ -219,22 +220,22 @@ fn the_video_is_the_rollout() {
         println!("skipped: {}", answer.stderr.trim());
         return;
     }
-    let told = answer.done().json();
+    let output = answer.done().json();
     let artifact = Artifact::open(&place.path().join(&folder)).unwrap();
     let results = crate::support::results(&artifact);
-    // At this speed every fourth state is shown, and the last.
+    // At this speed, every fourth state and the last one are shown.
     let longest = col_u32(&results, "steps").unwrap()[..2].iter().max().copied().unwrap();
     assert_eq!(
-        (&told["width"], &told["frames"]),
+        (&output["width"], &output["frames"]),
         (&192.into(), &(longest.div_ceil(4) + 1).into())
     );
     let bytes = fs::read(place.path().join("video.gif")).unwrap();
     run(&place, &simulators, &video).done();
     assert!(
         bytes == fs::read(place.path().join("video.gif")).unwrap(),
-        "another video of the same rollouts"
+        "the second video differs from the first"
     );
-    // The table of robosuite's Lift is bright and its walls are grey: an image is not of one colour.
+    // The table of robosuite's Lift is bright and its walls are grey, so an image has more than one colour.
     let mut decoder = gif::DecodeOptions::new().read_info(&bytes[..]).unwrap();
     let frame = decoder.read_next_frame().unwrap().unwrap();
     let mut colours = frame.buffer[..96 * 192].to_vec();
@@ -243,7 +244,7 @@ fn the_video_is_the_rollout() {
     assert!(colours.len() > 40, "{} colours", colours.len());
 }
 
-/// Opens pages of two policies in headless Chromium; see `tests/spatial_report_page.py` for what is looked at there.
+/// Opens pages of two policies in headless Chromium. `tests/spatial_report_page.py` has the checks.
 #[test]
 fn the_page_works_in_a_browser() {
     let Some((data, simulators)) = scripted_and_simulators() else {

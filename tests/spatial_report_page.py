@@ -1,9 +1,8 @@
-"""Looks at a page of rollouts of robosuite's tasks in headless Chromium and compares it with the artifacts that it was made from.
+"""Checks a page of rollouts of robosuite tasks in headless Chromium against the artifacts from which it was made.
 
     python tests/spatial_report_page.py PAGE.html ARTIFACT...
 
-Needs selenium, polars, and Debian's chromium and chromium-driver. Ends with exit code 1 and a sentence on the first thing
-that is not as it should be.
+Needs selenium, polars, and Debian's chromium and chromium-driver. Exits with code 1 and a sentence about the first difference.
 """
 
 import json
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import browser
 import polars as pl
-from report_page import Page, check, equal, it_plays, nothing_was_loaded, widths_and_schemes_hold
+from report_page import Page, check, equal, playback_works, no_files_were_loaded, page_fits_widths_and_schemes
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
@@ -43,7 +42,7 @@ def choose(page, filters="all"):
     page.run(f"document.querySelector('input[name=filter][value={filters}]').click()")
 
 
-def rates_are_the_manifests(page, artifacts):
+def rates_match_the_manifest(page, artifacts):
     for artifact in artifacts:
         cell = f"tr[data-artifact='{artifact.manifest['key']}'] [data-metric=success_rate]"
         for part, value in artifact.manifest["summary"]["metrics"]["success_rate"].items():
@@ -69,15 +68,15 @@ def cells_and_rows_follow_the_filter(page, artifacts):
                 equal(shown[column], float(stated[column]), f"seed {stated['seed']}, {column}")
 
 
-def cells_can_be_walked(page, artifact):
+def cells_can_be_navigated(page, artifact):
     Select(page.one("#pick-artifact")).select_by_value("0")
     seeds = artifact.results["seed"].to_list()
     cell = page.one(".cells[data-artifact='0'] button")
     page.run("arguments[0].click(); arguments[0].focus()", cell)
     page.driver.switch_to.active_element.send_keys(Keys.ARROW_RIGHT)
-    check(f"seed {seeds[1]} " in page.one("#scene-caption").text, "the right arrow key does not choose the next cell")
+    check(f"seed {seeds[1]} " in page.one("#scene-caption").text, "the right arrow key does not select the next cell")
     page.driver.switch_to.active_element.send_keys(Keys.ARROW_LEFT)
-    check(f"seed {seeds[0]} " in page.one("#scene-caption").text, "the left arrow key does not choose the cell before")
+    check(f"seed {seeds[0]} " in page.one("#scene-caption").text, "the left arrow key does not select the previous cell")
 
 
 def steps_show_the_tables(page, artifact):
@@ -96,23 +95,23 @@ def steps_show_the_tables(page, artifact):
             equal(fact("mode"), decision["mode"], f"{at}, mode")
             equal(int(fact("banned")), decision["banned"], f"{at}, banned")
             if decision["demo"] is None:
-                check(not page.all("#summary [data-fact=demo_name]"), f"{at}: a demonstration is shown during the return to the initial pose")
+                check(not page.all("#summary [data-fact=demo_name]"), f"{at}: a demonstration is shown during the return to the home pose")
             else:
                 equal(fact("demo_name"), decision["demo_name"], f"{at}, demonstration")
                 for name in ["d_q", "d_o", "d_e", "symmetry_rotation", "compared", "replay_steps"]:
                     equal(float(fact(name)), float(decision[name]), f"{at}, {name}")
                 delta = [decision[f"delta_{part}"] for part in ["x", "y", "z", "rx", "ry", "rz"]]
                 equal([float(v) for v in fact("delta").split()], delta, f"{at}, delta")
-                equal(page.one("#step-text").get_attribute("data-demo"), decision["demo_name"], f"{at}, demonstration beside the step")
+                equal(page.one("#step-text").get_attribute("data-demo"), decision["demo_name"], f"{at}, demonstration next to the step")
             if step > 0:
-                apart = abs(steps["finger_0"][step - 1] - steps["finger_1"][step - 1])
-                check(abs(page.number("#step-text", "data-fingers") - apart) < 1e-7, f"{at}: fingers {apart}")
+                separation = abs(steps["finger_0"][step - 1] - steps["finger_1"][step - 1])
+                check(abs(page.number("#step-text", "data-fingers") - separation) < 1e-7, f"{at}: fingers {separation}")
             images.add(page.image())
         check(len(images) >= 4, "the image does not follow the scrubber")
 
 
-def images_are_those_of_decisions(page, artifact):
-    """Shown at the decisions that have one, with the frame's axes in it, and how far what was told is from what was."""
+def images_belong_to_decisions(page, artifact):
+    """Images are shown at the decisions that have one, with the axes of the frames and the error of the observed pose."""
     data = page.run("return JSON.parse(document.getElementById('report-data').textContent).artifacts[0]")
     images = data["images"]
     check(images is not None and page.run("return document.querySelectorAll('#camera').length") == 1, "no images")
@@ -127,8 +126,8 @@ def images_are_those_of_decisions(page, artifact):
         check(not page.run("return document.getElementById('camera').hidden"), f"{at}: hidden")
         equal(len(page.all("#camera .estimate")) - len(page.all("#camera .sample .estimate")), 3, f"{at}, axes")
         before = start if decision["step"] == 0 else steps.row(decision["step"] - 1, named=True)
-        apart = sum((decision[f"query_object_{axis}"] - before[f"object_{axis}"]) ** 2 for axis in "xyz") ** 0.5
-        check(abs(page.number("#camera-caption", "data-distance") - apart) < 1e-6, f"{at}: {apart}")
+        distance = sum((decision[f"query_object_{axis}"] - before[f"object_{axis}"]) ** 2 for axis in "xyz") ** 0.5
+        check(abs(page.number("#camera-caption", "data-distance") - distance) < 1e-6, f"{at}: {distance}")
         seen.add(page.run("return document.querySelector('#camera image').getAttribute('href')"))
     check(len(seen) == decisions.height, "two decisions have the same image")
     other = next((s for s in artifact.results["seed"].to_list() if s != seed), None)
@@ -137,8 +136,8 @@ def images_are_those_of_decisions(page, artifact):
     check(page.run("return document.getElementById('camera').hidden"), "a rollout without images shows one")
 
 
-def timeline_shows_what_was_followed(page, artifact):
-    """As many bands as there are runs of one demonstration, each with its name."""
+def timeline_shows_the_demonstrations(page, artifact):
+    """The timeline has one band with a name for each run of steps with the same demonstration."""
     for seed in artifact.results["seed"].to_list():
         Select(page.one("#pick-seed")).select_by_visible_text(str(seed))
         steps, decisions = artifact.of(seed)
@@ -153,7 +152,7 @@ def timeline_shows_what_was_followed(page, artifact):
 
 
 def chunks_begin_at_the_set_point(page, artifact):
-    """In transit the reframed demonstration begins where the end effector goes first."""
+    """In transit, the reframed demonstration begins at the set-point of the end effector."""
     for decision in artifact.decisions.iter_rows(named=True):
         if decision["demo"] is None or decision["mode"] != "transit" or decision["kind"] != "retrieve":
             continue
@@ -163,15 +162,15 @@ def chunks_begin_at_the_set_point(page, artifact):
         (x, y), (ring, middle) = numbers("chunk"), numbers("set-point")
         check(abs(x - ring - 5) < 0.05 and abs(y - middle) < 0.05, f"the chunk begins at {x}, {y}, not at the set point")
         return
-    check(False, "no decision in transit to look at")
+    check(False, "there is no decision in transit")
 
 
-def addresses_lead_to_a_step(page, path, artifact):
+def addresses_open_a_step(page, path, artifact):
     seed = artifact.results["seed"][1]
     page.driver.get(f"{path.resolve().as_uri()}#seed={seed}&step=7")
     page.driver.refresh()
     browser.wait(page.driver, lambda: page.all("html[data-ready]"))
-    check(f"seed {seed} " in page.one("#scene-caption").text, "the address does not lead to its seed")
+    check(f"seed {seed} " in page.one("#scene-caption").text, "the address does not open its seed")
     equal(page.step(), 7, "step of the address")
     page.press(Keys.ARROW_RIGHT)
     key = artifact.manifest["key"][:16]
@@ -184,21 +183,21 @@ def main():
     with tempfile.TemporaryDirectory(prefix="re4-chromium-", ignore_cleanup_errors=True) as profile:
         page = Page(path, profile)
         try:
-            rates_are_the_manifests(page, artifacts)
+            rates_match_the_manifest(page, artifacts)
             cells_and_rows_follow_the_filter(page, artifacts)
-            cells_can_be_walked(page, artifacts[0])
+            cells_can_be_navigated(page, artifacts[0])
             steps_show_the_tables(page, artifacts[0])
-            timeline_shows_what_was_followed(page, artifacts[0])
+            timeline_shows_the_demonstrations(page, artifacts[0])
             chunks_begin_at_the_set_point(page, artifacts[0])
-            images_are_those_of_decisions(page, artifacts[0])
-            # The rollouts are short.
-            it_plays(page, "0.5")
-            widths_and_schemes_hold(page)
-            addresses_lead_to_a_step(page, path, artifacts[0])
-            nothing_was_loaded(page)
+            images_belong_to_decisions(page, artifacts[0])
+            # A low speed, because the rollouts are short.
+            playback_works(page, "0.5")
+            page_fits_widths_and_schemes(page)
+            addresses_open_a_step(page, path, artifacts[0])
+            no_files_were_loaded(page)
         finally:
             page.driver.quit()
-    print(f"{path.name}: the page shows what {len(artifacts)} artifacts hold")
+    print(f"{path.name}: the page matches {len(artifacts)} artifacts")
 
 
 if __name__ == "__main__":

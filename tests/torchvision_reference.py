@@ -1,18 +1,18 @@
-"""Writes what torchvision's residual networks say, for the tests of re4-encoder; they need no Python then.
+"""Writes outputs of torchvision's residual networks as references for the tests of re4-encoder, which then need no Python.
 
     python tests/torchvision_reference.py [crates/re4-encoder/tests/data]
 
 Made with torch 2.9.0 and torchvision 0.24.0 on Python 3.11 (pip install torch==2.9.0 torchvision==0.24.0).
 
-ResNet-18's weights are 45 MB, so none are kept: both sides compute them from the tensors' names by `numbers` below, running
-statistics included, so that batch normalisation matters. The files are
+ResNet-18's weights are 45 MB, so they are not stored: both sides compute them from the tensors' names with `numbers` below,
+including running statistics, so that batch normalisation is tested. The files are
 
 * `resnet18.json`: names and shapes of the state dict, and for each of three computed images of 76 x 76 the 512 averaged
-  features, from torchvision.models.resnet18 in inference mode; `float64` says how far they are from the same in double
+  features, from torchvision.models.resnet18 in inference mode; `float64` is their distance from the features in double
   precision, relative to the largest feature;
 * `narrow18.pth`, `narrow18_checkpoint.pth`: state dicts of a ResNet-18 of 2 channels, as torch.save writes them, the second one
-  as `state_dict` in a dictionary with other things; `narrow18.json` holds its 16 features;
-* `narrow34.pth`, `narrow50.pth`: those of a ResNet-34 and a ResNet-50 of 1 channel, which must be refused.
+  as `state_dict` in a dictionary with other entries; `narrow18.json` has its 16 features;
+* `narrow34.pth`, `narrow50.pth`: state dicts of a ResNet-34 and a ResNet-50 of 1 channel, which have to be refused.
 """
 
 import json
@@ -25,12 +25,12 @@ import torch
 import torchvision
 from torchvision.models.resnet import BasicBlock, Bottleneck, ResNet
 
-PICTURES = 3
+IMAGES = 3
 SIDE = 76
 
 
 def numbers(name: str, count: int) -> np.ndarray:
-    """`count` numbers in [-1, 1) with 24 bits each, exact in float32: a mixed counter that starts at the name's CRC-32."""
+    """`count` numbers in [-1, 1) with 24 bits each, exact in float32: a hashed counter that starts at the name's CRC-32."""
     x = (np.arange(count, dtype=np.uint64) * 2654435761 + zlib.crc32(name.encode())) & 0xFFFFFFFF
     for multiplier in (0x7FEB352D, 0x846CA68B):
         x ^= x >> 15
@@ -42,7 +42,7 @@ def numbers(name: str, count: int) -> np.ndarray:
 def tensor(name: str, shape: tuple[int, ...]) -> np.ndarray:
     u = numbers(name, int(np.prod(shape)))
     if len(shape) == 4:
-        # The variance that keeps that of the activations, 2 / (inputs of a pixel).
+        # The variance 2 / (inputs per pixel) preserves the variance of the activations.
         values = u * np.float32(np.sqrt(6.0 / np.prod(shape[1:])))
     elif name.endswith(".running_var"):
         values = 1 + np.float32(0.5) * u
@@ -82,8 +82,8 @@ class Narrow(ResNet):
 
 
 def images() -> torch.Tensor:
-    """Normalised images have values of about -2 to 2."""
-    each = [2 * numbers(f"image.{k}", 3 * SIDE * SIDE).reshape(3, SIDE, SIDE) for k in range(PICTURES)]
+    """Images with values of about -2 to 2, as normalised images have."""
+    each = [2 * numbers(f"image.{k}", 3 * SIDE * SIDE).reshape(3, SIDE, SIDE) for k in range(IMAGES)]
     return torch.from_numpy(np.stack(each))
 
 
@@ -94,7 +94,7 @@ def features(network: ResNet) -> dict:
     double = network.double()(images().double())
     network.float().fc = last
     away = float((single - double).abs().max() / double.abs().max())
-    # The shortest decimal that reads back as the same float32.
+    # The shortest decimal that gives the same float32.
     rows = [[float(str(value)) for value in row] for row in single.numpy()]
     return {"features": rows, "float64": away}
 

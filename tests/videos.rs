@@ -1,4 +1,4 @@
-//! Videos of rollouts: what they show is what the artifact holds, drawn by the simulator's renderer.
+//! Videos of Push-T rollouts show the states in the artifact, rendered by the simulator's renderer.
 
 use std::fs;
 
@@ -10,7 +10,7 @@ use re4_artifact::{Artifact, Stage, col_f64, col_u32};
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, render_state};
 
-/// Colours of plans and of replayed chunks in images.
+/// Colours of plans and replayed chunks in images.
 const LINES: [[u8; 3]; 2] = [[214, 126, 20], [40, 80, 200]];
 
 /// A folder with rollouts of the seeds 500 to 505, and the path of their artifact.
@@ -24,9 +24,9 @@ fn rollouts() -> (Place, String) {
 struct Video {
     width: usize,
     height: usize,
-    /// As a viewer shows them: colours, row by row.
+    /// Frames as a viewer shows them: colours, row by row.
     frames: Vec<Vec<[u8; 3]>>,
-    /// Hundredths of a second.
+    /// Delays of the frames, in hundredths of a second.
     delays: Vec<u16>,
 }
 
@@ -55,7 +55,7 @@ fn video(place: &Place, name: &str) -> Video {
     }
 }
 
-/// The images of the states of a rollout: before each step and after the last.
+/// Renders the states of a rollout before each step and after the last.
 fn images(artifact: &Artifact, seed: u32) -> Vec<Canvas> {
     let results = crate::support::results(artifact);
     let steps = crate::support::steps(artifact);
@@ -84,7 +84,7 @@ fn a_video_shows_every_state_of_the_rollout() {
     assert_eq!(video.frames.len(), images.len());
     assert!(
         video.delays[..images.len() - 1].iter().all(|delay| *delay == 10),
-        "ten frames a second"
+        "the frame rate is not 10 per second"
     );
     for (i, (frame, image)) in video.frames.iter().zip(&images).enumerate() {
         let expected = image.bytes().as_chunks::<3>().0;
@@ -96,7 +96,7 @@ fn a_video_shows_every_state_of_the_rollout() {
             .collect();
         assert!(
             other.iter().all(|colour| LINES.contains(colour)),
-            "frame {i} shows something else"
+            "frame {i} differs from the state"
         );
         assert!(
             !other.is_empty() && other.len() < 512 * 512 / 20,
@@ -112,7 +112,7 @@ fn a_video_shows_every_state_of_the_rollout() {
 }
 
 #[test]
-fn the_chunk_is_the_demonstration_carried_to_the_block() {
+fn the_chunk_is_the_demonstration_moved_to_the_block() {
     let (place, path) = rollouts();
     place.run(&format!("video {path} --seed 503 out.gif --size 512")).done();
     let video = video(&place, "out.gif");
@@ -128,7 +128,7 @@ fn the_chunk_is_the_demonstration_carried_to_the_block() {
     let mut checked = 0;
     for at in (0..decisions.num_rows()).filter(|at| number(&decisions, "seed", *at) == 503) {
         let demo = number(&decisions, "demo", at);
-        let [dx, dy, turn] = ["delta_x", "delta_y", "delta_theta"].map(|name| value(&decisions, name, at));
+        let [dx, dy, theta] = ["delta_x", "delta_y", "delta_theta"].map(|name| value(&decisions, name, at));
         let frame = &video.frames[number(&decisions, "step", at) as usize];
         for row in (0..index.num_rows()).filter(|row| {
             let chunk = number(&decisions, "demo_frame", at)..=number(&decisions, "demo_end", at);
@@ -136,8 +136,8 @@ fn the_chunk_is_the_demonstration_carried_to_the_block() {
         }) {
             let (x, y) = (value(&index, "eef_x", row), value(&index, "eef_y", row));
             let (x, y) = (
-                turn.cos() * x - turn.sin() * y + dx,
-                turn.sin() * x + turn.cos() * y + dy,
+                theta.cos() * x - theta.sin() * y + dx,
+                theta.sin() * x + theta.cos() * y + dy,
             );
             assert_eq!(
                 frame[y.round() as usize * 512 + x.round() as usize],
@@ -154,7 +154,7 @@ fn the_chunk_is_the_demonstration_carried_to_the_block() {
 fn videos_are_small_and_the_same_in_every_run() {
     let (place, path) = rollouts();
     let bytes = |name: &str| fs::read(place.path().join(name)).unwrap();
-    place.write("b.gif", "what was there is replaced");
+    place.write("b.gif", "a file to be replaced");
     place.run(&format!("video {path} --seed 502 a.gif")).done();
     let answer = place
         .run(&format!("video {path} --seeds 502 b.gif --jobs 1 --json"))
@@ -203,7 +203,7 @@ fn several_rollouts_share_a_video_at_another_speed() {
 }
 
 #[test]
-fn without_its_index_a_video_has_no_chunks_and_says_so() {
+fn without_the_index_a_video_has_no_chunks_and_warns() {
     let (place, path) = rollouts();
     fs::rename(place.artifacts().join("index"), place.path().join("elsewhere")).unwrap();
     let answer = place.run(&format!("video {path} --seed 502 out.gif --size 512")).done();
@@ -215,7 +215,7 @@ fn without_its_index_a_video_has_no_chunks_and_says_so() {
 }
 
 #[test]
-fn what_makes_no_video_is_refused_and_nothing_is_left() {
+fn videos_that_cannot_be_made() {
     let (place, path) = rollouts();
     let index = place.artifact(Stage::Index).key().short();
     place.write("kept.gif", "kept");

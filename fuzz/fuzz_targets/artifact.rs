@@ -10,7 +10,7 @@ mod memory;
 
 use std::sync::LazyLock;
 
-/// Nothing here is large.
+/// Memory limit: the artifacts are small.
 const LARGEST: usize = 100 << 20;
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

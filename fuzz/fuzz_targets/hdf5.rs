@@ -1,4 +1,4 @@
-//! The reader of HDF5 files beside the HDF5 library.
+//! The reader of HDF5 files that does not use the HDF5 library.
 #![no_main]
 
 #[path = "../harness/edits.rs"]
@@ -7,14 +7,14 @@ mod edits;
 mod hdf5;
 #[path = "../harness/memory.rs"]
 mod memory;
-#[allow(dead_code, reason = "the choice of demonstrations alone is shared")]
+#[allow(dead_code, reason = "only the selection of demonstrations is used")]
 #[path = "../harness/zarr.rs"]
 mod zarr;
 
 use std::path::Path;
 use std::sync::LazyLock;
 
-/// No structure of a file may be larger than the file.
+/// Memory limit: no structure of a file may be larger than the file.
 const LARGEST: usize = 64 << 20;
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

@@ -6,7 +6,7 @@ mod memory;
 #[path = "../harness/pipeline.rs"]
 mod pipeline;
 
-/// Ten million seeds, sorted beside themselves, while their vector grows.
+/// Memory limit: ten million seeds and their sorted copy, while the vector grows.
 const LARGEST: usize = 100 << 20;
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

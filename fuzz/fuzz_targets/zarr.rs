@@ -11,7 +11,7 @@ mod zarr;
 use std::path::Path;
 use std::sync::LazyLock;
 
-/// Chunks of arrays may have 128 MiB, and their numbers twice as much.
+/// Memory limit: chunks of arrays may have 128 MiB, and their converted numbers twice as much.
 const LARGEST: usize = 300 << 20;
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

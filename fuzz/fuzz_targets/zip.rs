@@ -5,7 +5,7 @@
 mod edits;
 #[path = "../harness/memory.rs"]
 mod memory;
-#[allow(dead_code, reason = "only its reading of a dataset is used")]
+#[allow(dead_code, reason = "only its reader of datasets is used")]
 #[path = "../harness/zarr.rs"]
 mod zarr;
 #[path = "../harness/zip.rs"]
@@ -13,7 +13,7 @@ mod zip;
 
 use std::sync::LazyLock;
 
-/// Chunks of arrays may have 128 MiB, and their numbers twice as much.
+/// Memory limit: chunks of arrays may have 128 MiB, and their converted numbers twice as much.
 const LARGEST: usize = 300 << 20;
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {

@@ -1,9 +1,9 @@
-//! An artifact with some of its files edited, opened, verified and read whole.
+//! Edits some files of an artifact, then opens, verifies and reads all of it.
 //!
-//! An input is flags (one byte: which hashes are fixed after the edits, as a forger would) and edits, each the number of a
-//! file (one byte) and what `edits.rs` says. Without fixed hashes nearly every edit ends at the first check. The hash of a
-//! table is fixed only where one whole table stands in for another: what the Parquet library makes of a table forged byte by
-//! byte is the library's.
+//! An input consists of flags (one byte: which hashes are corrected after the edits, as a forger would do) and edits, each with the
+//! number of a file (one byte) and the bytes that `edits.rs` describes. Without corrected hashes, nearly every edit is found by the
+//! first check. The hash of a table is corrected only if a whole table replaces another, because damaged Parquet bytes would only
+//! test the Parquet library.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,7 +23,7 @@ const MOST_EDITS: usize = 6;
 const ROWS: u32 = 5;
 const ROWS_OF_A_GROUP: usize = 3;
 
-/// A table that no stage makes, with a column of every kind; read by its name, as programs do that show any artifact.
+/// A table that no stage writes, with a column of every kind. It is read by its name, as by programs that show any artifact.
 const EVERY_KIND: TableSpec = TableSpec {
     name: "every_kind",
     version: 1,
@@ -41,7 +41,7 @@ const EVERY_KIND: TableSpec = TableSpec {
     ],
 };
 
-/// Flags: the lengths and hashes of tables, the key, the manifest's own hash.
+/// Flags for corrections: the lengths and hashes of tables, the key, and the manifest's own hash.
 const MEND_TABLES: u8 = 1;
 const MEND_KEY: u8 = 2;
 const MEND_MANIFEST: u8 = 4;
@@ -54,7 +54,7 @@ pub(crate) struct Sample {
 }
 
 impl Sample {
-    /// Publishes an artifact of two small tables: reading one takes about a millisecond.
+    /// Publishes an artifact with two small tables, so that reading it takes about a millisecond.
     pub(crate) fn new() -> Self {
         let folder = tempfile::Builder::new().prefix("re4-fuzz-").tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
@@ -89,7 +89,7 @@ impl Sample {
         }
     }
 
-    /// Reads the artifact that the input describes; the sentence of the first error.
+    /// Reads the artifact that the input describes. Returns the first error.
     pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
         let mut input = Input(input);
         let flags = input.byte();
@@ -119,7 +119,7 @@ impl Sample {
         outcome
     }
 
-    /// Makes the manifest fit what has been edited.
+    /// Corrects the manifest after the edits.
     fn fix(&self, flags: u8, edited: &mut BTreeMap<&str, Option<Vec<u8>>>) {
         let content = |name: &str| match edited.get(name) {
             Some(content) => content.as_deref(),
@@ -154,7 +154,7 @@ impl Sample {
     }
 }
 
-/// The key that follows from a manifest, where its recipe can be read.
+/// The key that follows from a manifest, if its recipe can be read.
 fn key(manifest: &Map<String, Value>) -> Option<String> {
     let number = |name: &str| manifest.get(name)?.as_u64();
     let stage = Stage::from_name(manifest.get("stage")?.as_str()?)?;
@@ -171,11 +171,11 @@ fn key(manifest: &Map<String, Value>) -> Option<String> {
     Some(recipe.key().to_string())
 }
 
-/// Reads all that there is of an artifact, in every way that there is.
+/// Reads everything in an artifact, in all possible ways.
 fn read(path: &Path) -> Result<(), String> {
     let verified = verify(path, &re4_stages::tables::described).map_err(|error| error.to_string());
     let artifact = Artifact::open(path).map_err(|error| error.to_string())?;
-    // As every command does before it reads tables.
+    // Every command does this before it reads tables.
     artifact.verify_bytes().map_err(|error| error.to_string())?;
     for name in artifact.manifest().tables.keys() {
         let table = match re4_stages::tables::described(&artifact, name) {
@@ -205,7 +205,7 @@ fn read(path: &Path) -> Result<(), String> {
     verified.map(|_| ())
 }
 
-/// Rows of any table.
+/// Generates rows for any table.
 fn rows(spec: &'static TableSpec) -> Columns {
     let mut columns = Columns::new(spec);
     for column in spec.columns {

@@ -1,8 +1,8 @@
-//! Edits of a file, read from the bytes of an input: every input means something, and small changes of it mean small changes.
+//! Decodes edits of a file from the bytes of an input. Every input is valid, and small changes of an input change the edits little.
 
 use serde_json::Value;
 
-/// Bytes of an input that have not been used yet; where they run out, there are zeros.
+/// The bytes of an input that have not been used yet, followed by zeros.
 pub(crate) struct Input<'a>(pub(crate) &'a [u8]);
 
 impl<'a> Input<'a> {
@@ -22,7 +22,7 @@ impl<'a> Input<'a> {
         usize::from(self.byte()) | usize::from(self.byte()) << 8
     }
 
-    /// So many bytes, or those that are left.
+    /// Takes `count` bytes, or all that are left.
     pub(crate) fn bytes(&mut self, count: usize) -> &'a [u8] {
         let (first, rest) = self.0.split_at(count.min(self.0.len()));
         self.0 = rest;
@@ -30,9 +30,9 @@ impl<'a> Input<'a> {
     }
 }
 
-/// Reads one edit and applies it to the content of a file; `None` removes the file. `donor` is the content of another file.
+/// Reads one edit and applies it to the content of a file. `None` removes the file. `donor` is the content of another file.
 ///
-/// An edit is its kind (one byte), the length of its payload (two bytes, little-endian) and the payload.
+/// An edit consists of its kind (one byte), the length of its payload (two bytes, little-endian) and the payload.
 pub(crate) fn edit(input: &mut Input, content: &[u8], donor: &[u8]) -> Option<Vec<u8>> {
     let kind = input.byte() % 8;
     let length = input.number() % 2048;
@@ -79,7 +79,7 @@ pub(crate) fn edit(input: &mut Input, content: &[u8], donor: &[u8]) -> Option<Ve
     Some(edited)
 }
 
-/// The JSON text with one of its values changed: all values are counted, the outer before the inner.
+/// Changes one value of a JSON text. Values are numbered with outer values before inner ones.
 fn with_json(text: Vec<u8>, change: impl FnOnce(&mut Value), number: usize) -> Vec<u8> {
     let Ok(mut value) = serde_json::from_slice::<Value>(&text) else {
         return text;

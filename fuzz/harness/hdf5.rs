@@ -1,7 +1,7 @@
-//! A small HDF5 file with some of its bytes edited, read whole without the HDF5 library.
+//! Edits some bytes of a small HDF5 file, then reads all of it without the HDF5 library.
 //!
-//! An input is the number of the file that is edited (one byte), the choice of demonstrations (one byte), and edits, each what
-//! `edits.rs` says. A file that only the library could read is refused, as the program leaves it to another process.
+//! An input consists of the number of the file (one byte), the selection of demonstrations (one byte), and edits as described in
+//! `edits.rs`. A file that only the library can read is refused, because the program reads it in another process.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ impl Hdf5 {
         }
     }
 
-    /// Reads the file that the input describes; the sentence of the first error.
+    /// Reads the file that the input describes. Returns the first error.
     pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
         let mut input = Input(input);
         let number = usize::from(input.byte());
@@ -54,7 +54,7 @@ impl Hdf5 {
     }
 }
 
-/// Reads all that there is of a file; a demonstration that cannot be used is no error of the file.
+/// Reads everything in a file. An unusable demonstration is not an error of the file.
 fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
     let choice = DemoChoice {
         filter: (choice & 0x80 != 0).then(|| "train".to_owned()),

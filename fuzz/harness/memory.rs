@@ -1,10 +1,10 @@
-//! An allocator that ends the process where one allocation, or all of them together, is larger than any reader has a
-//! reason for: a length that was believed before it was checked.
+//! An allocator that aborts the process if one allocation, or all of them together, exceed what any valid input needs. This finds
+//! lengths that are used before they are checked.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Most bytes at once, beside one allocation of the largest size.
+/// Maximum number of bytes in use, in addition to one allocation of the maximum size.
 const MOST: usize = 1 << 30;
 
 static LIVE: AtomicUsize = AtomicUsize::new(0);
@@ -17,7 +17,7 @@ static ALLOCATOR: Limited = Limited;
 fn take(bytes: usize) {
     let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
     if bytes > crate::LARGEST || live > crate::LARGEST + MOST {
-        // Printing may allocate.
+        // Printing may allocate, too.
         LIVE.store(0, Ordering::Relaxed);
         eprintln!("allocation of {bytes} bytes, {live} in use");
         eprintln!("{}", std::backtrace::Backtrace::force_capture());
@@ -29,7 +29,7 @@ fn give(bytes: usize) {
     LIVE.fetch_sub(bytes, Ordering::Relaxed);
 }
 
-// Every call goes to the system's allocator with the layout that it was given.
+// SAFETY: every call is passed to the system's allocator with the same layout.
 unsafe impl GlobalAlloc for Limited {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         take(layout.size());

@@ -1,6 +1,6 @@
-//! A pipeline file and overrides. An input is the text of the file; lines that begin with `--set ` are overrides instead.
+//! Reads a pipeline file with overrides. An input is the text of the file, except that lines that begin with `--set ` are overrides.
 
-/// Reads the pipeline; the sentence of the first error. What is accepted is accepted again as it is written back.
+/// Reads the pipeline. Returns the first error. An accepted pipeline has to be accepted again after serialization.
 pub(crate) fn run(input: &[u8]) -> Result<(), String> {
     let text = String::from_utf8_lossy(input);
     let (mut file, mut overrides) = (String::new(), Vec::new());

@@ -1,7 +1,7 @@
-//! A Push-T store with some of its files edited, read whole.
+//! Edits some files of a Push-T store, then reads all of it.
 //!
-//! An input is the number of the store that is edited (one byte), the selection of episodes (one byte), and edits, each the
-//! number of a file (one byte) and what `edits.rs` says.
+//! An input consists of the number of the store (one byte), the selection of episodes (one byte), and edits, each with the number
+//! of a file (one byte) and the bytes that `edits.rs` describes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,15 +15,15 @@ use super::edits::{Input, edit};
 
 const MOST_EDITS: usize = 8;
 
-/// The stores that are edited. The first are chosen by most numbers, as they were when there were no others.
+/// The stores that are edited. Most numbers select one of the first stores, so that older inputs keep their meaning.
 const STORES: [&str; 7] = [
     "minimal", "modern", "original", "mixed", "format3", "sharded", "fortran",
 ];
 
-/// Numbers below this one choose among the first stores.
+/// Numbers below this one select one of the first stores.
 const OLDER: (usize, u8) = (4, 240);
 
-/// A pristine store in a temporary folder.
+/// An unedited store in a temporary folder.
 struct Store {
     folder: PathBuf,
     files: BTreeMap<PathBuf, Vec<u8>>,
@@ -56,7 +56,7 @@ impl Zarr {
         }
     }
 
-    /// Reads the store that the input describes; the sentence of the first error.
+    /// Reads the store that the input describes. Returns the first error.
     pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
         let mut input = Input(input);
         let (older, newer) = self.stores.split_at(OLDER.0);
@@ -89,11 +89,11 @@ impl Zarr {
     }
 }
 
-/// Reads all that there is of a dataset.
+/// Reads everything in a dataset.
 pub(crate) fn read(path: &Path, selection: &Selection) -> Result<(), String> {
     let reader = PushtReader::open(path).map_err(|error| error.to_string())?;
     reader.source_hash(&|| false).map_err(|error| error.to_string())?;
-    // What is left out has to be as sound as what is refused; the rest goes on as it would without.
+    // With `leave_out`, the same checks apply, and the remaining demonstrations are read as without the bad ones.
     let options = PushtOptions {
         on_bad: OnBad::LeaveOut,
         images: true,
@@ -132,7 +132,7 @@ pub(crate) fn selection(byte: u8) -> Selection {
     }
 }
 
-/// The files below a folder, by their relative paths.
+/// The files below a folder, by relative path.
 pub(crate) fn files_below(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];

@@ -1,11 +1,11 @@
-//! A zip file with a Push-T store, unpacked and read whole. An input is the zip file.
+//! Unpacks a zip file with a Push-T store and reads all of it. An input is the zip file.
 
 use std::fs;
 
 use re4_ingest::Selection;
 use tempfile::TempDir;
 
-/// Where the zip file is put.
+/// The temporary folder of the zip file.
 pub(crate) struct Zip {
     folder: TempDir,
 }
@@ -17,7 +17,7 @@ impl Zip {
         }
     }
 
-    /// Reads the zip file; the sentence of the first error.
+    /// Reads the zip file. Returns the first error.
     pub(crate) fn run(&self, input: &[u8]) -> Result<(), String> {
         let path = self.folder.path().join("store.zip");
         fs::write(&path, input).unwrap();

@@ -1,4 +1,4 @@
-//! Small Push-T datasets: a scripted pusher goes behind the block and pushes it towards the goal.
+//! Small Push-T datasets: a scripted pusher moves behind the block and pushes it towards the goal.
 
 use std::fs;
 use std::path::Path;
@@ -8,16 +8,16 @@ use re4_geometry::Point2;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
 use re4_sim::{CENTRE_OF_GRAVITY, GOAL, PushT, ResetOrder, SeedScheme, Simulator as _, Step, scene_from_seed};
 
-/// Side of the images, in pixels; their content says nothing.
+/// Side of the images, in pixels. Their content is arbitrary.
 pub(crate) const SIDE: usize = 12;
 
-/// Frames of an episode.
+/// Number of frames of an episode.
 pub(crate) const LENGTH: usize = 70;
 
-/// Rows of a chunk of images.
+/// Number of images in a chunk.
 const PICTURES_IN_CHUNK: usize = 100;
 
-/// Writes `episodes` episodes, from the scenes of the seeds from 1000 on.
+/// Writes a dataset of `episodes` episodes, which start from the scenes of the seeds 1000, 1001 and so on.
 pub(crate) fn write(path: &Path, episodes: u32, images: bool) {
     let recorded: Vec<RecordedEpisode> = (0..episodes).map(|number| episode(1000 + number)).collect();
     PushtWriter::write(path, &recorded).unwrap();
@@ -48,7 +48,7 @@ fn episode(seed: u32) -> RecordedEpisode {
     RecordedEpisode { frames }
 }
 
-/// Goes to a point behind the block, seen from the goal, and then through the block; starts anew when it is past it.
+/// Moves to a point behind the block as seen from the goal, then pushes through the block, and starts again when it is past it.
 fn target(seen: &Step<re4_sim::PushTObservation>, pushing: &mut bool) -> Point2 {
     let agent = seen.observation.agent;
     let centre = seen.observation.block.transform_point(CENTRE_OF_GRAVITY);
@@ -64,13 +64,13 @@ fn target(seen: &Step<re4_sim::PushTObservation>, pushing: &mut bool) -> Point2 
     let step = if *pushing {
         direction * 18.0
     } else {
-        let way = behind - agent;
-        way * (30.0 / way.norm()).min(1.0)
+        let offset = behind - agent;
+        offset * (30.0 / offset.norm()).min(1.0)
     };
     (agent + step).map(|value| value.clamp(20.0, 490.0))
 }
 
-/// Adds `data/img`: bytes, uncompressed.
+/// Adds the array `data/img`, as uncompressed bytes.
 fn write_images(path: &Path, frames: usize) {
     let folder = path.join("data/img");
     fs::create_dir(&folder).unwrap();
@@ -87,7 +87,7 @@ fn write_images(path: &Path, frames: usize) {
     }
 }
 
-/// The image of a frame of the dataset; zeros beyond its end.
+/// The image of a frame of the dataset; zeros after its last frame, which fill up the last chunk.
 pub(crate) fn image(frame: usize, frames: usize) -> Vec<u8> {
     (0..SIDE * SIDE * 3)
         .map(|i| {
@@ -100,7 +100,7 @@ pub(crate) fn image(frame: usize, frames: usize) -> Vec<u8> {
         .collect()
 }
 
-/// Replaces an array of a dataset by an uncompressed one of a single chunk.
+/// Replaces an array of a dataset by an uncompressed one with a single chunk.
 pub(crate) fn replace(dataset: &Path, array: &str, dtype: &str, shape: &[usize], bytes: &[u8]) {
     let folder = dataset.join(array);
     fs::remove_dir_all(&folder).unwrap();
@@ -121,7 +121,7 @@ pub(crate) fn replace_ends(dataset: &Path, ends: &[i64]) {
     replace(dataset, "meta/episode_ends", "<i8", &[ends.len()], &bytes);
 }
 
-/// Replaces `data/state` by states that stand still, one of them with another value in one column.
+/// Replaces `data/state` by constant states, except for one value in one frame.
 pub(crate) fn replace_state(dataset: &Path, frames: usize, frame: usize, column: usize, value: f32) {
     let mut values = [100.0_f32, 120.0, 300.0, 310.0, 1.0].repeat(frames);
     values[frame * 5 + column] = value;

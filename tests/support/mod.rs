@@ -1,4 +1,4 @@
-//! Shared by the end-to-end tests: the program in a folder of its own, with a small dataset and a pipeline file.
+//! Helpers of the end-to-end tests: they run the program in a temporary folder with a small dataset and a pipeline file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,13 +15,13 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 pub(crate) mod dataset;
-pub(crate) mod invented;
+pub(crate) mod synthetic_audit;
 
-/// Longest that anything is waited for. What is waited for has to happen; how soon, on a busy machine, is not what tests are
-/// about.
+/// Maximum time to wait for any event. It is generous because the tests check that the event happens, not how fast it does on a
+/// busy machine.
 pub(crate) const LONGEST: Duration = Duration::from_mins(5);
 
-/// The program that is tested.
+/// Path of the program under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_re4-pipe");
 
 /// The top folder of the repository.
@@ -32,20 +32,20 @@ pub(crate) fn repository() -> PathBuf {
         .unwrap()
 }
 
-/// A folder with `data/small.zarr` (12 scripted pushes with images) and `small.toml`; commands run inside of it.
+/// A temporary folder with `data/small.zarr` (12 scripted pushes with images) and `small.toml`. Commands run inside it.
 pub(crate) struct Place {
     folder: TempDir,
 }
 
 impl Place {
-    /// With dataset and pipeline file.
+    /// A folder with the dataset and the pipeline file.
     pub(crate) fn new() -> Self {
         let place = Self::empty();
         dataset::write(&place.dataset(), 12, true);
         place
     }
 
-    /// With the pipeline file, and an empty folder for data.
+    /// A folder with the pipeline file and an empty data folder.
     pub(crate) fn empty() -> Self {
         let folder = TempDir::with_prefix("re4-").unwrap();
         fs::create_dir(folder.path().join("data")).unwrap();
@@ -69,13 +69,14 @@ impl Place {
         fs::write(self.path().join(name), content).unwrap();
     }
 
-    /// Writes `sparse.toml`: `small.toml` with rollouts from 12 scenes far from the demonstrations, in place of seeds.
+    /// Writes `sparse.toml`: `small.toml` with rollouts from 12 scenes far from the demonstrations instead of seeds.
     pub(crate) fn write_sparse(&self) {
         let small = fs::read_to_string(self.path().join("small.toml")).unwrap();
         self.write("sparse.toml", small.replace("seeds = \"500..506\"\n", "") + SCENES);
     }
 
-    /// Writes `data/states.zarr`, two episodes without images, and `image.toml`: `small.toml` on rendered images of them.
+    /// Writes `data/states.zarr`, which has two episodes without images, and `image.toml`: `small.toml` on rendered images of
+    /// them.
     pub(crate) fn write_image(&self) {
         dataset::write(&self.path().join("data/states.zarr"), 2, false);
         let small = fs::read_to_string(self.path().join("small.toml")).unwrap();
@@ -89,7 +90,7 @@ impl Place {
         self.write("image.toml", image);
     }
 
-    /// The program, to be run in this folder with its data.
+    /// A command that runs the program in this folder, with its data.
     pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(PROGRAM);
         command
@@ -102,18 +103,18 @@ impl Place {
         command
     }
 
-    /// Runs the program to its end; arguments are separated by blanks.
+    /// Runs the program to its end. Arguments are separated by spaces.
     pub(crate) fn run(&self, arguments: &str) -> Answer {
         self.run_each(&arguments.split_whitespace().collect::<Vec<_>>())
     }
 
-    /// Runs the program to its end, for arguments that hold blanks.
+    /// Runs the program to its end, for arguments that contain spaces.
     pub(crate) fn run_each(&self, arguments: &[&str]) -> Answer {
         let output = self.command().args(arguments).output().unwrap();
         Answer::new(&output, self.path())
     }
 
-    /// Starts the program and leaves it running.
+    /// Starts the program and returns while it is running.
     pub(crate) fn start(&self, arguments: &str) -> Child {
         self.command()
             .args(arguments.split_whitespace())
@@ -123,14 +124,14 @@ impl Place {
             .unwrap()
     }
 
-    /// The artifact of a stage; there has to be exactly one.
+    /// The artifact of a stage. Fails unless there is exactly one.
     pub(crate) fn artifact(&self, stage: Stage) -> Artifact {
         let folders = folders_in(&self.artifacts().join(stage.artifact()));
         assert_eq!(folders.len(), 1, "{stage} has {folders:?}");
         Artifact::open(&folders[0]).unwrap()
     }
 
-    /// Bytes of every file of every artifact, by path below the artifacts folder. Notes on single runs are left out.
+    /// Bytes of every file of every artifact, by path below the artifacts folder. Records of single runs are left out.
     pub(crate) fn bytes(&self) -> BTreeMap<String, Vec<u8>> {
         artifact_bytes(&self.artifacts())
     }
@@ -153,7 +154,7 @@ impl Place {
     }
 }
 
-/// Waits for something that has to happen, and says what it is where it does not.
+/// Waits until `happened` returns a value. Fails with `what` if that takes too long.
 #[track_caller]
 pub(crate) fn wait_for<T>(what: &str, mut happened: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
@@ -166,13 +167,13 @@ pub(crate) fn wait_for<T>(what: &str, mut happened: impl FnMut() -> Option<T>) -
     }
 }
 
-/// Sends a signal to a process that this one has started and not yet waited for.
+/// Sends a signal to a child process that has not been waited for yet.
 #[track_caller]
 pub(crate) fn signal(child: &Child, name: &str) {
     assert!(kill(child.id(), name), "SIG{name} could not be sent");
 }
 
-/// Sends a signal; whether there was a process to send it to.
+/// Sends a signal. Returns whether the process exists.
 fn kill(process: u32, name: &str) -> bool {
     let output = Command::new("sh")
         .args(["-c", &format!("kill -{name} {process}")])
@@ -181,34 +182,34 @@ fn kill(process: u32, name: &str) -> bool {
     output.status.success()
 }
 
-/// A process that is not a child of this one. Its number alone would not tell it from a later process of the same number.
+/// A process that is not a child of this one. The start time distinguishes it from a later process with the same id.
 pub(crate) struct Process {
     id: u32,
-    /// In ticks since the machine was started.
+    /// Start time, in ticks since the machine was started.
     started: String,
 }
 
 impl Process {
-    /// The process of this number.
+    /// The process with this id.
     fn of(id: u32) -> Option<Self> {
         let (_, started) = Self::state(id)?;
         Some(Self { id, started })
     }
 
-    /// State and start of a process; `/proc` has them behind the name, which may hold anything.
+    /// State and start time of a process. In `/proc/ID/stat` they come after the name, which may contain spaces and parentheses.
     fn state(id: u32) -> Option<(String, String)> {
         let line = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
         let mut words = line.rsplit_once(')')?.1.split_whitespace().map(str::to_owned);
         Some((words.next()?, words.nth(18)?))
     }
 
-    /// Whether it has not ended. One that has, and that nobody has waited for, stays in the list of processes as a zombie.
+    /// Whether it is still running. An ended process that its parent has not waited for is a zombie, which does not count.
     pub(crate) fn is_running(&self) -> bool {
         Self::state(self.id).is_some_and(|(state, started)| started == self.started && state != "Z" && state != "X")
     }
 
-    /// Sends it a signal again and again until it has ended: Rust's runtime answers the first SIGSEGV or SIGBUS that no access
-    /// to memory has caused by giving up its handler, and only the next one ends the process.
+    /// Sends a signal repeatedly until the process has ended. Rust's runtime handles the first SIGSEGV or SIGBUS that no memory
+    /// access has caused by removing its handler, so only the next one ends the process.
     pub(crate) fn end_by(&self, name: &str) {
         let start = Instant::now();
         while self.is_running() {
@@ -218,18 +219,18 @@ impl Process {
         }
     }
 
-    /// Waits until it has ended.
+    /// Waits until the process has ended.
     #[track_caller]
     pub(crate) fn wait(&self) {
         wait_for("the end of the process", || (!self.is_running()).then_some(()));
     }
 }
 
-/// Where a process that reads HDF5 for the program waits, so that tests meet it in the middle of its work.
+/// A point at which the worker process that reads HDF5 waits, so that tests can act in the middle of its work.
 pub(crate) struct Gate(PathBuf);
 
 impl Gate {
-    /// Puts a gate before a program that is yet to be started: it waits once this many demonstrations, or images, are done.
+    /// Sets a gate for a program that has not been started: its worker waits once this many demonstrations or images are done.
     pub(crate) fn before(command: &mut Command, place: &Place, done: usize) -> Self {
         let gate = Self(place.path().join("gate"));
         let _ = fs::remove_file(&gate.0);
@@ -239,27 +240,27 @@ impl Gate {
         gate
     }
 
-    /// The process that waits there; none if it has not come there yet.
+    /// The worker that waits at the gate; `None` if it has not arrived yet.
     pub(crate) fn worker(&self) -> Option<Process> {
         let text = fs::read_to_string(&self.0).ok()?;
         Process::of(text.strip_suffix('\n')?.parse().ok()?)
     }
 
-    /// Waits for the process that the program starts to come there.
+    /// Waits until the program's worker has arrived at the gate.
     #[track_caller]
     pub(crate) fn wait(&self, program: &mut Child) -> Process {
         wait_for("a worker at the gate", || {
             let worker = self.worker();
             assert!(
                 worker.is_some() || program.try_wait().unwrap().is_none(),
-                "the program ended before its worker came to the gate"
+                "the program ended before its worker arrived at the gate"
             );
             worker
         })
     }
 }
 
-/// What the program answered, with the folder of the test written as `[folder]`.
+/// Exit code and output of the program, with the folder of the test written as `[folder]`.
 pub(crate) struct Answer {
     pub(crate) code: Option<i32>,
     pub(crate) stdout: String,
@@ -279,15 +280,15 @@ impl Answer {
         }
     }
 
-    /// Asserts success; the answer itself.
+    /// Asserts success, and returns itself.
     #[track_caller]
     pub(crate) fn done(self) -> Self {
         assert_eq!(self.code, Some(0), "stdout {}\nstderr {}", self.stdout, self.stderr);
         self
     }
 
-    /// Asserts a refusal: exit code 2, and as last line of standard error one sentence, which is returned. Standard output is
-    /// empty, or where JSON was asked for tells the same, what is wrong and how to fix it apart.
+    /// Asserts an error: exit code 2, and one sentence as the last line of standard error, which is returned. Standard output is
+    /// empty or, with `--json`, contains the same error with its remedy in a separate field.
     #[track_caller]
     pub(crate) fn refused(self) -> String {
         assert_eq!(self.code, Some(2), "stdout {}\nstderr {}", self.stdout, self.stderr);
@@ -301,15 +302,15 @@ impl Answer {
         );
         assert!(!last.contains(". "), "more than one sentence: {last}");
         if !self.stdout.is_empty() {
-            let told = self.json();
-            let part = |name: &str| told[name].as_str().map(str::to_owned);
+            let json = self.json();
+            let part = |name: &str| json[name].as_str().map(str::to_owned);
             let parts: Vec<String> = ["error", "remedy"].into_iter().filter_map(part).collect();
             assert_eq!(format!("error: {}", parts.join("; ")), last);
         }
         last.to_owned()
     }
 
-    /// Asserts a refusal that has nothing else on standard error.
+    /// As [`Self::refused`], and asserts that standard error contains nothing else.
     #[track_caller]
     pub(crate) fn refused_at_once(self) -> String {
         assert_eq!(self.stderr.lines().count(), 1, "{}", self.stderr);
@@ -326,7 +327,7 @@ impl Answer {
     }
 }
 
-/// Folders directly in a folder, sorted; none if it is not there.
+/// Folders directly in a folder, sorted; empty if the folder does not exist.
 pub(crate) fn folders_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(folder) else {
         return Vec::new();
@@ -353,7 +354,7 @@ pub(crate) fn artifact_bytes(artifacts: &Path) -> BTreeMap<String, Vec<u8>> {
         .collect()
 }
 
-/// Every file below a folder, by path relative to it; sorted.
+/// Collects all files below a folder by relative path, sorted.
 fn list(folder: &Path, prefix: &str, names: &mut Vec<String>) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     let mut entries: Vec<_> = entries.map(Result::unwrap).collect();
@@ -368,21 +369,21 @@ fn list(folder: &Path, prefix: &str, names: &mut Vec<String>) {
     }
 }
 
-/// Two sets of artifact bytes are equal; says which file differs, not how.
+/// Asserts that two sets of artifact bytes are equal. Names the files that differ, without printing their contents.
 #[track_caller]
 pub(crate) fn assert_same_bytes(left: &BTreeMap<String, Vec<u8>>, right: &BTreeMap<String, Vec<u8>>) {
     assert!(!left.is_empty());
     assert_eq!(
         left.keys().collect::<Vec<_>>(),
         right.keys().collect::<Vec<_>>(),
-        "other files"
+        "different files"
     );
     for (name, bytes) in left {
         assert!(bytes == &right[name], "{name} differs");
     }
 }
 
-/// Words of a path or text that differ from machine to machine: keys, other hashes and times.
+/// Snapshot filters for text that differs between machines: keys, other hashes and times.
 pub(crate) fn filters() -> Vec<(&'static str, &'static str)> {
     vec![
         ("the kinds are [a-z0-9_, ]+", "the kinds are [kinds]"),
@@ -396,7 +397,7 @@ pub(crate) fn filters() -> Vec<(&'static str, &'static str)> {
     ]
 }
 
-/// The folder of real datasets, if the human demonstrations are there; says so if not.
+/// The folder of real datasets, if it contains the human demonstrations; otherwise prints that the test is skipped.
 pub(crate) fn real_data() -> Option<PathBuf> {
     let beside = || repository().join("../shared/data");
     let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
@@ -439,7 +440,7 @@ seeds = "500..506"
 max_steps = 60
 "#;
 
-/// Compares the columns of every table below the artifacts of a place with its committed description; gives their names.
+/// Compares the columns of all tables in a folder's artifacts with the committed schemas. Returns the names of the tables.
 pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
     let mut compared = BTreeSet::new();
     for kind in folders_in(&place.artifacts()) {
@@ -453,7 +454,7 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
                 }
                 let name = file.file_stem().unwrap().to_str().unwrap();
                 let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(&file).unwrap()).unwrap();
-                // Where domains share the name of a table, the file says which it is of.
+                // If both domains have a table of this name, the domain in the file's metadata decides.
                 let domain = reader.schema().metadata().get("re4.domain").cloned();
                 let title = domain.map_or(name.to_owned(), |domain| format!("{name}-{domain}"));
                 let path = repository().join(format!("schemas/{title}.json"));
@@ -493,7 +494,7 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
     compared
 }
 
-/// The datasets of scripted demonstrations; none, and a sentence, where they are not there.
+/// The datasets of scripted demonstrations, if they exist; otherwise prints that the test is skipped.
 pub(crate) fn scripted() -> Option<PathBuf> {
     let beside = || repository().join("../shared/data");
     let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
@@ -508,7 +509,7 @@ pub(crate) fn scripted() -> Option<PathBuf> {
     Some(data.canonicalize().unwrap())
 }
 
-/// The datasets of scripted demonstrations, and the simulators; none, and a sentence, where either is not there.
+/// The datasets of scripted demonstrations and the simulators, if both exist; otherwise prints that the test is skipped.
 pub(crate) fn scripted_and_simulators() -> Option<(PathBuf, PathBuf)> {
     let named = |variable: &str, beside: &str| {
         std::env::var_os(variable).map_or_else(|| repository().join(beside), PathBuf::from)
@@ -530,14 +531,14 @@ pub(crate) fn scripted_and_simulators() -> Option<(PathBuf, PathBuf)> {
     Some((data, simulators.canonicalize().unwrap()))
 }
 
-/// Whether rollouts are of a robosuite task.
-fn in_space(rollouts: &Artifact) -> bool {
+/// Whether these are rollouts of a robosuite task.
+fn is_spatial(rollouts: &Artifact) -> bool {
     rollouts.table_named("results").unwrap().domain().as_deref() == Some("space")
 }
 
-/// How rollouts went.
+/// Table `results` of rollouts.
 pub(crate) fn results(rollouts: &Artifact) -> RecordBatch {
-    let space = in_space(rollouts);
+    let space = is_spatial(rollouts);
     let spec = if space {
         SpaceResultRow::table()
     } else {
@@ -546,9 +547,9 @@ pub(crate) fn results(rollouts: &Artifact) -> RecordBatch {
     rollouts.table(spec).unwrap().read_all().unwrap()
 }
 
-/// Their steps.
+/// Table `steps` of rollouts.
 pub(crate) fn steps(rollouts: &Artifact) -> RecordBatch {
-    let space = in_space(rollouts);
+    let space = is_spatial(rollouts);
     let spec = if space {
         SpaceStepRow::table()
     } else {
@@ -557,9 +558,9 @@ pub(crate) fn steps(rollouts: &Artifact) -> RecordBatch {
     rollouts.table(spec).unwrap().read_all().unwrap()
 }
 
-/// Their decisions, with what every policy tells of them.
+/// Table `decisions` of rollouts, which all policies have.
 pub(crate) fn decisions_of(rollouts: &Artifact) -> RecordBatch {
-    let space = in_space(rollouts);
+    let space = is_spatial(rollouts);
     let spec = if space {
         SpaceDecisionRow::table()
     } else {
@@ -568,9 +569,9 @@ pub(crate) fn decisions_of(rollouts: &Artifact) -> RecordBatch {
     rollouts.table(spec).unwrap().read_all().unwrap()
 }
 
-/// Their decisions, with what the table of RE4 adds, which has the same rows.
+/// Table `decisions` of rollouts, joined with the columns of table `decisions_re4`, which has the same rows.
 pub(crate) fn decisions(rollouts: &Artifact) -> RecordBatch {
-    let (core, details) = if in_space(rollouts) {
+    let (core, details) = if is_spatial(rollouts) {
         (SpaceDecisionRow::table(), SpaceRe4Row::table())
     } else {
         (PlaneDecisionRow::table(), PlaneRe4Row::table())

@@ -1,4 +1,4 @@
-//! Readers of foreign text, without the file system: what fuzzers and the replay of their corpora call.
+//! Readers of untrusted text without file access, for the fuzzers and the replay of their corpora.
 
 use std::path::Path;
 
@@ -6,11 +6,11 @@ use re4_fault::Remedy as _;
 
 use crate::notes::fault_of;
 
-/// Reads a pipeline from its text, with `--set` overrides, and checks its limits: all that `run` does before its first stage.
-/// The answer is the pipeline as JSON.
+/// Parses and checks the text of a pipeline file with `--set` overrides, as `run` does before its first stage. Returns the
+/// pipeline as JSON.
 ///
 /// # Errors
-/// The sentence that the program would print.
+/// The message that the program would print.
 pub fn pipeline(text: &str, overrides: &[String]) -> Result<String, String> {
     let pipeline = crate::pipeline::parse(text, Path::new("pipeline.toml"), overrides);
     let written = pipeline.and_then(|pipeline| Ok(serde_json::to_string(&pipeline)?));

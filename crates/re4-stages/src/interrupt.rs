@@ -1,7 +1,7 @@
-//! Ctrl-C and requests to terminate: the running stage ends at its next step, and what it had begun to write is removed.
+//! Ctrl-C and termination signals: the running stage ends at its next step, and its unfinished artifact is removed.
 //!
-//! Some steps take seconds inside of other people's code. So a watchdog ends the process where the stage has not answered in
-//! time, after it has removed what was half-written.
+//! Some steps spend seconds in foreign code (MuJoCo, LibTorch). If the stage has not ended in time, a watchdog removes the
+//! unfinished artifact and ends the process.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -15,13 +15,13 @@ use re4_fault::{Fault, fault};
 
 use crate::notes;
 
-/// How long a stage may take to answer.
+/// How long a stage may take to end after a request.
 const GRACE: Duration = Duration::from_millis(500);
 
-/// How long a worker process that was killed may take to be gone.
+/// How long the watchdog waits for a killed worker process to exit, so that it writes nothing more.
 const GONE: Duration = Duration::from_millis(100);
 
-/// Whether the program's answer is being given: by the stage, or by the watchdog, and never by both.
+/// Whether the final message of the program is being printed, either by the stage or by the watchdog, never by both.
 static ANSWERED: AtomicBool = AtomicBool::new(false);
 
 /// Whether the user asked to stop.
@@ -31,27 +31,28 @@ pub struct Interrupt(Arc<Asked>);
 #[derive(Debug, Default)]
 struct Asked {
     requested: AtomicBool,
-    /// The process that reads HDF5 for this one; 0 where there is none.
+    /// Process id of the worker that reads HDF5; 0 if there is none.
     worker: AtomicU32,
-    /// Where there may be something half-written.
+    /// The store that may contain an unfinished artifact.
     store: Mutex<Option<Store>>,
-    /// How the watchdog says that it ended the run.
+    /// How the watchdog reports that it ended the run.
     say: OnceLock<fn(Fault)>,
 }
 
 impl Interrupt {
-    /// Listens to Ctrl-C and to requests to terminate from now on. The watchdog clears up in this store.
+    /// Handles Ctrl-C and termination signals from now on. The watchdog removes unfinished artifacts from `store`, and prints an
+    /// error.
     pub fn listen(store: Option<&Store>) -> Self {
         Self::listen_and_say(store, |fault| notes::print_error(&fault.into()))
     }
 
-    /// The same for a process that does not speak to people.
+    /// As [`Self::listen`], but the watchdog reports through `say`. For the worker process, whose output is read by a program.
     pub fn listen_and_say(store: Option<&Store>, say: fn(Fault)) -> Self {
         let interrupt = Self::default();
         *interrupt.store() = store.cloned();
         let _ = interrupt.0.say.set(say);
         let listener = interrupt.clone();
-        // Without a handler the process ends at once and the next run removes what it left; that is safe too.
+        // If no handler can be set, Ctrl-C ends the process at once, and the next run removes the unfinished artifact.
         let _ = ctrlc::set_handler(move || {
             if !listener.0.requested.swap(true, Ordering::SeqCst) {
                 let watchdog = listener.clone();
@@ -68,12 +69,12 @@ impl Interrupt {
         self.0.store.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Says which process works for this one; none any more.
+    /// Sets the process id of the worker process, or `None` when it has ended.
     pub fn set_worker(&self, worker: Option<u32>) {
         self.0.worker.store(worker.unwrap_or(0), Ordering::SeqCst);
     }
 
-    /// Ends the process, unless its answer is under way.
+    /// Ends the process, unless the stage is printing its final message.
     fn end(&self) {
         if !answer() {
             return;
@@ -84,19 +85,19 @@ impl Interrupt {
             std::thread::sleep(GONE);
         }
         let store = self.store().clone();
-        // Held until the process has ended, so that nothing more is published.
+        // The lock is held until the process has ended, so that nothing more is published.
         let _locked = store.as_ref().map(Store::abandon);
         if let Some(say) = self.0.say.get() {
             say(interrupted("the run"));
         }
         #[allow(
             clippy::exit,
-            reason = "the stage does not answer, and its threads may be in code that knows of no end"
+            reason = "the stage does not respond, and its threads may be in foreign code that cannot be interrupted"
         )]
         std::process::exit(2);
     }
 
-    /// Asks to stop, as Ctrl-C does.
+    /// Requests a stop, as Ctrl-C does.
     pub fn request(&self) {
         self.0.requested.store(true, Ordering::SeqCst);
     }
@@ -106,10 +107,10 @@ impl Interrupt {
         self.0.requested.load(Ordering::SeqCst)
     }
 
-    /// Goes on, unless the user asked to stop.
+    /// Returns an error if the user asked to stop.
     ///
     /// # Errors
-    /// When the user asked to stop: the sentence that says so.
+    /// If the user asked to stop; the message names `stage`.
     pub fn check(&self, stage: &str) -> Result<()> {
         if self.requested() {
             return Err(interrupted(stage).into());
@@ -118,12 +119,12 @@ impl Interrupt {
     }
 }
 
-/// What is said where the user asked to stop.
+/// The error of an interrupted stage.
 fn interrupted(what: &str) -> Fault {
-    fault!("{what} was interrupted"; "nothing half-written was left, run the same command again to go on")
+    fault!("{what} was interrupted"; "no unfinished artifact remains, so run the same command again to continue")
 }
 
-/// Takes the right to give the program's answer; false where it is being given.
+/// Claims the right to print the program's final message. Returns false if it was claimed before.
 pub fn answer() -> bool {
     !ANSWERED.swap(true, Ordering::SeqCst)
 }

@@ -1,7 +1,7 @@
-//! What stages do: they read a pipeline file and artifacts, let the library crates compute, and leave artifacts.
+//! The stages of a pipeline. Each stage reads the pipeline file and artifacts, calls the library crates and writes an artifact.
 //!
-//! A [`Runner`] holds a pipeline, and has one method a stage. Stages know each other by their artifacts alone: what more than
-//! one of them reads is in `inputs`, and no stage imports another.
+//! A [`Runner`] holds a pipeline and has one method per stage. Stages exchange data only through artifacts: readers that more
+//! than one stage uses are in `inputs`, and no stage imports another.
 
 mod doctor;
 #[doc(hidden)]

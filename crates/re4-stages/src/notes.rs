@@ -1,4 +1,4 @@
-//! What people are told while stages work, on standard error.
+//! Messages to the user on standard error: notes, progress bars and errors.
 
 use std::borrow::Cow;
 use std::error::Error;
@@ -7,27 +7,27 @@ use std::io::{IsTerminal as _, Write as _};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use re4_fault::{Fault, Remedy as _};
 
-/// Notes and progress bars, or none of them.
+/// Prints notes and progress bars, unless it is quiet.
 #[derive(Debug, Clone, Copy)]
 pub struct Notes {
     quiet: bool,
 }
 
 impl Notes {
-    /// Notes that are told unless asked to be quiet.
+    /// Prints nothing if `quiet`.
     pub fn new(quiet: bool) -> Self {
         Self { quiet }
     }
 
-    /// A note on progress.
+    /// Prints a note as one line.
     pub fn note(self, text: &str) {
         if !self.quiet {
-            // A closed standard error is no reason to stop the work.
+            // A closed standard error does not stop the stage.
             let _ = writeln!(std::io::stderr(), "{text}");
         }
     }
 
-    /// A progress bar; invisible when asked to be quiet or when standard error is no terminal.
+    /// A progress bar. It is hidden if notes are quiet or standard error is not a terminal.
     pub fn progress(self, length: u64, what: &'static str) -> ProgressBar {
         let visible = !self.quiet && std::io::stderr().is_terminal();
         let target = if visible {
@@ -44,18 +44,20 @@ impl Notes {
     }
 }
 
-/// Prints an error as one sentence.
+/// Prints an error and its remedy as one sentence.
 pub fn print_error(error: &anyhow::Error) {
     let _ = writeln!(std::io::stderr(), "error: {}", fault_of(error).sentence());
 }
 
-/// What an error and all that led to it say, one after the other, and how to fix it. What was told already is not told again.
+/// Joins the messages of an error and its causes, outermost first, and their remedies. Repeated messages and remedies are
+/// dropped.
 pub fn fault_of(error: &anyhow::Error) -> Fault {
     let (mut what, mut remedies) = (String::new(), Vec::<String>::new());
     for error in error.chain() {
         let mut words = error.to_string();
         let mut remedy = remedy_of(error);
-        // Its text says it all: what is wrong with the dataset, and after the first semicolon how to fix it.
+        // The text of an ingest error is complete: what is wrong with the dataset, the first "; ", and how to fix it. Its causes
+        // are skipped.
         let last = error.is::<re4_ingest::IngestError>();
         if last {
             let fault = Fault::from_sentence(&words);
@@ -76,7 +78,7 @@ pub fn fault_of(error: &anyhow::Error) -> Fault {
     Fault::new(what, (!remedies.is_empty()).then(|| remedies.join("; ")))
 }
 
-/// How to fix one of the errors that the crates below have.
+/// The remedy of an error, if it is of one of the listed error types. `anyhow` erases types, so each is tried.
 fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
     macro_rules! first {
         ($($kind:ty),* $(,)?) => {
@@ -104,7 +106,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_scenes::ScenesError,
         re4_segment::SegmentError,
         re4_sim::SimError,
-        crate::stages::FellOver,
+        crate::stages::WorkerCrashed,
     );
     None
 }

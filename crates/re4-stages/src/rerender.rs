@@ -1,5 +1,5 @@
-//! Rollouts of robosuite's tasks, simulated again from their first states with their own actions, checked against the tables, and
-//! drawn by MuJoCo's renderer. Rollouts hold no images.
+//! Renders rollouts of robosuite tasks. `rollouts` artifacts contain no images, so rollouts are simulated again from their first
+//! states with their recorded actions, checked against the tables, and rendered by MuJoCo.
 
 use std::cmp::Reverse;
 use std::path::Path;
@@ -23,52 +23,53 @@ use crate::inputs::images::encode_png;
 use crate::inputs::simulators::Scenes;
 use crate::notes::fault_of;
 
-/// robosuite's camera in front of the robot.
+/// The camera of the images: robosuite's, in front of the robot.
 const CAMERA: &str = "agentview";
-/// How far the object may be from where the table has it, m.
+/// Maximum distance of the object between the new simulation and the table, per axis, in metres. A larger one means that the
+/// images would show another rollout.
 const TOLERANCE: f64 = 1e-6;
-/// Rollouts that have images on a page, where nobody asks for a number and poses come from images.
+/// Number of rollouts with images on a page if poses come from images and the user gives no number.
 const ROLLOUTS: usize = 8;
-/// Decisions of a rollout that have images, at most.
+/// Maximum number of decisions with images per rollout.
 const DECISIONS: usize = 48;
-/// Side of an image on a page, in pixels: what an encoder is shown.
+/// Side length of an image on a page, in pixels: the input size of the encoder.
 const SIDE: u32 = 84;
-/// Length of the axes that are drawn, in metres.
+/// Length of the axes that are drawn for a pose, in metres.
 const AXIS: f64 = 0.05;
 
-/// Rollouts that can be drawn in each of their states.
+/// Rollouts that can be rendered in each of their states.
 pub struct Rerendered {
     /// The rollouts.
     pub rollouts: Vec<Rollout<Space>>,
-    /// Coordinates of each rollout's states.
+    /// Generalized coordinates (`qpos`) by rollout and state.
     coordinates: Vec<Vec<Vec<f64>>>,
-    /// Each rollout's model with all that is drawn.
+    /// Simulation data of each rollout's model, including the visual geometry.
     sets: Vec<Data>,
-    /// None where there are no rollouts.
+    /// `None` if there are no rollouts.
     renderer: Option<Renderer>,
 }
 
 impl Rerendered {
-    /// Simulates the rollouts of these seeds again, to be drawn in squares of this side, in pixels. Their demonstrations are looked
-    /// for beside the artifact and in `store`.
+    /// Simulates the rollouts of these seeds again, for square images with a side of `side` pixels. The `episodes` artifact is
+    /// looked for beside the artifact and in `store`.
     ///
     /// # Errors
-    /// When the artifact has no such rollout, an input of it cannot be found, the simulation goes another way than the table,
-    /// or nothing can be drawn.
+    /// If the artifact has no such rollout, an input of it cannot be found, the simulation deviates from the table, or rendering
+    /// is not possible.
     pub fn new(artifact: &Artifact, seeds: &[u32], side: u32, store: &Path) -> Result<Self> {
         let config = &artifact.manifest().config;
         let task: RobosuiteTask = stated(artifact, "config", config, "task")?;
         let fidelity: Fidelity = stated(artifact, "config", config, "fidelity")?;
         let episodes = find_input(artifact, Stage::Ingest, store)?.or_fault(|| {
             fault!(
-                "cannot draw the rollouts of {}: the episodes artifact with their models is neither beside it nor in {}",
+                "cannot render the rollouts of {}: the episodes artifact with their models is neither beside it nor in {}",
                 artifact.path().display(),
                 store.display();
                 "name the artifacts folder with --artifacts"
             )
         })?;
         let scenes = Scenes::open(&episodes, task, fidelity)?;
-        let drawn = scenes.rendered_mjcf(&episodes)?;
+        let with_visuals = scenes.rendered_mjcf(&episodes)?;
         let mut rerendered = Self {
             rollouts: spatial_rollouts(artifact, seeds)?,
             coordinates: Vec::new(),
@@ -80,13 +81,13 @@ impl Rerendered {
             let placement = Placement::draw(task, rollout.core().seed);
             let model = scenes.compile(&placement.in_model(scenes.first_mjcf()?)?)?;
             rerendered.coordinates.push(again(artifact, &model, rollout)?);
-            rerendered.set(&placement.in_model(&drawn)?, &scenes, side)?;
+            rerendered.set(&placement.in_model(&with_visuals)?, &scenes, side)?;
         }
         Ok(rerendered)
     }
 
-    /// The next rollout's model. Compiling one with all that is drawn takes seconds, so it is done once: seeds differ in the
-    /// sizes of boxes alone.
+    /// Adds the next rollout's model. Compiling a model with its visual geometry takes seconds, so only the first is compiled;
+    /// the others differ from it only in the sizes of boxes, which are set in a copy.
     fn set(&mut self, mjcf: &str, scenes: &Scenes, side: u32) -> Result<()> {
         let model: Model = if let Some(renderer) = &self.renderer {
             let boxes = looks(mjcf)?.boxes;
@@ -101,27 +102,27 @@ impl Rerendered {
         Ok(())
     }
 
-    /// Draws a rollout, by its place, in a state: rows from top to bottom, three bytes a pixel.
+    /// Renders a state of a rollout, both given by index. Returns RGB bytes, three per pixel, rows from top to bottom.
     ///
     /// # Errors
-    /// When the renderer refuses.
+    /// If the renderer fails.
     pub fn draw(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
         let data = &mut self.sets[rollout];
-        let renderer = self.renderer.as_mut().context("no model to draw")?;
+        let renderer = self.renderer.as_mut().context("there is no model to render")?;
         data.qpos_mut().copy_from_slice(&self.coordinates[rollout][state]);
         data.forward();
         Ok(renderer.draw(data, CAMERA)?)
     }
 }
 
-/// Coordinates before each step and after the last, of the rollout simulated again.
+/// Simulates a rollout again. Returns the generalized coordinates before each step and after the last.
 fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) -> Result<Vec<Vec<f64>>> {
     let mut simulation = Robosuite::new(model)?;
     let nq = model.mujoco().nq();
     let (seed, path) = (rollout.core().seed, artifact.path().display());
     let Some(start) = rollout.result.state.get(1..=nq) else {
         bail!(
-            "cannot draw seed {seed} of {path}: its first state has {} numbers, and the model has {nq} coordinates",
+            "cannot render seed {seed} of {path}: its first state has {} numbers, but the model has {nq} coordinates",
             rollout.result.state.len();
             "run the rollout again"
         );
@@ -136,7 +137,7 @@ fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) 
         let away = (after.observation.object.translation.vector - step.object.translation.vector).amax();
         ensure!(
             away <= TOLERANCE,
-            "cannot draw seed {seed} of {path}: simulated again, the object is {away:.1e} m from where table steps has it after step {number}, so images would show another rollout";
+            "cannot render seed {seed} of {path}: in the new simulation the object is {away:.1e} m away from its position in table steps after step {number}";
             "run the rollout again on this machine"
         );
         coordinates.push(simulation.data().qpos().to_vec());
@@ -144,12 +145,11 @@ fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) 
     Ok(coordinates)
 }
 
-/// Adds what the camera saw at decisions to some of the rollouts that a viewer holds, those that failed first: the same rollouts
-/// for the same page.
+/// Adds the camera images at decisions to up to `wanted` rollouts of a viewer, failed rollouts first. The choice is
+/// deterministic, so the same page has the same images. `wanted = None` selects the default number.
 ///
 /// # Errors
-/// When images were asked for and cannot be drawn. Those that nobody asked for are left out instead, which is returned as a
-/// warning.
+/// If `wanted` images cannot be rendered. If the default ones cannot, they are left out, and a warning is returned.
 pub fn add_images(
     artifact: &Artifact,
     set: &mut Rollouts<Space>,
@@ -161,9 +161,10 @@ pub fn add_images(
     if count == 0 {
         return Ok(None);
     }
-    let drawn = images(artifact, set, count, store)
-        .or_fault(|| fault!("cannot show images of {}", artifact.path().display(); "leave --images out, or make it 0"));
-    match drawn {
+    let added = images(artifact, set, count, store).or_fault(
+        || fault!("cannot show images of {}", artifact.path().display(); "leave --images out, or set it to 0"),
+    );
+    match added {
         Ok(()) => Ok(None),
         Err(error) if wanted.is_none() => Ok(Some(format!(
             "the page shows no images: {}",
@@ -183,13 +184,13 @@ fn images(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &
         for (number, decision) in (0..).zip(rollout.decisions.iter().take(DECISIONS)) {
             let pixels = rerendered.draw(place, decision.core().step as usize)?;
             let view = rerendered.renderer.as_mut().and_then(Renderer::view);
-            let seen = |pose: Option<&Isometry3<f64>>| seen(view.as_ref(), pose);
+            let project = |pose: Option<&Isometry3<f64>>| project(view.as_ref(), pose);
             let image = DecisionImage {
                 camera: CAMERA,
                 side: SIDE,
                 png: encode_png(&pixels, SIDE, SIDE)?,
-                told: seen(decision.core.query_object.as_ref()),
-                simulated: seen(Some(&rollout.object_before(decision.core().step as usize))),
+                told: project(decision.core.query_object.as_ref()),
+                simulated: project(Some(&rollout.object_before(decision.core().step as usize))),
             };
             set.scene.images.insert((rollout.core().seed, number), image);
         }
@@ -197,8 +198,8 @@ fn images(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &
     Ok(())
 }
 
-/// A frame's origin and the ends of its axes in an image; nothing where there is no such frame.
-fn seen(view: Option<&View>, pose: Option<&Isometry3<f64>>) -> FrameInImage {
+/// Pixel coordinates of a frame's origin and of the ends of its axes; `None` for points that are not visible and for no frame.
+fn project(view: Option<&View>, pose: Option<&Isometry3<f64>>) -> FrameInImage {
     let ends = [[0.0; 3], [AXIS, 0.0, 0.0], [0.0, AXIS, 0.0], [0.0, 0.0, AXIS]];
     ends.map(|end| {
         let point = pose?.transform_point(&end.into());

@@ -1,4 +1,4 @@
-//! A pipeline, and what all its stages need.
+//! The [`Runner`], which holds a pipeline and everything that all stages need.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -16,51 +16,51 @@ use crate::interrupt::Interrupt;
 use crate::notes::Notes;
 use crate::pipeline::{Pipeline, read_pipeline};
 
-/// What the stages of a pipeline are run with.
+/// Settings of a [`Runner`].
 #[derive(Debug, Clone)]
 pub struct Settings<'a> {
     /// The pipeline file.
     pub pipeline: &'a Path,
-    /// Settings that replace those of the file, as `stage.key=value`.
+    /// Overrides of the file's settings, as `stage.key=value`.
     pub overrides: Vec<String>,
     /// The artifacts folder.
     pub artifacts: &'a Path,
-    /// Worker threads; all processors where it is not said.
+    /// Number of worker threads. Default: one per processor.
     pub jobs: Option<NonZeroUsize>,
-    /// What people are told.
+    /// Messages to the user.
     pub notes: Notes,
 }
 
-/// A pipeline with all that its stages need.
+/// A pipeline, the artifact store and everything else that all stages need.
 pub struct Runner {
-    /// The pipeline file, overrides applied.
+    /// The pipeline, with overrides applied.
     pub pipeline: Pipeline,
-    /// Where that file is.
+    /// Path of the pipeline file.
     pub(crate) file: PathBuf,
-    /// Where artifacts are.
+    /// The artifacts folder.
     pub(crate) store: Store,
-    /// What people are told.
+    /// Messages to the user.
     pub notes: Notes,
-    /// Ctrl-C.
+    /// Whether the user asked to stop, for instance by Ctrl-C.
     pub(crate) interrupt: Interrupt,
     /// Warnings of the stages run so far.
     warnings: Mutex<Vec<Value>>,
 }
 
-/// An artifact, and how it came about.
+/// The artifact of a stage, and whether it was made or found.
 pub struct Built {
-    /// Stage.
+    /// The stage.
     pub stage: Stage,
     /// The artifact.
     pub artifact: Artifact,
-    /// Whether it was there already.
+    /// Whether the artifact existed already.
     pub skipped: bool,
-    /// How long making or checking it took.
+    /// Wall time of making or verifying it.
     pub wall: Duration,
 }
 
 impl Built {
-    /// For `--json`.
+    /// The value that is printed with `--json`.
     pub fn to_json(&self) -> Value {
         json!({
             "stage": self.stage.as_str(),
@@ -78,7 +78,7 @@ impl Runner {
     /// Reads the pipeline file, sets up threads and opens the store.
     ///
     /// # Errors
-    /// When the pipeline file cannot be used, or there can be no artifacts in the folder.
+    /// If the pipeline file cannot be used, or the artifacts folder cannot be created or opened.
     pub fn new(settings: &Settings<'_>) -> Result<Self> {
         let pipeline = read_pipeline(settings.pipeline, &settings.overrides)?;
         info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
@@ -115,7 +115,7 @@ impl Runner {
         })
     }
 
-    /// The hash of a source. Ctrl-C ends the hashing.
+    /// Computes the hash of a source. Ctrl-C ends the hashing.
     pub(crate) fn hash(
         &self,
         hash: impl FnOnce(Stop<'_>) -> Result<[u8; 32], IngestError>,
@@ -129,7 +129,7 @@ impl Runner {
         Ok(hash)
     }
 
-    /// Makes an artifact unless it is there.
+    /// Returns the artifact of a recipe, and makes it with `make` if it does not exist.
     pub(crate) fn build(
         &self,
         recipe: &Recipe,
@@ -146,15 +146,15 @@ impl Runner {
         self.made(writer.publish(summary)?, recipe, start)
     }
 
-    /// The artifact of a recipe, if it is there.
+    /// The artifact of a recipe, if it exists.
     pub(crate) fn unchanged(&self, recipe: &Recipe, start: Instant) -> Result<Option<Built>> {
         let stage = recipe.stage();
         let Some(artifact) = self.store.lookup(stage, &recipe.key())? else {
-            info!(key = %recipe.key(), "no such artifact yet, so it is made");
+            info!(key = %recipe.key(), "artifact does not exist yet");
             return Ok(None);
         };
         crate::tables::refuse_newer(&artifact)?;
-        info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact is there, and whole");
+        info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact exists and is intact");
         self.notes.note(&format!(
             "{:>10}  {}  unchanged, skipped",
             stage.as_str(),
@@ -191,11 +191,11 @@ impl Runner {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Records the run that made an artifact, and says so.
+    /// Records the run that made an artifact, and prints a note.
     pub(crate) fn made(&self, artifact: Artifact, recipe: &Recipe, start: Instant) -> Result<Built> {
         let stage = recipe.stage();
         let wall = start.elapsed();
-        // ArtifactSummary of the run itself stand beside the artifact, outside of every hash.
+        // Wall time and threads differ between runs, so they are recorded outside of the artifact and of every hash.
         self.store.record_run(
             stage,
             &recipe.key(),
@@ -234,7 +234,7 @@ pub fn warning_text(warning: &Value) -> String {
     format!("{}: {}", word("code"), word("message"))
 }
 
-/// Whole numbers of a summary, as `25650 frames, 206 episodes`.
+/// The integers of a summary, as `25650 frames, 206 episodes`.
 fn headline(summary: &Value) -> String {
     summary
         .as_object()

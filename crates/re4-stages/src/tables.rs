@@ -1,4 +1,4 @@
-//! The tables of every artifact.
+//! The tables of all artifacts.
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
@@ -15,7 +15,7 @@ use crate::stages::{
     BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay,
 };
 
-/// The tables of a stage's artifact. An artifact may lack some of them (images, when none were asked for).
+/// The tables that a stage's artifact may contain. An artifact may lack some of them, such as images if none were ingested.
 pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
     match stage {
         Stage::Ingest => vec![
@@ -70,14 +70,15 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
     }
 }
 
-/// Every table there is, with the stage that makes it.
+/// All tables, each with the stage that writes it.
 pub fn all() -> impl Iterator<Item = (Stage, &'static TableSpec)> {
     Stage::ALL
         .into_iter()
         .flat_map(|stage| of(stage).into_iter().map(move |spec| (stage, spec)))
 }
 
-/// The description of a table of an artifact, by the name that it has there. Where domains share the name, the file says which.
+/// The description of an artifact's table, by its name in the artifact. If both domains have a table of that name, the domain in
+/// the file's metadata decides.
 pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> {
     let (named, former): (Vec<_>, Vec<_>) = all()
         .map(|(_, spec)| spec)
@@ -85,12 +86,12 @@ pub fn described(artifact: &Artifact, name: &str) -> Option<&'static TableSpec> 
         .partition(|spec| spec.name == name);
     let domain = artifact.table_named(name).ok()?.domain();
     let of_domain = |spec: &&&TableSpec| domain.as_deref().is_none_or(|domain| spec.domain == domain);
-    // Tables in space had names of their own before files told the domain, and so the plane comes first.
+    // Files without a domain are older than the shared names. Spatial tables had other names then, so such a file is planar.
     let first = named.iter().filter(of_domain).min_by_key(|spec| spec.domain);
     first.or(former.iter().find(|spec| artifact.has_table(spec))).copied()
 }
 
-/// Refuses an artifact of which a table has a newer version than this build knows.
+/// Refuses an artifact that contains a table with a newer version than this build supports.
 ///
 /// # Errors
 /// [`ArtifactError::NewerTable`].
@@ -121,9 +122,9 @@ mod tests {
     fn tables_of_older_artifacts_are_described_by_their_former_names() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
-        let mut described_so = 0;
+        let mut count = 0;
         for (stage, spec) in all().filter(|(_, spec)| !spec.formerly.is_empty() && spec.domain != "plane") {
-            // Two tables may have been one.
+            // Two tables may have been one table before.
             let was = all().filter(|(_, other)| (other.formerly, other.domain) == (spec.formerly, spec.domain));
             let columns = was.flat_map(|(_, part)| part.columns_at(1).map(|column| (part.name_at(column, 1), column)));
             let columns: BTreeMap<&str, ColumnSpec> = columns
@@ -155,13 +156,13 @@ mod tests {
             assert_eq!((found.formerly, found.domain), (spec.formerly, spec.domain));
             artifact.table(spec).unwrap();
             verify(artifact.path(), &described).unwrap();
-            described_so += 1;
+            count += 1;
         }
-        assert_eq!(described_so, 12);
+        assert_eq!(count, 12);
     }
 
     #[test]
-    fn declarations_hold_together() {
+    fn table_declarations_are_consistent() {
         let mut names = BTreeSet::new();
         for (_, table) in all() {
             assert!(names.insert((table.name, table.domain)), "{} twice", table.name);
@@ -178,7 +179,7 @@ mod tests {
                 );
                 assert!(
                     column.since == 1 || column.nullable,
-                    "{}.{} was added later, and has to be nullable to be read from older tables",
+                    "{}.{} was added in a later version and has to be nullable, so that older tables can be read",
                     table.name,
                     column.name
                 );

@@ -1,4 +1,4 @@
-//! Stages with an invented encoder in the place of a trained one: what tests of image variants call.
+//! Runs stages with a mock encoder instead of a trained one, for tests of image variants.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -19,21 +19,22 @@ use crate::inputs::simulators::Scenes;
 use crate::notes::Notes;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner, Settings};
-use crate::stages::{Made, MakeEstimator, Watching, scene_renderer};
+use crate::stages::{ImageObserver, MakeEstimator, RolloutArtifacts, scene_renderer};
 
-/// What an invented encoder says: of an image, and, as no real one can, of the object's true pose in it.
+/// The function of a mock encoder: image bytes and the true object pose in the image (which a real encoder never gets) to an
+/// estimated pose, both in the world frame.
 pub type Estimate = Arc<dyn Fn(&[u8], &Isometry3<f64>) -> Isometry3<f64> + Send + Sync>;
 
 thread_local! {
-    /// Where the object was in the last image that was rendered in this thread.
+    /// Object pose in the last image that was rendered in this thread.
     static RENDERED: Cell<Isometry3<f64>> = Cell::new(Isometry3::identity());
 }
 
-/// A pipeline whose stages up to `segment` were run, and a `poses` artifact.
-pub struct Invented<'a> {
+/// A pipeline whose stages up to `segment` have been run, and a `poses` artifact.
+pub struct MockRun<'a> {
     /// The pipeline file.
     pub pipeline: &'a Path,
-    /// As `--set` has them.
+    /// Overrides, as for `--set`.
     pub overrides: &'a [String],
     /// The artifacts folder.
     pub artifacts: &'a Path,
@@ -41,10 +42,10 @@ pub struct Invented<'a> {
     pub poses: &'a Path,
 }
 
-/// A simulation that says where the object is in its images.
-struct Betraying<'a>(Box<dyn Env<Space> + 'a>);
+/// A simulation that stores the object pose of each rendered image in [`RENDERED`], where the mock encoder reads it.
+struct RecordingEnv<'a>(Box<dyn Env<Space> + 'a>);
 
-impl Env<Space> for Betraying<'_> {
+impl Env<Space> for RecordingEnv<'_> {
     fn reset(&mut self, scene: &Placement) -> Result<SpaceFirst, SimError> {
         self.0.reset(scene)
     }
@@ -67,9 +68,9 @@ impl Env<Space> for Betraying<'_> {
     }
 }
 
-struct InventedEncoder(Estimate);
+struct MockEncoder(Estimate);
 
-impl Estimator<Space> for InventedEncoder {
+impl Estimator<Space> for MockEncoder {
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
         Ok(ObservedPose {
             pose: (self.0)(&image.pixels, &RENDERED.get()),
@@ -79,7 +80,7 @@ impl Estimator<Space> for InventedEncoder {
     }
 }
 
-impl Invented<'_> {
+impl MockRun<'_> {
     fn runner(&self) -> Result<Runner> {
         runner(self.pipeline, self.overrides, self.artifacts)
     }
@@ -93,32 +94,32 @@ impl Invented<'_> {
         })
     }
 
-    /// The folder of the `index` artifact over these poses.
+    /// Builds the index of these poses. Returns the folder of the `index` artifact.
     ///
     /// # Errors
-    /// The sentence that the program would print.
+    /// The message that the program would print.
     pub fn index(&self) -> Result<PathBuf, String> {
-        let made = || {
+        let build = || {
             let runner = self.runner()?;
             let episodes = runner.ingest()?;
             let modes = runner.segment(&episodes)?;
             runner.index_spatial(&episodes, &modes, Some(&self.poses()?))
         };
-        made()
+        build()
             .map(|built| built.artifact.path().to_owned())
             .map_err(sentence_of)
     }
 
-    /// The folder of the `rollouts` artifact, with images that `estimate` is shown.
+    /// Rolls out with `estimate` as the encoder. Returns the folder of the `rollouts` artifact.
     ///
     /// # Errors
-    /// The sentence that the program would print.
+    /// The message that the program would print.
     pub fn roll_out(&self, estimate: &Estimate) -> Result<PathBuf, String> {
         let open = || -> Result<Box<MakeEstimator>> {
             let estimate = Arc::clone(estimate);
-            Ok(Box::new(move || Box::new(InventedEncoder(Arc::clone(&estimate)))))
+            Ok(Box::new(move || Box::new(MockEncoder(Arc::clone(&estimate)))))
         };
-        let made = || {
+        let build = || {
             let runner = self.runner()?;
             let episodes = runner.ingest()?;
             let modes = runner.segment(&episodes)?;
@@ -126,38 +127,38 @@ impl Invented<'_> {
             let index = runner.index_spatial(&episodes, &modes, Some(&poses))?;
             let policy = runner.pipeline.policy()?;
             let Policy::Space(policy) = policy else {
-                bail!("{} is a policy of the plane", policy.kind());
+                bail!("{} is a planar policy", policy.kind());
             };
-            let watching = Watching {
+            let observer = ImageObserver {
                 open: &open,
-                through: |env| Box::new(Betraying(env)),
+                wrap: |env| Box::new(RecordingEnv(env)),
             };
-            let made = Made {
+            let artifacts = RolloutArtifacts {
                 episodes: &episodes,
                 poses: Some(&poses),
                 scenes: None,
                 inputs: &[index],
             };
-            runner.rollout_watching(policy, &made, Some(&watching))
+            runner.rollout_with_observer(policy, &artifacts, Some(&observer))
         };
-        made()
+        build()
             .map(|built| built.artifact.path().to_owned())
             .map_err(sentence_of)
     }
 }
 
-/// The images that a policy would see in these states (time, coordinates, velocities), with a cube of these half sizes where
-/// the task is Lift.
+/// The images that a policy would observe in these states (time, coordinates, velocities). `boxes` gives the half sizes of boxes
+/// by name (the cube of Lift).
 ///
 /// # Errors
-/// The sentence that the program would print.
+/// The message that the program would print.
 pub fn images(
     pipeline: &Path,
     artifacts: &Path,
     boxes: &[(String, [f64; 3])],
     states: &[Vec<f64>],
 ) -> Result<Vec<Vec<u8>>, String> {
-    let drawn = || -> Result<Vec<Vec<u8>>> {
+    let render = || -> Result<Vec<Vec<u8>>> {
         let runner = runner(pipeline, &[], artifacts)?;
         let task = runner.pipeline.task.robosuite().context("no simulator for this task")?;
         let fidelity = runner.pipeline.rollout()?.fidelity;
@@ -166,13 +167,13 @@ pub fn images(
         let camera = runner.pipeline.pose()?.encoder().camera.clone();
         let mut scene_camera = scene_renderer(&scenes, &episodes, &camera)?.scene_camera_of(boxes)?;
         let mut image = Image::default();
-        let mut draw = |state: &Vec<f64>| {
+        let mut render_state = |state: &Vec<f64>| {
             scene_camera.draw(&camera, state, &mut image)?;
             Ok(image.pixels.clone())
         };
-        states.iter().map(&mut draw).collect()
+        states.iter().map(&mut render_state).collect()
     };
-    let images = drawn().map_err(sentence_of);
+    let images = render().map_err(sentence_of);
     drop_renderer();
     images
 }
@@ -187,7 +188,7 @@ fn runner(pipeline: &Path, overrides: &[String], artifacts: &Path) -> Result<Run
     })
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "errors are mapped by it")]
+#[expect(clippy::needless_pass_by_value, reason = "used as the function of map_err")]
 fn sentence_of(error: anyhow::Error) -> String {
     crate::notes::fault_of(&error).sentence()
 }

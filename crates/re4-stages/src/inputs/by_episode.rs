@@ -1,18 +1,18 @@
-//! The rows of one demonstration after those of the other, so that a table need not fit in memory.
+//! Iterates over a table one demonstration at a time, so that the table need not fit in memory.
 
 use std::iter::Peekable;
 
 use anyhow::Result;
 use re4_artifact::{Artifact, Row, RowsOf};
 
-/// Rows of a table that is sorted by episode.
+/// An iterator over a table that is sorted by episode: yields each episode's number and rows.
 pub(crate) struct ByEpisode<R: Row> {
     rows: Peekable<RowsOf<R>>,
     episode: fn(&R) -> u32,
 }
 
 impl<R: Row> ByEpisode<R> {
-    /// The table of this artifact; `episode` gives the number of a row's demonstration.
+    /// Opens the table of rows `R` of this artifact. `episode` returns the episode number of a row.
     pub(crate) fn open(artifact: &Artifact, episode: fn(&R) -> u32) -> Result<Self> {
         let rows = artifact.table(R::table())?.stream()?.peekable();
         Ok(Self { rows, episode })

@@ -1,4 +1,4 @@
-//! Spatial demonstrations out of artifacts, one after the other, so that a dataset need not fit in memory.
+//! Reads demonstrations of robosuite tasks from artifacts one at a time, so that a dataset need not fit in memory.
 
 use std::path::{Path, PathBuf};
 
@@ -13,11 +13,12 @@ use re4_segment::{ModeRow, SegmentRow, SegmentedSpatial, SpatialEvidence, Spatia
 
 use super::by_episode::ByEpisode;
 
-/// Demonstrations that are worked on at a time.
-const AT_A_TIME: usize = 64;
+/// Number of demonstrations that are processed in parallel and held in memory at a time.
+const BATCH: usize = 64;
 
-/// What the demonstrations of an `episodes` artifact are called in their source.
+/// The names of an artifact's demonstrations in their source.
 pub(crate) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
+    // Older artifacts have no table `demos`; names are then derived from episode numbers.
     if episodes.has::<DemoRow>() {
         return Ok(DemoNames::new(names(episodes)?));
     }
@@ -28,17 +29,17 @@ pub(crate) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
     ))
 }
 
-/// Names of the demonstrations in their source.
+/// The names in table `demos`.
 fn names(episodes: &Artifact) -> Result<Vec<String>> {
     let rows = episodes.read::<DemoRow>()?;
     Ok(rows.into_iter().map(|row| row.demo).collect())
 }
 
-/// That a stage needs what the dataset has not.
+/// The error of a stage that needs object poses when the dataset has none.
 pub(super) fn no_object(episodes: &Path) -> Fault {
     fault!(
-        "the demonstrations of {} have no object pose, which this stage reads", episodes.display();
-        "ingest a dataset that has it"
+        "the demonstrations of {} have no object poses, which this stage needs", episodes.display();
+        "ingest a dataset with object poses"
     )
 }
 
@@ -46,12 +47,12 @@ pub(super) fn no_object(episodes: &Path) -> Fault {
 pub(crate) struct SpatialEpisodes {
     rows: ByEpisode<FrameRow<SpatialColumns>>,
     names: Vec<String>,
-    /// Of the artifact.
+    /// Path of the artifact, for messages.
     path: PathBuf,
 }
 
 impl SpatialEpisodes {
-    /// Those of this artifact.
+    /// Opens the artifact's tables.
     pub(crate) fn open(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
             rows: ByEpisode::open(artifact, |row: &FrameRow<_>| row.episode)?,
@@ -60,7 +61,7 @@ impl SpatialEpisodes {
         })
     }
 
-    /// How many there are.
+    /// Number of demonstrations.
     pub(crate) fn demos(&self) -> usize {
         self.names.len()
     }
@@ -68,8 +69,9 @@ impl SpatialEpisodes {
     fn read(&self, number: u32, rows: &[FrameRow<SpatialColumns>]) -> Result<(u32, SpatialEpisode)> {
         let name = self.names.get(number as usize).cloned().or_fault(|| {
             fault!(
-                "table frames names demonstration {number} of the artifact, which table demos lacks";
-                "ingest the dataset anew"
+                "cannot read {}: table frames refers to demonstration {number}, which table demos does not contain",
+                self.path.display();
+                "delete the artifact and ingest the dataset again"
             )
         })?;
         let frames = rows.iter().map(|row| row.recorded.frame()).collect::<Option<_>>();
@@ -95,7 +97,7 @@ pub(crate) struct SegmentedEpisodes {
 }
 
 impl SegmentedEpisodes {
-    /// Those of these artifacts.
+    /// Opens the tables of both artifacts.
     pub(crate) fn open(episodes: &Artifact, modes: &Artifact) -> Result<Self> {
         Ok(Self {
             episodes: SpatialEpisodes::open(episodes)?,
@@ -106,7 +108,12 @@ impl SegmentedEpisodes {
 
     fn join(&mut self, number: u32, episode: SpatialEpisode) -> Result<SpatialDemo> {
         let name = episode.name.clone();
-        let missing = || fault!("{name} is not segmented"; "segment the dataset anew");
+        let missing = || {
+            fault!(
+                "the modes artifact does not match the demonstrations: {name} is not segmented";
+                "delete the modes artifact and segment the dataset again"
+            )
+        };
         let (modes_of, modes) = self.modes.next().with_context(missing)??;
         let (segments_of, segments) = self.segments.next().with_context(missing)??;
         let segmented = SegmentedSpatial::from_rows(modes, segments);
@@ -116,8 +123,8 @@ impl SegmentedEpisodes {
                 .segments
                 .last()
                 .is_some_and(|last| last.segment.frames.end == frames),
-            "table segments does not end where modes does";
-            "segment the dataset anew"
+            "the tables segments and modes of {name} have different numbers of frames";
+            "delete the modes artifact and segment the dataset again"
         );
         ensure!(
             modes_of == number && segments_of == number && frames == episode.frames.len(),
@@ -141,10 +148,10 @@ impl Iterator for SegmentedEpisodes {
     }
 }
 
-/// Takes items off an iterator, some at a time.
+/// Groups the items of an iterator into batches.
 pub(crate) fn in_batches<T>(mut items: impl Iterator<Item = Result<T>>) -> impl Iterator<Item = Result<Vec<T>>> {
     std::iter::from_fn(move || {
-        let batch: Result<Vec<T>> = items.by_ref().take(AT_A_TIME).collect();
+        let batch: Result<Vec<T>> = items.by_ref().take(BATCH).collect();
         match batch {
             Ok(batch) if batch.is_empty() => None,
             batch => Some(batch),
@@ -161,7 +168,7 @@ mod tests {
     use re4_fault::Remedy as _;
 
     #[test]
-    fn a_stage_that_reads_the_object_says_so() {
+    fn missing_object_poses_are_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         let writer = store.begin(&Recipe::new(Stage::Ingest, 1)).unwrap();
@@ -193,12 +200,12 @@ mod tests {
         writer.write_rows([demo]).unwrap();
         writer.write_rows([frame]).unwrap();
         let artifact = writer.publish(ArtifactSummary::default()).unwrap();
-        let said = SpatialEpisodes::open(&artifact).unwrap().next().unwrap().unwrap_err();
+        let error = SpatialEpisodes::open(&artifact).unwrap().next().unwrap().unwrap_err();
         assert!(
-            crate::notes::fault_of(&said)
+            crate::notes::fault_of(&error)
                 .sentence()
-                .ends_with("have no object pose, which this stage reads; ingest a dataset that has it"),
-            "{said}"
+                .ends_with("have no object poses, which this stage needs; ingest a dataset with object poses"),
+            "{error}"
         );
     }
 }

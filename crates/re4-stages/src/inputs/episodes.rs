@@ -1,4 +1,4 @@
-//! Push-T's demonstrations out of an `episodes` artifact.
+//! Reads Push-T demonstrations from an `episodes` artifact.
 
 use anyhow::Result;
 use re4_artifact::{Artifact, Row as _, columns};
@@ -8,17 +8,17 @@ use re4_geometry::{Point2, Pose2};
 use re4_ingest::{EpisodeRow, FrameRow, PlanarColumns};
 
 columns! {
-    /// What stages read of table frames.
+    /// The columns of table `frames` that stages read.
     pub struct Recorded {
         /// Number of the demonstration.
         pub episode: u32,
-        /// Position of the pusher.
+        /// Position of the pusher, px.
         pub eef: Point2,
         /// Pose of the block.
         pub object: Option<Pose2>,
-        /// Target position of the pusher.
+        /// Target position of the pusher, px.
         pub action: Point2,
-        /// Contact points.
+        /// Number of contact points.
         pub contacts: Option<f64>,
     }
 }
@@ -26,7 +26,7 @@ columns! {
 /// The demonstrations of an `episodes` artifact.
 ///
 /// # Errors
-/// When it cannot be read, or the pose of the block is not known.
+/// If the artifact cannot be read, or a pose of the block is null.
 pub(crate) fn read_episodes(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
     let mut episodes: Vec<PlanarEpisode> = artifact
         .read::<EpisodeRow>()?
@@ -39,7 +39,7 @@ pub(crate) fn read_episodes(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
     for row in artifact.table(FrameRow::<PlanarColumns>::table())?.read::<Recorded>()? {
         let Some(episode) = episodes.get_mut(row.episode as usize) else {
             anyhow::bail!(
-                "cannot read {}: table frames names episode {}, which table episodes lacks",
+                "cannot read {}: table frames refers to episode {}, which table episodes does not contain",
                 artifact.path().display(),
                 row.episode
             );

@@ -1,4 +1,4 @@
-//! Pose estimators out of a `poses` artifact.
+//! Opens pose estimators from a `poses` artifact.
 
 use anyhow::{Context as _, Result};
 use re4_artifact::Row as _;
@@ -8,28 +8,28 @@ use re4_sim::{OUTLINE_RADIUS, tee_rectangles};
 
 use crate::pipeline::PoseSection;
 
-/// File of the weights in the artifact.
+/// Name of the weights file in the artifact.
 pub(crate) const WEIGHTS: &str = "encoder.safetensors";
 
-/// The estimator that a `poses` artifact was made with.
+/// The estimator with which a `poses` artifact was made.
 pub(crate) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<LogPolarEstimator> {
     let table = artifact
         .table(re4_pose::AnchorRow::table())?
         .read_columns(&["goal_fraction"])?;
-    let share: Vec<f32> = col_f64(&table, "goal_fraction")?
+    let goal_fraction: Vec<f32> = col_f64(&table, "goal_fraction")?
         .iter()
-        .map(|share| *share as f32)
+        .map(|fraction| *fraction as f32)
         .collect();
-    let anchor = Anchor::from_goal_mask(&share, pose.goal(), &outline()).with_context(|| {
+    let anchor = Anchor::from_goal_mask(&goal_fraction, pose.goal(), &outline()).with_context(|| {
         format!(
-            "cannot read {}: table anchor is not that of a goal",
+            "cannot read {}: table anchor does not show a goal",
             artifact.path().display()
         )
     })?;
     Ok(LogPolarEstimator::new(&anchor, outline(), pose.refine))
 }
 
-/// The block as Push-T draws it.
+/// The outline of the block as Push-T renders it.
 pub(crate) fn outline() -> Outline {
     Outline::new(&tee_rectangles(), OUTLINE_RADIUS)
 }

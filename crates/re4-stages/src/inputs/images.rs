@@ -1,4 +1,4 @@
-//! What stages that look at images of robosuite's tasks need of an `episodes` artifact.
+//! Checks for and encodes images of `episodes` artifacts.
 
 use anyhow::{Context as _, Result};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -7,7 +7,7 @@ use re4_artifact::Artifact;
 use re4_fault::ensure;
 use re4_ingest::ImageRow;
 
-/// Refuses demonstrations without images of a camera.
+/// Returns an error if an `episodes` artifact has no images of a camera.
 pub(crate) fn check_images(episodes: &Artifact, camera: &str) -> Result<()> {
     let manifest = episodes.manifest();
     let cameras: Vec<&str> = manifest.summary["cameras"]
@@ -16,24 +16,24 @@ pub(crate) fn check_images(episodes: &Artifact, camera: &str) -> Result<()> {
         .flatten()
         .filter_map(|camera| camera.as_str())
         .collect();
-    let there = if cameras.is_empty() {
-        "holds no images".to_owned()
+    let found = if cameras.is_empty() {
+        "has no images".to_owned()
     } else {
-        format!("holds images of {} alone", cameras.join(", "))
+        format!("has only images of {}", cameras.join(", "))
     };
     ensure!(
         episodes.has::<ImageRow>() && cameras.contains(&camera),
-        "cannot estimate poses: {} {there}, and the encoder reads those of the camera {camera}",
+        "cannot estimate poses: {} {found}, but the encoder needs images of camera {camera}",
         episodes.path().display();
-        "set ingest.render = [\"{camera}\"] where the dataset has none, or name a camera that it has as pose.encoder.camera"
+        "set ingest.render = [\"{camera}\"] if the dataset has no images, or set pose.encoder.camera to one of its cameras"
     );
     Ok(())
 }
 
-/// An image as the bytes of a PNG file: 8-bit RGB, first row at the top.
+/// Encodes an image as a PNG file. `pixels` are 8-bit RGB, rows from top to bottom.
 ///
 /// # Errors
-/// When there are more or fewer bytes than pixels of this size have.
+/// If `pixels` does not have `3 * width * height` bytes.
 pub(crate) fn encode_png(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(4096);
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)

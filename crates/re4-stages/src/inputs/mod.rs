@@ -1,4 +1,4 @@
-//! Readers of artifacts, and of what lies beside them, that more than one stage uses.
+//! Readers of artifacts, datasets and simulators that more than one stage uses.
 
 pub(crate) mod by_episode;
 pub(crate) mod demos;

@@ -1,4 +1,4 @@
-//! robosuite's simulator for the demonstrations of an `episodes` artifact.
+//! Opens the robosuite simulator for the demonstrations of an `episodes` artifact.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -16,17 +16,17 @@ use tracing::{debug, info};
 
 use crate::runner::Runner;
 
-/// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` where it is set, then `data/simulators`.
+/// The folder with MuJoCo's libraries and robosuite's assets: `RE4_SIMULATORS` if it is set, `data/simulators` otherwise.
 pub(crate) fn simulators_folder() -> PathBuf {
     std::env::var_os("RE4_SIMULATORS")
         .filter(|value| !value.is_empty())
         .map_or_else(|| PathBuf::from("data/simulators"), PathBuf::from)
 }
 
-/// Folder with the meshes and textures that models name. Those of robosuite 1.4.1 serve 1.5 as well.
+/// The folder with the meshes and textures that models refer to. robosuite 1.5 models use those of 1.4.1, too.
 pub(crate) fn assets_folder() -> PathBuf {
     let folder = simulators_folder().join("robosuite-1.4.1");
-    // Paths in models have to be absolute.
+    // Asset paths in models have to be absolute.
     std::path::absolute(&folder).unwrap_or(folder)
 }
 
@@ -66,7 +66,7 @@ impl Runner {
     }
 }
 
-/// The MuJoCo that goes with a version of robosuite.
+/// Loads the MuJoCo version that belongs to a version of robosuite.
 pub(crate) fn library(profile: Profile) -> Result<Library> {
     let version = profile.mujoco();
     let folder = mujoco_folder(version);
@@ -75,45 +75,46 @@ pub(crate) fn library(profile: Profile) -> Result<Library> {
     Ok(library)
 }
 
-/// Compiles the scenes of the demonstrations in an `episodes` artifact, each once.
+/// The scenes of the demonstrations in an `episodes` artifact. Each distinct model is compiled once, when it is first used.
 pub(crate) struct Scenes {
     task: RobosuiteTask,
     profile: Profile,
     library: Library,
     fidelity: Fidelity,
-    /// MJCF by number, with paths of this machine and without what is only drawn.
+    /// MJCF by model number, with this machine's asset paths and without visual assets, which physics does not need.
     mjcf: Vec<String>,
-    /// Model of every demonstration.
+    /// Model number by demonstration.
     of_demo: Vec<Option<u32>>,
+    /// Compiled models by model number, each with its own lock.
     compiled: Mutex<BTreeMap<u32, Arc<Mutex<Option<RobosuiteModel>>>>>,
 }
 
-/// The version of robosuite that the demonstrations of an artifact come from.
+/// The version of robosuite with which the demonstrations of an artifact were recorded.
 ///
 /// # Errors
-/// When the artifact does not name it, or it is one that is not known.
+/// If the artifact does not name the version, or the version is not supported.
 pub(crate) fn profile(episodes: &Artifact) -> Result<Profile> {
     let named = episodes.manifest().source["robosuite_version"].as_str();
     let Some(named) = named else {
         bail!(
-            "cannot simulate the demonstrations of {}: the file that they come from does not say which robosuite recorded it",
+            "cannot simulate the demonstrations of {}: the source file does not name the robosuite version that recorded it",
             episodes.path().display();
-            "give its env_args, with env_version, as ingest.env_args"
+            "set ingest.env_args to the file's env_args with env_version added"
         );
     };
     Profile::of(named).with_context(|| {
         format!(
-            "cannot simulate the demonstrations of {}: they were recorded with robosuite {named}, and the versions known here are 1.4 and 1.5",
+            "cannot simulate the demonstrations of {}: they were recorded with robosuite {named}, but only 1.4 and 1.5 are supported",
             episodes.path().display()
         )
     })
 }
 
 impl Scenes {
-    /// Those of this artifact.
+    /// Opens the scenes of this artifact.
     ///
     /// # Errors
-    /// When MuJoCo's library or an asset is missing, or the artifact has no models.
+    /// If MuJoCo's library or an asset is missing, or the artifact has no models.
     pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
         let profile = profile(episodes)?;
         let library = library(profile)?;
@@ -129,7 +130,7 @@ impl Scenes {
             let user = demos.iter().find(|demo| demo.model == Some(model));
             let demo = user.map_or("a demonstration", |demo| &demo.demo);
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
-            // Files that are only drawn need not be here.
+            // Removed first, so that physics does not require the textures and visual meshes to be installed.
             let mut text = without_images(&text)
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
@@ -150,7 +151,7 @@ impl Scenes {
         })
     }
 
-    /// The version of robosuite whose behaviour is reproduced.
+    /// The version of robosuite that is reproduced.
     pub(crate) fn profile(&self) -> Profile {
         self.profile
     }
@@ -158,39 +159,39 @@ impl Scenes {
     /// MJCF of the first demonstration that has a model.
     ///
     /// # Errors
-    /// When none has one.
+    /// If no demonstration has a model.
     pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(*number as usize));
         Ok(text.context("no demonstration has a model")?)
     }
 
-    /// The same MJCF with what is only drawn, and everything touching.
+    /// The MJCF of the same demonstration for rendering: with visual assets and with all contacts.
     ///
     /// # Errors
-    /// When no demonstration has a model, or an asset is missing.
+    /// If no demonstration has a model, or an asset is missing.
     pub(crate) fn rendered_mjcf(&self, episodes: &Artifact) -> Result<String> {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
         let models = episodes.read::<ModelRow>()?;
         let text = models.get(number as usize).map_or("", |row| &row.mjcf);
         with_assets(text, &assets_folder())
-            .with_context(|| format!("cannot draw the models of {}", episodes.path().display()))
+            .with_context(|| format!("cannot render the models of {}", episodes.path().display()))
     }
 
-    /// A scene from MJCF that is not a demonstration's own.
+    /// Compiles a scene from MJCF that is not taken unchanged from a demonstration.
     ///
     /// # Errors
-    /// When MuJoCo cannot compile it.
+    /// If MuJoCo cannot compile it.
     pub(crate) fn compile(&self, mjcf: &str) -> Result<RobosuiteModel, re4_sim::SimError> {
         let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
         Ok(model.with_fidelity(self.fidelity))
     }
 
-    /// The scene of a demonstration, by its number in the artifact.
+    /// The scene of a demonstration, by its number in the artifact. Compiles its model unless that has been done.
     ///
     /// # Errors
-    /// When it has no model, or MuJoCo cannot compile it.
+    /// If the demonstration has no model, or MuJoCo cannot compile it.
     pub(crate) fn of(&self, demo: u32) -> Result<RobosuiteModel> {
         let number = self
             .of_demo
@@ -198,22 +199,26 @@ impl Scenes {
             .copied()
             .flatten()
             .context("it has no model_file")?;
-        let place = Arc::clone(
+        let slot = Arc::clone(
             self.compiled
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .entry(number)
                 .or_default(),
         );
-        // One thread compiles, others that need the same model wait for it.
-        let mut place = place.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(model) = &*place {
+        // Compiling takes seconds. The lock per model lets other models compile meanwhile, and makes threads that need the same
+        // model wait for it.
+        let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(model) = &*slot {
             return Ok(model.clone());
         }
-        let mjcf = self.mjcf.get(number as usize).context("table models ends too early")?;
+        let mjcf = self
+            .mjcf
+            .get(number as usize)
+            .with_context(|| format!("table models has no row {number}"))?;
         let model = self.compile(mjcf)?;
         debug!(number, demo, "model compiled");
-        *place = Some(model.clone());
+        *slot = Some(model.clone());
         Ok(model)
     }
 }

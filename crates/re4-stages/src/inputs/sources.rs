@@ -1,4 +1,4 @@
-//! Raw datasets and weights: where they are, and what of them is in no artifact.
+//! Locates raw datasets and weights, and lists the demonstrations that an `episodes` artifact lacks.
 
 use std::path::{Path, PathBuf};
 
@@ -8,18 +8,18 @@ use re4_fault::{bail, fault};
 use re4_ingest::LeftOut;
 use tracing::debug;
 
-/// A file of weights, looked for as sources are.
+/// The path of a weights file, looked up as for [`find_source`].
 pub(crate) fn find_weights(weights: &Path) -> Result<PathBuf> {
     find_source(weights).map_err(|_| {
         fault!(
-            "cannot start from the weights {}: there is no such file", weights.display();
-            "get ResNet-18's with re4-pipe fetch resnet18, or leave pose.encoder.weights out to start from random ones"
+            "cannot start from the weights {}: the file does not exist", weights.display();
+            "download ResNet-18's with re4-pipe fetch resnet18, or remove pose.encoder.weights to start from random ones"
         )
         .into()
     })
 }
 
-/// A relative source is looked for below `RE4_DATA`, below `data`, and last in the current folder.
+/// The path of a source. A relative path is looked up in `RE4_DATA`, then in `data`, then in the current folder.
 pub(crate) fn find_source(source: &Path) -> Result<PathBuf> {
     if source.is_absolute() {
         return Ok(source.to_owned());
@@ -34,24 +34,24 @@ pub(crate) fn find_source(source: &Path) -> Result<PathBuf> {
         debug!(path = %found.display(), "source found");
         return Ok(found);
     }
-    let looked_below: Vec<String> = data_folders()
+    let searched: Vec<String> = data_folders()
         .iter()
         .map(|folder| folder.display().to_string())
         .collect();
     let fetch = if source.starts_with("pusht") {
-        ", or get it with re4-pipe fetch pusht"
+        ", or download it with re4-pipe fetch pusht"
     } else {
         ""
     };
     bail!(
-        "cannot ingest {}: it is not below {} (seen from the current folder), nor in the current folder itself",
+        "cannot ingest {}: it was not found in {} or the current folder",
         source.display(),
-        looked_below.join(" or ");
-        "set RE4_DATA to the folder that it is below, or give its absolute path{fetch}"
+        searched.join(", ");
+        "set RE4_DATA to the folder that contains it, or give its absolute path{fetch}"
     )
 }
 
-/// The folders with raw datasets, in the order in which they are searched: `RE4_DATA` where it is set, then `data`.
+/// The folders with raw datasets, in the order in which they are searched: `RE4_DATA` if it is set, then `data`.
 pub fn data_folders() -> Vec<PathBuf> {
     let named = std::env::var_os("RE4_DATA")
         .filter(|value| !value.is_empty())
@@ -59,7 +59,7 @@ pub fn data_folders() -> Vec<PathBuf> {
     named.into_iter().chain([PathBuf::from("data")]).collect()
 }
 
-/// Demonstrations of the source that are not in an `episodes` artifact.
+/// The demonstrations of the source that were left out of an `episodes` artifact.
 pub(crate) fn left_out(artifact: &Artifact) -> Result<Vec<LeftOut>> {
     if !artifact.has::<LeftOut>() {
         return Ok(Vec::new());

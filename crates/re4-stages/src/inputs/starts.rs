@@ -1,4 +1,4 @@
-//! Where rollouts start, out of a `scenes` artifact.
+//! Reads the start scenes of rollouts from a `scenes` artifact.
 
 use anyhow::Result;
 use re4_artifact::Artifact;
@@ -6,7 +6,7 @@ use re4_rollout::{Plane, PlaneScene, Start};
 use re4_scenes::SceneRow;
 use re4_sim::{ResetOrder, Scene};
 
-/// Where the rollouts of a `scenes` artifact start.
+/// The scenes of a `scenes` artifact. The number of a scene takes the place of a seed.
 pub(crate) fn read_starts(artifact: &Artifact) -> Result<Vec<Start<Plane>>> {
     let starts = artifact.read::<SceneRow>()?.into_iter().map(|row| Start {
         seed: row.scene,

@@ -1,4 +1,4 @@
-//! Values that fit their type and still make no sense.
+//! Checks settings for values that have the right type but are out of range or contradict each other.
 
 use anyhow::Result;
 use re4_encoder::EncoderConfig;
@@ -11,16 +11,16 @@ use re4_task::RobosuiteTask;
 
 use super::{IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
 
-/// Refuses settings under which a stage could not do its work: no steps at all, waypoints with no distance between them.
+/// Refuses settings with which a stage could not work, such as zero steps or waypoints with no distance between them.
 ///
 /// # Errors
-/// The first such setting, with the values that it can have.
+/// Names the first such setting and the values that are allowed.
 pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     pipeline.audit.check()?;
     ensure!(
         pipeline.policy.is_none() || pipeline.rollout.is_some(),
-        "there is a table [policy] and none [rollout] that would roll it out";
-        "leave it out"
+        "the pipeline file has a table [policy] but no table [rollout]";
+        "add [rollout], or remove [policy]"
     );
     if !pipeline.task.is_planar() {
         return check_robosuite(pipeline);
@@ -29,8 +29,8 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
     let Some(rollout) = &pipeline.rollout else {
         ensure!(
             pipeline.scenes.is_none(),
-            "there is a table [scenes] and none [rollout] that would start from it";
-            "leave it out"
+            "the pipeline file has a table [scenes] but no table [rollout]";
+            "add [rollout], or remove [scenes]"
         );
         return Ok(());
     };
@@ -39,15 +39,15 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
         (Some(_), Some(_)) => {
-            bail!("both rollout.seeds and a table [scenes] say where rollouts start"; "leave one of the two out")
+            bail!("rollout.seeds and a table [scenes] both define where rollouts start"; "remove one of them")
         }
         (None, None) => {
-            bail!("nothing says where rollouts start"; "give rollout.seeds, such as \"500..600\", or a table [scenes]")
+            bail!("no start scenes are given"; "give rollout.seeds, such as \"500..600\", or a table [scenes]")
         }
     }
 }
 
-/// Checks of the audit that say something of the recorded object pose and nothing without it.
+/// Checks of the audit that depend on the recorded object pose.
 const ABOUT_THE_OBJECT: [&str; 8] = [
     "discontinuity_object",
     "dropped",
@@ -59,48 +59,48 @@ const ABOUT_THE_OBJECT: [&str; 8] = [
     "pushed_in_transit",
 ];
 
-/// What robosuite's tasks need, and what they do not have.
+/// Checks a pipeline of a robosuite task.
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     let ingest = &pipeline.ingest;
-    ensure!(ingest.pusht.is_default(), "ingest.pusht belongs to Push-T"; "leave it out");
+    ensure!(ingest.pusht.is_default(), "ingest.pusht applies only to Push-T"; "remove it");
     ensure!(
         ingest.object.is_none() || pipeline.task == Task::Robosuite,
-        "ingest.object is given and the task says which object it is";
-        "leave it out, or set task = \"robosuite\""
+        "ingest.object is given, but the task already defines the object";
+        "remove it, or set task = \"robosuite\""
     );
     ensure!(
         ingest.images || ingest.cameras.is_none(),
-        "ingest.images is false and ingest.cameras names cameras";
-        "leave one of the two out"
+        "ingest.images is false, but ingest.cameras names cameras";
+        "remove one of them"
     );
     ensure!(
         renders_own(pipeline),
-        "ingest.render names the camera \"image\", which is Push-T's";
-        "robosuite's are \"agentview\" and \"robot0_eye_in_hand\""
+        "ingest.render names the camera \"image\", which only Push-T has";
+        "use \"agentview\" or \"robot0_eye_in_hand\""
     );
     ensure!(
         ingest.render.is_empty() || ingest.cameras.is_none(),
-        "ingest.cameras chooses recorded images and ingest.render has images drawn";
-        "leave one of the two out"
+        "ingest.cameras selects recorded images, but ingest.render requests rendered ones";
+        "remove one of them"
     );
     check_render(ingest)?;
-    ensure!(pipeline.scenes.is_none(), "the table [scenes] is for Push-T"; "leave it out, and give rollout.seeds");
+    ensure!(pipeline.scenes.is_none(), "the table [scenes] applies only to Push-T"; "remove it, and give rollout.seeds");
     check_spatial_pose(pipeline)?;
     let Some(rollout) = &pipeline.rollout else {
         return Ok(());
     };
     ensure!(
         pipeline.task != Task::Robosuite,
-        "{}, or leave the table [rollout] out",
+        "{}, or remove the table [rollout]",
         RobosuiteTask::known()
     );
     ensure!(
         pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
-        "variant is \"image\" and rollout.noise gives errors to recorded poses";
-        "leave it out"
+        "variant is \"image\", but rollout.noise adds errors to recorded poses only";
+        "remove rollout.noise"
     );
     check_rollout(pipeline, rollout)?;
-    ensure!(rollout.seeds.is_some(), "nothing says where rollouts start"; "give rollout.seeds, such as \"500..600\"");
+    ensure!(rollout.seeds.is_some(), "no start scenes are given"; "give rollout.seeds, such as \"500..600\"");
     if let Some(noise) = &rollout.noise {
         standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
         standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
@@ -108,13 +108,13 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     Ok(())
 }
 
-/// What rollouts of every task need.
+/// Checks that every task's rollouts need.
 fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     pipeline.index()?;
     pipeline.pose()?;
     ensure!(
         pipeline.variant.is_some(),
-        "nothing says what the policy observes";
+        "the pipeline file does not define what the policy observes";
         "give variant = \"state\" or variant = \"image\""
     );
     between("rollout.max_steps", rollout.max_steps, 1, LONGEST)?;
@@ -124,44 +124,44 @@ fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     Ok(())
 }
 
-/// What the policy sees and what is indexed have to come from the same source.
+/// The poses that the policy observes and those that are indexed have to come from the same source.
 fn check_spatial_pose(pipeline: &Pipeline) -> Result<()> {
     let Some(pose) = &pipeline.pose else {
         return Ok(());
     };
     ensure!(
         pose.encoder.is_none() || pose.source == PoseSource::Encoder,
-        "the table [pose.encoder] is for pose.source = \"encoder\"";
-        "leave it out, or set pose.source to it"
+        "the table [pose.encoder] applies only to pose.source = \"encoder\"";
+        "remove it, or set pose.source = \"encoder\""
     );
     if let Some(encoder) = &pose.encoder {
         check_settings(encoder)?;
     }
     match (pipeline.variant, pose.source) {
         (_, PoseSource::LogPolar) => bail!(
-            "pose.source is \"log_polar\", which reads Push-T's images";
-            "set it to \"encoder\", or to \"recorded\""
+            "pose.source is \"log_polar\", which works only for Push-T";
+            "set it to \"encoder\" or \"recorded\""
         ),
         (Some(Variant::State), PoseSource::Encoder) => bail!(
-            "variant is \"state\" and pose.source is \"encoder\"";
-            "poses from images belong to variant = \"image\""
+            "variant is \"state\", but pose.source is \"encoder\"";
+            "set variant = \"image\", or pose.source = \"recorded\""
         ),
         (Some(Variant::Image), PoseSource::Recorded) => bail!(
-            "variant is \"image\" and pose.source is \"recorded\"";
-            "what images show is estimated, so set pose.source = \"encoder\""
+            "variant is \"image\", but pose.source is \"recorded\"";
+            "set pose.source = \"encoder\", which estimates poses from images"
         ),
         (_, PoseSource::Encoder) => check_encoder(pipeline, &pose.encoder().camera),
         _ => Ok(()),
     }
 }
 
-/// Widest network: sixteen times the weights of ResNet-18.
+/// Maximum width of the network, which has sixteen times the weights of ResNet-18.
 const WIDEST: u32 = 256;
 
-/// Most epochs, and most steps of one.
+/// Maximum number of epochs, and of steps per epoch.
 const MOST_STEPS: u32 = 1_000_000;
 
-/// Largest batch, in images: what is computed with them is some megabytes each.
+/// Maximum batch size in images. Each image takes some megabytes of intermediate results.
 const LARGEST_BATCH: u32 = 4096;
 
 fn check_settings(encoder: &EncoderConfig) -> Result<()> {
@@ -173,7 +173,7 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     ensure!(
         encoder.batch.is_multiple_of(GROUP),
         "pose.encoder.batch is {}", encoder.batch;
-        "give a multiple of {GROUP}: groups of two demonstrations with four images each"
+        "give a multiple of {GROUP}, because batches consist of groups of two demonstrations with four images each"
     );
     between("pose.encoder.epochs", encoder.epochs, 1, MOST_STEPS)?;
     if let Some(steps) = encoder.steps {
@@ -187,13 +187,13 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     ensure!(
         (0.0..=0.5).contains(&encoder.held_out),
         "pose.encoder.held_out is {}", encoder.held_out;
-        "it is a fraction, from 0 to 0.5"
+        "give a fraction from 0 to 0.5"
     );
     let losses = &encoder.losses;
     ensure!(
         (0.0..=1.0).contains(&losses.absolute_held),
         "pose.encoder.losses.absolute_held is {}", losses.absolute_held;
-        "it is a fraction, from 0 to 1"
+        "give a fraction from 0 to 1"
     );
     for (name, value) in [
         ("weight_decay", encoder.weight_decay),
@@ -210,30 +210,31 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     Ok(())
 }
 
-/// An encoder needs images, and nothing beside it may read recorded object poses.
+/// An encoder needs images, and no other part of its pipeline may read recorded object poses: the results would not be those
+/// of a policy from images.
 fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
     let ingest = &pipeline.ingest;
     ensure!(
         ingest.images,
-        "pose.source is \"encoder\" and ingest.images is false, so there would be no images";
-        "leave it out"
+        "pose.source is \"encoder\", but ingest.images is false";
+        "remove ingest.images"
     );
     ensure!(
         ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
-        "pose.encoder.camera is {camera:?}, of which ingest.render draws no images";
+        "pose.encoder.camera is {camera:?}, but ingest.render does not render that camera";
         "set ingest.render = [{camera:?}]"
     );
     if let Some(cameras) = &ingest.cameras {
         ensure!(
             cameras.iter().any(|taken| taken == camera),
-            "pose.encoder.camera is {camera:?}, whose images ingest.cameras leaves out";
-            "name it there"
+            "pose.encoder.camera is {camera:?}, but ingest.cameras does not name that camera";
+            "add it to ingest.cameras"
         );
     }
     ensure!(
         pipeline.segment.rule == Rule::GripperCommand,
-        "pose.source is \"encoder\" and segment.rule reads recorded object poses";
-        "set it to \"gripper_command\""
+        "pose.source is \"encoder\", but segment.rule reads recorded object poses";
+        "set segment.rule = \"gripper_command\""
     );
     let leave_out = pipeline
         .index
@@ -244,14 +245,14 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
         .find(|check| ABOUT_THE_OBJECT.contains(&check.as_str()))
     {
         Some(check) => bail!(
-            "index.leave_out names the check {check:?}, which reads recorded object poses, and pose.source is \"encoder\"";
-            "leave it out (missed_grasp and lost_grasp are then found by the fingers alone)"
+            "pose.source is \"encoder\", but index.leave_out names the check {check:?}, which reads recorded object poses";
+            "remove the check (missed_grasp and lost_grasp are allowed: they are then detected from the fingers only)"
         ),
         None => Ok(()),
     }
 }
 
-/// Whether the cameras to be rendered are the task's.
+/// Whether the task has all cameras that are to be rendered.
 fn renders_own(pipeline: &Pipeline) -> bool {
     let own = pipeline.task.cameras();
     pipeline.ingest.render.iter().all(|camera| own.contains(camera))
@@ -262,18 +263,18 @@ fn check_render(ingest: &IngestSection) -> Result<()> {
     ensure!(!repeated, "ingest.render names a camera twice"; "name each once");
     ensure!(
         ingest.images || ingest.render.is_empty(),
-        "ingest.images is false and ingest.render names a camera";
-        "leave one of the two out"
+        "ingest.images is false, but ingest.render names a camera";
+        "remove one of them"
     );
     Ok(())
 }
 
-/// What Push-T needs, and what it does not have.
+/// Checks a pipeline of Push-T.
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ensure!(
         pipeline.segment.rule != Rule::GripperCommand && pipeline.segment.gripper.is_none(),
         "Push-T has no gripper";
-        "set segment.rule to \"always_transit\" or \"rigid_motion\", and leave segment.gripper out"
+        "set segment.rule to \"always_transit\" or \"rigid_motion\", and remove segment.gripper"
     );
     let ingest = &pipeline.ingest;
     let foreign = [
@@ -285,20 +286,20 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
         ("conventions", ingest.conventions != Conventions::default()),
     ];
     if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
-        bail!("ingest.{key} belongs to robosuite's tasks"; "leave it out");
+        bail!("ingest.{key} applies only to robosuite tasks"; "remove it");
     }
     if let Err(why) = ingest.pusht.check() {
         bail!("ingest.pusht.{why}");
     }
     ensure!(
         renders_own(pipeline),
-        "ingest.render names a camera of robosuite's tasks";
-        "Push-T's only one is \"image\""
+        "ingest.render names a camera of robosuite tasks";
+        "use \"image\", the only camera of Push-T"
     );
     check_render(ingest)?;
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
-        ensure!(index.leave_out.is_empty(), "index.leave_out belongs to robosuite's tasks"; "leave it out");
+        ensure!(index.leave_out.is_empty(), "index.leave_out applies only to robosuite tasks"; "remove it");
     }
     match (&pipeline.pose, pipeline.variant) {
         (Some(pose), Some(variant)) => check_variant(pipeline, pose, variant),
@@ -306,26 +307,26 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     }
 }
 
-/// What the policy sees and what is indexed have to come from the same source.
+/// The poses that the policy observes and those that are indexed have to come from the same source.
 fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> Result<()> {
     let ingest = &pipeline.ingest;
     match (variant, pose.source) {
         (_, PoseSource::Encoder) => bail!(
-            "pose.source is \"encoder\", which is trained on robosuite's tasks";
-            "set it to \"log_polar\", or to \"recorded\""
+            "pose.source is \"encoder\", which works only for robosuite tasks";
+            "set it to \"log_polar\" or \"recorded\""
         ),
         (Variant::State, PoseSource::Recorded) => Ok(()),
         (Variant::Image, PoseSource::LogPolar) => {
             ensure!(
                 ingest.images,
-                "variant is \"image\" and ingest.images is false, so there would be no images";
-                "leave it out"
+                "variant is \"image\", but ingest.images is false";
+                "remove ingest.images"
             );
-            // Other rules look at the recorded pose of the object.
+            // The other rules read the recorded object pose.
             ensure!(
                 pipeline.segment.rule == Rule::AlwaysTransit,
-                "variant is \"image\" and segment.rule reads recorded object poses";
-                "set it to \"always_transit\""
+                "variant is \"image\", but segment.rule reads recorded object poses";
+                "set segment.rule = \"always_transit\""
             );
             ensure!(
                 pose.goal.iter().all(|number| number.is_finite()),
@@ -335,23 +336,24 @@ fn check_variant(pipeline: &Pipeline, pose: &PoseSection, variant: Variant) -> R
             Ok(())
         }
         (Variant::State, PoseSource::LogPolar) => bail!(
-            "variant is \"state\" and pose.source is \"log_polar\"";
-            "poses from images belong to variant = \"image\""
+            "variant is \"state\", but pose.source is \"log_polar\"";
+            "set variant = \"image\", or pose.source = \"recorded\""
         ),
         (Variant::Image, PoseSource::Recorded) => bail!(
-            "variant is \"image\" and pose.source is \"recorded\"";
-            "what images show is estimated, so set pose.source = \"log_polar\""
+            "variant is \"image\", but pose.source is \"recorded\"";
+            "set pose.source = \"log_polar\", which estimates poses from images"
         ),
     }
 }
 
-/// Longest episode, nearly three hours of control: a rollout keeps its steps in memory.
+/// Maximum length of an episode in control steps, nearly three hours of control. Bounded because a rollout keeps its steps in
+/// memory.
 const LONGEST: u32 = 100_000;
 
-/// Finest grid: beyond it the table of candidates would fill the memory for nothing.
+/// Maximum resolution of the grid. A finer one would only make the table of candidates fill the memory.
 const FINEST: u32 = 200;
 
-/// Most poses, and most pushers at each.
+/// Maximum number of poses, and of pusher positions per pose.
 const MOST: u32 = 1000;
 
 fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
@@ -369,18 +371,19 @@ fn check_scenes(scenes: &ScenesConfig) -> Result<()> {
     not_negative("scenes.clearance", scenes.clearance)
 }
 
-fn between(name: &str, value: u32, minimum: u32, most: u32) -> Result<()> {
-    ensure!((minimum..=most).contains(&value), "{name} is {value}"; "give {minimum} to {most}");
+fn between(name: &str, value: u32, minimum: u32, maximum: u32) -> Result<()> {
+    ensure!((minimum..=maximum).contains(&value), "{name} is {value}"; "give {minimum} to {maximum}");
     Ok(())
 }
 
-/// Less would cut demonstrated poses off, more would leave the plane of the simulator or go round more than once.
+/// Checks a padding. A negative one would exclude demonstrated poses; a larger one than `most` would leave the simulator's
+/// workspace or cover angles more than once.
 fn padding(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     ensure!((0.0..=most).contains(&value), "{name} is {value} {unit}"; "give 0 to {most:.2}");
     Ok(())
 }
 
-/// More would put the object where nothing is.
+/// Checks a standard deviation. A larger one than `most` would place the object far outside of the workspace.
 fn standard_deviation(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     ensure!((0.0..=most).contains(&value), "{name} is {value} {unit}"; "give 0 to {most:.2}");
     Ok(())

@@ -1,4 +1,4 @@
-//! Reading a pipeline file: its text, overrides, keys that nobody knows, defaults.
+//! Reads a pipeline file: parses its text, applies overrides, refuses unknown keys and fills in defaults.
 
 use std::path::Path;
 
@@ -15,8 +15,8 @@ use super::{Pipeline, Policy, checks};
 /// Reads a pipeline file and applies `--set` overrides.
 ///
 /// # Errors
-/// When the file cannot be read, is not TOML, has an unknown key (named, with the nearest known one) or a value that
-/// does not fit.
+/// If the file cannot be read, is not TOML, or has an unknown key (the message names it and the most similar known key) or an
+/// invalid value.
 pub fn read_pipeline(path: &Path, overrides: &[String]) -> Result<Pipeline> {
     let text = std::fs::read_to_string(path).or_fault(|| {
         fault!(
@@ -27,10 +27,10 @@ pub fn read_pipeline(path: &Path, overrides: &[String]) -> Result<Pipeline> {
     parse(&text, path, overrides)
 }
 
-/// The pipeline in the text of a file; the path is for messages only.
+/// Reads a pipeline from the text of a file. The path appears only in messages.
 ///
 /// # Errors
-/// As [`read_pipeline`], but for reading the file.
+/// As for [`read_pipeline`], except that no file is read.
 pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pipeline> {
     let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
         anyhow::anyhow!(
@@ -41,6 +41,8 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     })?;
     let mut document = serde_json::to_value(table).context("cannot represent the pipeline file")?;
     let unusable = || format!("cannot use the pipeline file {}", path.display());
+    // Before the overrides, so that an override of [policy] applies to the policy of an older file; and again after them, because
+    // an override can replace the whole table [rollout] by one in the older form.
     move_policy(&mut document).with_context(unusable)?;
     for text in overrides {
         apply(&mut document, text)?;
@@ -66,17 +68,17 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     Ok(pipeline)
 }
 
-/// What the decoder says of a place.
+/// The decoder's error, preceded by the path of the key that it refers to.
 fn placed(place: &str, error: &serde_json::Error) -> Fault {
     let place = if place == "." {
         String::new()
     } else {
         format!("{place}: ")
     };
-    Fault::from_sentence(&in_words(&error.to_string())).at(place)
+    Fault::from_sentence(&without_type_names(&error.to_string())).at(place)
 }
 
-/// The message with line and column, both counted from 1.
+/// The parser's message with line and column, both counted from 1.
 fn one_line(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().replace('\n', "; ");
     let Some(before) = error.span().and_then(|span| text.get(..span.start)) else {
@@ -87,8 +89,8 @@ fn one_line(text: &str, error: &toml::de::Error) -> String {
     format!("line {line}, column {column}: {message}")
 }
 
-/// The decoder's words without names of Rust types.
-fn in_words(message: &str) -> String {
+/// The decoder's message with the names of Rust types replaced by words for users.
+fn without_type_names(message: &str) -> String {
     let mut words = Vec::new();
     let mut rest = message.split(' ').peekable();
     while let Some(word) = rest.next() {
@@ -100,7 +102,7 @@ fn in_words(message: &str) -> String {
             "u32" => "a whole number from 0 to 4294967295",
             "usize" => "a whole number of at least 0",
             "f64" => "a number",
-            // Neither TOML nor JSON can say null: it stands for what JSON cannot say.
+            // TOML has no null. A null in the document is a TOML nan or inf, which JSON cannot represent.
             "null," => "nan or inf,",
             other => other,
         });
@@ -108,10 +110,11 @@ fn in_words(message: &str) -> String {
     words.join(" ")
 }
 
-/// Most parts of a key on the command line, more than any setting has. Tables inside of tables are walked recursively.
-const DEEPEST: usize = 16;
+/// Maximum number of parts of a key on the command line, which is more than any setting has. The limit keeps the recursion over
+/// nested tables shallow.
+const MAX_DEPTH: usize = 16;
 
-/// Applies one `stage.key=value`; the value is TOML, or a plain string where it is not.
+/// Applies one override `stage.key=value`. The value is parsed as TOML; if it is not TOML, it is taken as a plain string.
 fn apply(document: &mut Value, text: &str) -> Result<()> {
     let Some((path, value)) = text.split_once('=') else {
         bail!("cannot apply --set {text}: write stage.key=value, for instance rollout.seeds=500..600");
@@ -122,9 +125,9 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
         .and_then(|mut table| table.remove("value"))
         .map_or_else(|| Ok(Value::String(value.to_owned())), serde_json::to_value)?;
     let depth = path.split('.').count();
-    if depth > DEEPEST {
+    if depth > MAX_DEPTH {
         bail!(
-            "cannot apply --set: the key has {depth} parts, and no setting has more than {DEEPEST}";
+            "cannot apply --set: the key has {depth} parts, and no setting has more than {MAX_DEPTH}";
             "write stage.key=value"
         );
     }
@@ -143,7 +146,8 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Gives robosuite's tasks, which are in metres and last longer, their own defaults for what the file leaves out.
+/// Fills in the defaults of robosuite tasks, which differ from those of Push-T because positions are in metres and episodes are
+/// longer.
 fn complete_robosuite(document: &mut Value) -> Result<()> {
     if let Some(section) = document.get_mut("segment").and_then(Value::as_object_mut)
         && let Value::Object(defaults) = serde_json::to_value(SegmentConfig::spatial())?
@@ -158,7 +162,8 @@ fn complete_robosuite(document: &mut Value) -> Result<()> {
     Ok(())
 }
 
-/// Keys that the table `[rollout]` had before there was a table `[policy]`, and what they are called there.
+/// Keys of older pipeline files that have moved from table `[rollout]` to table `[policy]`: the name in `[rollout]` and the name
+/// in `[policy]`.
 const MOVED: [(&str, &str); 7] = [
     ("policy", "kind"),
     ("retrieve", "retrieve"),
@@ -169,16 +174,16 @@ const MOVED: [(&str, &str); 7] = [
     ("filter", "filter"),
 ];
 
-/// Where a key of an override stands today.
+/// The present name of an override's key.
 fn moved(path: &str) -> String {
-    let today = MOVED.iter().find_map(|(old, new)| {
+    let present = MOVED.iter().find_map(|(old, new)| {
         let rest = path.strip_prefix("rollout.")?.strip_prefix(old)?;
         (rest.is_empty() || rest.starts_with('.')).then(|| format!("policy.{new}{rest}"))
     });
-    today.unwrap_or_else(|| path.to_owned())
+    present.unwrap_or_else(|| path.to_owned())
 }
 
-/// Moves the policy of an older file, which stands in `[rollout]`, to a table of its own.
+/// Moves the policy settings of an older file from `[rollout]` to a table `[policy]`.
 fn move_policy(document: &mut Value) -> Result<()> {
     let Some(rollout) = document.get_mut("rollout").and_then(Value::as_object_mut) else {
         return Ok(());
@@ -196,16 +201,16 @@ fn move_policy(document: &mut Value) -> Result<()> {
     };
     if map.contains_key("policy") {
         bail!(
-            "both rollout.{old} and a table [policy] say what the policy is";
-            "write policy.{new}, and leave rollout.{old} out"
+            "rollout.{old} and a table [policy] both define the policy";
+            "replace rollout.{old} by policy.{new}"
         );
     }
     map.insert("policy".to_owned(), Value::Object(policy));
     Ok(())
 }
 
-/// Refuses keys that nobody knows, and takes the policy out of the document: the defaults of its kind, with the file's own
-/// settings in their place.
+/// Refuses unknown keys, and moves the policy out of the document: the defaults of its kind, overridden by the file's own
+/// settings. The policy is decoded here and not with the rest because the type of its settings depends on the kind.
 fn read_policy<K: Kinds>(document: &mut Value, domain: &str) -> Result<(Option<K>, Value)> {
     let kind = document.get("policy").map(kind_of::<K>).transpose()?;
     let schema = schema_with::<K>(kind.as_deref());
@@ -234,7 +239,7 @@ fn kind_of<K: Kinds>(policy: &Value) -> Result<String> {
         bail!("policy is {policy}"; "give a table, such as {{ kind = \"re4\" }}; the kinds are {kinds}");
     }
     match policy.get("kind") {
-        None => bail!("nothing says of which kind the policy is"; "give policy.kind; the kinds are {kinds}"),
+        None => bail!("the table [policy] has no kind"; "give policy.kind; the kinds are {kinds}"),
         Some(Value::String(kind)) if K::NAMES.contains(&kind.as_str()) => Ok(kind.clone()),
         Some(Value::String(kind)) => bail!(
             "unknown policy {kind:?} in policy.kind{}", suggestion(kind, K::NAMES.iter().copied());
@@ -244,11 +249,11 @@ fn kind_of<K: Kinds>(policy: &Value) -> Result<String> {
     }
 }
 
-/// Default settings with one's own in their place, table by table. `false` switches an optional table off.
+/// Overrides default settings with the file's own, table by table. `false` switches an optional table off.
 fn merge(default: Value, own: Option<Value>) -> Option<Value> {
     match (default, own) {
         (Value::Null, None) => None,
-        // An optional setting that is switched off.
+        // `false` for a setting that is not a boolean switches it off.
         (default, Some(Value::Bool(false))) if !default.is_boolean() => None,
         (default, None) => Some(default),
         (Value::Object(mut settings), Some(Value::Object(own))) => {
@@ -258,15 +263,15 @@ fn merge(default: Value, own: Option<Value>) -> Option<Value> {
             }
             Some(Value::Object(settings))
         }
-        // Not a table: left for the decoder to refuse.
+        // Either a plain value or a value of the wrong type, which the decoder refuses later.
         (_, Some(own)) => Some(own),
     }
 }
 
-/// JSON cannot say nan and inf and has null in their place, which an optional setting would take for absence.
+/// Refuses nan and inf. In the JSON document they have become null, which an optional setting would read as absent.
 fn refuse_not_finite(document: &Value, place: &str) -> Result<()> {
     match document {
-        Value::Null => bail!("{place} is nan or inf"; "give a finite number, or leave it out"),
+        Value::Null => bail!("{place} is nan or inf"; "give a finite number, or remove it"),
         Value::Object(map) => map.iter().try_for_each(|(key, value)| {
             let dot = if place.is_empty() { "" } else { "." };
             refuse_not_finite(value, &format!("{place}{dot}{key}"))
@@ -276,25 +281,25 @@ fn refuse_not_finite(document: &Value, place: &str) -> Result<()> {
     }
 }
 
-/// What is the same on the way through a document.
+/// What stays the same during a walk over a document.
 struct Walk<'a> {
-    /// The schema that references are looked for in.
+    /// The schema in which references are resolved.
     root: &'a Value,
-    /// Keys of another domain than this are not known.
+    /// The domain of the task: `plane` or `space`. Keys of the other domain are unknown keys.
     domain: &'a str,
 }
 
-/// Walks the document along its schema and refuses the first key that the schema does not know.
+/// Walks the document along its schema and refuses the first key that is not in the schema.
 fn refuse_unknown(walk: &Walk<'_>, schema: &Value, document: &Value, place: &str) -> Result<()> {
     let schema = resolve(walk.root, schema);
     let (Value::Object(map), Some(properties)) = (document, schema.get("properties").and_then(Value::as_object)) else {
         return Ok(());
     };
-    let here = |inner: &Value| inner.get("domain").is_none_or(|domain| domain == walk.domain);
+    let in_domain = |inner: &Value| inner.get("domain").is_none_or(|domain| domain == walk.domain);
     let known = || {
         properties
             .iter()
-            .filter(|(_, inner)| here(inner))
+            .filter(|(_, inner)| in_domain(inner))
             .map(|(key, _)| key.as_str())
     };
     for (key, value) in map {
@@ -303,11 +308,11 @@ fn refuse_unknown(walk: &Walk<'_>, schema: &Value, document: &Value, place: &str
         } else {
             format!("{place}.{key}")
         };
-        match properties.get(key).filter(|inner| here(inner)) {
+        match properties.get(key).filter(|inner| in_domain(inner)) {
             Some(inner) => refuse_unknown(walk, inner, value, &path)?,
             None => bail!(
                 "unknown key {path}{}", suggestion(key, known());
-                "known here: {}", known().collect::<Vec<_>>().join(", ")
+                "the known keys are {}", known().collect::<Vec<_>>().join(", ")
             ),
         }
     }
@@ -358,7 +363,7 @@ fn walk_given(root: &Value, schema: &Value, given: &Value, place: &str, each: &m
 }
 
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
-    // An optional table is one of the table and null.
+    // The schema of an optional table is `anyOf` the table and null.
     let table = schema.get("anyOf").and_then(|schemas| schemas.get(0));
     let schema = table.filter(|schema| schema.get("$ref").is_some()).unwrap_or(schema);
     let target = schema
@@ -372,7 +377,7 @@ fn suggestion<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Strin
     known
         .into_iter()
         .map(|candidate| (strsim::jaro_winkler(word, candidate), candidate))
-        .filter(|(likeness, _)| *likeness > 0.75)
+        .filter(|(similarity, _)| *similarity > 0.75)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(String::new, |(_, candidate)| format!(" (did you mean {candidate}?)"))
 }

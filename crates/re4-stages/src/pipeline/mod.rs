@@ -1,4 +1,4 @@
-//! The pipeline file: one experiment, stage by stage.
+//! The pipeline file, which describes one experiment stage by stage.
 
 mod checks;
 mod load;
@@ -25,35 +25,35 @@ pub use sections::{Estimates, IndexSection, IngestSection, PoseSection, PoseSour
 pub use seeds::Seeds;
 pub use task::Variant;
 
-/// One experiment: which dataset, how it is segmented and indexed, and how the policy is rolled out.
+/// One experiment: the dataset, how it is segmented and indexed, and how the policy is rolled out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pipeline {
-    /// Task of the experiment.
+    /// The task of the experiment.
     pub task: Task,
     /// What the policy observes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variant: Option<Variant>,
-    /// Raw dataset to `episodes`.
+    /// How the raw dataset is converted to the artifact `episodes`.
     pub ingest: IngestSection,
-    /// `episodes` to `modes`.
+    /// How demonstrations are segmented into modes: `episodes` to `modes`.
     pub segment: SegmentConfig,
-    /// `episodes` and `modes` to `audit`.
+    /// Thresholds of the audit: `episodes` and `modes` to `audit`.
     #[serde(default)]
     pub audit: AuditConfig,
     /// Where object poses come from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseSection>,
-    /// `episodes` and `modes` to `index`.
+    /// How frames are indexed for retrieval: `episodes` and `modes` to `index`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub index: Option<IndexSection>,
-    /// `episodes` to `scenes`, from which the rollouts then start; absent where they start from seeds.
+    /// How start scenes are chosen: `episodes` to `scenes`. Leave it out if rollouts start from seeds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenes: Option<ScenesConfig>,
     /// The policy that is rolled out.
     #[serde(skip)]
     pub policy: Option<Policy>,
-    /// `index` to `rollouts`.
+    /// How the policy is rolled out: `index` to `rollouts`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rollout: Option<RolloutSection>,
     /// One sentence for each setting of the file, or of the command line, that has no effect.
@@ -83,7 +83,7 @@ impl Pipeline {
         !self.task.is_planar() && (!self.ingest.render.is_empty() || self.rollout.is_some() && encoder)
     }
 
-    /// Where object poses come from.
+    /// The table `[pose]`: where object poses come from.
     ///
     /// # Errors
     /// When the pipeline has no table `[pose]`.
@@ -91,7 +91,7 @@ impl Pipeline {
         self.pose.as_ref().or_fault(|| Self::missing("pose"))
     }
 
-    /// How the index is made.
+    /// The table `[index]`: how the index is built.
     ///
     /// # Errors
     /// When the pipeline has no table `[index]`.
@@ -99,7 +99,7 @@ impl Pipeline {
         self.index.as_ref().or_fault(|| Self::missing("index"))
     }
 
-    /// The policy.
+    /// The table `[policy]`.
     ///
     /// # Errors
     /// When the pipeline has no table `[policy]`.
@@ -107,7 +107,7 @@ impl Pipeline {
         self.policy.as_ref().or_fault(|| Self::missing("policy"))
     }
 
-    /// How it is rolled out.
+    /// The table `[rollout]`: how the policy is rolled out.
     ///
     /// # Errors
     /// When the pipeline has no table `[rollout]`.

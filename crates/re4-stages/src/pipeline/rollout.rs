@@ -1,4 +1,4 @@
-//! Tables `[policy]` and `[rollout]` of the pipeline file.
+//! The tables `[policy]` and `[rollout]` of the pipeline file.
 
 use re4_artifact::Stage;
 use re4_geometry::spatial::Symmetry;
@@ -15,14 +15,14 @@ use super::seeds::Seeds;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Policy {
-    /// Of Push-T.
+    /// A policy for Push-T.
     Plane(PlanePolicy),
-    /// Of a robosuite task.
+    /// A policy for a robosuite task.
     Space(SpacePolicy),
 }
 
 impl Policy {
-    /// The name of its kind.
+    /// The name of the policy's kind, as in `policy.kind`.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Plane(policy) => policy.kind(),
@@ -30,7 +30,7 @@ impl Policy {
         }
     }
 
-    /// Stages whose artifacts it opens.
+    /// Stages whose artifacts the policy opens.
     pub(crate) fn inputs(&self) -> &'static [Stage] {
         match self {
             Self::Plane(policy) => policy.settings().inputs(),
@@ -38,7 +38,8 @@ impl Policy {
         }
     }
 
-    /// Refuses settings that make no sense.
+    /// Checks the settings for values that are out of range or contradict each other. `images`: whether the policy observes
+    /// images.
     pub(super) fn check(&self, images: bool) -> Result<(), SettingError> {
         match self {
             Self::Plane(policy) => policy.settings().check(images),
@@ -47,60 +48,61 @@ impl Policy {
     }
 }
 
-/// `index` to `rollouts`: where they start, how long they last, and what is observed in them.
+/// How the policy is rolled out: where rollouts start, how long they last, and what is observed in them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RolloutSection {
-    /// Seeds of the scenes: a half-open range `"500..600"`, several of them joined by commas, or a list of numbers. Left out
-    /// where the pipeline has a table `[scenes]`, and nowhere else. The scene of a seed of a robosuite task is the one that
-    /// robosuite draws for it.
+    /// Seeds of the scenes: a half-open range `"500..600"`, several ranges joined by commas, or a list of numbers. Required
+    /// unless the pipeline has a table `[scenes]`; the two exclude each other. For robosuite tasks, the scene of a seed is the
+    /// one that robosuite samples with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seeds: Option<Seeds>,
-    /// Control steps an episode lasts at most: 200 by default, with robosuite's tasks 400.
+    /// Maximum length of an episode in control steps. Default: 200 for Push-T, 400 for robosuite tasks.
     #[serde(default = "paper_steps")]
     pub max_steps: u32,
-    /// Push-T: whose seeds, that is which generator makes the scene of a seed.
+    /// Push-T: the random number generator that samples the scene of a seed.
     #[serde(default = "diffusion_policy")]
     #[schemars(extend("domain" = "plane"))]
     #[schemars(extend("only_with" = { "scenes": null }))]
     pub seed_scheme: SeedScheme,
-    /// Push-T: in which order a reset to the scene of a seed sets the block's position and angle. The block of a scene from
-    /// `[scenes]` always arrives at the pose that the scene says.
+    /// Push-T: the order in which a reset to the scene of a seed sets the block's position and angle. Has no effect on scenes
+    /// from `[scenes]`, whose block always gets exactly the pose of the scene.
     #[serde(default)]
     #[schemars(extend("domain" = "plane"))]
     #[schemars(extend("only_with" = { "scenes": null }))]
     pub reset: ResetOrder,
-    /// robosuite tasks: turns after which the object looks the same, in its own frame. By default, with `re4` that of the task's
-    /// object: four quarters of a turn for the cube, any turn for the can, none for the nut; with other policies none. With
-    /// `variant = "image"` none either: the frame that the encoder estimates is that of the gripper as it would hold the object,
-    /// whose axes are not the object's.
+    /// robosuite tasks: rotations that leave the object's appearance unchanged, in the object's frame. Default with `re4`: the
+    /// symmetry of the task's object, which is multiples of 90 degrees about the vertical axis for the cube, any rotation about
+    /// its axis for the can, and none for the nut. Default with other policies: none. Default with `variant = "image"`: none,
+    /// because the encoder estimates the frame of the gripper as it would hold the object, and its axes are not the object's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("domain" = "space"))]
     pub symmetry: Option<Symmetry>,
-    /// robosuite tasks: errors that the object poses which the policy is told are given on purpose.
+    /// robosuite tasks: random errors that are added to the object poses that the policy observes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("domain" = "space"))]
     pub noise: Option<NoiseSection>,
-    /// robosuite tasks: how closely robosuite is followed: `robosuite`, to the bit, or `fast`.
+    /// robosuite tasks: how closely the simulation follows robosuite: `robosuite` (bit-exact) or `fast`.
     #[serde(default)]
     #[schemars(extend("domain" = "space"))]
     pub fidelity: Fidelity,
 }
 
-/// Errors of the object poses that a policy is told: normal, independent at every control step, drawn by the scene's seed.
+/// Random errors of the object poses that a policy observes: normally distributed, independent at every control step, seeded by
+/// the scene's seed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseSection {
-    /// Standard deviation along each axis of the world, in metres, 1 at most.
+    /// Standard deviation along each axis of the world frame, in metres, at most 1.
     #[serde(default)]
     pub translation: f64,
-    /// Standard deviation of each component of a rotation vector, in rad, 3.14 at most.
+    /// Standard deviation of each component of the rotation vector, in rad, at most 3.14.
     #[serde(default)]
     pub rotation: f64,
 }
 
 impl RolloutSection {
-    /// Symmetry of a robosuite task's object that a policy uses.
+    /// The object symmetry that the policy uses: the setting, or the default of the task, variant and policy.
     pub(crate) fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>, policy: &SpacePolicy) -> Symmetry {
         let usual = if matches!(policy, SpacePolicy::Re4(_)) && variant != Some(Variant::Image) {
             task.symmetry
@@ -119,5 +121,5 @@ fn paper_steps() -> u32 {
     200
 }
 
-/// Control steps that an episode of robosuite's tasks lasts at most: the horizon of robomimic's benchmark.
+/// Default `max_steps` of robosuite tasks: the horizon of robomimic's benchmark.
 pub(super) const ROBOMIMIC_STEPS: u32 = 400;

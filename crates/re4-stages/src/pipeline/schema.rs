@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 
 use super::Pipeline;
 
-/// JSON Schema of the pipeline file. Its table `[policy]` is that of one of the kinds.
+/// JSON Schema of the pipeline file. Its table `[policy]` has one alternative per distinct set of policy settings.
 pub fn schema() -> Value {
     let mut schema = json!(schemars::schema_for!(Pipeline));
     let mut tables = Vec::new();
@@ -13,7 +13,7 @@ pub fn schema() -> Value {
         ("Push-T", settings::<PlanePolicy>()),
         ("robosuite's tasks", settings::<SpacePolicy>()),
     ] {
-        // Kinds that differ in their defaults alone are described together.
+        // Kinds that differ only in their defaults have the same schema here and share one alternative.
         let mut described: Vec<(Vec<&str>, Value)> = Vec::new();
         for (kind, table) in kinds {
             match described.iter_mut().find(|(_, other)| *other == table) {
@@ -30,13 +30,13 @@ pub fn schema() -> Value {
         }
     }
     schema["properties"]["policy"] = json!({
-        "description": "The policy that is rolled out. Settings that are left out have the defaults of the kind.",
+        "description": "The policy that is rolled out. Settings that are left out have the defaults of their kind.",
         "anyOf": tables,
     });
     schema
 }
 
-/// The schema of a file with a policy of this kind.
+/// The schema of a pipeline file whose policy is of this kind.
 pub(super) fn schema_with<K: Kinds>(kind: Option<&str>) -> Value {
     let mut schema = json!(schemars::schema_for!(Pipeline));
     let mut table = kind
@@ -55,7 +55,7 @@ fn settings<K: Kinds>() -> Vec<(&'static str, Value)> {
     K::NAMES.iter().filter_map(schema).collect()
 }
 
-/// Settings of a policy, none of which need be there.
+/// The schema of a policy's settings with every setting made optional, since the kind has defaults for all of them.
 fn described(schema: &schemars::Schema) -> Value {
     let mut schema = json!(schema);
     let tables = schema.get_mut("$defs").and_then(Value::as_object_mut);
@@ -74,7 +74,7 @@ fn without_required(schema: &mut Value) {
     }
 }
 
-/// Moves definitions to the root, where references look for them.
+/// Moves definitions to the root, because references (`#/$defs/...`) are resolved from there.
 fn take_definitions(table: &mut Value, root: &mut Value) {
     if let Some(Value::Object(definitions)) = table.as_object_mut().and_then(|table| table.remove("$defs")) {
         for (name, definition) in definitions {

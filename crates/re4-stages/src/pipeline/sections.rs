@@ -1,4 +1,4 @@
-//! Tables of the pipeline file up to the index.
+//! The tables `[ingest]`, `[pose]` and `[index]` of the pipeline file.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -13,52 +13,52 @@ use re4_task::Camera;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Raw dataset to `episodes`.
+/// How the raw dataset is converted to the artifact `episodes`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestSection {
-    /// Folder or zip file of the Push-T zarr store, or HDF5 file of the robosuite tasks: absolute, or looked for below
-    /// `RE4_DATA`, below `data` and in the current folder.
+    /// Path of the dataset: the folder or zip file of the Push-T zarr store, or the HDF5 file of a robosuite task. A relative
+    /// path is looked up in the folder that `RE4_DATA` names, then in `data`, then in the current folder.
     pub source: PathBuf,
-    /// robosuite tasks: name of the filter key below `/mask` whose demonstrations are taken, such as `train`.
+    /// robosuite tasks: filter key below `/mask`, such as `train`. Only its demonstrations are ingested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filter: Option<String>,
-    /// robosuite tasks: body of the manipulated object, where the task does not say it.
+    /// robosuite tasks: name of the manipulated object's body. Only for `task = "robosuite"`; the other tasks define it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub object: Option<String>,
-    /// robosuite tasks: JSON text that stands for the file's attribute `env_args`, where it has none.
+    /// robosuite tasks: JSON text to use for the attribute `env_args` if the file has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub env_args: Option<String>,
-    /// robosuite tasks: another file of the same demonstrations whose actions are of the other kind (delta or absolute);
-    /// converted actions are compared with them. Looked for as the source is.
+    /// robosuite tasks: another file with the same demonstrations and the other kind of actions (delta or absolute). The
+    /// converted actions are compared with those of this file. A relative path is looked up as for `source`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compare: Option<PathBuf>,
-    /// robosuite tasks: cameras whose images are taken, such as `["agentview"]`; all of the file by default.
+    /// robosuite tasks: cameras whose recorded images are ingested, such as `["agentview"]`. Default: all cameras of the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cameras: Option<Vec<String>>,
-    /// robosuite tasks: conventions of the file that are stated, because its data cannot prove them.
+    /// robosuite tasks: conventions of the file that its data cannot prove and that are therefore stated here.
     #[serde(default)]
     pub conventions: Conventions,
-    /// Push-T: what the numbers of the dataset mean, where it is not what those of the original dataset do.
+    /// Push-T: units and conventions of the dataset if they differ from those of the original dataset.
     #[serde(default, skip_serializing_if = "PushtConventions::is_default")]
     pub pusht: PushtConventions,
-    /// Whether the images are ingested too.
+    /// Whether to ingest the images.
     #[serde(default = "yes")]
     pub images: bool,
-    /// Cameras whose images are drawn by the simulator's own renderer from the recorded states, for a dataset without
-    /// images: `image` (Push-T); `agentview`, `robot0_eye_in_hand` (robosuite tasks, 84 x 84).
+    /// For datasets without images: cameras whose images the simulator's own renderer renders from the recorded states. `image`
+    /// for Push-T; `agentview` and `robot0_eye_in_hand` for robosuite tasks, at 84 x 84 pixels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub render: Vec<Camera>,
-    /// Which episodes to take.
+    /// Which episodes to ingest.
     #[serde(default)]
     pub select: Selection,
-    /// What to do with a demonstration that cannot be read, or that contradicts the others: `refuse` the dataset, or
-    /// `leave_out` that demonstration. `audit` always leaves it out, and reports it.
+    /// What to do with a demonstration that cannot be read or that contradicts the others: `refuse` the dataset, or
+    /// `leave_out` that demonstration. `audit` always leaves it out and reports it.
     #[serde(default, skip_serializing_if = "is_default")]
     pub on_bad: OnBad,
 }
 
-/// Whether a setting need not be written.
+/// Whether a setting has its default value and is therefore not serialized.
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
@@ -67,24 +67,24 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseSection {
-    /// Source of the poses that are indexed and that the policy sees.
+    /// Source of the object poses, both of those that are indexed and of those that the policy observes.
     pub source: PoseSource,
-    /// For `log_polar`: whether the block's outline is aligned with the image after the paper's closed-form estimate.
+    /// For `log_polar`: whether to refine the paper's closed-form estimate by aligning the block's outline with the image.
     #[serde(default = "yes")]
     #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
     pub refine: bool,
-    /// For `log_polar`: goal pose of the task as x and y in px and theta in rad, which calibrates the anchor. Push-T's own by
-    /// default.
+    /// For `log_polar`: goal pose of the task as [x, y, theta] in px, px and rad, world frame. It calibrates the anchor. Default:
+    /// Push-T's goal.
     #[serde(default = "goal")]
     #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
     pub goal: [f64; 3],
-    /// For `encoder`: the encoder and how it is trained; the paper's settings by default.
+    /// For `encoder`: the encoder and how it is trained. Default: the paper's settings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<EncoderConfig>,
 }
 
 impl PoseSection {
-    /// The encoder and how it is trained, where poses come from one.
+    /// Settings of the encoder and its training: those of the file, or the defaults.
     pub fn encoder(&self) -> Cow<'_, EncoderConfig> {
         match &self.encoder {
             Some(config) => Cow::Borrowed(config),
@@ -92,7 +92,7 @@ impl PoseSection {
         }
     }
 
-    /// The goal pose, world frame.
+    /// The goal pose: position in px, angle in rad, world frame.
     pub fn goal(&self) -> Pose2 {
         let [x, y, theta] = self.goal;
         Pose2::new(x, y, theta)
@@ -103,46 +103,45 @@ impl PoseSection {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {
-    /// The pose recorded in the dataset is the pose; nothing is trained.
+    /// The poses recorded in the dataset. Nothing is trained.
     Recorded,
-    /// The pose is estimated from the images in closed form: centroid of the block's colour, angle by the log-polar
-    /// transform.
+    /// Push-T: closed-form estimates from the images. The position is the centroid of the block's colour, the angle comes from
+    /// the log-polar transform.
     LogPolar,
-    /// The pose is what an encoder says of the image that was trained on the demonstrations' images and end-effector poses
-    /// (robosuite's tasks).
+    /// robosuite tasks: an encoder trained on the demonstrations' images and end-effector poses estimates the object pose.
     Encoder,
 }
 
-/// `episodes` and `modes` to `index`.
+/// How frames are indexed for retrieval: `episodes` and `modes` to `index`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IndexSection {
-    /// Push-T: longest chunk searchable by outcome, in frames.
+    /// Push-T: length of the longest chunk that can be retrieved by outcome, in frames.
     #[serde(default = "longest_chunk")]
     pub longest_chunk: u32,
-    /// robosuite tasks: codes of audit checks, such as `missed_grasp`. Frames of a demonstration up to the end of such a finding
-    /// are not retrieved.
+    /// robosuite tasks: codes of audit checks, such as `missed_grasp`. In each demonstration, the frames up to the end of the
+    /// last finding of these checks are not retrieved.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_out: Vec<String>,
-    /// robosuite tasks from images: which of the encoder's estimates stand in the index.
+    /// robosuite tasks from images: how the encoder's estimates are stored in the index.
     #[serde(default, skip_serializing_if = "Estimates::is_default")]
     pub estimates: Estimates,
 }
 
-/// Which estimates of an encoder stand in an index.
+/// How the estimates of an encoder are stored in an index.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Estimates {
-    /// Each frame's own, as in the paper.
+    /// Each frame has its own estimate, as in the paper.
     #[default]
     EachFrame,
-    /// What the modes make of them: before a grasp the object lies still, at the median of the estimates of these frames; from the
-    /// grasp on it moves with the gripper; and after the last release it lies where it was let go.
+    /// Estimates are combined by mode. Before a grasp the object is at rest, at the median of the estimates of these frames; from
+    /// the grasp on it moves with the gripper; after the last release it stays where it was released.
     ByMode,
 }
 
 impl Estimates {
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks by reference")]
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
     fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -10,10 +10,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::notes::fault_of;
 
-/// Most seeds of a run.
-const MOST: usize = 10_000_000;
+/// Maximum number of seeds in a run.
+const MAX_SEEDS: usize = 10_000_000;
 
-/// Seeds in the order in which they are written, each once.
+/// Distinct seeds, in the order in which they are written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Seeds {
     text: String,
@@ -30,7 +30,7 @@ impl Seeds {
 impl FromStr for Seeds {
     type Err = anyhow::Error;
 
-    /// Parsers of arguments and files pass a text on, so the error is the whole sentence.
+    /// The parsers of arguments and of the pipeline file keep only the text of an error, so the text contains the remedy.
     fn from_str(text: &str) -> Result<Self> {
         Self::read(text).map_err(|error| anyhow::Error::msg(fault_of(&error).sentence()))
     }
@@ -57,9 +57,9 @@ impl Seeds {
                             "its end is exclusive, so write {from}..{}", from.saturating_add(1)
                         );
                     }
-                    // Before memory is reserved: a short text can name all seeds that there are, many times.
-                    if (to - from) as usize > MOST.saturating_sub(seeds.len()) {
-                        bail!("seeds up to {part} are more than 10,000,000"; "split them over several runs");
+                    // Checked before memory is reserved, because a short text can ask for billions of seeds.
+                    if (to - from) as usize > MAX_SEEDS.saturating_sub(seeds.len()) {
+                        bail!("the seeds up to {part} are more than 10,000,000"; "split them over several runs");
                     }
                     seeds.extend(from..to);
                 }
@@ -102,7 +102,7 @@ impl JsonSchema for Seeds {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "A half-open range such as \"500..600\", several of them or single seeds joined by commas, or a list of numbers.",
+            "description": "A half-open range such as \"500..600\", several ranges or single seeds joined by commas, or a list of numbers.",
             "anyOf": [
                 { "type": "string" },
                 { "type": "integer", "minimum": 0 },
@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ranges_lists_and_mixtures() {
+    fn ranges_and_lists_are_parsed() {
         assert_eq!("500..503".parse::<Seeds>().unwrap().as_slice(), &[500, 501, 502]);
         assert_eq!("7, 1..3".parse::<Seeds>().unwrap().as_slice(), &[7, 1, 2]);
         for bad in ["", "a", "3..3", "5..2", "1,1", "-1", "1..3,2", "1.5"] {
@@ -126,14 +126,14 @@ mod tests {
     }
 
     #[test]
-    fn ranges_together_are_bounded_too() {
+    fn the_total_number_of_seeds_is_bounded() {
         assert!("0..10000000".parse::<Seeds>().is_ok());
         let joined = (0..400).map(|i| format!("{}..{}", i * 10_000_000_u64, (i + 1) * 10_000_000_u64));
         let text = joined.collect::<Vec<_>>().join(",");
-        let said = text.parse::<Seeds>().unwrap_err().to_string();
+        let message = text.parse::<Seeds>().unwrap_err().to_string();
         assert!(
-            said.contains("seeds up to 10000000..20000000 are more than 10,000,000"),
-            "{said}"
+            message.contains("seeds up to 10000000..20000000 are more than 10,000,000"),
+            "{message}"
         );
     }
 }

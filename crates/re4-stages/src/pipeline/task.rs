@@ -1,4 +1,4 @@
-//! What a policy observes of a task.
+//! What a policy observes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Variant {
-    /// End-effector state and the object's true pose.
+    /// The end effector's state and the object's true pose.
     State,
-    /// Images, and the end effector's state.
+    /// The end effector's state and images.
     Image,
 }

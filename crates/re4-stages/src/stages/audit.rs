@@ -1,4 +1,4 @@
-//! Audit: `episodes` and `modes` to the findings of an `audit`.
+//! The stage `audit`: makes `audit`, which lists findings, from `episodes` and `modes`.
 
 mod summary;
 
@@ -23,10 +23,10 @@ use crate::inputs::episodes::read_episodes;
 use crate::inputs::sources::left_out;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 4;
 
-/// A demonstration, and its segments.
+/// A demonstration's row in table `episodes`, and its segments.
 struct Listed {
     row: AuditedEpisodeRow,
     segments: Vec<Segment>,
@@ -37,7 +37,7 @@ impl Listed {
         let of = |mode| segments.iter().filter(move |segment| segment.mode == mode);
         let frames_in = |mode| of(mode).map(|segment| segment.frames.len()).sum();
         let row = AuditedEpisodeRow {
-            // Numbers and counts follow when all is found.
+            // The number and the counts of findings are filled in by `write`.
             episode: 0,
             demo: demo.to_owned(),
             frames,
@@ -55,7 +55,7 @@ impl Listed {
     }
 }
 
-/// All that an audit finds.
+/// The result of an audit.
 struct Audited {
     thresholds: Thresholds,
     listed: Vec<Listed>,
@@ -65,7 +65,7 @@ struct Audited {
 }
 
 impl Audited {
-    /// Lists the demonstrations that ingest could not use behind the others, without frames, each with a finding.
+    /// Appends the demonstrations that ingest left out, each with no frames and one finding.
     fn report_left_out(&mut self, left: Vec<LeftOut>) {
         for left in left {
             self.findings.push(Finding {
@@ -85,10 +85,10 @@ impl Audited {
 }
 
 impl Runner {
-    /// The `audit` artifact.
+    /// Makes the `audit` artifact, or returns the existing one.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn audit(&self, episodes: &Built, modes: &Built) -> Result<Built> {
         let recipe = Recipe::new(Stage::Audit, CODE_VERSION)
             .config(&self.audit_config())?
@@ -112,28 +112,29 @@ impl Runner {
         })
     }
 
-    /// What the findings depend on beside the inputs. The goal of Push-T is built in.
+    /// The settings that the findings depend on besides the inputs. The goal of Push-T is a constant.
     pub(super) fn audit_config(&self) -> serde_json::Value {
         serde_json::json!({ "audit": self.pipeline.audit, "segment": self.pipeline.segment })
     }
 
-    /// The findings alone, over demonstrations as `look` leaves them.
+    /// The findings of demonstrations after `transform`.
     pub(super) fn findings(
         &self,
         episodes: &Artifact,
         modes: &Artifact,
-        look: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+        transform: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
     ) -> Result<Vec<Finding>> {
-        Ok(self.audit_spatial(episodes, modes, look)?.findings)
+        Ok(self.audit_spatial(episodes, modes, transform)?.findings)
     }
 
     fn audit_spatial(
         &self,
         episodes: &Artifact,
         modes: &Artifact,
-        look: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+        transform: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
     ) -> Result<Audited> {
-        let read = || -> Result<_> { Ok(SegmentedEpisodes::open(episodes, modes)?.map(|demo| look(demo?))) };
+        // Demonstrations are read twice: thresholds depend on all of them, and they need not fit in memory.
+        let read = || -> Result<_> { Ok(SegmentedEpisodes::open(episodes, modes)?.map(|demo| transform(demo?))) };
         let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
         let demos = SpatialEpisodes::open(episodes)?.demos();
         let bar = self.notes.progress(2 * demos as u64, "audit");
@@ -178,7 +179,8 @@ impl Runner {
         })
     }
 
-    /// The evidence of planar demonstrations is a function of their frames: it is made again rather than read.
+    /// Audits Push-T demonstrations. Their evidence is a function of their frames, so they are segmented again and the `modes`
+    /// artifact is not read.
     fn audit_planar(&self, episodes: &Artifact) -> Result<Audited> {
         let demos = read_episodes(episodes)?
             .into_par_iter()
@@ -302,10 +304,10 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
     Ok(())
 }
 
-/// How many findings there are of every code, and in how many demonstrations.
+/// The number of findings and the number of demonstrations with findings, by code.
 fn by_code(findings: &[Finding]) -> BTreeMap<&'static str, (u32, u32)> {
     let mut counts: BTreeMap<&'static str, (u32, Option<u32>, u32)> = BTreeMap::new();
-    // Findings are sorted by demonstration.
+    // Findings are sorted by demonstration, so a change of demonstration means a new one.
     for finding in findings {
         let (found, last, episodes) = counts.entry(finding.code).or_default();
         *found += 1;

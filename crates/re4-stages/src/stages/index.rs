@@ -1,4 +1,4 @@
-//! Index: `episodes`, `modes` and perhaps `poses` to `index`.
+//! The stage `index`: makes `index` from `episodes`, `modes` and, if poses are estimated, `poses`.
 
 mod estimated;
 mod spatial;
@@ -19,14 +19,15 @@ use serde_json::json;
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 3;
 
 impl Runner {
-    /// The `index` artifact, over the poses of the `poses` artifact where there is one, over the recorded ones otherwise.
+    /// Makes the `index` artifact of Push-T, or returns the existing one. Object poses come from `poses` if it is given,
+    /// otherwise from `episodes`.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn index(&self, episodes: &Built, modes: &Built, poses: Option<&Built>) -> Result<Built> {
         let longest_chunk = self.pipeline.index()?.longest_chunk;
         let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
@@ -47,6 +48,7 @@ impl Runner {
             // The ranges do not depend on how angles are compared; the policy chooses that when it opens the index.
             let normalization = Normalization::over(&frames, AngleMetric::default());
             write_index(&demos, &frames, &blanks, &normalization, writer)?;
+            // The outcome of a chunk is measured with the poses of its frames, so chunks with an interpolated pose are dropped.
             let mut chunks = collect_chunks(&demos, longest_chunk as usize);
             chunks.retain(|chunk| {
                 blanks
@@ -69,19 +71,20 @@ impl Runner {
     }
 }
 
-/// Frames, as (episode, frame), whose pose is not clear.
+/// Frames without a clear estimated pose, as (episode, frame).
 type Blanks = BTreeSet<(u32, u32)>;
 
 columns! {
-    /// The mode of a frame.
+    /// The column of table `modes` that is read.
     pub struct ModeOf {
-        /// Mode.
+        /// Mode of the frame.
         pub mode: Mode,
     }
 }
 
-/// Episodes and the mode of each of their frames. Estimated poses, where there are any, take the place of the recorded
-/// ones; between clear ones they are interpolated.
+/// Reads demonstrations and the modes of their frames. Estimated poses replace the recorded ones if they are given; frames
+/// without a clear estimate get an interpolated pose and are returned as blanks. Demonstrations without any clear estimate are
+/// dropped.
 fn read_demos(
     episodes: &Artifact,
     modes: &Artifact,
@@ -101,15 +104,15 @@ fn read_demos(
         ensure!(
             modes_of.len() == count,
             "cannot read {}: table modes has fewer frames than the episodes", modes.path().display();
-            "build it again"
+            "delete the artifact and run again"
         );
         if let Some(poses) = &mut poses {
             let clear = |row: PoseRow<Estimate>| row.estimate.pose.filter(|_| row.estimate.flag == Flag::Clear);
             let known: Vec<Option<Pose2>> = poses.by_ref().take(count).map(clear).collect();
             ensure!(
                 known.len() == count,
-                "cannot index {}: it has more frames than there are poses", episodes.path().display();
-                "build the poses again"
+                "cannot index {}: it has more frames than the poses artifact", episodes.path().display();
+                "delete the poses artifact and run again"
             );
             blanks.extend(
                 (0..)
@@ -136,8 +139,8 @@ fn read_demos(
     }
     ensure!(
         !demos.is_empty(),
-        "cannot index {}: no frame of it has a clear pose", episodes.path().display();
-        "look at the table poses"
+        "cannot index {}: no frame has a clear pose", episodes.path().display();
+        "inspect the table poses with re4-pipe inspect"
     );
     Ok((DemoSet::new(demos), indexed, blanks))
 }

@@ -1,5 +1,5 @@
-//! Ingest: raw dataset to `episodes`. How a dataset is opened depends on its format; what is written of its demonstrations does
-//! not.
+//! The stage `ingest`: makes `episodes` from a raw dataset. How a dataset is opened depends on its format; how its demonstrations
+//! are written does not.
 
 mod hdf5;
 mod rendered;
@@ -23,37 +23,37 @@ use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
 pub use hdf5::serve_ingest;
-pub(crate) use worker::FellOver;
 pub use worker::SUBCOMMAND as INGEST_WORKER;
+pub(crate) use worker::WorkerCrashed;
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 3;
 
-/// What becomes of an error of a stage that was asked to stop: that is what is told.
+/// Name of the stage in messages about an interruption.
 const STAGE: &str = "ingest";
 
 impl Runner {
-    /// The `episodes` artifact.
+    /// Makes the `episodes` artifact, or returns the existing one.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If the dataset cannot be ingested, a setting does not fit it, or the run is interrupted.
     pub fn ingest(&self) -> Result<Built> {
         let path = find_source(&self.pipeline.ingest.source)?;
-        // What is of another format than its task is read from says so when it is opened.
+        // Other mismatches of format and task are reported when the source is opened.
         match (self.pipeline.task.is_planar(), RobomimicSource::probe(&path)) {
             (true, true) => bail!(
-                "cannot ingest {}: it is an HDF5 file, and Push-T is read from a zarr store", path.display();
-                "give one, or set task to the file's own, such as \"can\""
+                "cannot ingest {}: it is an HDF5 file, but Push-T is read from a zarr store", path.display();
+                "give a zarr store, or set task to the task of the file, such as \"can\""
             ),
             (true, false) => self.ingest_zarr(&path),
             (false, _) => self.ingest_hdf5(path),
         }
     }
 
-    /// Files that a command with this pipeline reads.
+    /// The files that a command with this pipeline reads: the pipeline file, the source, and the file of `ingest.compare`.
     ///
     /// # Errors
-    /// When the source is nowhere.
+    /// If a source is not found.
     pub fn inputs(&self) -> Result<Vec<PathBuf>> {
         let section = &self.pipeline.ingest;
         let mut inputs = vec![self.file.clone(), find_source(&section.source)?];
@@ -63,7 +63,8 @@ impl Runner {
         Ok(inputs)
     }
 
-    /// Refuses an artifact that lacks demonstrations, where all are to be there.
+    /// Returns an error if demonstrations were left out of an artifact and `ingest.on_bad` does not allow it. Needed because
+    /// `on_bad` is not part of the key, so an artifact made with another setting may be found.
     fn refuse_left_out(&self, artifact: &Artifact, path: &Path) -> Result<()> {
         let left = left_out(artifact)?;
         let kept = artifact.manifest().summary["episodes"].as_u64().unwrap_or_default();
@@ -74,13 +75,14 @@ impl Runner {
     }
 }
 
-/// Why a dataset of so many demonstrations is refused for these.
+/// The error for a dataset of `of` demonstrations of which `left` cannot be used.
 fn refused(path: &Path, left: &[LeftOut], of: usize) -> Fault {
     Fault::from_sentence(&refusal(left, of)).at(format_args!("cannot ingest {}: ", path.display()))
 }
 
-/// Everything that decides the bytes of the artifact: the hash of the source, all settings but where it lies and what becomes of
-/// demonstrations that cannot be used, and in their place what they lead to. `summary` are what the source says of itself.
+/// The recipe of the artifact, which contains everything that determines its bytes: the hash of the source and all settings
+/// except paths and `on_bad`. Paths are replaced by hashes of the files. `summary` is the description of the source for the
+/// manifest.
 fn recipe(pipeline: &Pipeline, hash: &Key, compare: Option<&Key>, render: &Value, summary: Value) -> Result<Recipe> {
     let mut config = json!(pipeline.ingest);
     if let Some(config) = config.as_object_mut() {

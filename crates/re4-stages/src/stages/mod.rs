@@ -1,4 +1,4 @@
-//! The stages: which artifacts go in, which come out.
+//! The stages: one module for each, named by its subcommand.
 
 mod audit;
 mod index;
@@ -9,8 +9,8 @@ mod scenes;
 mod segment;
 mod train_pose;
 
-pub(crate) use ingest::FellOver;
+pub(crate) use ingest::WorkerCrashed;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 pub use rollout::{BudgetRow, metrics, read_rollouts};
-pub(crate) use rollout::{Made, MakeEstimator, Watching, scene_renderer};
+pub(crate) use rollout::{ImageObserver, MakeEstimator, RolloutArtifacts, scene_renderer};

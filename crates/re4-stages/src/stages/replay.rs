@@ -1,4 +1,4 @@
-//! Replay: `episodes`, replayed open-loop, to `replays`.
+//! The stage `replay`: replays the actions of `episodes` open-loop and writes `replays`.
 
 mod spatial;
 mod tables;
@@ -17,17 +17,17 @@ pub use tables::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, Sp
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 4;
 
-/// A replay, with the number that the demonstration has in the raw dataset.
+/// The demonstration's number in the raw dataset, and its replay.
 type Replay = (u32, OpenLoop);
 
 impl Runner {
-    /// The `replays` artifact.
+    /// Makes the `replays` artifact of Push-T, or returns the existing one.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn replay(&self, episodes: &Built) -> Result<Built> {
         let recipe = Recipe::new(Stage::Replay, CODE_VERSION).input("episodes", episodes.artifact.key());
         self.build(&recipe, |writer| {

@@ -1,4 +1,4 @@
-//! Rollout: a policy, and what it was made from, to `rollouts`.
+//! The stage `rollout`: makes `rollouts` from a policy and the artifacts that it needs.
 
 mod budgets;
 mod estimators;
@@ -18,36 +18,36 @@ use crate::runner::{Built, Runner};
 
 pub use budgets::BudgetRow;
 pub use plane::read_rollouts;
-pub(crate) use space::{MakeEstimator, Watching, scene_renderer};
+pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 7;
 
-/// Starts rolled out before their rows are written, so that memory does not grow with the number of steps.
+/// Number of rollouts whose rows are held in memory before they are written.
 const BATCH: usize = 128;
 
-/// What rollouts were made from.
-pub(crate) struct Made<'a> {
-    /// The demonstrations.
+/// The artifacts that rollouts are made from.
+pub(crate) struct RolloutArtifacts<'a> {
+    /// The `episodes` artifact.
     pub(crate) episodes: &'a Built,
-    /// What estimates the object's pose from images, where something does.
+    /// The `poses` artifact, if object poses are estimated from images.
     pub(crate) poses: Option<&'a Built>,
-    /// The scenes, where rollouts do not start from seeds.
+    /// The `scenes` artifact, if rollouts do not start from seeds.
     pub(crate) scenes: Option<&'a Built>,
-    /// What the policy opens.
+    /// The artifacts that the policy opens.
     pub(crate) inputs: &'a [Built],
 }
 
-impl Made<'_> {
-    /// All of it, in the order in which it was made.
+impl RolloutArtifacts<'_> {
+    /// All artifacts, in the order in which they were made.
     fn all(&self) -> impl Iterator<Item = &Built> {
         let own = [Some(self.episodes), self.poses, self.scenes];
         own.into_iter().flatten().chain(self.inputs)
     }
 }
 
-/// A policy and what it is rolled out in.
-struct Play<'a, 'e, D: Recorded> {
+/// A policy and the environments and pose sources of its rollouts.
+struct RolloutSetup<'a, 'e, D: Recorded> {
     policy: &'a dyn Settings<D>,
     symmetry: Symmetry,
     env: &'a MakeEnv<'a, 'e, D>,
@@ -55,11 +55,13 @@ struct Play<'a, 'e, D: Recorded> {
 }
 
 impl Runner {
-    /// Runs every stage up to the rollouts. The answer holds the scenes, too, where rollouts start from some.
+    /// Runs all stages up to the rollouts. Returns the `rollouts` artifact and, if rollouts start from scenes, the `scenes`
+    /// artifact.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn roll_out(&self) -> Result<(Built, Option<Built>)> {
+        // A missing table [rollout] is reported before the first stage runs.
         let (policy, _) = (self.pipeline.policy()?, self.pipeline.rollout()?);
         let planar = self.pipeline.task.is_planar();
         // Before ingest, which can take minutes.
@@ -76,46 +78,54 @@ impl Runner {
             inputs.push(match stage {
                 Stage::Index if planar => self.index(&episodes, &modes, poses.as_ref())?,
                 Stage::Index => self.index_spatial(&episodes, &modes, poses.as_ref())?,
-                other => bail!("no policy is opened with what {} makes", other.as_str()),
+                other => bail!(
+                    "policies cannot be opened from the artifact of stage {}",
+                    other.as_str()
+                ),
             });
         }
         let scenes = if planar { self.scenes(&episodes)? } else { None };
-        let made = Made {
+        let artifacts = RolloutArtifacts {
             episodes: &episodes,
             poses: poses.as_ref(),
             scenes: scenes.as_ref(),
             inputs: &inputs,
         };
         let built = match policy {
-            Policy::Plane(policy) => self.rollout_plane(policy, &made)?,
-            Policy::Space(policy) => self.rollout_space(policy, &made)?,
+            Policy::Plane(policy) => self.rollout_plane(policy, &artifacts)?,
+            Policy::Space(policy) => self.rollout_space(policy, &artifacts)?,
         };
         Ok((built, scenes))
     }
 
-    /// Rolls out from the starts, and writes the tables of every domain and policy. `add` gets all rows, batch after batch.
+    /// Rolls out from `starts` and writes the tables that all domains and policies have. Calls `add` with each batch of rows.
     fn record<D: Recorded>(
         &self,
-        play: &Play<'_, '_, D>,
-        made: &Made<'_>,
+        setup: &RolloutSetup<'_, '_, D>,
+        artifacts: &RolloutArtifacts<'_>,
         starts: &mut dyn ExactSizeIterator<Item = Start<D>>,
         writer: &Writer,
         add: &mut dyn FnMut(&Batch<D>),
     ) -> Result<()> {
-        let inputs: Vec<(Stage, &Artifact)> = made.inputs.iter().map(|built| (built.stage, &built.artifact)).collect();
-        let opened = play.policy.open(&Inputs {
+        let inputs: Vec<(Stage, &Artifact)> = artifacts
+            .inputs
+            .iter()
+            .map(|built| (built.stage, &built.artifact))
+            .collect();
+        let opened = setup.policy.open(&Inputs {
             artifacts: &inputs,
-            names: demo_names(&made.episodes.artifact)?,
-            symmetry: play.symmetry,
+            names: demo_names(&artifacts.episodes.artifact)?,
+            symmetry: setup.symmetry,
         })?;
         let bar = self.notes.progress(starts.len() as u64, "rollouts");
+        // Called after every rollout; false stops the harness.
         let going = || {
             bar.inc(1);
             !self.interrupt.requested()
         };
         let harness = Harness {
-            env: play.env,
-            source: play.source,
+            env: setup.env,
+            source: setup.source,
             max_steps: self.pipeline.rollout()?.max_steps,
             progress: &going,
         };
@@ -140,7 +150,7 @@ impl Runner {
         Ok(())
     }
 
-    /// What the protocol of rollouts says of the demonstrations, with what a domain adds.
+    /// The protocol in the summary of rollouts: the demonstrations, the maximum number of steps, and the domain's own entries.
     fn protocol(&self, episodes: &Artifact, more: Value) -> Result<Value> {
         let manifest = episodes.manifest();
         let mut protocol = json!({
@@ -153,7 +163,7 @@ impl Runner {
         Ok(protocol)
     }
 
-    /// What the key of rollouts depends on beside its inputs, with what a domain adds.
+    /// The settings that the key of rollouts depends on besides its inputs: those of all domains, and the domain's own entries.
     fn rollout_config(&self, more: Value) -> Result<Value> {
         let mut config = json!({
             "task": self.pipeline.task,
@@ -173,7 +183,7 @@ fn extend(object: &mut Value, more: Value) {
     }
 }
 
-/// Metrics that a `rollouts` artifact states.
+/// The metrics in the summary of a `rollouts` artifact; null if it has none.
 pub fn metrics(artifact: &Artifact) -> Value {
     artifact
         .manifest()

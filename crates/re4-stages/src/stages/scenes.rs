@@ -1,4 +1,4 @@
-//! Scenes: `episodes` to `scenes`, where rollouts start.
+//! The stage `scenes`: makes `scenes`, from which rollouts start, from `episodes`.
 
 use anyhow::Result;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
@@ -8,14 +8,14 @@ use serde_json::json;
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 1;
 
 impl Runner {
-    /// The `scenes` artifact, where the pipeline has a table `[scenes]`.
+    /// Makes the `scenes` artifact, or returns the existing one; `None` if the pipeline has no table `[scenes]`.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn scenes(&self, episodes: &Built) -> Result<Option<Built>> {
         let config = self.pipeline.scenes.as_ref();
         config.map(|config| self.choose_scenes(config, episodes)).transpose()
@@ -50,8 +50,8 @@ impl Runner {
     }
 }
 
-/// Poses of the block in every frame, as they were recorded: they say where to evaluate, for every variant alike, and train
-/// nothing.
+/// The recorded poses of the block in all frames. Image variants read them here, too: they determine where policies are
+/// evaluated, so that all variants start from the same scenes, and nothing is trained on them.
 fn object_frames(episodes: &Artifact) -> Result<Vec<ObjectFrame>> {
     let episodes = read_episodes(episodes)?;
     let frames = (0..).zip(&episodes).flat_map(|(episode, demonstration)| {

@@ -1,4 +1,4 @@
-//! Segment: `episodes` to `modes`.
+//! The stage `segment`: makes `modes` from `episodes`.
 
 use anyhow::Result;
 use rayon::prelude::*;
@@ -13,14 +13,14 @@ use crate::inputs::demos::{SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 3;
 
 impl Runner {
-    /// The `modes` artifact.
+    /// Makes the `modes` artifact, or returns the existing one.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn segment(&self, episodes: &Built) -> Result<Built> {
         let config = &self.pipeline.segment;
         let recipe = Recipe::new(Stage::Segment, CODE_VERSION)
@@ -39,7 +39,7 @@ impl Runner {
         })
     }
 
-    /// Segments every demonstration, some at a time, and counts frames of whose evidence something holds.
+    /// Segments all demonstrations in batches, and counts the frames whose evidence satisfies the predicates in `counted`.
     fn write_modes<D: Sync + Send, E: Cell + Clone + Send, S: Cell + Clone + Send>(
         &self,
         count: usize,
@@ -79,7 +79,7 @@ impl Runner {
     }
 }
 
-/// What is counted in evidence.
+/// Names and predicates of the counts of frames in the summary.
 type Counted<E> = &'static [(&'static str, fn(&E) -> bool)];
 
 const PLANE: Counted<Evidence> = &[
@@ -92,7 +92,7 @@ const SPACE: Counted<SpatialEvidence> = &[
     ("frames_with_object_held", |e| e.holds),
 ];
 
-/// The summary of a `modes` artifact, as a function of its tables.
+/// Accumulates the summary of a `modes` artifact.
 struct Summary<E: 'static> {
     counted: Counted<E>,
     counts: Vec<u64>,
@@ -114,7 +114,7 @@ impl<E> Summary<E> {
         }
     }
 
-    /// A row of table `modes`, which is sorted by episode.
+    /// Adds a row of table `modes`. Rows have to be sorted by episode, because a change of episode counts as a new one.
     fn add(&mut self, row: &ModeRow<E>) {
         self.demos += u64::from(self.last.replace(row.episode) != Some(row.episode));
         self.frames += 1;
@@ -124,7 +124,7 @@ impl<E> Summary<E> {
         }
     }
 
-    /// With as many rows in table `segments`.
+    /// The summary; `segments` is the number of rows of table `segments`.
     fn to_json(self, segments: u64) -> Value {
         let mut summary = Map::new();
         let counts = self.counted.iter().map(|(name, _)| *name).zip(self.counts);

@@ -1,4 +1,5 @@
-//! Train-pose: `episodes` to `poses`. Push-T's log-polar estimator learns nothing; it is calibrated by the goal pose.
+//! The stage `train-pose`: makes `poses` from `episodes`. Push-T's log-polar estimator is not trained but calibrated with the
+//! goal pose; the encoder of robosuite tasks is trained (module `encoder`).
 
 mod card;
 mod encoder;
@@ -28,21 +29,21 @@ use crate::inputs::images::check_images;
 use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 4;
 
-/// Every image of a frame whose number this divides is looked at for the goal; the first of every demonstration is
-/// among them.
+/// Every `CALIBRATION_STRIDE`-th frame of a demonstration, starting with the first, is used to find the goal. The goal does not
+/// move, so more frames would add little.
 const CALIBRATION_STRIDE: u32 = 16;
 
-/// An angle that is wrong by more than this is a flip: the estimator took one end of the block for another.
+/// Angle errors above this, in degrees, count as flips: the estimator confused the ends of the block.
 const FLIP: f64 = 90.0;
 
 impl Runner {
-    /// The `poses` artifact, where poses come from images.
+    /// Makes the `poses` artifact of Push-T, or returns the existing one; `None` if poses are not estimated from images.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn train_pose(&self, episodes: &Built) -> Result<Option<Built>> {
         match self.pipeline.pose()?.source {
             PoseSource::Recorded | PoseSource::Encoder => Ok(None),
@@ -50,10 +51,11 @@ impl Runner {
         }
     }
 
-    /// The `poses` artifact of a robosuite task, where poses come from images.
+    /// Makes the `poses` artifact of a robosuite task, or returns the existing one; `None` if poses are not estimated from
+    /// images.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn train_spatial(&self, episodes: &Built, modes: &Built) -> Result<Option<Built>> {
         let pose = self.pipeline.pose()?;
         if pose.source != PoseSource::Encoder {
@@ -73,7 +75,7 @@ impl Runner {
             write_anchor(&anchor, writer)?;
             let estimator = LogPolarEstimator::new(&anchor, outline(), self.pipeline.pose()?.refine);
             let estimates = self.estimate_all(&estimator, &images, writer)?;
-            // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
+            // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
             let evaluation = evaluate(&estimates, episodes)?;
             let flags = count(&estimates);
             let mut summary = json!({
@@ -155,8 +157,8 @@ impl Images {
         let path = episodes.path().to_owned();
         ensure!(
             episodes.has::<ImageRow>(),
-            "cannot estimate poses: {} holds no images", path.display();
-            "set ingest.images = true, and where the dataset has none, ingest.render = [\"image\"]"
+            "cannot estimate poses: {} has no images", path.display();
+            "set ingest.images = true and, if the dataset has no images, ingest.render = [\"image\"]"
         );
         Ok(Self {
             table: episodes.table(ImageRow::table())?,
@@ -165,11 +167,11 @@ impl Images {
         })
     }
 
-    /// What `look` sees in each image of a batch, in the order of the batch.
-    fn map<T: Send>(&self, rows: &RecordBatch, look: impl Fn(&PushtImage<'_>) -> T + Sync) -> Result<Vec<T>> {
+    /// Applies `estimate` to each image of a batch, in parallel. Results are in the order of the batch.
+    fn map<T: Send>(&self, rows: &RecordBatch, estimate: impl Fn(&PushtImage<'_>) -> T + Sync) -> Result<Vec<T>> {
         let all: Vec<usize> = (0..rows.num_rows()).collect();
         self.each(rows, &all, |pixels| {
-            Ok(look(&PushtImage::new(
+            Ok(estimate(&PushtImage::new(
                 pixels.as_raw(),
                 pixels.width() as usize,
                 pixels.height() as usize,
@@ -177,9 +179,10 @@ impl Images {
         })
     }
 
-    /// The bytes of some images of a batch.
+    /// Decodes the chosen images of a batch to RGB bytes, and checks their size.
     fn decode(&self, rows: &RecordBatch, chosen: &[usize]) -> Result<Vec<Vec<u8>>> {
         self.each(rows, chosen, |pixels| {
+            // For its check of the size only.
             PushtImage::new(pixels.as_raw(), pixels.width() as usize, pixels.height() as usize)?;
             Ok(pixels.into_raw())
         })
@@ -189,7 +192,7 @@ impl Images {
         &self,
         rows: &RecordBatch,
         chosen: &[usize],
-        look: impl Fn(image::RgbImage) -> Result<T, ImageError> + Sync,
+        apply: impl Fn(image::RgbImage) -> Result<T, ImageError> + Sync,
     ) -> Result<Vec<T>> {
         let encoded = col_binary(rows, "image")?;
         let (episodes, frames) = (col_u32(rows, "episode")?, col_u32(rows, "frame")?);
@@ -205,10 +208,10 @@ impl Images {
             .par_iter()
             .map(|&row| {
                 let image = image::load_from_memory_with_format(encoded.value(row), ImageFormat::Png)
-                    .or_fault(|| fault!("{} is not a PNG image", place(row); "ingest again"))?;
-                look(image.into_rgb8()).with_context(|| place(row))
+                    .or_fault(|| fault!("{} is not a PNG image", place(row); "delete the artifact and ingest again"))?;
+                apply(image.into_rgb8()).with_context(|| place(row))
             })
-            // In order, so that of several errors the first is told, whichever thread met one first.
+            // Collected in order before the errors are looked at, so that the first error is reported whatever the threads do.
             .collect::<Vec<_>>()
             .into_iter()
             .collect()
@@ -216,10 +219,10 @@ impl Images {
 }
 
 fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
-    writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, share)| AnchorRow {
+    writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, fraction)| AnchorRow {
         row: pixel / SIDE,
         column: pixel % SIDE,
-        goal_fraction: f64::from(*share),
+        goal_fraction: f64::from(*fraction),
     }))?;
     Ok(())
 }
@@ -245,7 +248,7 @@ fn warnings(rows: &[PoseRow<Estimate>], flags: &BTreeMap<&'static str, usize>, n
     vec![json!({
         "code": "pose_not_clear",
         "message": format!(
-            "the pose is not clear in {} of {} frames ({}), first in {}, frame {}; they are not retrieved",
+            "the estimated pose is not clear in {} of {} frames ({}), first in {}, frame {}; these frames are not retrieved",
             1 + doubtful.count(),
             rows.len(),
             counted.join(", "),
@@ -255,12 +258,13 @@ fn warnings(rows: &[PoseRow<Estimate>], flags: &BTreeMap<&'static str, usize>, n
     })]
 }
 
-/// How far the estimates are from the recorded poses: a report, which nothing reads.
+/// The errors of the estimates against recorded poses, for the summary only; no stage reads them. `None` if the dataset has no
+/// recorded poses.
 fn evaluate(rows: &[PoseRow<Estimate>], episodes: &Artifact) -> Result<Option<Value>> {
     columns! {
-        /// A recorded pose alone.
+        /// The column of table `frames` that is read.
         pub struct Recorded {
-            /// Pose of the block; null where the dataset has none.
+            /// Pose of the block; null if the dataset has none.
             pub object: Option<Pose2>,
         }
     }
@@ -277,7 +281,7 @@ fn evaluate(rows: &[PoseRow<Estimate>], episodes: &Artifact) -> Result<Option<Va
     }
     let flips = angle.iter().filter(|error| **error > FLIP).count();
     let mut evaluation = json!({
-        "against": "recorded poses, which no estimate was made with",
+        "against": "recorded poses, which were not used to make the estimates",
         "flips": flips,
     });
     if let Some(evaluation) = evaluation.as_object_mut() {

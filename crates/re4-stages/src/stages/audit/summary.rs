@@ -1,4 +1,4 @@
-//! The dataset as a whole, in figures: what the manifest of an `audit` says.
+//! The summary of an `audit` artifact: statistics of the whole dataset.
 
 use std::collections::BTreeMap;
 
@@ -10,12 +10,12 @@ use serde_json::{Map, Value, json};
 
 use super::{Audited, by_code};
 
-/// Steps of Push-T by contact and motion of the block.
+/// Numbers of Push-T steps by whether the pusher touches the block and whether the block moves.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Contacts {
     both: u64,
-    contact_alone: u64,
-    motion_alone: u64,
+    contact_only: u64,
+    motion_only: u64,
     neither: u64,
 }
 
@@ -25,8 +25,8 @@ impl FromIterator<(bool, bool)> for Contacts {
         for step in steps {
             match step {
                 (true, true) => counts.both += 1,
-                (true, false) => counts.contact_alone += 1,
-                (false, true) => counts.motion_alone += 1,
+                (true, false) => counts.contact_only += 1,
+                (false, true) => counts.motion_only += 1,
                 (false, false) => counts.neither += 1,
             }
         }
@@ -36,14 +36,14 @@ impl FromIterator<(bool, bool)> for Contacts {
 
 impl Contacts {
     fn to_json(self) -> Value {
-        let either = self.both + self.contact_alone + self.motion_alone;
-        let overlap = (either > 0).then(|| self.both as f64 / either as f64);
+        let either = self.both + self.contact_only + self.motion_only;
+        let jaccard = (either > 0).then(|| self.both as f64 / either as f64);
         json!({
             "contact_and_motion": self.both,
-            "contact_alone": self.contact_alone,
-            "motion_alone": self.motion_alone,
+            "contact_alone": self.contact_only,
+            "motion_alone": self.motion_only,
             "neither": self.neither,
-            "jaccard": overlap,
+            "jaccard": jaccard,
         })
     }
 }
@@ -89,7 +89,7 @@ pub(super) fn summary(audited: &Audited) -> Value {
         .into_iter()
         .map(|(code, (found, _))| (code, found))
         .collect();
-    // Those that were left out have no frames.
+    // Demonstrations that were left out have no frames and are not part of the statistics.
     let kept = audited.listed.iter().filter(|l| l.row.frames > 0);
     let lengths: Vec<f64> = kept.map(|l| l.row.frames as f64).collect();
     let mut answer = json!({
@@ -112,14 +112,14 @@ pub(super) fn summary(audited: &Audited) -> Value {
     answer
 }
 
-/// Minimum, quartiles and maximum; null where there is nothing.
+/// Minimum, quartiles and maximum; null if there are no values.
 fn quartiles(values: &[f64]) -> Value {
     let values = sorted(values.iter().copied());
-    let part = |share| quantile(&values, share);
-    json!({ "min": part(0.0), "q1": part(0.25), "median": part(0.5), "q3": part(0.75), "max": part(1.0) })
+    let at = |fraction| quantile(&values, fraction);
+    json!({ "min": at(0.0), "q1": at(0.25), "median": at(0.5), "q3": at(0.75), "max": at(1.0) })
 }
 
-/// Outcomes, and where in the object's frame it is held.
+/// Statistics of grasps: the outcomes, and the grasp poses in the object's frame of those that held the object.
 fn grasps(grasps: &[GraspRow]) -> Value {
     let mut outcomes: BTreeMap<&str, u32> = BTreeMap::new();
     for grasp in grasps {
@@ -143,8 +143,8 @@ fn grasps(grasps: &[GraspRow]) -> Value {
     })
 }
 
-/// Angles of orientations from their mean, which is the eigenvector of the largest eigenvalue of the sum of q qᵀ: the same for
-/// q and -q.
+/// Angles in rad between orientations and their mean. The mean is the eigenvector of the sum of q qᵀ with the largest eigenvalue,
+/// which does not depend on the signs of the quaternions.
 fn angles_from_mean(attitudes: &[UnitQuaternion<f64>]) -> Vec<f64> {
     let sum = attitudes
         .iter()

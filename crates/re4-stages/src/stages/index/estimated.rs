@@ -1,4 +1,4 @@
-//! Object poses of an index that come from images, and an audit that does without recorded ones.
+//! Estimated object poses for the index, and an audit that does not read recorded object poses.
 
 use std::collections::BTreeMap;
 
@@ -17,25 +17,25 @@ use crate::runner::Runner;
 /// The object poses of a `poses` artifact.
 pub(super) struct EstimatedPoses {
     poses: Vec<Isometry3<f64>>,
-    /// Where the rows of a demonstration begin, and how many there are.
+    /// First row and number of rows by demonstration.
     rows: BTreeMap<u32, (usize, usize)>,
     path: String,
 }
 
 impl EstimatedPoses {
-    /// Those of this artifact.
+    /// Reads the poses of this artifact.
     ///
     /// # Errors
-    /// When its rows are not sorted by episode and frame, or a frame is missing among them.
+    /// If the rows are not sorted by episode and frame, or a frame is missing.
     pub(super) fn open(artifact: &Artifact) -> Result<Self> {
         columns! {
-            /// An estimated pose alone.
+            /// The columns of table `poses` that are read.
             pub struct Posed {
                 /// Demonstration.
                 pub episode: u32,
                 /// Frame.
                 pub frame: u32,
-                /// Estimated pose.
+                /// Estimated object pose.
                 pub object: Isometry3<f64>,
             }
         }
@@ -45,9 +45,9 @@ impl EstimatedPoses {
             let (start, count) = rows.entry(episode).or_insert((row, 0));
             ensure!(
                 frame as usize == *count && *start + *count == row,
-                "cannot index: table poses of {} is not sorted by episode and frame, or lacks a frame, in row {row} (episode {episode}, frame {frame})",
+                "cannot index: table poses of {} is not sorted by episode and frame, or lacks a frame, at row {row} (episode {episode}, frame {frame})",
                 artifact.path().display();
-                "train the encoder anew"
+                "delete the poses artifact and train the encoder again"
             );
             *count += 1;
         }
@@ -58,19 +58,19 @@ impl EstimatedPoses {
         })
     }
 
-    /// Puts the estimated poses in the place of the recorded ones.
+    /// Replaces the recorded object poses of a demonstration by the estimated ones.
     ///
     /// # Errors
-    /// When the artifact was made of other demonstrations.
+    /// If the artifact was made from other demonstrations.
     pub(super) fn put_into(&self, demo: &mut SpatialDemo, estimates: Estimates) -> Result<()> {
         let frames = demo.episode.frames.len();
         let (start, count) = self.rows.get(&demo.number).copied().unwrap_or_default();
         ensure!(
             count == frames,
-            "cannot index: table poses of {} has {count} rows of {}, which has {frames} frames",
+            "cannot index: table poses of {} has {count} rows for {}, which has {frames} frames",
             self.path,
             demo.episode.name;
-            "the poses are those of other demonstrations, so train the encoder on these"
+            "train the encoder on these demonstrations, because the poses belong to other ones"
         );
         let own = &self.poses[start..start + count];
         let eef: Vec<Isometry3<f64>> = demo.episode.frames.iter().map(|frame| frame.eef).collect();
@@ -84,21 +84,21 @@ impl EstimatedPoses {
         Ok(())
     }
 
-    /// Refuses poses of more demonstrations than there are.
+    /// Returns an error if the artifact does not have the poses of exactly `demos` demonstrations.
     pub(super) fn check_count(&self, demos: u64) -> Result<()> {
         ensure!(
             self.rows.len() as u64 == demos,
-            "cannot index: table poses of {} has {} episodes, and there are {demos} demonstrations",
+            "cannot index: table poses of {} has {} episodes, but there are {demos} demonstrations",
             self.path,
             self.rows.len();
-            "the poses are those of other demonstrations, so train the encoder on these"
+            "train the encoder on these demonstrations, because the poses belong to other ones"
         );
         Ok(())
     }
 }
 
-/// A demonstration without the recorded pose of the object, which is said to be where the end effector is. What is left to
-/// judge a grasp by are the fingers: an object that is said to be in the hand never leaves it.
+/// Replaces the recorded object pose by the end effector's pose. An object that always is at the end effector never leaves it, so
+/// the checks of grasps depend only on the fingers.
 fn without_object(mut demo: SpatialDemo, config: &SegmentConfig) -> Result<SpatialDemo> {
     for frame in &mut demo.episode.frames {
         frame.object = frame.eef;
@@ -108,7 +108,7 @@ fn without_object(mut demo: SpatialDemo, config: &SegmentConfig) -> Result<Spati
 }
 
 impl Runner {
-    /// The end of the last finding of one of these checks, by demonstration, where recorded object poses are not to be read.
+    /// The end frame of the last finding of these checks, by demonstration, without reading recorded object poses.
     pub(super) fn left_out_by_fingers(
         &self,
         episodes: &Artifact,

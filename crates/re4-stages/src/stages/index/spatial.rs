@@ -1,4 +1,4 @@
-//! The index of robosuite's tasks.
+//! The stage `index` for robosuite tasks.
 
 use std::collections::BTreeMap;
 
@@ -14,16 +14,16 @@ use crate::inputs::demos::SegmentedEpisodes;
 use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 1;
 
 impl Runner {
-    /// The `index` artifact of a robosuite task, over the poses of the `poses` artifact where there is one, over the recorded
-    /// ones otherwise. With a `poses` artifact, the recorded object pose is read for nothing: what `index.leave_out` names is
-    /// then found by the fingers alone.
+    /// Makes the `index` artifact of a robosuite task, or returns the existing one. Object poses come from `poses` if it is
+    /// given, otherwise from `episodes`. With `poses`, recorded object poses are not read at all: the checks of `index.leave_out`
+    /// are then evaluated from the fingers only.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn index_spatial(&self, episodes: &Built, modes: &Built, poses: Option<&Built>) -> Result<Built> {
         let leave_out = &self.pipeline.index()?.leave_out;
         let audit = if leave_out.is_empty() || poses.is_some() {
@@ -31,6 +31,7 @@ impl Runner {
         } else {
             Some(self.audit(episodes, modes)?)
         };
+        // Keys that are added only below leave the key of an index unchanged for pipelines that do not use these settings.
         let mut config = json!({
             "task": self.pipeline.task,
             "leave_out": leave_out,
@@ -83,8 +84,8 @@ impl Runner {
             }
             if retrievable == 0 {
                 bail!(
-                    "cannot index {}: every frame is left out by index.leave_out", episodes.artifact.path().display();
-                    "name fewer checks"
+                    "cannot index {}: index.leave_out leaves out every frame", episodes.artifact.path().display();
+                    "name fewer checks in index.leave_out"
                 );
             }
             Ok(ArtifactSummary {
@@ -95,7 +96,7 @@ impl Runner {
     }
 }
 
-/// The end of the last finding of one of these checks, by demonstration.
+/// The end frame of the last finding of these checks, by demonstration, from an `audit` artifact.
 fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
     let known: Vec<CheckRow> = audit.read()?;
     check_names(checks, known.iter().map(|check| &*check.code))?;
@@ -108,7 +109,7 @@ fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
     ))
 }
 
-/// The end of the last finding of one of these checks, by demonstration, of findings given by code, demonstration and end.
+/// The end frame of the last finding of these checks, by demonstration. Findings are given as (code, demonstration, end frame).
 pub(super) fn last_ends<'a>(
     checks: &[String],
     findings: impl Iterator<Item = (&'a str, u32, u32)>,
@@ -121,19 +122,19 @@ pub(super) fn last_ends<'a>(
     last
 }
 
-/// Refuses names that no check has.
+/// Returns an error for a name that no check has.
 pub(super) fn check_names<'a>(checks: &[String], known: impl Iterator<Item = &'a str>) -> Result<()> {
     let known: Vec<&str> = known.collect();
     match checks.iter().find(|check| !known.contains(&check.as_str())) {
         Some(check) => bail!(
-            "index.leave_out names the check {check:?}, which the audit does not have";
-            "its checks are {}", known.join(", ")
+            "index.leave_out names an unknown check {check:?}";
+            "the checks of the audit are {}", known.join(", ")
         ),
         None => Ok(()),
     }
 }
 
-/// Its rows in the index; frames before `end` are not retrieved.
+/// The rows of a demonstration; frames before `end` are marked as not retrievable.
 fn rows(demo: &SpatialDemo, end: usize) -> impl Iterator<Item = IndexRow<SpatialState>> {
     let frames = demo.episode.frames.iter().zip(&demo.segmented.modes);
     frames.enumerate().map(move |(number, (frame, &mode))| IndexRow {

@@ -1,4 +1,4 @@
-//! Ingest of HDF5 files of robosuite's tasks. Where the HDF5 library is needed, it is made in a process of its own.
+//! Ingests HDF5 files of robosuite tasks. If the HDF5 library is needed, a separate worker process makes the artifact.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::PathBuf;
@@ -16,9 +16,9 @@ use re4_ingest::{DemoSource as _, IngestError, LeftOut};
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Value, json};
 
-use super::rendered::{self, Drawing};
+use super::rendered::{self, Rendering};
 use super::spool::Spool;
-use super::worker::{self, Order, Word, tell};
+use super::worker::{self, Message, Request, send};
 use super::write::{Images, Ingest};
 use super::{STAGE, recipe};
 use crate::inputs::sources::find_source;
@@ -27,15 +27,15 @@ use crate::notes::fault_of;
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
-/// How long a worker that lost its parent may take to stop by itself.
+/// How long a worker may take to stop by itself after its parent has closed the worker's standard input.
 const GRACE: Duration = Duration::from_millis(400);
 
-/// Longest order that a worker reads.
-const LONGEST_ORDER: u64 = 16 << 20;
+/// Maximum length of a request that a worker reads, in bytes.
+const MAX_REQUEST: u64 = 16 << 20;
 
 impl Runner {
-    /// The `episodes` artifact of an HDF5 file. This process does not touch the file with the HDF5 library: it reads the
-    /// plainest files itself, and leaves all others to a worker.
+    /// Makes the `episodes` artifact of an HDF5 file, or returns the existing one. This process never uses the HDF5 library: it
+    /// reads files of the simplest layout by itself, and leaves all others to a worker process.
     pub(super) fn ingest_hdf5(&self, source: PathBuf) -> Result<Built> {
         let start = Instant::now();
         let _span = tracing::info_span!("stage", name = "ingest").entered();
@@ -43,11 +43,11 @@ impl Runner {
         let gl = (!section.render.is_empty())
             .then(|| re4_mujoco::Gl::of_process().map(|gl| gl.to_string()))
             .transpose()
-            .with_context(|| format!("cannot draw the images of {}", source.display()))?;
+            .with_context(|| format!("cannot render images for {}", source.display()))?;
         let mut sources = Sources::open(&source)?;
         let compare = section.compare.as_deref().map(find_source).transpose()?;
         let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
-        let mut order = Order {
+        let mut request = Request {
             hash: None,
             identity: sources.identity(),
             compare_hash: None,
@@ -61,10 +61,11 @@ impl Runner {
             cautious: false,
         };
         let hash = |sources: &Sources| self.hash(|stop| sources.hash(stop), STAGE);
-        // What there is and what it means is found out while the file is hashed, unless there may be models to be hashed, too.
-        let alone = !sources.has_models_folder();
+        // The file is opened and its conventions are determined while it is hashed. If there is a folder of models, the hash also
+        // covers the models that the file refers to, so hashing has to wait until the file is open.
+        let single_file = !sources.has_models_folder();
         let (early, direct, learned) = std::thread::scope(|scope| {
-            let hashing = alone.then(|| scope.spawn(|| hash(&sources)));
+            let hashing = single_file.then(|| scope.spawn(|| hash(&sources)));
             let direct = self.open_direct(&sources);
             let here = direct.as_ref().ok().and_then(Option::as_ref);
             let here = here.filter(|_| section.render.is_empty());
@@ -72,30 +73,30 @@ impl Runner {
             (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
         });
         let direct = direct?;
-        tracing::info!(source = %order.source.display(), library = direct.is_none(), "HDF5 file opened");
+        tracing::info!(source = %request.source.display(), library = direct.is_none(), "HDF5 file opened");
         match &direct {
             Some(reader) => sources = reader.sources().clone(),
-            // Which models there are is known to the library alone.
-            None if !alone => {
-                let names = self.attended(&order, |bar| worker::models(&order, &self.interrupt, bar))?;
+            // Only the library can read which models the file refers to.
+            None if !single_file => {
+                let names = self.attended(&request, |bar| worker::models(&request, &self.interrupt, bar))?;
                 sources = sources.with_models(names);
             }
             None => {}
         }
-        order.identity = sources.identity();
-        order.hash = Some(match early {
-            Some(hashed) => hashed.map_err(|_| fault!("the hashing stopped"; "run again"))??,
+        request.identity = sources.identity();
+        request.hash = Some(match early {
+            Some(hashed) => hashed.map_err(|_| fault!("the thread that hashes the source stopped"; "run again"))??,
             None => hash(&sources)?,
         });
-        order.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
-        let recipe = order.recipe(Value::Null)?;
+        request.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
+        let recipe = request.recipe(Value::Null)?;
         if let Some(built) = self.unchanged(&recipe, start)? {
-            self.refuse_left_out(&built.artifact, &order.source)?;
+            self.refuse_left_out(&built.artifact, &request.source)?;
             return Ok(built);
         }
         if let Some(reader) = direct.filter(|_| section.render.is_empty()) {
             let bar = self.notes.progress(0, STAGE);
-            let tell = |done: u64, all: u64| {
+            let show = |done: u64, all: u64| {
                 bar.set_length(all);
                 bar.set_position(done);
             };
@@ -105,25 +106,25 @@ impl Runner {
                 access: Access::Direct,
                 learned,
             };
-            let made = make(&order, inputs, &self.interrupt, &tell);
+            let made = make(&request, inputs, &self.interrupt, &show);
             bar.finish_and_clear();
             match made {
                 Err(error) if needs_library(&error) => tracing::info!("the HDF5 library is needed after all"),
                 made => return self.made(made?, &recipe, start),
             }
         }
-        self.attended(&order, |bar| worker::run(&order, &self.interrupt, bar))?;
+        self.attended(&request, |bar| worker::run(&request, &self.interrupt, bar))?;
         let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
         let artifact = artifact.or_fault(|| {
             fault!(
-                "cannot ingest {}: its artifact is gone", order.source.display();
-                "another process may have removed it, so run again"
+                "cannot ingest {}: the new artifact has disappeared, perhaps removed by another process", request.source.display();
+                "run again"
             )
         })?;
         self.made(artifact, &recipe, start)
     }
 
-    /// The file, opened without the HDF5 library; none where that takes the library.
+    /// Opens the file without the HDF5 library; `None` if its layout needs the library.
     fn open_direct(&self, sources: &Sources) -> Result<Option<RobomimicReader>> {
         if std::env::var_os(HDF5_VARIABLE).is_some_and(|value| value == "library") {
             return Ok(None);
@@ -134,19 +135,19 @@ impl Runner {
         }
     }
 
-    /// Lets a worker do something, and clears up after one that fell over.
-    fn attended<T>(&self, order: &Order, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
+    /// Runs `work`, which uses a worker, and removes the unfinished artifact of a worker that failed.
+    fn attended<T>(&self, request: &Request, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
         let ended = work(&self.notes.progress(0, STAGE));
         if ended.is_err() {
             self.interrupt.check(STAGE)?;
-            // What a worker that fell over had begun is removed when the store is opened.
-            Store::open(&order.artifacts)?;
+            // Opening the store removes unfinished artifacts.
+            Store::open(&request.artifacts)?;
         }
         ended
     }
 }
 
-/// Replaces the choice between reading beside the HDF5 library and with it, for tests: `library`.
+/// For tests: the value `library` makes ingest read every file with the HDF5 library.
 const HDF5_VARIABLE: &str = "RE4_HDF5";
 
 fn needs_library(error: &anyhow::Error) -> bool {
@@ -154,8 +155,8 @@ fn needs_library(error: &anyhow::Error) -> bool {
     cause.is_some_and(IngestError::needs_library)
 }
 
-impl Order {
-    /// What decides the bytes of the artifact.
+impl Request {
+    /// The recipe of the artifact.
     fn recipe(&self, summary: Value) -> Result<re4_artifact::Recipe> {
         let hash = self.hash.as_ref().context("the source was not hashed")?;
         let render = rendered::settings(&self.pipeline.ingest.render, self.gl.as_deref());
@@ -163,64 +164,62 @@ impl Order {
     }
 }
 
-/// The worker: reads its order, makes and publishes the artifact, and tells how it went.
+/// The worker process: reads its request from standard input, makes and publishes the artifact, and reports to its parent on
+/// standard output.
 ///
 /// # Errors
-/// When there is no order to read, or no store to publish in; all that is wrong later is told to the process that asked.
+/// If the request cannot be read or the store cannot be opened. Later errors are reported to the parent.
 pub fn serve_ingest() -> Result<()> {
     let mut input = BufReader::new(std::io::stdin());
     let mut line = String::new();
     input
         .by_ref()
-        .take(LONGEST_ORDER)
+        .take(MAX_REQUEST)
         .read_line(&mut line)
-        .context("cannot read the order")?;
-    let order: Order = serde_json::from_str(&line)
-        .or_fault(|| fault!("ingest-worker is started by re4-pipe itself"; "use re4-pipe ingest"))?;
-    // A process may always lower its own limits; where the system refuses, the file's sizes are checked all the same.
-    let memory = worker::memory(&order);
+        .context("cannot read the request")?;
+    let request: Request = serde_json::from_str(&line)
+        .or_fault(|| fault!("ingest-worker is an internal command"; "use re4-pipe ingest"))?;
+    // The limits are a safeguard against damaged files. If the system refuses them, the sizes in the file are still checked.
+    let memory = worker::memory(&request);
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
-    let store = Store::open(&order.artifacts)?;
-    let interrupt = Interrupt::listen_and_say(Some(&store), |fault| tell(&Word::failed(&fault)));
+    let store = Store::open(&request.artifacts)?;
+    let interrupt = Interrupt::listen_and_say(Some(&store), |fault| send(&Message::failed(&fault)));
     let stop = interrupt.clone();
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut input, &mut std::io::sink());
         stop.request();
         std::thread::sleep(GRACE);
-        // Until the process has ended, nothing more is published.
+        // The lock is held until the process has ended, so that nothing more is published.
         let _locked = store.abandon();
-        #[allow(
-            clippy::exit,
-            reason = "nobody waits for this process any more, and its thread is stuck in C code"
-        )]
+        #[allow(clippy::exit, reason = "the parent has ended, and the thread may be stuck in C code")]
         std::process::exit(2);
     });
-    let word = match serve(&order, &interrupt) {
-        Ok(word) => word,
-        Err(error) => Word::failed(&fault_of(&error)),
+    let message = match serve(&request, &interrupt) {
+        Ok(message) => message,
+        Err(error) => Message::failed(&fault_of(&error)),
     };
-    tell(&word);
+    send(&message);
     Ok(())
 }
 
-fn serve(order: &Order, interrupt: &Interrupt) -> Result<Word> {
+fn serve(request: &Request, interrupt: &Interrupt) -> Result<Message> {
     rayon::ThreadPoolBuilder::new()
-        .num_threads(order.threads)
+        .num_threads(request.threads)
         .build_global()
-        .or_fault(|| fault!("cannot start {} worker threads", order.threads; "give a smaller --jobs"))?;
-    let sources = Sources::open_again(&order.source, &order.identity)?;
-    let reader = RobomimicReader::open(&sources, &choice(&order.pipeline, order.cautious), Access::Library)?;
-    if order.hash.is_none() {
-        return Ok(Word::Models(
+        .or_fault(|| fault!("cannot start {} worker threads", request.threads; "give a smaller --jobs"))?;
+    let sources = Sources::open_again(&request.source, &request.identity)?;
+    let reader = RobomimicReader::open(&sources, &choice(&request.pipeline, request.cautious), Access::Library)?;
+    if request.hash.is_none() {
+        return Ok(Message::Models(
             reader.sources().model_names().map(str::to_owned).collect(),
         ));
     }
-    // Models that came or went since are a change, too.
-    if reader.sources().identity() != order.identity {
+    // Models that were added or removed since the parent hashed the files are a change, too.
+    if reader.sources().identity() != request.identity {
         return Err(reader.sources().changed().into());
     }
-    let compare = match (&order.compare, &order.compare_identity) {
+    let compare = match (&request.compare, &request.compare_identity) {
         (Some(path), Some(identity)) => Some(Sources::open_again(path, identity)?),
         _ => None,
     };
@@ -230,66 +229,66 @@ fn serve(order: &Order, interrupt: &Interrupt) -> Result<Word> {
         access: Access::Library,
         learned: None,
     };
-    make(order, inputs, interrupt, &|done, all| {
+    make(request, inputs, interrupt, &|done, all| {
         worker::progress(done, all, interrupt);
     })?;
-    Ok(Word::Done)
+    Ok(Message::Done)
 }
 
-/// Conventions, and the demonstrations that were met and cannot be used.
+/// The conventions of the file, and the demonstrations that were read for them and cannot be used.
 type Learned = Result<(Interpreter, Vec<LeftOut>), IngestError>;
 
-/// What an ingest reads.
+/// The opened files of an ingest.
 struct Inputs {
     reader: RobomimicReader,
     compare: Option<Sources>,
     access: Access,
-    /// The conventions, where they are known already.
+    /// The conventions, if they have been determined already.
     learned: Option<Learned>,
 }
 
 /// Makes and publishes the artifact.
 fn make(
-    order: &Order,
+    request: &Request,
     inputs: Inputs,
     interrupt: &Interrupt,
     progress: &(dyn Fn(u64, u64) + Sync),
 ) -> Result<Artifact> {
     let files = inputs.reader.sources().clone();
     let compare = inputs.compare.clone();
-    let source = open(order, inputs).or_else(|error| {
+    let source = open(request, inputs).or_else(|error| {
         interrupt.check(STAGE)?;
-        // Whatever is wrong with a file that changed is not what has to be fixed.
+        // If a file changed while it was read, that is the error to report, not its consequences.
         files.unchanged()?;
         compare.map_or(Ok(()), |compare| compare.unchanged())?;
         Err(error)
     })?;
-    let recipe = order.recipe(json!(source.info()))?;
+    let recipe = request.recipe(json!(source.info()))?;
     let ingest = Ingest {
-        section: &order.pipeline.ingest,
-        source: &order.source,
-        compare: order.compare.as_deref(),
+        section: &request.pipeline.ingest,
+        source: &request.source,
+        compare: request.compare.as_deref(),
         conventions: source.conventions(),
-        images: match drawing(order, source.reader(), source.env())? {
-            Some(drawing) => Images::Drawn(drawing, Spool::open(&order.artifacts, recipe.key())?),
+        images: match rendering(request, source.reader(), source.env())? {
+            Some(rendering) => Images::Rendered(rendering, Spool::open(&request.artifacts, recipe.key())?),
             None => Images::Recorded,
         },
-        threads: order.threads,
+        threads: request.threads,
         interrupt,
         progress,
     };
-    ingest.publish(&source, &Store::open(&order.artifacts)?, &recipe)
+    ingest.publish(&source, &Store::open(&request.artifacts)?, &recipe)
 }
 
-fn open(order: &Order, inputs: Inputs) -> Result<RobomimicSource> {
-    let section = &order.pipeline.ingest;
+fn open(request: &Request, inputs: Inputs) -> Result<RobomimicSource> {
+    let section = &request.pipeline.ingest;
     let Inputs {
         reader,
         compare,
         access,
         learned,
     } = inputs;
-    let learned = learned.unwrap_or_else(|| Interpreter::learn(&reader, &reading(&order.pipeline)))?;
+    let learned = learned.unwrap_or_else(|| Interpreter::learn(&reader, &reading(&request.pipeline)))?;
     let comparison = compare.map(|sources| Comparison::open(&sources, access)).transpose()?;
     let cameras = if section.images && section.render.is_empty() {
         reader.cameras(section.cameras.as_deref())?
@@ -299,19 +298,19 @@ fn open(order: &Order, inputs: Inputs) -> Result<RobomimicSource> {
     Ok(RobomimicSource::new(reader, learned, comparison, cameras)?)
 }
 
-/// What draws the images that are asked for.
-fn drawing<'a>(order: &'a Order, reader: &RobomimicReader, env: &EnvArgs) -> Result<Option<Drawing<'a>>> {
-    let render = &order.pipeline.ingest.render;
+/// The rendering of the images that `ingest.render` requests; `None` if it requests none.
+fn rendering<'a>(request: &'a Request, reader: &RobomimicReader, env: &EnvArgs) -> Result<Option<Rendering<'a>>> {
+    let render = &request.pipeline.ingest.render;
     if render.is_empty() {
         return Ok(None);
     }
     let recorded = reader.cameras(None)?;
     ensure!(
         recorded.is_empty(),
-        "cannot render images for {}: it holds recorded ones ({})", order.source.display(), recorded.join(", ");
-        "leave ingest.render out"
+        "cannot render images for {}: it has recorded images ({})", request.source.display(), recorded.join(", ");
+        "remove ingest.render"
     );
-    Ok(Some(Drawing::new(render, env, &order.source)?))
+    Ok(Some(Rendering::new(render, env, &request.source)?))
 }
 
 fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {

@@ -1,4 +1,4 @@
-//! Images of robosuite's cameras, drawn from recorded states through each demonstration's own model.
+//! Renders images of robosuite's cameras from recorded states, with each demonstration's own model.
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -21,70 +21,71 @@ use crate::inputs::simulators;
 use crate::interrupt::Interrupt;
 use crate::pipeline::Camera;
 
-/// Side of an image, in pixels: what robomimic's datasets hold.
+/// Side of an image in pixels, as in robomimic's datasets.
 const SIDE: usize = Camera::Agentview.side();
 
-/// Most memory that a process that draws is meant to take, in bytes: 512 MiB and a margin. One thread draws whatever that
-/// takes.
+/// Memory budget of a process that renders, in bytes: 512 MiB less a margin. It limits the number of threads; one thread always
+/// renders, even if it needs more.
 const MEMORY: u64 = 480 << 20;
 
-/// What the process takes beside renderers, in bytes: its libraries, and demonstrations that wait.
+/// Memory that the process needs besides renderers, in bytes: its libraries, and queued demonstrations.
 const PROCESS: u64 = 112 << 20;
 
-/// Raised whenever the same states give other images.
-const DRAWING_VERSION: u32 = 1;
+/// Increase it whenever the same states give different images.
+const RENDERING_VERSION: u32 = 1;
 
-/// What the key of an artifact says of drawn images. Which MuJoCo draws follows from the file.
+/// The rendering settings that are part of the artifact's key. The MuJoCo version is not among them because it follows from the
+/// source file.
 pub(super) fn settings(cameras: &[Camera], gl: Option<&str>) -> Value {
     json!({
         "assets": "robosuite-1.4.1",
         "cameras": cameras,
         "gl": gl,
         "side": SIDE,
-        "version": DRAWING_VERSION,
+        "version": RENDERING_VERSION,
     })
 }
 
-/// The version of robosuite whose images are drawn.
+/// The version of robosuite whose images are reproduced.
 fn profile(env: &EnvArgs) -> Result<Profile> {
     let Some(named) = env.env_version.as_deref() else {
         bail!(
-            "the file does not say which robosuite recorded it";
-            "give its env_args, with env_version, as ingest.env_args"
+            "the file does not name the robosuite version that recorded it";
+            "set ingest.env_args to the file's env_args with env_version added"
         );
     };
     Profile::of(named)
-        .with_context(|| format!("it was recorded with robosuite {named}, and the versions known here are 1.4 and 1.5"))
+        .with_context(|| format!("it was recorded with robosuite {named}, but only 1.4 and 1.5 are supported"))
 }
 
-/// What is drawn with: the library is there, and the cameras are known.
-pub(super) struct Drawing<'a> {
+/// Everything that rendering needs besides the demonstrations.
+pub(super) struct Rendering<'a> {
     library: Library,
     gl: Gl,
     cameras: Vec<&'static str>,
     source: &'a Path,
 }
 
-/// A demonstration to be drawn.
+/// A demonstration to be rendered.
 struct Job {
     episode: u32,
     demo: String,
-    /// Names and half sizes of the boxes that are its own, in metres.
+    /// Names and half sizes (in metres) of the boxes whose sizes differ between demonstrations.
     boxes: Vec<(String, [f64; 3])>,
     states: Matrix,
     cameras: Vec<&'static str>,
 }
 
-/// Threads that draw demonstrations whose models look alike, until the queue ends.
-struct Crew<'scope> {
-    /// What the models look like.
+/// Threads that render demonstrations with the same model (up to box sizes), until the queue ends.
+struct RenderPool<'scope> {
+    /// The common part of the models: MJCF without the box sizes.
     looks: String,
     jobs: SyncSender<Job>,
     threads: Vec<ScopedJoinHandle<'scope, ()>>,
 }
 
-impl Crew<'_> {
-    /// Waits until all its demonstrations are drawn, and its memory is free.
+impl RenderPool<'_> {
+    /// Waits until all queued demonstrations are rendered and the renderers' memory is freed.
     fn finish(self) {
         drop(self.jobs);
         for thread in self.threads {
@@ -95,16 +96,16 @@ impl Crew<'_> {
     }
 }
 
-/// Number of threads, of so many that may work, that draw a model at the same time.
-fn crew_size(model: &Model, threads: usize) -> usize {
+/// Number of threads, at most `threads`, that can render a model at the same time within [`MEMORY`].
+fn pool_size(model: &Model, threads: usize) -> usize {
     let Footprint { shared, each } = Renderer::footprint(model, SIDE, SIDE);
     let room = MEMORY.saturating_sub(PROCESS + shared);
     usize::try_from(room / each.max(1)).map_or(threads, |fit| fit.clamp(1, threads.max(1)))
 }
 
-impl<'a> Drawing<'a> {
+impl<'a> Rendering<'a> {
     pub(super) fn new(cameras: &[Camera], env: &EnvArgs, source: &'a Path) -> Result<Self> {
-        let failed = || format!("cannot draw the images of {}", source.display());
+        let failed = || format!("cannot render images for {}", source.display());
         let mut cameras: Vec<_> = cameras.iter().map(|camera| camera.name()).collect();
         cameras.sort_unstable();
         Ok(Self {
@@ -115,7 +116,7 @@ impl<'a> Drawing<'a> {
         })
     }
 
-    /// What the artifact says of its images.
+    /// Description of the rendering for the summary of the artifact.
     pub(super) fn summary(&self) -> Value {
         json!({
             "by": format!("MuJoCo {} with {}", self.library.version(), self.gl),
@@ -123,22 +124,22 @@ impl<'a> Drawing<'a> {
         })
     }
 
-    /// Names of its cameras, in alphabetical order.
+    /// Names of the cameras, in alphabetical order.
     pub(super) fn cameras(&self) -> Vec<String> {
         self.cameras.iter().map(|&camera| camera.to_owned()).collect()
     }
 
-    /// Draws what is not yet in the spool. `read` hands on the demonstrations in order; `tell` hears how many images are
-    /// done.
+    /// Renders the images that are not in the spool. `read` passes the demonstrations in order to its argument; `progress` is
+    /// called with the number of finished images.
     ///
-    /// Every thread draws whole demonstrations, as many at a time as [`MEMORY`] allows. Of several that cannot be drawn the
-    /// first is reported, whatever the number of threads.
-    pub(super) fn draw(
+    /// Each thread renders whole demonstrations; [`MEMORY`] limits the number of threads. If several demonstrations cannot be
+    /// rendered, the first one is reported, independent of the number of threads.
+    pub(super) fn render(
         &self,
         spool: &Spool,
         threads: usize,
         interrupt: &Interrupt,
-        tell: &(impl Fn(usize) + Sync),
+        progress: &(impl Fn(usize) + Sync),
         read: impl FnOnce(&mut dyn FnMut(u32, Episode) -> Result<()>) -> Result<()>,
     ) -> Result<()> {
         let failure: Mutex<Option<(u32, anyhow::Error)>> = Mutex::new(None);
@@ -147,15 +148,16 @@ impl<'a> Drawing<'a> {
         let done = |images: usize| {
             let mut count = count.lock().unwrap_or_else(PoisonError::into_inner);
             *count += images;
-            tell(*count);
+            progress(*count);
         };
         let work = |job: &Job, model: &Model, renderer: &mut Option<Renderer>| {
-            // Those before the one that failed are seen to their ends, so that the first one is told.
-            let in_vain = failed().as_ref().is_some_and(|(episode, _)| *episode < job.episode);
-            if in_vain || interrupt.requested() {
+            // Demonstrations before a failed one are still rendered, because they may fail, too, and the first failure is
+            // reported.
+            let superseded = failed().as_ref().is_some_and(|(episode, _)| *episode < job.episode);
+            if superseded || interrupt.requested() {
                 return;
             }
-            if let Err(error) = draw_demo(job, model, renderer, spool, interrupt, &done) {
+            if let Err(error) = render_demo(job, model, renderer, spool, interrupt, &done) {
                 let error = error.context(self.cannot(&job.demo));
                 let mut failure = failed();
                 if failure.as_ref().is_none_or(|(episode, _)| job.episode < *episode) {
@@ -164,13 +166,14 @@ impl<'a> Drawing<'a> {
             }
         };
         let result = std::thread::scope(|scope| {
-            let mut crew: Option<Crew<'_>> = None;
-            // The queue ends with the reading.
+            let mut pool: Option<RenderPool<'_>> = None;
+            // When reading ends, the pool is dropped, which closes its queue and ends its threads.
             read(&mut |episode, mut demo| {
                 let frames = demo.frames.count();
                 let name = demo.name.name;
                 interrupt.check("ingest")?;
-                ensure!(failed().is_none(), "a demonstration cannot be drawn");
+                // Stops the reading. The error of the demonstration itself replaces this one below.
+                ensure!(failed().is_none(), "a demonstration cannot be rendered");
                 let mut missing = Vec::new();
                 for &camera in &self.cameras {
                     if spool.get(camera, episode, frames)?.is_none() {
@@ -182,21 +185,20 @@ impl<'a> Drawing<'a> {
                     return Ok(());
                 }
                 let lacks = |what| {
-                    anyhow::Error::from(fault!("it has no {what}"; "leave ingest.render out"))
-                        .context(self.cannot(&name))
+                    anyhow::Error::from(fault!("it has no {what}"; "remove ingest.render")).context(self.cannot(&name))
                 };
                 let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
                 let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&name))?;
-                let crew = match &mut crew {
-                    Some(crew) if crew.looks == rest => crew,
+                let pool = match &mut pool {
+                    Some(pool) if pool.looks == rest => pool,
                     other => {
-                        // The memory of the last one first.
+                        // Frees the memory of the previous pool before the next model is compiled.
                         if let Some(last) = other.take() {
                             last.finish();
                         }
                         let model = self.compile(&mjcf).with_context(|| self.cannot(&name))?;
-                        other.insert(crew_of(scope, rest, &model, threads, &work))
+                        other.insert(start_pool(scope, rest, &model, threads, &work))
                     }
                 };
                 let job = Job {
@@ -206,9 +208,9 @@ impl<'a> Drawing<'a> {
                     states,
                     cameras: missing,
                 };
-                crew.jobs
+                pool.jobs
                     .send(job)
-                    .map_err(|_| fault!("no thread draws any more"; "run again").into())
+                    .map_err(|_| fault!("all rendering threads have stopped"; "run again").into())
             })
         });
         if let Some((_, error)) = failed().take() {
@@ -219,21 +221,21 @@ impl<'a> Drawing<'a> {
     }
 
     fn cannot(&self, demo: &str) -> String {
-        format!("cannot draw the images of {demo} in {}", self.source.display())
+        format!("cannot render the images of {demo} in {}", self.source.display())
     }
 
-    /// The model of a demonstration. Compiling it takes seconds, so those that look alike share it.
+    /// Compiles the model of a demonstration. That takes seconds, so demonstrations that differ only in box sizes share a model.
     fn compile(&self, mjcf: &str) -> Result<Model> {
         let text = with_assets(mjcf, &simulators::assets_folder())?;
         Model::compile(&self.library, &text).context("its model_file does not compile")
     }
 
-    /// Writes the images of the spool to their table: by camera, episode and frame.
+    /// Writes the images of the spool to table `images`, sorted by camera, episode and frame. Returns the number of images.
     pub(super) fn write(&self, spool: &Spool, lengths: &[usize], mut table: ImageTable) -> Result<usize> {
         for &camera in &self.cameras {
             for (episode, &frames) in (0_u32..).zip(lengths) {
                 let images = spool.get(camera, episode, frames)?;
-                let images = images.or_fault(|| fault!("images that were just drawn are gone"; "another run of the same artifact may have removed them, so run again"))?;
+                let images = images.or_fault(|| fault!("images that were just rendered have disappeared, perhaps removed by another run of the same artifact"; "run again"))?;
                 let places: Vec<(u32, u32)> = (0..frames as u32).map(|frame| (episode, frame)).collect();
                 table.write(camera, &places, images)?;
             }
@@ -242,8 +244,8 @@ impl<'a> Drawing<'a> {
     }
 }
 
-/// Draws a demonstration and puts its images into the spool, unless it is interrupted.
-fn draw_demo(
+/// Renders a demonstration and stores its images in the spool. Stores nothing if it is interrupted.
+fn render_demo(
     job: &Job,
     model: &Model,
     renderer: &mut Option<Renderer>,
@@ -257,7 +259,7 @@ fn draw_demo(
         "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities",
         job.states.columns,
         1 + nq + nv;
-        "states and model_file do not belong together"
+        "use the model_file that belongs to these states"
     );
     let renderer = match renderer {
         Some(renderer) => renderer,
@@ -289,15 +291,15 @@ fn draw_demo(
     Ok(())
 }
 
-/// Starts threads that draw demonstrations of a model, each with a renderer of its own.
-fn crew_of<'scope>(
+/// Starts threads that render demonstrations of a model, each with its own renderer.
+fn start_pool<'scope>(
     scope: &'scope Scope<'scope, '_>,
     looks: String,
     model: &Model,
     threads: usize,
     work: &'scope (impl Fn(&Job, &Model, &mut Option<Renderer>) + Sync),
-) -> Crew<'scope> {
-    let threads = crew_size(model, threads);
+) -> RenderPool<'scope> {
+    let threads = pool_size(model, threads);
     let (jobs, queue) = sync_channel(threads);
     let queue = Arc::new(Mutex::new(queue));
     let threads = (0..threads)
@@ -311,10 +313,10 @@ fn crew_of<'scope>(
             })
         })
         .collect();
-    Crew { looks, jobs, threads }
+    RenderPool { looks, jobs, threads }
 }
 
-/// The next demonstration for a thread; none when there are no more.
+/// Waits for the next demonstration; `None` if there are no more.
 fn next(queue: &Mutex<Receiver<Job>>) -> Option<Job> {
     queue.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
 }

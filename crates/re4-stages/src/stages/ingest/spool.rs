@@ -1,9 +1,8 @@
-//! Finished images of an artifact that is not finished.
+//! Stores the finished images of an unfinished artifact, so that an interrupted run can continue.
 //!
-//! Drawing takes minutes, and a run may be ended at any moment. So the images of each demonstration and camera are written to
-//! a file of their own, whole or not at all, in a folder beside the artifacts that is named by the artifact's key; the next run
-//! with the same key takes what is there, and the folder is removed once the artifact is published. A file that is not as it was
-//! written counts as not there.
+//! Rendering takes minutes, and a run may be ended at any moment. The images of each demonstration and camera are therefore
+//! written atomically to a file of their own, in a folder in the artifacts folder that is named by the artifact's key. The next
+//! run with the same key uses these files, and the folder is removed once the artifact is published. A damaged file is ignored.
 
 use std::fs;
 use std::io::{ErrorKind, Write as _};
@@ -13,10 +12,10 @@ use anyhow::{Context as _, Result};
 use re4_artifact::Key;
 use re4_fault::fault;
 
-/// Folder of the spools, below that of the artifacts.
+/// Folder of all spools, below the artifacts folder.
 const FOLDER: &str = "spool";
 
-/// Bytes of a hash.
+/// Length of a hash, in bytes.
 const HASH: usize = 32;
 
 /// A folder of finished images.
@@ -26,7 +25,7 @@ pub(super) struct Spool {
 }
 
 impl Spool {
-    /// The spool of the artifact of this key, made if need be.
+    /// Opens the spool of the artifact with this key. Creates its folder if necessary.
     pub(super) fn open(artifacts: &Path, key: Key) -> Result<Self> {
         let folder = artifacts.join(FOLDER).join(key.short());
         fs::create_dir_all(&folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
@@ -37,7 +36,8 @@ impl Spool {
         self.folder.join(format!("{camera}-{episode:06}"))
     }
 
-    /// Hash of a file's contents: which artifact, camera and episode they are for is part of it.
+    /// Hash of a file's contents together with its artifact, camera and episode, so that a renamed file is not taken for another
+    /// one.
     fn hash(&self, camera: &str, episode: u32, contents: &[u8]) -> [u8; HASH] {
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.key.as_bytes());
@@ -47,7 +47,7 @@ impl Spool {
         *hasher.finalize().as_bytes()
     }
 
-    /// Keeps the images of a demonstration.
+    /// Stores the images (PNG files) of a demonstration.
     pub(super) fn put(&self, camera: &str, episode: u32, images: &[Vec<u8>]) -> Result<()> {
         let mut contents = Vec::new();
         for image in images {
@@ -55,7 +55,7 @@ impl Spool {
             contents.extend(image);
         }
         let path = self.path(camera, episode);
-        let failed = || fault!("cannot write {}", path.display(); "free some space and run again");
+        let failed = || fault!("cannot write {}", path.display(); "free disk space and run again");
         let mut file = tempfile::NamedTempFile::new_in(&self.folder).with_context(failed)?;
         file.write_all(&self.hash(camera, episode, &contents))
             .with_context(failed)?;
@@ -64,7 +64,7 @@ impl Spool {
         Ok(())
     }
 
-    /// The images of a demonstration of so many frames; none where they are not there, or not whole.
+    /// The images of a demonstration with this number of frames; `None` if they are missing, incomplete or damaged.
     pub(super) fn get(&self, camera: &str, episode: u32, frames: usize) -> Result<Option<Vec<Vec<u8>>>> {
         let path = self.path(camera, episode);
         let bytes = match fs::read(&path) {
@@ -88,14 +88,14 @@ impl Spool {
         Ok((images.len() == frames).then_some(images))
     }
 
-    /// Removes it; the artifact is published.
+    /// Removes the spool, after the artifact has been published.
     pub(super) fn remove(self) -> Result<()> {
         match fs::remove_dir_all(&self.folder) {
-            // Another run of the same artifact was first.
+            // Another run of the same artifact has removed it already.
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             removed => removed.with_context(|| format!("cannot remove {}", self.folder.display()))?,
         }
-        // Others may still need the folder of all spools.
+        // Fails if other spools remain in the common folder, which is intended.
         if let Some(all) = self.folder.parent() {
             let _ = fs::remove_dir(all);
         }
@@ -110,21 +110,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_was_put_is_there() {
+    fn only_intact_files_are_read() {
         let place = tempfile::tempdir().unwrap();
         let spool = Spool::open(place.path(), Key::from_bytes([7; 32])).unwrap();
         let images = vec![vec![1, 2, 3], vec![], vec![4; 300]];
         assert_eq!(spool.get("a", 5, 3).unwrap(), None);
         spool.put("a", 5, &images).unwrap();
         assert_eq!(spool.get("a", 5, 3).unwrap(), Some(images));
-        // Another length, camera, episode or artifact.
+        // Another length, camera or episode.
         assert_eq!(spool.get("a", 5, 2).unwrap(), None);
         let path = spool.path("a", 5);
         fs::copy(&path, spool.path("b", 5)).unwrap();
         fs::copy(&path, spool.path("a", 6)).unwrap();
         assert_eq!(spool.get("b", 5, 3).unwrap(), None);
         assert_eq!(spool.get("a", 6, 3).unwrap(), None);
-        // Any byte that is not as it was, and any cut.
+        // Any changed byte and any truncation.
         let whole = fs::read(&path).unwrap();
         for at in 0..whole.len() {
             let mut bytes = whole.clone();

@@ -1,4 +1,4 @@
-//! The tables of an `episodes` artifact, written as demonstrations come: the large ones by a thread of their own.
+//! Writes the tables of an `episodes` artifact while demonstrations are read. Large tables have a thread of their own each.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,24 +12,24 @@ use re4_ingest::{
     StateRow, Tally,
 };
 
-/// Rows of a row group, which are also those that are handed to a table at once: a group is encoded while the next one is read.
+/// Rows per row group. A group is encoded while the next one is read.
 const ROWS: usize = 4_096;
 
-/// Images in a row group: few enough that one image is read without decoding many.
-const PICTURES_IN_GROUP: usize = 256;
+/// Images per row group. Small, because reading one image means reading its row group.
+const IMAGES_IN_GROUP: usize = 256;
 
-/// Demonstrations that wait for a table.
-const WAITING: usize = 8;
+/// Maximum number of demonstrations in the queue of a table, which bounds the memory.
+const QUEUE: usize = 8;
 
-/// Writes all tables but those of images, while `read` hands demonstrations on in order.
+/// Writes all tables except images. `read` passes the demonstrations in order to its argument.
 pub(super) fn write_tables(
     writer: &Writer,
     read: impl FnOnce(&mut dyn FnMut(Episode) -> Result<()>) -> Result<()>,
 ) -> Result<Tally> {
     std::thread::scope(|scope| {
-        let (to_frames, frames) = sync_channel(WAITING);
-        let (to_states, states) = sync_channel(WAITING);
-        let (to_models, models) = sync_channel::<Arc<str>>(WAITING);
+        let (to_frames, frames) = sync_channel(QUEUE);
+        let (to_states, states) = sync_channel(QUEUE);
+        let (to_models, models) = sync_channel::<Arc<str>>(QUEUE);
         let frames = scope.spawn(move || write_frames(writer, &frames));
         let states = scope.spawn(move || write_states(writer, &states));
         let models = scope.spawn(move || write_models(writer, &models));
@@ -42,7 +42,7 @@ pub(super) fn write_tables(
             let model = episode.model.map(|text| {
                 let next = known.len() as u32;
                 *known.entry(Arc::clone(&text)).or_insert_with(|| {
-                    // A table that has stopped says why when it is joined.
+                    // Sending fails if the table's thread has stopped with an error, which is returned when the thread is joined.
                     let _ = to_models.send(text);
                     next
                 })
@@ -71,8 +71,7 @@ pub(super) fn write_tables(
             Ok(())
         });
         drop((to_frames, to_states, to_models));
-        let gone =
-            || fault!("cannot write tables: a thread stopped"; "run again, and report it where that does not help");
+        let gone = || fault!("cannot write tables: a thread stopped"; "run again, and report the error if it remains");
         let ended =
             [frames.join(), states.join(), models.join()].map(|ended| ended.unwrap_or_else(|_| Err(gone().into())));
         result?;
@@ -83,7 +82,7 @@ pub(super) fn write_tables(
     })
 }
 
-/// A table that is begun with its first row: artifacts have no empty tables.
+/// A table that is created with its first row, so that the artifact has no empty table.
 struct Begun<'a, R: Row> {
     writer: &'a Writer,
     table: Option<RowWriter<R>>,
@@ -153,16 +152,16 @@ fn write_frames(writer: &Writer, demos: &Receiver<(u32, Frames)>) -> Result<()> 
     space.finish()
 }
 
-/// The table of images.
+/// A writer of table `images`.
 pub(super) struct ImageTable(RowWriter<ImageRow>);
 
 impl ImageTable {
-    /// Begins the table.
+    /// Creates the table.
     pub(super) fn new(writer: &Writer) -> Result<Self> {
-        Ok(Self(writer.rows_in_groups(PICTURES_IN_GROUP)?))
+        Ok(Self(writer.rows_in_groups(IMAGES_IN_GROUP)?))
     }
 
-    /// Writes images of a camera, PNG files, with their demonstrations and frames.
+    /// Writes images (PNG files) of a camera; `places` are their (episode, frame).
     pub(super) fn write(&mut self, camera: &str, places: &[(u32, u32)], images: Vec<Vec<u8>>) -> Result<()> {
         let rows = places.iter().zip(images).map(|(&(episode, frame), image)| ImageRow {
             episode,
@@ -173,12 +172,12 @@ impl ImageTable {
         Ok(self.0.extend(rows)?)
     }
 
-    /// Images that were written.
+    /// Number of images written so far.
     pub(super) fn count(&self) -> usize {
         self.0.rows() as usize
     }
 
-    /// Ends the table; how many images it has.
+    /// Finishes the table. Returns the number of images.
     pub(super) fn finish(self) -> Result<usize> {
         let count = self.count();
         self.0.finish()?;

@@ -1,9 +1,9 @@
-//! Reading HDF5 in a process of its own.
+//! Runs the ingest of an HDF5 file in a worker process.
 //!
-//! The HDF5 library is written in C and can fall over on a damaged file. So the program runs itself once more, with a hidden
-//! subcommand: that process makes and publishes the artifact, and tells how far it is, or why it stopped, in JSON lines on its
-//! standard output. Its standard input stays open as long as this process lives; when it closes, the worker stops. Whatever
-//! happens to the worker, the user gets one sentence, and what it had begun is removed.
+//! The HDF5 library is written in C and can crash on a damaged file. The program therefore starts itself again with a hidden
+//! subcommand. That worker process makes and publishes the artifact, and reports its progress, or why it stopped, as JSON lines
+//! on its standard output. Its standard input stays open as long as the parent runs; when it closes, the worker stops. Whatever
+//! happens to the worker, the user gets a one-sentence error, and the unfinished artifact is removed.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
@@ -27,97 +27,101 @@ use crate::pipeline::Pipeline;
 /// Name of the hidden subcommand.
 pub const SUBCOMMAND: &str = "ingest-worker";
 
-/// How long a worker may be silent. It tells of every demonstration and every block of images.
+/// How long a worker may report nothing. It reports every demonstration and every block of images.
 const PATIENCE: Duration = Duration::from_mins(3);
 
 /// Replaces [`PATIENCE`], in seconds, for tests.
 const PATIENCE_VARIABLE: &str = "RE4_WORKER_PATIENCE";
 
-/// For tests: a number and a file, separated by a blank. A worker that has done so many demonstrations or images writes its
-/// process number to the file and waits, once, until the file is gone or it is asked to stop.
+/// For tests: a number and a file, separated by a space. When a worker has finished that many demonstrations or images, it writes
+/// its process id to the file and waits, once, until the file is removed or the worker is asked to stop.
 const GATE_VARIABLE: &str = "RE4_WORKER_GATE";
 
-/// How long a worker that was asked to stop may take to clear up.
-const CLEARING: Duration = Duration::from_millis(300);
+/// How long a worker may take to remove its unfinished artifact and exit after it was asked to stop.
+const STOPPING: Duration = Duration::from_millis(300);
 
-/// How long a worker may take to end by itself.
-const ENDING: Duration = Duration::from_secs(5);
+/// How long a worker may take to exit after its last message.
+const EXITING: Duration = Duration::from_secs(5);
 
-/// Threads that Mesa's software renderer starts for each of its own.
+/// Environment variable for the number of threads that Mesa's software renderer starts per context.
 const MESA_THREADS: &str = "LP_NUM_THREADS";
 
-/// Most memory that a worker may write to, in bytes. Sizes in a damaged file can be anything.
+/// Memory limit of a worker without rendering, in bytes. A limit is needed because a damaged file can claim any size.
 const MEMORY: u64 = 4 << 30;
 
-/// What a thread that draws may take beyond that: MuJoCo sets aside far more for a simulation than it touches.
-const DRAWING: u64 = 2 << 30;
+/// Additional memory limit per rendering thread, in bytes. MuJoCo reserves far more for a simulation than it uses.
+const RENDERING: u64 = 2 << 30;
 
-/// Most memory that the worker of this order may write to, in bytes.
-pub(super) fn memory(order: &Order) -> u64 {
-    let drawing = if order.gl.is_some() { order.threads as u64 } else { 0 };
-    MEMORY + DRAWING.saturating_mul(drawing)
+/// Memory limit (`RLIMIT_DATA`) of the worker of this request, in bytes.
+pub(super) fn memory(request: &Request) -> u64 {
+    let rendering = if request.gl.is_some() {
+        request.threads as u64
+    } else {
+        0
+    };
+    MEMORY + RENDERING.saturating_mul(rendering)
 }
 
-/// Most that is kept of what a worker prints on its standard error.
-const LAST_WORDS: u64 = 1 << 16;
+/// Maximum number of bytes that are kept of a worker's standard error.
+const STDERR_KEPT: u64 = 1 << 16;
 
-/// What a worker is to do.
+/// The task of a worker, sent to it as one line of JSON.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) struct Order {
+pub(crate) struct Request {
     /// The pipeline, overrides applied.
     pub(crate) pipeline: Pipeline,
     /// The HDF5 file.
     pub(crate) source: PathBuf,
-    /// Hash of the source; none where only the models are asked for that its demonstrations name.
+    /// Hash of the source. `None` asks only for the names of the models that its demonstrations refer to.
     pub(crate) hash: Option<Key>,
-    /// The files that were hashed.
+    /// Identity of the files that were hashed.
     pub(crate) identity: SourcesIdentity,
-    /// Another file of the same demonstrations.
+    /// The file of `ingest.compare`.
     pub(crate) compare: Option<PathBuf>,
-    /// Hash of that.
+    /// Hash of the file of `ingest.compare`.
     pub(crate) compare_hash: Option<Key>,
-    /// The files of that.
+    /// Identity of the file of `ingest.compare`.
     pub(crate) compare_identity: Option<SourcesIdentity>,
-    /// The OpenGL library to draw with, where anything is drawn.
+    /// The OpenGL library for rendering; `None` if nothing is rendered.
     pub(crate) gl: Option<String>,
     /// The artifacts folder.
     pub(crate) artifacts: PathBuf,
-    /// Threads.
+    /// Number of threads.
     pub(crate) threads: usize,
-    /// Whether to end at the first fault of the file.
+    /// Whether to stop at the first error in the file.
     pub(crate) cautious: bool,
 }
 
-/// What a worker tells, one JSON object a line.
+/// A message of a worker: one JSON object per line.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Word {
-    /// Demonstrations, or images, that are done, and how many there are.
+pub(crate) enum Message {
+    /// Number of finished demonstrations or images, and their total number.
     Progress(u64, u64),
-    /// Names of models beside the source.
+    /// Names of the model files that the source refers to.
     Models(Vec<String>),
     /// The artifact is published.
     Done,
-    /// Why it stopped, and how to fix it.
+    /// The worker stopped with an error.
     Failed {
         /// What is wrong.
         what: String,
-        /// How to fix it, where that is known.
+        /// How to fix it, if known.
         remedy: Option<String>,
     },
 }
 
-/// One line of JSON for the process that started this one.
-pub(super) fn tell(word: &Word) {
-    if let Ok(text) = serde_json::to_string(word) {
+/// Sends a message to the parent process.
+pub(super) fn send(message: &Message) {
+    if let Ok(text) = serde_json::to_string(message) {
         let mut output = std::io::stdout().lock();
-        // Where nobody listens any more, this process is about to stop, too.
+        // If the parent has ended, this process is about to stop, too.
         let _ = writeln!(output, "{text}").and_then(|()| output.flush());
     }
 }
 
-impl Word {
-    /// Why a worker stopped.
+impl Message {
+    /// The message about an error that stopped the worker.
     pub(super) fn failed(fault: &Fault) -> Self {
         Self::Failed {
             what: fault.to_string(),
@@ -126,13 +130,13 @@ impl Word {
     }
 }
 
-/// The worker tells that so many demonstrations, or images, of all are done.
+/// Reports from the worker that `done` of `all` demonstrations or images are finished.
 pub(super) fn progress(done: u64, all: u64, interrupt: &Interrupt) {
-    tell(&Word::Progress(done, all));
+    send(&Message::Progress(done, all));
     wait_at_gate(done, interrupt);
 }
 
-/// Waits where a test has put a gate.
+/// Waits at the point that a test has set with [`GATE_VARIABLE`].
 fn wait_at_gate(done: u64, interrupt: &Interrupt) {
     static PASSED: AtomicBool = AtomicBool::new(false);
     let Ok(gate) = std::env::var(GATE_VARIABLE) else { return };
@@ -143,7 +147,7 @@ fn wait_at_gate(done: u64, interrupt: &Interrupt) {
     if !reached || PASSED.swap(true, Ordering::Relaxed) {
         return;
     }
-    // Without its newline the number is not whole.
+    // The newline marks the end of the number, since the test may read the file while it is written.
     if std::fs::write(file, format!("{}\n", std::process::id())).is_ok() {
         while Path::new(file).exists() && !interrupt.requested() {
             std::thread::sleep(Duration::from_millis(2));
@@ -151,27 +155,30 @@ fn wait_at_gate(done: u64, interrupt: &Interrupt) {
     }
 }
 
-/// Lets a worker make the artifact.
-pub(super) fn run(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
-    work(order, interrupt, bar).map(drop)
+/// Runs a worker that makes the artifact.
+pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
+    work(request, interrupt, bar).map(drop)
 }
 
-/// Asks a worker for the models beside the source that its demonstrations name.
-pub(super) fn models(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
-    match work(order, interrupt, bar)? {
-        Word::Models(names) => Ok(names),
-        _ => bail!("the process that reads {} did not say which models it names", order.source.display(); "run again"),
+/// Asks a worker for the names of the model files that the source's demonstrations refer to.
+pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
+    match work(request, interrupt, bar)? {
+        Message::Models(names) => Ok(names),
+        _ => {
+            bail!("the worker process did not return the names of the models in {}", request.source.display(); "run again")
+        }
     }
 }
 
-/// Runs a worker to its end; its last word.
-fn work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word> {
-    match try_to_work(order, interrupt, bar) {
-        // Behind a fault of the file, the library may have been led astray: then that fault is what there is to tell.
-        Err(error) if error.is::<FellOver>() => {
-            let cautious = Order {
+/// Runs a worker to its end. Returns its last message.
+fn work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+    match try_to_work(request, interrupt, bar) {
+        // The crash may be the consequence of an earlier error in the file, after which reading went on. A second, cautious
+        // worker stops at the first error, which is then reported.
+        Err(error) if error.is::<WorkerCrashed>() => {
+            let cautious = Request {
                 cautious: true,
-                ..order.clone()
+                ..request.clone()
             };
             try_to_work(&cautious, interrupt, bar)
         }
@@ -179,25 +186,25 @@ fn work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word>
     }
 }
 
-/// The library fell over.
+/// The HDF5 library crashed.
 #[derive(Debug, thiserror::Error, Remedy)]
 #[error("{0}")]
 #[remedy(_0.remedy())]
-pub(crate) struct FellOver(Fault);
+pub(crate) struct WorkerCrashed(Fault);
 
-fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Word> {
-    let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", order.source.display()));
-    let program =
-        std::env::current_exe().context("cannot find this program's own file to read HDF5 in another process")?;
+fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+    let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", request.source.display()));
+    let program = std::env::current_exe()
+        .context("cannot find the program's own file, which is needed to read HDF5 in a worker process")?;
     let mut command = Command::new(program);
     command.arg(SUBCOMMAND);
-    if order.cautious {
-        // A test's gate is for the first worker.
+    if request.cautious {
+        // The gate of a test applies only to the first worker.
         command.env_remove(GATE_VARIABLE);
     }
-    if let Some(gl) = &order.gl {
+    if let Some(gl) = &request.gl {
         command.env("RE4_GL", gl);
-        // Every thread draws by itself, so Mesa needs no threads of its own.
+        // Every rendering thread has its own context, so additional threads in Mesa would only compete with them.
         if std::env::var_os(MESA_THREADS).is_none() {
             command.env(MESA_THREADS, "0");
         }
@@ -207,58 +214,58 @@ fn try_to_work(order: &Order, interrupt: &Interrupt, bar: &ProgressBar) -> Resul
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .or_fault(|| fault!("cannot start another process to read HDF5 in"; "end other programs and run again"))?;
-    info!(process = child.id(), source = %order.source.display(), cautious = order.cautious, "worker started to read HDF5");
+        .or_fault(|| fault!("cannot start a worker process to read HDF5"; "end other programs and run again"))?;
+    info!(process = child.id(), source = %request.source.display(), cautious = request.cautious, "worker started to read HDF5");
     interrupt.set_worker(Some(child.id()));
-    let mut line = serde_json::to_vec(order)?;
+    let mut line = serde_json::to_vec(request)?;
     line.push(b'\n');
     let mut stdin = child.stdin.take();
     if let Some(stdin) = &mut stdin {
-        // A worker that is gone already says why below.
+        // Writing fails if the worker has ended already; the reason is reported below.
         let _ = stdin.write_all(&line).and_then(|()| stdin.flush());
     }
     let stderr = child.stderr.take();
-    let last_words = std::thread::spawn(move || last_words(stderr));
-    let words = listen(&mut child);
+    let stderr = std::thread::spawn(move || read_stderr(stderr));
+    let messages = listen(&mut child);
     let patience = std::env::var(PATIENCE_VARIABLE)
         .ok()
         .and_then(|text| text.parse().ok())
         .map_or(PATIENCE, Duration::from_secs);
-    let ended = attend(&words, interrupt, bar, patience);
+    let ended = attend(&messages, interrupt, bar, patience);
     bar.finish_and_clear();
-    // The worker stops once its standard input is closed, and is ended where it does not.
+    // Closing its standard input makes the worker stop; it is killed if it does not stop in time.
     drop(stdin);
     let status = match &ended {
         Ended::Silent => end(&mut child),
-        Ended::Interrupted => wait(&mut child, CLEARING),
-        // It has said its last word, and only has to end.
-        _ => wait(&mut child, ENDING),
+        Ended::Interrupted => wait(&mut child, STOPPING),
+        // It has sent its last message and only has to exit.
+        _ => wait(&mut child, EXITING),
     };
     interrupt.set_worker(None);
-    let status = status.context("cannot learn how the process that reads HDF5 ended")?;
+    let status = status.context("cannot get the exit status of the worker process that reads HDF5")?;
     info!(%status, "worker ended");
     match ended {
-        // The artifact is published, however long the worker took to go.
-        Ended::Word(word @ (Word::Done | Word::Models(_))) => return Ok(word),
-        Ended::Word(Word::Failed { what, remedy }) => {
+        // The artifact is published, even if the worker had to be killed afterwards.
+        Ended::Message(message @ (Message::Done | Message::Models(_))) => return Ok(message),
+        Ended::Message(Message::Failed { what, remedy }) => {
             interrupt.check("ingest")?;
             return Err(Fault::new(what, remedy).into());
         }
         Ended::Silent => {
             return Err(refuse(fault!(
-                "the HDF5 library made no headway for {} s, so the file may be damaged or its disk may not answer",
+                "the HDF5 library made no progress for {} s, so the file may be damaged or its disk may not respond",
                 patience.as_secs();
                 "copy the file to a local disk or download it again"
             ))
             .into());
         }
         // Ctrl-C in a terminal reaches the worker, too.
-        Ended::Interrupted | Ended::Word(_) | Ended::Gone => interrupt.check("ingest")?,
+        Ended::Interrupted | Ended::Message(_) | Ended::Gone => interrupt.check("ingest")?,
     }
-    let last_words = last_words.join().unwrap_or_default();
-    let refusal = refuse(how_it_ended(status, &last_words));
+    let stderr = stderr.join().unwrap_or_default();
+    let refusal = refuse(how_it_ended(status, &stderr));
     Err(match status.signal() {
-        Some(SIGABRT | SIGBUS | SIGSEGV) => FellOver(refusal).into(),
+        Some(SIGABRT | SIGBUS | SIGSEGV) => WorkerCrashed(refusal).into(),
         _ => refusal.into(),
     })
 }
@@ -267,48 +274,48 @@ const SIGABRT: i32 = 6;
 const SIGBUS: i32 = 7;
 const SIGSEGV: i32 = 11;
 
-/// Why the parent no longer listens.
+/// Why the parent stopped listening.
 enum Ended {
-    /// The last word of the worker.
-    Word(Word),
-    /// The worker closed its standard output without one.
+    /// The worker sent its last message.
+    Message(Message),
+    /// The worker closed its standard output without a last message.
     Gone,
     /// Ctrl-C.
     Interrupted,
-    /// The worker was silent for too long.
+    /// The worker reported nothing for too long.
     Silent,
 }
 
-/// Listens until the worker has said its last word.
-fn attend(words: &Receiver<Word>, interrupt: &Interrupt, bar: &ProgressBar, patience: Duration) -> Ended {
-    let mut heard = Instant::now();
+/// Shows the worker's progress until its last message, its end, an interrupt or a timeout.
+fn attend(messages: &Receiver<Message>, interrupt: &Interrupt, bar: &ProgressBar, patience: Duration) -> Ended {
+    let mut last_progress = Instant::now();
     loop {
-        // Also while words come faster than this loop would wait for one.
+        // Checked in every iteration, because messages may arrive so fast that the receive below never times out.
         if interrupt.requested() {
             return Ended::Interrupted;
         }
-        match words.recv_timeout(Duration::from_millis(50)) {
-            Ok(Word::Progress(done, all)) => {
+        match messages.recv_timeout(Duration::from_millis(50)) {
+            Ok(Message::Progress(done, all)) => {
                 bar.set_length(all);
                 bar.set_position(done);
-                heard = Instant::now();
+                last_progress = Instant::now();
             }
-            Ok(word) => return Ended::Word(word),
+            Ok(message) => return Ended::Message(message),
             Err(RecvTimeoutError::Disconnected) => return Ended::Gone,
-            Err(RecvTimeoutError::Timeout) if heard.elapsed() > patience => return Ended::Silent,
+            Err(RecvTimeoutError::Timeout) if last_progress.elapsed() > patience => return Ended::Silent,
             Err(RecvTimeoutError::Timeout) => {}
         }
     }
 }
 
-/// Words of the worker as they come. Lines that are none (the C library may print, too) are left out.
-fn listen(child: &mut Child) -> Receiver<Word> {
+/// Receives the worker's messages in a thread. Lines that are not messages are skipped, since the C library may print, too.
+fn listen(child: &mut Child) -> Receiver<Message> {
     let (sender, receiver) = channel();
     if let Some(stdout) = child.stdout.take() {
         std::thread::spawn(move || {
             for line in BufReader::new(stdout).lines().map_while(Result::ok) {
-                if let Ok(word) = serde_json::from_str(&line)
-                    && sender.send(word).is_err()
+                if let Ok(message) = serde_json::from_str(&line)
+                    && sender.send(message).is_err()
                 {
                     break;
                 }
@@ -318,17 +325,17 @@ fn listen(child: &mut Child) -> Receiver<Word> {
     receiver
 }
 
-fn last_words(stderr: Option<ChildStderr>) -> String {
+fn read_stderr(stderr: Option<ChildStderr>) -> String {
     let mut bytes = Vec::new();
     if let Some(mut stderr) = stderr {
-        let _ = stderr.by_ref().take(LAST_WORDS).read_to_end(&mut bytes);
-        // The rest has to be taken, too, or the worker would wait for ever.
+        let _ = stderr.by_ref().take(STDERR_KEPT).read_to_end(&mut bytes);
+        // The rest has to be read, too; otherwise the worker would block when the pipe is full.
         let _ = std::io::copy(&mut stderr, &mut std::io::sink());
     }
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Waits for the worker to end, and ends it where it takes longer than that.
+/// Waits for the worker to exit, and kills it after `patience`.
 fn wait(child: &mut Child, patience: Duration) -> std::io::Result<ExitStatus> {
     let start = Instant::now();
     loop {
@@ -347,37 +354,35 @@ fn end(child: &mut Child) -> std::io::Result<ExitStatus> {
     child.wait()
 }
 
-/// What is said of a worker that ended without a word of its own.
-fn how_it_ended(status: ExitStatus, last_words: &str) -> Fault {
-    if last_words.contains("memory allocation of") {
+/// The error for a worker that ended without a last message.
+fn how_it_ended(status: ExitStatus, stderr: &str) -> Fault {
+    // The message that Rust prints when an allocation fails, here because of the memory limit.
+    if stderr.contains("memory allocation of") {
         return fault!(
-            "reading it takes more than {} GiB of memory, so it is damaged or far larger than robomimic's files",
+            "reading it needs more than {} GiB of memory, so it is damaged or far larger than robomimic's files",
             MEMORY >> 30;
             "copy or download it again, or ingest fewer demonstrations with ingest.select"
         );
     }
     match (status.signal(), status.code()) {
         (Some(9), _) => {
-            fault!("the process that read it was ended from outside (signal 9), perhaps for lack of memory"; "free some memory and run again")
+            fault!("the worker process was killed (signal 9), perhaps for lack of memory"; "free some memory and run again")
         }
         (Some(signal @ (2 | 15)), _) => {
-            fault!("the process that read it was ended from outside (signal {signal})"; "run again")
+            fault!("the worker process was terminated (signal {signal})"; "run again")
         }
         (Some(25), _) => {
-            fault!("the process that read it was ended for writing more than a file may hold (signal 25)"; "raise that limit (ulimit -f) and run again")
+            fault!("the worker process exceeded the file size limit (signal 25)"; "raise the limit (ulimit -f) and run again")
         }
         (Some(signal), _) => fault!(
-            "the HDF5 library fell over (signal {signal}), so the file is damaged";
+            "the HDF5 library crashed (signal {signal}), so the file is damaged";
             "copy or download it again"
         ),
         (None, code) => {
-            let said = last_words
-                .lines()
-                .find(|line| !line.trim().is_empty())
-                .unwrap_or("nothing");
+            let output = stderr.lines().find(|line| !line.trim().is_empty()).unwrap_or("nothing");
             fault!(
-                "the process that read it stopped with exit code {} and said: {said}", code.unwrap_or_default();
-                "run again, and report it where that does not help"
+                "the worker process stopped with exit code {} and printed: {output}", code.unwrap_or_default();
+                "run again, and report the error if it remains"
             )
         }
     }

@@ -1,4 +1,4 @@
-//! What an ingest writes of a source, whatever its format.
+//! Writes the `episodes` artifact of a source of any format.
 
 use std::path::Path;
 
@@ -12,38 +12,38 @@ use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::{Map, Value, json};
 
 use super::STAGE;
-use super::rendered::Drawing;
+use super::rendered::Rendering;
 use super::spool::Spool;
 use super::tables::{ImageTable, write_tables};
 use crate::inputs::images::encode_png;
 use crate::interrupt::Interrupt;
 use crate::pipeline::IngestSection;
 
-/// What the camera of images that are painted from states in the plane is called: as that of recorded ones.
-const PAINTED: &str = "img";
+/// Camera name of rendered Push-T images, which is that of the recorded ones.
+const PUSHT_CAMERA: &str = "img";
 
-/// Where the images come from.
+/// Origin of the images.
 pub(super) enum Images<'a> {
-    /// From the source.
+    /// Recorded in the source.
     Recorded,
-    /// They are painted from the states in the plane.
-    Painted,
-    /// They are drawn by the simulator from the recorded states.
-    Drawn(Drawing<'a>, Spool),
+    /// Rendered from recorded Push-T states.
+    PushT,
+    /// Rendered by MuJoCo from recorded states of a robosuite task.
+    Rendered(Rendering<'a>, Spool),
 }
 
-/// An ingest at work.
+/// Everything that writing an `episodes` artifact needs besides the source.
 pub(super) struct Ingest<'a> {
     pub(super) section: &'a IngestSection,
-    /// Where the dataset lies.
+    /// Path of the dataset.
     pub(super) source: &'a Path,
-    /// Where another file of the same demonstrations lies, whose actions are compared.
+    /// Path of the file of `ingest.compare`.
     pub(super) compare: Option<&'a Path>,
     pub(super) conventions: &'a [Convention],
     pub(super) images: Images<'a>,
     pub(super) threads: usize,
     pub(super) interrupt: &'a Interrupt,
-    /// Hears how many demonstrations, or images, of all are done.
+    /// Called with the number of finished demonstrations or images and their total number.
     pub(super) progress: &'a (dyn Fn(u64, u64) + Sync),
 }
 
@@ -54,7 +54,7 @@ impl Ingest<'_> {
         let artifact = loop {
             let writer = store.begin(recipe)?;
             let written = self.write(source, &excluded, &writer);
-            // Whatever is wrong with a file that changed is not what has to be fixed.
+            // If a file changed while it was read, that is the error to report, not its consequences.
             if written.is_err() {
                 self.interrupt.check(STAGE)?;
                 source.unchanged()?;
@@ -62,21 +62,22 @@ impl Ingest<'_> {
             match written? {
                 Ok(summary) => {
                     self.interrupt.check(STAGE)?;
-                    // After the last byte was read: what is published is of the files that were hashed.
+                    // Checked after the last byte was read, so that the artifact is made from the files that were hashed.
                     source.unchanged()?;
                     break writer.publish(summary)?;
                 }
-                // These proved to be of no use after they had been written. Each time there are fewer.
+                // Images of these demonstrations turned out to be unreadable after other tables had been written, so the artifact
+                // is written again without them. The loop ends because each time fewer demonstrations are left.
                 Err(more) => excluded.extend(more),
             }
         };
-        if let Images::Drawn(_, spool) = self.images {
+        if let Images::Rendered(_, spool) = self.images {
             spool.remove()?;
         }
         Ok(artifact)
     }
 
-    /// Writes all tables; the demonstrations whose recorded images cannot be decoded, where there are any.
+    /// Writes all tables. Returns the summary, or the demonstrations whose recorded images cannot be decoded.
     fn write<S: DemoSource>(
         &self,
         source: &S,
@@ -97,7 +98,7 @@ impl Ingest<'_> {
                 let known = excluded.iter().find(|left| left.demo == *name);
                 match known.map_or(episode, |known| Err(known.clone())) {
                     Err(bad) => left.push(bad),
-                    // What is refused in the end is only read on to learn what else is wrong.
+                    // The dataset will be refused; the rest is read only to find all bad demonstrations.
                     Ok(_) if refuse && !left.is_empty() => {}
                     Ok(episode) => take(episode)?,
                 }
@@ -109,10 +110,10 @@ impl Ingest<'_> {
         if let Some(compare) = self.compare {
             ensure!(
                 !tally.goal_errors.is_empty(),
-                "cannot compare with {}: it holds none of the demonstrations of {}",
+                "cannot compare with {}: it has none of the demonstrations of {}",
                 compare.display(),
                 self.source.display();
-                "leave ingest.compare out, or give the file of the same demonstrations"
+                "remove ingest.compare, or set it to a file with the same demonstrations"
             );
         }
         let images = match &self.images {
@@ -125,8 +126,8 @@ impl Ingest<'_> {
                     return Ok(Err(more));
                 }
             },
-            Images::Painted => self.paint(source, &tally, writer)?,
-            Images::Drawn(drawing, spool) => self.draw(source, drawing, spool, &tally, writer)?,
+            Images::PushT => self.render_pusht(source, &tally, writer)?,
+            Images::Rendered(rendering, spool) => self.render(source, rendering, spool, &tally, writer)?,
         };
         if !tally.left_out.is_empty() {
             writer.write_rows(tally.left_out.iter().cloned())?;
@@ -144,36 +145,36 @@ impl Ingest<'_> {
     fn summary<S: DemoSource>(&self, source: &S, tally: &Tally, images: usize) -> Value {
         let info = source.info();
         let mut summary = Map::new();
-        let mut say = |name: &str, value: Value| summary.insert(name.to_owned(), value);
-        say("episodes", json!(tally.demos.len()));
-        say("frames", json!(tally.frames()));
-        say("images", json!(images));
-        say(
+        let mut set = |name: &str, value: Value| summary.insert(name.to_owned(), value);
+        set("episodes", json!(tally.demos.len()));
+        set("frames", json!(tally.frames()));
+        set("images", json!(images));
+        set(
             "cameras",
             match &self.images {
                 Images::Recorded => json!(info.cameras),
-                Images::Painted => json!([PAINTED]),
-                Images::Drawn(drawing, _) => json!(drawing.cameras()),
+                Images::PushT => json!([PUSHT_CAMERA]),
+                Images::Rendered(rendering, _) => json!(rendering.cameras()),
             },
         );
-        for told in ["actions", "conventions"] {
-            if let Some(value) = info.details.get(told) {
-                say(told, value.clone());
+        for key in ["actions", "conventions"] {
+            if let Some(value) = info.details.get(key) {
+                set(key, value.clone());
             }
         }
         if !tally.left_out.is_empty() {
-            say("left_out", json!(tally.left_out.len()));
+            set("left_out", json!(tally.left_out.len()));
         }
-        if let Images::Drawn(drawing, _) = &self.images {
-            say("drawn", drawing.summary());
+        if let Images::Rendered(rendering, _) = &self.images {
+            set("drawn", rendering.summary());
         }
         if let Some(errors) = GoalErrors::of(&tally.goal_errors) {
-            say("goal_error", json!(errors));
+            set("goal_error", json!(errors));
         }
         Value::Object(summary)
     }
 
-    /// Refuses the dataset for these demonstrations.
+    /// Returns an error about these demonstrations if there are any and `refuse` is set.
     fn refuse(&self, left: &[LeftOut], of: usize, refuse: bool) -> Result<()> {
         if left.is_empty() || !refuse {
             return Ok(());
@@ -181,7 +182,7 @@ impl Ingest<'_> {
         Err(super::refused(self.source, left, of).into())
     }
 
-    /// Writes the recorded images; the demonstrations whose images cannot be decoded, where there are any.
+    /// Writes the recorded images. Returns their number, or the demonstrations whose images cannot be decoded.
     fn write_recorded<S: DemoSource>(
         &self,
         source: &S,
@@ -227,8 +228,8 @@ impl Ingest<'_> {
         table.finish().map(Ok)
     }
 
-    /// Hands on the demonstrations that were written, with their numbers.
-    fn again<S: DemoSource>(
+    /// Reads the demonstrations that were written again, and passes them with their numbers to `take`.
+    fn read_kept<S: DemoSource>(
         source: &S,
         kept: &[(DemoName, usize)],
         mut take: impl FnMut(u32, re4_ingest::Episode) -> Result<()>,
@@ -243,11 +244,11 @@ impl Ingest<'_> {
         })
     }
 
-    /// Paints what the states in the plane say. Contact marks are not part of a state, so these images have none.
-    fn paint<S: DemoSource>(&self, source: &S, tally: &Tally, writer: &Writer) -> Result<usize> {
+    /// Renders Push-T images from recorded states. Contact marks are not part of a state, so these images have none.
+    fn render_pusht<S: DemoSource>(&self, source: &S, tally: &Tally, writer: &Writer) -> Result<usize> {
         let mut table = ImageTable::new(writer)?;
         let side = OBSERVATION_SIDE as u32;
-        Self::again(source, &tally.demos, |number, episode| {
+        Self::read_kept(source, &tally.demos, |number, episode| {
             self.interrupt.check(STAGE)?;
             let Frames::Planar(frames) = &episode.frames else {
                 return Ok(());
@@ -255,36 +256,36 @@ impl Ingest<'_> {
             let encoded = frames
                 .par_iter()
                 .map_init(Canvas::new, |canvas, frame| {
-                    let object = frame.object.or_fault(|| fault!("cannot render images of demonstrations whose object pose is not known"; "leave ingest.render out"))?;
+                    let object = frame.object.or_fault(|| fault!("cannot render images of demonstrations without object poses"; "remove ingest.render"))?;
                     canvas.draw_state(frame.eef, object);
                     encode_png(&canvas.observation(), side, side)
                 })
                 .collect::<Result<Vec<_>>>()?;
             let places: Vec<(u32, u32)> = (0..encoded.len() as u32).map(|frame| (number, frame)).collect();
-            table.write(PAINTED, &places, encoded)?;
+            table.write(PUSHT_CAMERA, &places, encoded)?;
             (self.progress)(table.count() as u64, tally.frames() as u64);
             Ok(())
         })?;
         table.finish()
     }
 
-    fn draw<S: DemoSource>(
+    fn render<S: DemoSource>(
         &self,
         source: &S,
-        drawing: &Drawing<'_>,
+        rendering: &Rendering<'_>,
         spool: &Spool,
         tally: &Tally,
         writer: &Writer,
     ) -> Result<usize> {
-        let all = (tally.frames() * drawing.cameras().len()) as u64;
-        drawing.draw(
+        let all = (tally.frames() * rendering.cameras().len()) as u64;
+        rendering.render(
             spool,
             self.threads,
             self.interrupt,
             &|images| (self.progress)(images as u64, all),
-            |take| Self::again(source, &tally.demos, take),
+            |take| Self::read_kept(source, &tally.demos, take),
         )?;
         let lengths: Vec<usize> = tally.demos.iter().map(|(_, frames)| *frames).collect();
-        drawing.write(spool, &lengths, ImageTable::new(writer)?)
+        rendering.write(spool, &lengths, ImageTable::new(writer)?)
     }
 }

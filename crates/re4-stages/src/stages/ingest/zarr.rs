@@ -1,4 +1,4 @@
-//! Ingest of zarr stores: Push-T.
+//! Ingests zarr stores of Push-T.
 
 use std::path::Path;
 use std::time::Instant;
@@ -15,11 +15,12 @@ use super::{STAGE, recipe};
 use crate::runner::{Built, Runner};
 
 impl Runner {
-    /// The `episodes` artifact of a zarr store.
+    /// Makes the `episodes` artifact of a zarr store, or returns the existing one.
     pub(super) fn ingest_zarr(&self, path: &Path) -> Result<Built> {
         let start = Instant::now();
         let section = &self.pipeline.ingest;
         let stop = || self.interrupt.requested();
+        // An interrupted reader returns `Fault::Stopped`, for which the message about the interruption is returned instead.
         let or_interrupted = |error: IngestError| match *error.fault {
             Fault::Stopped => self.interrupt.check(STAGE).err().unwrap_or_else(|| error.into()),
             _ => error.into(),
@@ -28,8 +29,8 @@ impl Runner {
         let hash = reader.source_hash(&stop).map_err(or_interrupted)?;
         ensure!(
             section.render.is_empty() || !reader.has_images(),
-            "cannot render images for {}: it holds recorded ones", path.display();
-            "leave ingest.render out"
+            "cannot render images for {}: it has recorded images", path.display();
+            "remove ingest.render"
         );
         let recipe = recipe(
             &self.pipeline,
@@ -51,7 +52,7 @@ impl Runner {
             images: if section.render.is_empty() {
                 Images::Recorded
             } else {
-                Images::Painted
+                Images::PushT
             },
             threads: rayon::current_num_threads(),
             interrupt: &self.interrupt,

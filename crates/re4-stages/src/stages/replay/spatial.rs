@@ -1,4 +1,4 @@
-//! Open-loop replays of robosuite demonstrations.
+//! The stage `replay` for robosuite tasks.
 
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
@@ -20,13 +20,13 @@ use crate::inputs::demos::SpatialEpisodes;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 4;
 
-/// Replays that are made before their rows are written.
-const AT_A_TIME: usize = 32;
+/// Number of demonstrations that are replayed before their rows are written.
+const BATCH: usize = 32;
 
-/// Which actions are played.
+/// The kind of actions that a replay executes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Delta,
@@ -44,18 +44,19 @@ impl Kind {
     }
 }
 
-/// A demonstration that is to be replayed.
+/// A demonstration with its recorded simulator states.
 struct Recording {
     number: u32,
     episode: SpatialEpisode,
     states: Vec<Vec<f64>>,
 }
 
-/// How far a replay is from the recording, before an action.
+/// Distances between the replay and the recording before an action: object position (m), object orientation (rad), grip site
+/// position (m), and the largest difference of a joint position (rad).
 #[derive(Clone, Copy)]
 struct Distance {
     object: f64,
-    turn: f64,
+    object_rotation: f64,
     eef: f64,
     arm: f64,
 }
@@ -69,10 +70,11 @@ struct Replay {
 }
 
 impl Runner {
-    /// The `replays` artifact of a robosuite task.
+    /// Makes the `replays` artifact of a robosuite task, or returns the existing one. Each demonstration is replayed twice, with
+    /// its delta and with its absolute actions.
     ///
     /// # Errors
-    /// When an input, or a setting of the pipeline, does not allow it; or at Ctrl-C.
+    /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn replay_spatial(&self, episodes: &Built) -> Result<Built> {
         let task = self
             .pipeline
@@ -83,7 +85,7 @@ impl Runner {
             episodes.artifact.has::<StateRow>(),
             "cannot replay {}: the demonstrations have no recorded states to start from",
             episodes.artifact.path().display();
-            "ingest a file that has /data/demo_*/states"
+            "ingest a file with the datasets /data/demo_*/states"
         );
         let profile = profile(&episodes.artifact)?;
         let recipe = Recipe::new(Stage::Replay, CODE_VERSION)
@@ -101,7 +103,7 @@ impl Runner {
             let mut summaries = [Summary::default(), Summary::default()];
             loop {
                 self.interrupt.check("replay")?;
-                let batch = recordings.by_ref().take(AT_A_TIME).collect::<Result<Vec<_>>>()?;
+                let batch = recordings.by_ref().take(BATCH).collect::<Result<Vec<_>>>()?;
                 if batch.is_empty() {
                     break;
                 }
@@ -112,7 +114,7 @@ impl Runner {
                     .map(|(recording, kind)| {
                         let replay = play(&scenes, recording, kind).with_context(|| {
                             format!(
-                                "cannot replay {}, which a filter key or ingest.select can leave out",
+                                "cannot replay {} (a filter key or ingest.select can leave it out)",
                                 recording.episode.name
                             )
                         });
@@ -151,14 +153,14 @@ impl Runner {
     }
 }
 
-/// Which kind of actions the dataset holds, by table `conventions`.
+/// The kind of actions in the dataset, from table `conventions`; empty if it is not listed there.
 fn recorded_kind(episodes: &Artifact) -> Result<String> {
     let mut rows = episodes.read::<Convention>()?.into_iter();
     let row = rows.find(|row| row.convention == "action_kind");
     Ok(row.map_or_else(String::new, |row| row.value.to_string()))
 }
 
-/// Demonstrations with their recorded states, one after the other.
+/// Iterates over demonstrations with their recorded states.
 struct Recordings {
     episodes: SpatialEpisodes,
     states: ByEpisode<StateRow>,
@@ -183,7 +185,12 @@ impl Iterator for Recordings {
         let episode = self.episodes.next()?;
         Some(episode.and_then(|(number, episode)| {
             let name = episode.name.clone();
-            let missing = || fault!("table states lacks {name}"; "ingest the dataset anew");
+            let missing = || {
+                fault!(
+                    "table states does not match the frames of {name}";
+                    "delete the episodes artifact and ingest again"
+                )
+            };
             let (of, rows) = self.states.next().with_context(missing)??;
             let states: Vec<Vec<f64>> = rows.into_iter().map(|row| row.state).collect();
             ensure!(of == number && states.len() == episode.frames.len(), "{}", missing());
@@ -211,22 +218,23 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind) -> Result<Replay> {
         });
     };
     simulator.reset(&RobosuiteScene::Recorded(first.clone()), FirstTorques::AsRobosuite)?;
-    // Observations after a step are 2 ms old: recorded poses are compared with those of the simulator's state itself.
+    // Observations after a step are one simulation step (2 ms) old. Resetting a second simulator to the present state gives poses
+    // of the state itself, as the recorded ones are.
     let mut mirror = Robosuite::new(&model)?;
     for (frame, state) in recording.episode.frames.iter().zip(&recording.states) {
         let now = simulator.state();
         ensure!(
             now.len() == state.len(),
-            "state {} has {} numbers, the model needs {}",
+            "recorded state {} has {} numbers, but the model needs {}",
             success.len(),
             state.len(),
             now.len()
         );
-        let seen = mirror.reset(&RobosuiteScene::Recorded(now.clone()), FirstTorques::AsRobosuite)?;
+        let observed = mirror.reset(&RobosuiteScene::Recorded(now.clone()), FirstTorques::AsRobosuite)?;
         distances.push(Distance {
-            object: (seen.object.translation.vector - frame.object.translation.vector).norm(),
-            turn: seen.object.rotation.angle_to(&frame.object.rotation),
-            eef: (seen.grip_site.translation.vector - frame.eef.translation.vector).norm(),
+            object: (observed.object.translation.vector - frame.object.translation.vector).norm(),
+            object_rotation: observed.object.rotation.angle_to(&frame.object.rotation),
+            eef: (observed.grip_site.translation.vector - frame.eef.translation.vector).norm(),
             arm: arm_distance(&now, state),
         });
         let arm = match kind {
@@ -249,7 +257,8 @@ fn play(scenes: &Scenes, recording: &Recording, kind: Kind) -> Result<Replay> {
     })
 }
 
-/// The arm's joints are the first coordinates of robosuite's models.
+/// The largest difference of the arm's joint positions between two states, in rad. A state is the time, the coordinates and the
+/// velocities; the arm's 7 joints are the first coordinates of robosuite's models.
 fn arm_distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter()
         .zip(b)
@@ -283,7 +292,7 @@ impl Replay {
                 success_at_end: self.success.last() == Some(&true),
                 object_max: self.largest(|d| d.object),
                 object_final: self.distances.last().map_or(0.0, |d| d.object),
-                object_rotation_max: self.largest(|d| d.turn),
+                object_rotation_max: self.largest(|d| d.object_rotation),
                 eef_max: self.largest(|d| d.eef),
                 arm_max: self.largest(|d| d.arm),
             },
@@ -298,14 +307,14 @@ impl Replay {
             distance: SpatialDivergence {
                 actions: self.kind.as_str().into(),
                 object: distance.object,
-                object_rotation: distance.turn,
+                object_rotation: distance.object_rotation,
                 eef: distance.eef,
             },
         })
     }
 }
 
-/// Figures over the replays of one kind.
+/// Statistics of the replays of one kind.
 #[derive(Default)]
 struct Summary {
     replays: u64,

@@ -1,18 +1,18 @@
-//! What rollouts had reached under smaller budgets of steps.
+//! Scores of rollouts under smaller budgets of control steps.
 
 use rayon::prelude::*;
 use re4_artifact::{columns, table};
 use re4_rollout::{PlaneResultRow, PlaneStepRow};
 use re4_stats::{Interval, budgets, mean_interval, wilson_interval};
 
-/// Seed of the bootstrap, so that intervals are the same in every run.
+/// Seed of the bootstrap. It is fixed so that intervals are the same in every run.
 pub(super) const BOOTSTRAP_SEED: u64 = 0;
 
 columns! {
-    /// A mean with its interval.
+    /// A mean with its 95 % interval.
     #[derive(Copy)]
     pub struct MeanColumns {
-        /// Mean over the rollouts of the maximum value within the budget.
+        /// Mean over the rollouts of each rollout's maximum within the budget.
         pub mean: f64,
         /// Lower end of its interval.
         pub low: f64,
@@ -22,7 +22,7 @@ columns! {
 }
 
 columns! {
-    /// A rate with its interval.
+    /// A rate with its 95 % interval.
     #[derive(Copy)]
     pub struct RateColumns {
         /// Fraction of the rollouts that succeeded within the budget.
@@ -35,16 +35,16 @@ columns! {
 }
 
 table! {
-    /// One row a budget of control steps, every 50 up to the maximum and the maximum itself: what the rollouts of this artifact
-    /// had reached by then. A rollout that ended by success keeps its maxima. Intervals are those of 95 %: percentile bootstrap
-    /// of the mean, Wilson for the success rate. Sorted by budget.
+    /// Scores of the rollouts under a budget of control steps. One row per budget: every 50 steps up to the maximum, and the
+    /// maximum. A rollout that ended with success keeps its maxima for all larger budgets. 95 % intervals: percentile bootstrap
+    /// for means, Wilson for the success rate. Sorted by budget.
     #[table("budgets", version = 1)]
     #[domain = "plane"]
     #[derive(Copy)]
     pub struct BudgetRow {
-        /// Control steps that count.
+        /// Number of control steps that are counted.
         pub budget: u32,
-        /// Rollouts behind every figure of the row.
+        /// Number of rollouts.
         pub rollouts: u32,
         /// Score.
         pub score: MeanColumns,
@@ -69,7 +69,7 @@ impl From<Interval> for RateColumns {
     }
 }
 
-/// One budget, and what every rollout had reached by it.
+/// A budget, and each rollout's maxima within it.
 struct Budget {
     steps: u32,
     score: Vec<f64>,
@@ -78,11 +78,11 @@ struct Budget {
     successes: u64,
 }
 
-/// Every budget of a set of rollouts.
+/// All budgets of a set of rollouts.
 pub(super) struct Budgets(Vec<Budget>);
 
 impl Budgets {
-    /// The budgets of rollouts of at most `max_steps`, as [`budgets`] has them.
+    /// The budgets of rollouts of at most `max_steps` steps; see [`budgets`].
     pub(super) fn up_to(max_steps: u32) -> Self {
         let budget = |steps| Budget {
             steps,
@@ -94,12 +94,12 @@ impl Budgets {
         Self(budgets(max_steps).into_iter().map(budget).collect())
     }
 
-    /// Adds rollouts, with their steps in the same order.
+    /// Adds rollouts and their steps, in the same order.
     pub(super) fn add(&mut self, results: &[PlaneResultRow], steps: &[PlaneStepRow]) {
         let mut rest = steps.iter();
         for result in results {
             let (mut score, mut coverage, mut iou, mut taken) = (0.0_f64, 0.0_f64, 0.0_f64, 0);
-            // Once the steps are used up, the maxima stay for all budgets that are left.
+            // After the last step of the rollout, the maxima remain the same for all larger budgets.
             for budget in &mut self.0 {
                 let until = budget.steps.min(result.core.steps);
                 for step in rest.by_ref().take((until - taken) as usize) {
@@ -111,13 +111,13 @@ impl Budgets {
                 budget.score.push(score);
                 budget.coverage.push(coverage);
                 budget.iou.push(iou);
-                // Success ends a rollout.
+                // Success ends a rollout, so it is reached exactly with the rollout's last step.
                 budget.successes += u64::from(result.core.success && taken == result.core.steps);
             }
         }
     }
 
-    /// The table.
+    /// The rows of table `budgets`.
     pub(super) fn rows(&self) -> Vec<BudgetRow> {
         self.0.par_iter().map(Budget::row).collect()
     }

@@ -1,4 +1,4 @@
-//! What policies are told of the object by images.
+//! Pose estimators that observe the object for a policy from images.
 
 use std::sync::Arc;
 
@@ -7,8 +7,8 @@ use re4_geometry::Pose2;
 use re4_pose::{Flag, LogPolarEstimator, PushtImage};
 use re4_rollout::{Estimator, Image, ObservedPose, Plane, PolicyError, Space};
 
-/// The log-polar estimator through one episode of Push-T. An estimate that is not [`Flag::Clear`] is not told on: the last
-/// clear one is.
+/// The log-polar estimator for one episode of Push-T. If an estimate is not [`Flag::Clear`], the policy gets the last clear one
+/// instead.
 pub(super) struct LogPolar {
     estimator: Arc<LogPolarEstimator>,
     last_clear: Option<Pose2>,
@@ -30,7 +30,8 @@ impl Estimator<Plane> for LogPolar {
         if estimate.flag == Flag::Clear {
             self.last_clear = estimate.pose;
         }
-        // A doubtful pose is better than none, and worse than a clear one of a moment ago: the block is slow.
+        // The block is slow, so a recent clear estimate is more accurate than a doubtful one. Without a clear one, a doubtful one
+        // is still better than none.
         let pose = self.last_clear.or(estimate.pose).ok_or(PolicyError::Blind)?;
         Ok(ObservedPose {
             pose,
@@ -40,16 +41,16 @@ impl Estimator<Plane> for LogPolar {
     }
 }
 
-/// An encoder of images of robosuite's tasks.
+/// The trained encoder of a robosuite task.
 pub(super) struct Encoder(pub(super) Predictor);
 
 impl Estimator<Space> for Encoder {
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
         let mut predictions = self.0.predict(&[&image.pixels]).map_err(PolicyError::look)?;
-        let seen = predictions.pop();
-        let seen = seen.ok_or_else(|| PolicyError::look("the encoder says nothing of an image"))?;
+        let prediction = predictions.pop();
+        let prediction = prediction.ok_or_else(|| PolicyError::look("the encoder returned no pose for an image"))?;
         Ok(ObservedPose {
-            pose: seen.pose,
+            pose: prediction.pose,
             confidence: None,
             flag: None,
         })

@@ -1,4 +1,4 @@
-//! Rollouts of Push-T.
+//! The stage `rollout` for Push-T.
 
 use std::sync::Arc;
 
@@ -18,21 +18,22 @@ use serde_json::{Value, json};
 
 use super::budgets::{BOOTSTRAP_SEED, Budgets};
 use super::estimators::LogPolar;
-use super::{CODE_VERSION, Made, Play, extend};
+use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
 use crate::inputs::estimators::open_estimator;
 use crate::inputs::starts::read_starts;
 use crate::runner::{Built, Runner};
 
 impl Runner {
-    /// The `rollouts` artifact: from the scenes where there are any, from those of the seeds otherwise.
-    pub(super) fn rollout_plane(&self, policy: &PlanePolicy, made: &Made<'_>) -> Result<Built> {
+    /// Makes the `rollouts` artifact, or returns the existing one. Rollouts start from `artifacts.scenes` if given, otherwise
+    /// from seeds.
+    pub(super) fn rollout_plane(&self, policy: &PlanePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
         let mut recipe =
             Recipe::new(Stage::Rollout, CODE_VERSION).config(&self.rollout_config(self.starts_config()?)?)?;
-        for built in made.all() {
+        for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let estimator = match made.poses {
+            let estimator = match artifacts.poses {
                 Some(poses) => Some(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
                 None => None,
             };
@@ -44,16 +45,16 @@ impl Runner {
                 },
                 None => Source::Recorded,
             };
-            let starts = self.starts(made.scenes)?;
+            let starts = self.starts(artifacts.scenes)?;
             let mut summary = Summary::up_to(self.pipeline.rollout()?.max_steps);
             let add = &mut |batch: &Batch<Plane>| summary.add(&batch.results, &batch.steps);
-            let play = Play {
+            let setup = RolloutSetup {
                 policy: policy.settings(),
                 symmetry: Symmetry::None,
                 env: &env,
                 source: &source,
             };
-            self.record(&play, made, &mut starts.into_iter(), writer, add)?;
+            self.record(&setup, artifacts, &mut starts.into_iter(), writer, add)?;
             writer.write_rows(summary.budgets.rows())?;
             let mut protocol = json!({
                 "measure": "maximum value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
@@ -69,7 +70,7 @@ impl Runner {
             });
             extend(&mut protocol, self.starts_config()?);
             Ok(ArtifactSummary {
-                summary: summary.state(&self.protocol(&made.episodes.artifact, protocol)?),
+                summary: summary.state(&self.protocol(&artifacts.episodes.artifact, protocol)?),
                 warnings: Vec::new(),
             })
         })
@@ -85,7 +86,7 @@ impl Runner {
         Ok(seeds.as_slice().iter().map(start).collect())
     }
 
-    /// What the starts follow from, beside the `scenes` artifact.
+    /// The settings that determine the start scenes.
     fn starts_config(&self) -> Result<Value> {
         let section = self.pipeline.rollout()?;
         Ok(match &self.pipeline.scenes {
@@ -95,7 +96,7 @@ impl Runner {
     }
 }
 
-/// What the tables of rollouts come to.
+/// Accumulates the summary of rollouts.
 struct Summary {
     score: Vec<f64>,
     coverage: Vec<f64>,
@@ -106,7 +107,7 @@ struct Summary {
 }
 
 impl Summary {
-    /// Of rollouts of at most `max_steps`.
+    /// An empty summary for rollouts of at most `max_steps` steps.
     fn up_to(max_steps: u32) -> Self {
         Self {
             score: Vec::new(),
@@ -118,7 +119,7 @@ impl Summary {
         }
     }
 
-    /// Adds rollouts, with their steps in the same order.
+    /// Adds rollouts and their steps, in the same order.
     fn add(&mut self, results: &[PlaneResultRow], steps: &[PlaneStepRow]) {
         for row in results {
             self.score.push(row.score_max);
@@ -151,11 +152,11 @@ impl Summary {
     }
 }
 
-/// Reads the rollouts of an artifact back: the state before each action, the action, and the contact points counted in
-/// the step that led to the state. Rollouts without steps are left out.
+/// Reads the rollouts of an artifact as demonstrations. Each frame has the state before an action, the action, and the number of
+/// contact points in the step that ended in the state. Rollouts without steps are skipped.
 ///
 /// # Errors
-/// When a table cannot be read, or the steps are not those of the results.
+/// If a table cannot be read, or the tables `steps` and `results` do not match.
 pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
     let results: Vec<PlaneResultRow> = artifact.read()?;
     let steps: Vec<PlaneStepRow> = artifact.read()?;
@@ -164,8 +165,8 @@ pub fn read_rollouts(artifact: &Artifact) -> Result<Vec<Vec<PlanarFrame>>> {
     for row in results {
         let Some((steps, others)) = rest.split_at_checked(row.core.steps as usize) else {
             bail!(
-                "cannot read {}: table steps ends in the rollout of seed {}", artifact.path().display(), row.core.seed;
-                "build it again"
+                "cannot read {}: table steps ends within the rollout of seed {}", artifact.path().display(), row.core.seed;
+                "delete the artifact and roll out again"
             );
         };
         rest = others;

@@ -1,4 +1,4 @@
-//! Rollouts of robosuite's tasks.
+//! The stage `rollout` for robosuite tasks.
 
 use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
@@ -14,78 +14,81 @@ use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
 use super::estimators::Encoder;
-use super::{CODE_VERSION, Made, Play};
+use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup};
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same states give other images.
-const DRAWING_VERSION: u32 = 1;
+/// Increase it whenever the same states give different images.
+const RENDERING_VERSION: u32 = 1;
 
-/// Makes the estimator of an episode.
+/// Makes the pose estimator of an episode.
 pub(crate) type MakeEstimator = dyn Fn() -> Box<dyn Estimator<Space>> + Sync;
 
-/// What stands between a simulation and who senses it.
-type Through = for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>;
+/// Wraps an environment before it is observed. Tests use it to record what is rendered.
+type WrapEnv = for<'e> fn(Box<dyn Env<Space> + 'e>) -> Box<dyn Env<Space> + 'e>;
 
-/// Who looks at images.
-pub(crate) struct Watching<'a> {
-    /// Opens the estimators.
+/// How a policy observes the object through images.
+pub(crate) struct ImageObserver<'a> {
+    /// Opens the encoder and returns the constructor of estimators.
     pub(crate) open: &'a dyn Fn() -> Result<Box<MakeEstimator>>,
-    /// What the simulation is seen through.
-    pub(crate) through: Through,
+    /// Wraps each environment.
+    pub(crate) wrap: WrapEnv,
 }
 
-/// What the key of an artifact says of images drawn in rollouts.
-fn drawing(camera: &str) -> Result<Value> {
+/// The rendering settings that are part of the artifact's key.
+fn rendering(camera: &str) -> Result<Value> {
     Ok(json!({
         "assets": "robosuite-1.4.1",
         "camera": camera,
-        "gl": Gl::of_process().context("cannot draw what the policy sees")?.to_string(),
+        "gl": Gl::of_process().context("cannot render the policy's images")?.to_string(),
         "side": SIDE,
-        "version": DRAWING_VERSION,
+        "version": RENDERING_VERSION,
     }))
 }
 
-/// The scene of these demonstrations, which has this camera.
+/// A renderer of these demonstrations' scene.
 ///
 /// # Errors
-/// When an asset is missing, or the model has no such camera.
+/// If an asset is missing, or the model has no such camera.
 pub(crate) fn scene_renderer(scenes: &Scenes, episodes: &Artifact, camera: &str) -> Result<SceneRenderer> {
     let mjcf = scenes.rendered_mjcf(episodes)?;
     let model = scenes.compile(&mjcf)?.mujoco().clone();
     let scene_renderer = SceneRenderer::new(mjcf, model, SIDE);
-    scene_renderer
-        .camera(camera)
-        .with_context(|| format!("cannot draw what the policy sees of {}", episodes.path().display()))?;
+    scene_renderer.camera(camera).with_context(|| {
+        format!(
+            "cannot render the policy's images with the models of {}",
+            episodes.path().display()
+        )
+    })?;
     Ok(scene_renderer)
 }
 
 impl Runner {
-    /// The `rollouts` artifact of a robosuite task: with the simulator's own object poses, or, where there is a `poses` artifact,
-    /// with what its encoder says of images.
-    pub(super) fn rollout_space(&self, policy: &SpacePolicy, made: &Made<'_>) -> Result<Built> {
-        let Some(poses) = made.poses else {
-            return self.rollout_watching(policy, made, None);
+    /// Makes the `rollouts` artifact of a robosuite task, or returns the existing one. The policy observes the simulator's object
+    /// pose or, if `artifacts.poses` is given, the estimates of its encoder.
+    pub(super) fn rollout_space(&self, policy: &SpacePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
+        let Some(poses) = artifacts.poses else {
+            return self.rollout_with_observer(policy, artifacts, None);
         };
         let backend = self.pipeline.pose()?.encoder().backend;
         let open = || -> Result<Box<MakeEstimator>> {
             let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), backend)?;
             Ok(Box::new(move || Box::new(Encoder(predictor.clone()))))
         };
-        let watching = Watching {
+        let observer = ImageObserver {
             open: &open,
-            through: |env| env,
+            wrap: |env| env,
         };
-        self.rollout_watching(policy, made, Some(&watching))
+        self.rollout_with_observer(policy, artifacts, Some(&observer))
     }
 
-    /// The `rollouts` artifact, with the estimators that are opened for a `poses` artifact.
-    pub(crate) fn rollout_watching(
+    /// As [`Self::rollout_space`], with the given estimators.
+    pub(crate) fn rollout_with_observer(
         &self,
         policy: &SpacePolicy,
-        made: &Made<'_>,
-        watching: Option<&Watching<'_>>,
+        artifacts: &RolloutArtifacts<'_>,
+        observer: Option<&ImageObserver<'_>>,
     ) -> Result<Built> {
         let section = self.pipeline.rollout()?;
         let task = self.pipeline.task.robosuite().context("no simulator for this task")?;
@@ -95,27 +98,27 @@ impl Runner {
             "symmetry": symmetry,
             "noise": section.noise,
             "fidelity": section.fidelity,
-            "robosuite": profile(&made.episodes.artifact)?,
+            "robosuite": profile(&artifacts.episodes.artifact)?,
             "seeds": section.seeds,
         }))?;
-        if watching.is_some() {
-            config["images"] = drawing(&camera)?;
+        if observer.is_some() {
+            config["images"] = rendering(&camera)?;
         }
         let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION).config(&config)?;
-        for built in made.all() {
+        for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
-        let episodes = &made.episodes.artifact;
+        let episodes = &artifacts.episodes.artifact;
         self.build(&recipe, |writer| {
             let scenes = Scenes::open(episodes, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
-            // Where the size of a box is drawn, every seed has a model of its own.
+            // If the seed determines the size of a box (Lift's cube), every seed needs its own compiled model.
             let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
-            let seen = match watching {
-                Some(watching) => Some((
+            let observed = match observer {
+                Some(observer) => Some((
                     scene_renderer(&scenes, episodes, &camera)?,
-                    (watching.open)()?,
-                    watching.through,
+                    (observer.open)()?,
+                    observer.wrap,
                 )),
                 None => None,
             };
@@ -124,14 +127,14 @@ impl Runner {
                     Some(model) => model.clone(),
                     None => scenes.compile(&start.scene.in_model(mjcf)?)?,
                 };
-                let scene_renderer = seen.as_ref().map(|(scene_renderer, ..)| scene_renderer);
+                let scene_renderer = observed.as_ref().map(|(scene_renderer, ..)| scene_renderer);
                 let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, scene_renderer)?);
-                Ok(match &seen {
-                    Some((.., through)) => through(env),
+                Ok(match &observed {
+                    Some((.., wrap)) => wrap(env),
                     None => env,
                 })
             };
-            let source = |seed: u32| match (&seen, section.noise) {
+            let source = |seed: u32| match (&observed, section.noise) {
                 (Some((_, estimator, _)), _) => Source::Image {
                     camera: camera.clone(),
                     estimator: estimator(),
@@ -147,7 +150,7 @@ impl Runner {
                 seed,
                 scene: Placement::draw(task, seed),
             });
-            let play = Play {
+            let setup = RolloutSetup {
                 policy: policy.settings(),
                 symmetry,
                 env: &env,
@@ -155,14 +158,14 @@ impl Runner {
             };
             let mut summary = Summary::default();
             let add = &mut |batch: &Batch<Space>| summary.add(&batch.results, &batch.decisions);
-            self.record(&play, made, &mut starts, writer, add)?;
+            self.record(&setup, artifacts, &mut starts, writer, add)?;
             let protocol = self.protocol(
                 episodes,
                 json!({
-                    "measure": "success of the task's own rule after any control step",
+                    "measure": "success by the task's own rule after any control step",
                     "intervals": "95 %, Wilson",
                     "seeds": section.seeds,
-                    "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube's size of the seed",
+                    "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube size of the seed",
                     "robosuite": scenes.profile(),
                     "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
                     "fidelity": section.fidelity,
@@ -172,14 +175,14 @@ impl Runner {
                 }),
             )?;
             Ok(ArtifactSummary {
-                summary: summary.state(&protocol, watching.is_some()),
+                summary: summary.state(&protocol, observer.is_some()),
                 warnings: Vec::new(),
             })
         })
     }
 }
 
-/// What the tables of rollouts come to.
+/// Accumulates the summary of rollouts.
 #[derive(Default)]
 struct Summary {
     rollouts: u64,
@@ -214,7 +217,7 @@ impl Summary {
         if watched {
             summary["images"] = json!(self.images);
             summary["protocol"]["observation"] = json!(
-                "grip site, fingers, and where the policy asks for it the image of the camera, 84 x 84; no recorded object pose"
+                "grip site, fingers and, when the policy requests it, the camera image, 84 x 84; no recorded object pose"
             );
         }
         summary

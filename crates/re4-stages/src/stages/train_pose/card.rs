@@ -1,4 +1,4 @@
-//! What the `poses` artifact of an encoder says of itself: a model card and a plot of its training.
+//! The model card and the training plot in the `poses` artifact of an encoder.
 
 use std::fmt::Write as _;
 
@@ -9,13 +9,13 @@ use re4_encoder::train::Epoch;
 use re4_report::training_plot;
 use serde_json::Value;
 
-/// File of the plot.
+/// File name of the plot.
 const PLOT: &str = "training.svg";
 
-/// File of the card.
+/// File name of the model card.
 const CARD: &str = "model_card.md";
 
-/// Loss by epoch.
+/// Writes the plot of the losses by epoch.
 pub(super) fn write_plot(epochs: &[Epoch], writer: &Writer) -> Result<()> {
     let curve = |value: fn(&Epoch) -> Option<f64>| epochs.iter().map(value).collect::<Vec<_>>();
     let svg = training_plot(&[
@@ -28,7 +28,8 @@ pub(super) fn write_plot(epochs: &[Epoch], writer: &Writer) -> Result<()> {
     Ok(())
 }
 
-/// The card. What differs from run to run, such as the rate, is not in it: it stands in the store's folder of runs.
+/// Writes the model card. It contains nothing that differs between runs, such as the training rate, because its hash is part of
+/// the artifact; such figures are in the store's folder of runs.
 pub(super) fn write(
     config: &EncoderConfig,
     summary: &Value,
@@ -38,9 +39,9 @@ pub(super) fn write(
 ) -> Result<()> {
     let mut text = String::from("# Pose encoder\n\n");
     text.push_str(
-        "Estimates the pose of the manipulated object from one image, as that of the gripper that holds it. Trained on \
-         images, end-effector poses and modes of demonstrations alone; no recorded object pose was read before the \
-         evaluation below.\n\n",
+        "Estimates the pose of the manipulated object from one image, as the pose of the gripper when it holds the object. \
+         Trained only on images, end-effector poses and modes of demonstrations; no recorded object pose was read before \
+         the evaluation below.\n\n",
     );
     writeln!(text, "- artifact: `{own}`")?;
     writeln!(text, "- trained on episodes: `{episodes}`")?;
@@ -52,17 +53,17 @@ pub(super) fn write(
     )?;
     writeln!(
         text,
-        "- architecture: ResNet-18 of width {}, 84 x 84 cropped to 76 x 76, 256 numbers of embedding, 9 of pose (translation in units of 0.1 m, two columns of the rotation)",
+        "- architecture: ResNet-18 of width {}, input 84 x 84 cropped to 76 x 76, embedding of 256 numbers, pose of 9 numbers (translation in units of 0.1 m, two columns of the rotation matrix)",
         config.width
     )?;
     writeln!(
         text,
-        "- weights: `{}`, names as torchvision's; curves: `{PLOT}`, table `training`",
+        "- weights: `{}`, with torchvision's names; training curves: `{PLOT}`, table `training`",
         crate::inputs::estimators::WEIGHTS
     )?;
     writeln!(
         text,
-        "- training rate: in the store, `runs/train-pose-{}.json`\n",
+        "- training rate: `runs/train-pose-{}.json` in the artifacts folder\n",
         own.short()
     )?;
     writeln!(
@@ -70,7 +71,7 @@ pub(super) fn write(
         "## Settings\n\n```json\n{}\n```\n",
         serde_json::to_string_pretty(config)?
     )?;
-    text.push_str("## Course\n\n| epoch | learning rate | loss | L_abs | L_rel | L_cross | L_abs held out |\n|---|---|---|---|---|---|---|\n");
+    text.push_str("## Training\n\n| epoch | learning rate | loss | L_abs | L_rel | L_cross | L_abs held out |\n|---|---|---|---|---|---|---|\n");
     for epoch in epochs {
         let [sum, absolute, relative, cross] = epoch.losses;
         let held_out = epoch.held_out.map_or_else(String::new, |loss| format!("{loss:.4}"));

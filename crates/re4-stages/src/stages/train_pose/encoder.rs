@@ -1,7 +1,7 @@
-//! Train-pose for robosuite's tasks: `episodes` and `modes` to `poses`, by an encoder that is trained on them.
+//! The stage `train-pose` for robosuite tasks: trains an encoder on `episodes` and `modes`, and writes its estimates to `poses`.
 //!
-//! Until the poses are written, only the columns of [`EefOf`], modes and images are read: no recorded object
-//! pose reaches the training. The evaluation reads them afterwards, and nothing reads what it finds.
+//! Until the poses are written, only the columns of [`EefOf`], modes and images are read, so no recorded object pose affects the
+//! training. The evaluation reads object poses afterwards, and no stage reads its results.
 
 use anyhow::{Context as _, Result};
 use image::ImageFormat;
@@ -29,21 +29,22 @@ use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
-/// Raised whenever the same input gives other bytes.
+/// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 3;
 
-/// Folder of checkpoints, below that of the artifacts.
+/// Folder of checkpoints, below the artifacts folder.
 const CHECKPOINTS: &str = "checkpoints";
 
-/// Images that are estimated at once.
-const AT_ONCE: usize = 64;
+/// Batch size of estimation, in images.
+const BATCH: usize = 64;
 
-/// One demonstration in so many is held out, counted so that the first one is.
-fn held_out_every(share: f64) -> Option<usize> {
-    (share > 0.0).then(|| (1.0 / share).round().max(2.0) as usize)
+/// The stride of held-out demonstrations: every n-th demonstration, starting with the first, is held out. `None` for no held-out
+/// demonstrations.
+fn held_out_every(fraction: f64) -> Option<usize> {
+    (fraction > 0.0).then(|| (1.0 / fraction).round().max(2.0) as usize)
 }
 
-/// A demonstration as training knows it.
+/// The data of a demonstration that training reads. `first` is the index of its first image.
 struct Demo {
     episode: u32,
     first: u64,
@@ -52,16 +53,16 @@ struct Demo {
     trained_on: bool,
 }
 
-/// Frames that teach: before the grasp, and while the object is held.
+/// Frames of a demonstration that are trained on: those before the grasp, and those while the object is held.
 struct Phases {
     before: std::ops::Range<usize>,
     held: std::ops::Range<usize>,
 }
 
 impl Demo {
-    /// The longest run of transfer, and the run of transit that leads to it. In a demonstration that grasped once this is the
-    /// paper's g(d) and what is before it. A demonstration that missed and tried again has a first transfer frame without an
-    /// object in the gripper; its longest run is the one that carried the object.
+    /// The longest run of transfer frames and the transit frames before it. In a demonstration with one grasp, the run starts at
+    /// the paper's g(d). In a demonstration that missed and tried again, the first transfer frame has no object in the gripper;
+    /// the longest run is the one that carried the object.
     fn phases(&self) -> Option<Phases> {
         let mut best: Option<Phases> = None;
         let (mut start, mut before) = (0, 0);
@@ -94,7 +95,7 @@ impl Demo {
 }
 
 impl Runner {
-    /// The `poses` artifact of a robosuite task.
+    /// Trains the encoder and makes the `poses` artifact of a robosuite task, or returns the existing one.
     pub(crate) fn train_encoder(&self, episodes: &Built, modes: &Built) -> Result<Built> {
         let config = self.pipeline.pose()?.encoder.clone().unwrap_or_default();
         let (episodes, modes) = (&episodes.artifact, &modes.artifact);
@@ -120,15 +121,14 @@ impl Runner {
         let mut checkpoints = None;
         let mut rate = None;
         let built = self.build(&recipe, |writer| {
-            info!(checkpoints = %folder.display(), going_on = folder.is_dir(), "training the encoder");
+            info!(checkpoints = %folder.display(), resumed = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (summary, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
             rate = measured;
             Ok(summary)
         })?;
-        // A run that only finds the artifact has no checkpoints of its own; one that was killed between publishing and here
-        // left some.
+        // If the artifact existed already, this run has no checkpoints, but a run that was killed after publishing has left some.
         if checkpoints.is_none() && folder.is_dir() {
             checkpoints = Some(Checkpoints::open(&folder, *key.as_bytes())?);
         }
@@ -136,7 +136,7 @@ impl Runner {
             checkpoints.remove()?;
         }
         if let Some(rate) = rate {
-            // Beside the artifact, as it differs from run to run.
+            // The rate differs between runs, so it is recorded outside of the artifact.
             self.store.record_run(
                 Stage::TrainPose,
                 &key,
@@ -162,21 +162,21 @@ impl Runner {
         let demos = read_demos(config, episodes, modes)?;
         let names = demo_names(episodes)?;
         let mut warnings = Vec::new();
-        let (mut taught, mut held_out) = (Vec::new(), Vec::new());
+        let (mut training_demos, mut held_out) = (Vec::new(), Vec::new());
         for demo in &demos {
             let Some(training) = demo.training() else {
                 warnings.push(json!({
                     "code": "no_grasp",
                     "demo_name": names.of(demo.episode),
                     "message": format!(
-                        "{} has no transfer frame after a transit frame, so it says nothing of where its object is; it is not trained on",
+                        "{} is not trained on: it has no transfer frame after a transit frame, so its object poses are unknown",
                         names.of(demo.episode),
                     ),
                 }));
                 continue;
             };
             if demo.trained_on {
-                taught.push(training);
+                training_demos.push(training);
             } else {
                 held_out.extend(training.before.iter().map(|&frame| Sample {
                     image: training.first + u64::from(frame),
@@ -186,18 +186,19 @@ impl Runner {
             }
         }
         ensure!(
-            !taught.is_empty(),
-            "cannot train on {}: no demonstration that is trained on has a transfer frame after a transit frame",
+            !training_demos.is_empty(),
+            "cannot train on {}: no training demonstration has a transfer frame after a transit frame",
             episodes.path().display();
-            "look at its modes with re4-pipe audit"
+            "inspect its modes with re4-pipe audit"
         );
-        // A backend that is not there is told before images are unpacked. The one in pure Rust computes in the program's threads.
+        // Checked before the images are unpacked, so that a missing backend is reported at once. Flex, the pure Rust backend,
+        // runs in the program's own thread pool and needs no setting.
         config.backend.device()?;
         if config.backend != Backend::Flex {
             config.backend.set_threads(rayon::current_num_threads())?;
         }
         let images = self.unpack(config, episodes, &demos, writer)?;
-        let sampler = Sampler::new(taught, config.radius, config.seed, config.batch);
+        let sampler = Sampler::new(training_demos, config.radius, config.seed, config.batch);
         let task = Task {
             config,
             sampler: &sampler,
@@ -209,7 +210,7 @@ impl Runner {
         let bar = self.notes.progress(u64::from(config.epochs) * steps, "train-pose");
         let mut begun = false;
         let trained = train(&task, checkpoints, |progress: &Progress| -> Result<()> {
-            // The weights have been read by now, and are not read again.
+            // By the first call the weights have been read, and they are not read again.
             if let Some(file) = weights.filter(|_| !std::mem::replace(&mut begun, true)) {
                 file.unchanged().map_err(|error| error.fault).context("cannot train")?;
             }
@@ -223,11 +224,11 @@ impl Runner {
         })?;
         bar.finish_and_clear();
         writer.file(WEIGHTS, &re4_encoder::to_bytes(&trained.encoder)?)?;
-        write_course(&trained.epochs, writer)?;
+        write_training(&trained.epochs, writer)?;
         card::write_plot(&trained.epochs, writer)?;
         let predictor = Predictor::new(trained.encoder.clone());
         let poses = self.estimate(&predictor, &demos, &images, writer)?;
-        // Only now, when every estimate is written, the recorded poses are read, to tell how good the estimates are.
+        // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
         let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
         let summary = summary(config, &trained, &demos, &sampler, weights.is_some(), &evaluation);
@@ -241,7 +242,8 @@ impl Runner {
         Ok((ArtifactSummary { summary, warnings }, trained.rate))
     }
 
-    /// The images of the encoder's camera, in the order of the frames, in a scratch file.
+    /// Decodes the images of the encoder's camera, in the order of the frames, into a scratch file: training reads images in
+    /// random order, which row groups of PNG files would make slow.
     fn unpack(
         &self,
         config: &EncoderConfig,
@@ -278,13 +280,15 @@ impl Runner {
                             )
                         };
                         let image = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
-                            .or_fault(|| fault!("{} is not a PNG image", place(); "ingest again"))?
+                            .or_fault(
+                                || fault!("{} is not a PNG image", place(); "delete the artifact and ingest again"),
+                            )?
                             .into_rgb8();
                         let (width, height) = image.dimensions();
                         ensure!(
                             image.as_raw().len() == PICTURE_BYTES && width == height,
-                            "{} is {width} x {height} pixels where the encoder reads 84 x 84", place();
-                            "render them with ingest.render"
+                            "{} has {width} x {height} pixels, but the encoder needs 84 x 84", place();
+                            "render images with ingest.render"
                         );
                         Ok(image.into_raw())
                     })
@@ -301,7 +305,7 @@ impl Runner {
             let names: Vec<String> = cameras.into_iter().collect();
             bail!(
                 "cannot train on {}: it has no images of camera {:?}", path.display(), config.camera;
-                "it has those of {}: name one of them in pose.encoder.camera, or render the other one with ingest.render",
+                "set pose.encoder.camera to a camera that it has ({}), or render that camera with ingest.render",
                 names.join(", ")
             );
         }
@@ -311,12 +315,12 @@ impl Runner {
             path.display(),
             images.count(),
             config.camera;
-            "ingest again"
+            "delete the artifact and ingest again"
         );
         Ok(images)
     }
 
-    /// Estimates of all frames, written as they come.
+    /// Estimates the poses of all frames and writes table `poses`. Returns the poses by demonstration and frame, world frame.
     fn estimate(
         &self,
         predictor: &Predictor,
@@ -331,8 +335,8 @@ impl Runner {
             self.interrupt.check("train-pose")?;
             let frames = demo.eef.len();
             let mut poses = Vec::with_capacity(frames);
-            for start in (0..frames).step_by(AT_ONCE) {
-                let chunk = (start..frames.min(start + AT_ONCE))
+            for start in (0..frames).step_by(BATCH) {
+                let chunk = (start..frames.min(start + BATCH))
                     .map(|frame| {
                         let mut image = vec![0; PICTURE_BYTES];
                         images.read(demo.first + frame as u64, &mut image)?;
@@ -363,19 +367,19 @@ impl Runner {
 }
 
 columns! {
-    /// What is read of the frames before the poses are written.
+    /// The only columns of table `frames` that are read before the poses are written.
     pub struct EefOf {
         /// Demonstration.
         pub episode: u32,
         /// Frame.
         pub frame: u32,
-        /// End effector.
+        /// Pose of the end effector, world frame.
         pub eef: Isometry3<f64>,
     }
 }
 
 columns! {
-    /// The mode of a frame.
+    /// The columns of table `modes` that are read.
     pub struct ModeOf {
         /// Demonstration.
         pub episode: u32,
@@ -386,19 +390,20 @@ columns! {
     }
 }
 
-/// End-effector poses and modes, and nothing else.
+/// Reads end-effector poses and modes.
 fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
     let frames: Vec<EefOf> = episodes.table(FrameRow::<SpatialColumns>::table())?.read()?;
     let modes_of: Vec<ModeOf> = modes.table(ModeRow::<SpatialEvidence>::table())?.read()?;
     let ids = frames.iter().map(|row| (row.episode, row.frame));
     ensure!(
         ids.eq(modes_of.iter().map(|row| (row.episode, row.frame))),
-        "cannot train: {} and {} are not of the same frames", episodes.path().display(), modes.path().display();
-        "segment again"
+        "cannot train: {} and {} have different frames", episodes.path().display(), modes.path().display();
+        "delete the modes artifact and segment again"
     );
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
     for (row, (EefOf { episode, eef, .. }, ModeOf { mode, .. })) in frames.into_iter().zip(modes_of).enumerate() {
+        // Recorded quaternions are stored bit for bit and may not have unit length exactly.
         let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
         let eef = Isometry3::from_parts(eef.translation, rotation);
         if demos.last().is_none_or(|demo| demo.episode != episode) {
@@ -419,7 +424,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     Ok(demos)
 }
 
-fn write_course(epochs: &[Epoch], writer: &Writer) -> Result<()> {
+fn write_training(epochs: &[Epoch], writer: &Writer) -> Result<()> {
     writer.write_rows(epochs.iter().map(|epoch| {
         let [loss, absolute, relative, cross] = epoch.losses;
         TrainingRow {

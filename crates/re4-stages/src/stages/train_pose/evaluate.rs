@@ -1,5 +1,5 @@
-//! How good an encoder's poses are: table `pose_errors`, and a summary. After training, and the one place of it that reads
-//! recorded object poses.
+//! Measures the errors of an encoder's poses after training: table `pose_errors`, and a summary. This is the only part of
+//! `train-pose` that reads recorded object poses of robosuite tasks.
 
 use anyhow::Result;
 use nalgebra::Isometry3;
@@ -15,20 +15,20 @@ use serde_json::{Map, Value, json};
 use crate::inputs::demos::SegmentedEpisodes;
 use crate::pipeline::Task;
 
-/// Quantiles that are stated of errors.
-const SHARES: [f64; 2] = [0.5, 0.9];
+/// Quantiles of the errors in the summary.
+const QUANTILES: [f64; 2] = [0.5, 0.9];
 
-/// A carried grasp that arrives turned by more than this, in rad, is a grasp of the other side.
-const TURNED: f64 = std::f64::consts::FRAC_PI_2;
+/// A transferred grasp whose rotation error exceeds this, in rad, grasps the opposite side of the object.
+const OTHER_SIDE: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Measures the estimates of all demonstrations against the recorded poses: writes table `pose_errors`, and returns what the
-/// summary says. `poses` are those of every demonstration's frames, world frame, in the order of the artifacts, and
-/// `trained_on` says of which demonstrations images were trained on.
+/// Compares the estimates of all demonstrations with the recorded poses. Writes table `pose_errors`, and returns the entry
+/// `evaluation` of the summary. `poses` are the estimates by demonstration and frame, world frame, in the order of the artifacts;
+/// `trained_on` tells for each demonstration whether it was trained on.
 ///
-/// Demonstrations are read one after the other; what stays in memory is poses, some 200 bytes a frame.
+/// Demonstrations are read one at a time; only poses stay in memory, some 200 bytes per frame.
 ///
 /// # Errors
-/// When the artifacts cannot be read, or the estimates are not of their demonstrations.
+/// If the artifacts cannot be read, or the estimates do not belong to their demonstrations.
 pub(super) fn evaluate(
     writer: &Writer,
     episodes: &Artifact,
@@ -62,7 +62,7 @@ fn read(
         let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
         let (poses, &trained_on) = own.or_fault(|| {
             fault!(
-                "cannot evaluate the estimated poses: they are not those of the {} frames of {} of {}",
+                "cannot evaluate the estimated poses: they do not match the {} frames of {} of {}",
                 frames.len(),
                 demo.episode.name,
                 episodes.path().display();
@@ -85,7 +85,7 @@ fn read(
     }
     ensure!(
         estimates.next().is_none(),
-        "cannot evaluate the estimated poses: they are of more demonstrations than {} holds", episodes.path().display();
+        "cannot evaluate the estimated poses: there are more demonstrations than in {}", episodes.path().display();
         "train again"
     );
     Ok(demonstrations)
@@ -95,7 +95,7 @@ fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Me
     let mut table = writer.rows()?;
     let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
     for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
-        // Every frame has an estimate.
+        // Every frame has an estimate, so `flatten` drops nothing.
         let errors = (0..).zip(&demo.phases).zip(errors.iter().flatten());
         table.extend(errors.map(|((frame, &phase), &error)| PoseErrorRow {
             episode,
@@ -109,7 +109,7 @@ fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Me
     Ok(())
 }
 
-/// Everything in words and figures; null is what could not be measured.
+/// The entry `evaluation` of the summary. Values that could not be measured are null.
 fn summary(demonstrations: &[Demonstration], evaluation: &Evaluation) -> Value {
     let of = |measured: Option<&Measured>| measured.map(|measured| scores(demonstrations, measured));
     let offset = evaluation.estimates.as_ref().map(|measured| {
@@ -121,7 +121,7 @@ fn summary(demonstrations: &[Demonstration], evaluation: &Evaluation) -> Value {
         })
     });
     json!({
-        "against": "recorded poses, which nothing before has read, one constant rigid offset taken away",
+        "against": "recorded poses, which were not read before, with one constant rigid offset removed",
         "offset": offset,
         "estimates": of(evaluation.estimates.as_ref()),
         "labels": of(evaluation.labels.as_ref()),
@@ -130,7 +130,7 @@ fn summary(demonstrations: &[Demonstration], evaluation: &Evaluation) -> Value {
     })
 }
 
-/// Errors of demonstrations trained on and of those held out, by phase.
+/// Errors by phase, separately for demonstrations that were trained on and for those that were held out.
 fn scores(demonstrations: &[Demonstration], measured: &Measured) -> Value {
     let of = |trained_on: bool| {
         let chosen = || {
@@ -155,7 +155,7 @@ fn scores(demonstrations: &[Demonstration], measured: &Measured) -> Value {
 
 fn score(errors: &[FrameError]) -> Value {
     let spread =
-        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))), &SHARES);
+        |value: fn(&FrameError) -> f64, unit: fn(f64) -> f64| spread(errors.iter().map(|e| unit(value(e))), &QUANTILES);
     json!({
         "frames": errors.len(),
         "translation_mm": spread(|e| e.translation, millimetres),
@@ -168,12 +168,12 @@ fn carried(arrivals: &[Arrival]) -> Value {
     if arrivals.is_empty() {
         return Value::Null;
     }
-    let turned = arrivals.iter().filter(|arrival| arrival.angle > TURNED).count();
+    let other_side = arrivals.iter().filter(|arrival| arrival.angle > OTHER_SIDE).count();
     json!({
         "queries": arrivals.len(),
-        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)), &SHARES),
-        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()), &SHARES),
-        "fraction_on_the_other_side": turned as f64 / arrivals.len() as f64,
+        "distance_mm": spread(arrivals.iter().map(|a| millimetres(a.distance)), &QUANTILES),
+        "angle_deg": spread(arrivals.iter().map(|a| a.angle.to_degrees()), &QUANTILES),
+        "fraction_on_the_other_side": other_side as f64 / arrivals.len() as f64,
     })
 }
 
@@ -190,7 +190,7 @@ mod tests {
         Isometry3::translation(x, y, z)
     }
 
-    /// Four frames, the last two of them held; the estimate is off by some metres along x.
+    /// Four frames, of which the last two are held. The estimate is off by `off` metres along x.
     fn demonstration(number: f64, trained_on: bool, off: f64) -> Demonstration {
         let recorded = [at(number, 0.0, 0.8); 4];
         Demonstration {
@@ -203,33 +203,33 @@ mod tests {
     }
 
     #[test]
-    fn what_no_frame_tells_is_null() {
+    fn scores_without_frames_are_null() {
         let trained = [
             demonstration(0.0, true, 0.0),
             demonstration(0.1, true, 0.0),
             demonstration(0.2, true, 0.0),
         ];
-        let alone = summary(&trained, &measure(&trained, Symmetry::None).unwrap());
-        let scores = &alone["estimates"];
+        let all_trained = summary(&trained, &measure(&trained, Symmetry::None).unwrap());
+        let scores = &all_trained["estimates"];
         assert_eq!(scores["trained_on"]["overall"]["frames"], 12);
         assert_eq!(
             scores["trained_on"]["after_release"],
             json!({ "frames": 0, "translation_mm": null, "translation_at_grasp_mm": null, "rotation_deg": null })
         );
         assert_eq!(scores["held_out"]["overall"]["translation_mm"], Value::Null);
-        assert_eq!(alone["carried_grasps"], Value::Null);
-        let nothing = summary(&[], &measure(&[], Symmetry::None).unwrap());
-        assert_eq!(nothing["estimates"], Value::Null);
-        assert_eq!(nothing["offset"], Value::Null);
+        assert_eq!(all_trained["carried_grasps"], Value::Null);
+        let empty = summary(&[], &measure(&[], Symmetry::None).unwrap());
+        assert_eq!(empty["estimates"], Value::Null);
+        assert_eq!(empty["offset"], Value::Null);
     }
 
     #[test]
-    fn demonstrations_that_were_held_out_are_told_apart() {
+    fn held_out_demonstrations_are_scored_separately() {
         let mut all: Vec<_> = (0..5).map(|i| demonstration(0.01 * f64::from(i), true, 0.0)).collect();
         all.push(demonstration(0.02, false, 0.004));
-        let told = summary(&all, &measure(&all, Symmetry::None).unwrap());
+        let scored = summary(&all, &measure(&all, Symmetry::None).unwrap());
         let close = |value: &Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1e-9;
-        let estimates = &told["estimates"];
+        let estimates = &scored["estimates"];
         for (part, off) in [("trained_on", 0.0), ("held_out", 4.0)] {
             for phase in ["overall", "before_grasp", "held"] {
                 assert!(
@@ -239,17 +239,17 @@ mod tests {
                 assert!(close(&estimates[part][phase]["rotation_deg"]["p90"], 0.0));
             }
         }
-        assert!(close(&told["offset"]["translation_mm"][2], -20.0));
-        // The mean of the labels is the third of the five; the outer ones are 1 or 2 cm away.
+        assert!(close(&scored["offset"]["translation_mm"][2], -20.0));
+        // The mean of the labels is at the third of the five demonstrations; the others are 1 or 2 cm away.
         assert!(close(
-            &told["mean_pose"]["trained_on"]["before_grasp"]["translation_mm"]["p50"],
+            &scored["mean_pose"]["trained_on"]["before_grasp"]["translation_mm"]["p50"],
             10.0
         ));
         assert!(close(
-            &told["labels"]["trained_on"]["held"]["translation_mm"]["p90"],
+            &scored["labels"]["trained_on"]["held"]["translation_mm"]["p90"],
             0.0
         ));
-        assert_eq!(told["carried_grasps"]["queries"], 2);
-        assert!(close(&told["carried_grasps"]["distance_mm"]["p50"], 4.0));
+        assert_eq!(scored["carried_grasps"]["queries"], 2);
+        assert!(close(&scored["carried_grasps"]["distance_mm"]["p50"], 4.0));
     }
 }

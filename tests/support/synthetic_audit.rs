@@ -1,13 +1,13 @@
-//! An invented audit: pick-and-place demonstrations with faults, as the page of an audit takes them.
+//! A synthetic audit of pick-and-place demonstrations with errors, for tests of the audit page.
 
 use re4_artifact::episodes::Convention;
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
 use re4_report::html::audit::{Audit, Flag, Grasp, Measure, Panel, Segment, Series};
 
-/// A small generator of numbers, the same for the same seed.
-struct Draws(u64);
+/// A small deterministic random number generator.
+struct Random(u64);
 
-impl Draws {
+impl Random {
     /// In [0, 1).
     fn next(&mut self) -> f64 {
         self.0 = self
@@ -52,7 +52,7 @@ const KINDS: [(&str, Severity, &str, f64, &str); 7] = [
     (
         "long_demonstration",
         Severity::Note,
-        "the demonstration is longer than most",
+        "the demonstration is longer than usual",
         190.0,
         "frames",
     ),
@@ -66,18 +66,18 @@ const KINDS: [(&str, Severity, &str, f64, &str); 7] = [
     ("duplicate", Severity::Error, "it equals another demonstration", 0.0, ""),
 ];
 
-/// As many demonstrations; every tenth misses its first grasp and tries again, some lose the object.
+/// An audit of `count` demonstrations. Every tenth misses its first grasp and tries again; some lose the object.
 pub(crate) fn audit(count: u32) -> Audit {
-    let mut draws = Draws(7);
-    let mut made = Invented::default();
+    let mut random = Random(7);
+    let mut made = Builder::default();
     for number in 0..count {
-        made.demo(number, &mut draws);
+        made.demo(number, &mut random);
     }
     made.finish()
 }
 
 #[derive(Default)]
-struct Invented {
+struct Builder {
     demos: Vec<AuditedEpisodeRow>,
     findings: Vec<FindingRow>,
     segments: Vec<Segment>,
@@ -91,15 +91,15 @@ struct Invented {
     distance: Vec<f64>,
 }
 
-impl Invented {
-    fn demo(&mut self, number: u32, draws: &mut Draws) {
+impl Builder {
+    fn demo(&mut self, number: u32, random: &mut Random) {
         let missed = number % 10 == 3;
         let lost = number % 37 == 5;
-        let mut runs = vec![(false, draws.frames(35, 60))];
+        let mut runs = vec![(false, random.frames(35, 60))];
         if missed {
-            runs.extend([(true, draws.frames(6, 14)), (false, draws.frames(12, 25))]);
+            runs.extend([(true, random.frames(6, 14)), (false, random.frames(12, 25))]);
         }
-        runs.extend([(true, draws.frames(40, 90)), (false, draws.frames(6, 18))]);
+        runs.extend([(true, random.frames(40, 90)), (false, random.frames(6, 18))]);
         let frames: u32 = runs.iter().map(|(_, length)| length).sum();
         let mut first = 0;
         for (i, &(transfer, length)) in runs.iter().enumerate() {
@@ -109,7 +109,7 @@ impl Invented {
                 (true, _, _, true) => "lost",
                 _ => "held",
             };
-            self.segment(number, i as u32, first, length, outcome, draws);
+            self.segment(number, i as u32, first, length, outcome, random);
             first += length;
         }
         let mut found = Vec::new();
@@ -119,12 +119,12 @@ impl Invented {
         if lost {
             found.push((1, frames - 30, frames - 12));
         }
-        if draws.next() < 0.3 {
-            let at = draws.frames(0, frames - 20);
-            found.push((2, at, at + draws.frames(12, 20)));
+        if random.next() < 0.3 {
+            let at = random.frames(0, frames - 20);
+            found.push((2, at, at + random.frames(12, 20)));
         }
-        if draws.next() < 0.06 {
-            let at = draws.frames(0, frames - 12);
+        if random.next() < 0.06 {
+            let at = random.frames(0, frames - 12);
             found.push((3, at, at + 4));
         }
         if frames > 175 {
@@ -149,7 +149,7 @@ impl Invented {
             segments: runs.len(),
             transfers: runs.iter().filter(|(transfer, _)| *transfer).count(),
             grasp_frame: Some(runs[0].1 as usize),
-            object_displacement: draws.about(0.4, 0.1),
+            object_displacement: random.about(0.4, 0.1),
             errors: count(Severity::Error),
             warnings: count(Severity::Warning),
             notes: count(Severity::Note),
@@ -163,7 +163,7 @@ impl Invented {
                 code: code.into(),
                 episode: number,
                 frames: first_frame..end_frame,
-                value: Some(draws.about(threshold * 1.7, threshold * 0.2)),
+                value: Some(random.about(threshold * 1.7, threshold * 0.2)),
                 threshold: Some(threshold),
                 unit: unit.into(),
                 message: format!(
@@ -174,14 +174,14 @@ impl Invented {
         }
     }
 
-    fn segment(&mut self, episode: u32, number: u32, first: u32, length: u32, outcome: &str, draws: &mut Draws) {
+    fn segment(&mut self, episode: u32, number: u32, first: u32, length: u32, outcome: &str, random: &mut Random) {
         let transfer = !outcome.is_empty();
         let held = outcome == "held" || outcome == "lost";
         let closed = if held { 0.031 } else { 0.001 };
         for frame in 0..length {
             let t = f64::from(frame) / f64::from(length);
             let settle = (f64::from(frame) / 6.0).min(1.0);
-            let apart = if transfer {
+            let separation = if transfer {
                 0.078 + (closed - 0.078) * settle
             } else {
                 0.078
@@ -194,26 +194,26 @@ impl Invented {
             let last = frame + 1 == length;
             self.closes.push(Some(transfer));
             self.holds.push(if last { None } else { Some(held && settle >= 1.0) });
-            self.fingers.push(apart);
-            self.height[0].push(draws.about(1.0 - 0.1 * t + lift, 0.002));
-            self.height[1].push(draws.about(0.86 + lift, 0.0004));
+            self.fingers.push(separation);
+            self.height[0].push(random.about(1.0 - 0.1 * t + lift, 0.002));
+            self.height[1].push(random.about(0.86 + lift, 0.0004));
             self.speed[0].push(if last {
                 f64::NAN
             } else {
-                draws.about(0.012, 0.003).abs()
+                random.about(0.012, 0.003).abs()
             });
             self.speed[1].push(if last {
                 f64::NAN
             } else {
-                draws.about(if held { 0.012 } else { 0.0 }, 0.001).abs()
+                random.about(if held { 0.012 } else { 0.0 }, 0.001).abs()
             });
             self.relative.push(if last {
                 f64::NAN
             } else {
-                draws.about(if held { 0.0 } else { 0.011 }, 0.0009).abs()
+                random.about(if held { 0.0 } else { 0.011 }, 0.0009).abs()
             });
             self.distance.push(if transfer {
-                draws.about(0.01, 0.001)
+                random.about(0.01, 0.001)
             } else {
                 0.25 * (1.0 - t) + 0.01
             });
@@ -226,8 +226,8 @@ impl Invented {
             end_frame: first + length,
             settled_frame: transfer.then_some(first + 6),
             finger_separation: transfer.then_some(closed),
-            residual: transfer.then(|| draws.about(0.003, 0.001)),
-            residual_rotation: transfer.then(|| draws.about(0.03, 0.01)),
+            residual: transfer.then(|| random.about(0.003, 0.001)),
+            residual_rotation: transfer.then(|| random.about(0.03, 0.01)),
             object_displacement: if held { 0.4 } else { 0.0 },
             object_rise: Some(if held { 0.1 } else { 0.0 }),
         });
@@ -240,9 +240,9 @@ impl Invented {
                 end_frame: first + length,
                 outcome: outcome.to_owned(),
                 position: [
-                    draws.about(off, 0.006),
-                    draws.about(0.0, 0.01),
-                    draws.about(0.012 + off, 0.004),
+                    random.about(off, 0.006),
+                    random.about(0.0, 0.01),
+                    random.about(0.012 + off, 0.004),
                 ],
             });
         }
@@ -261,12 +261,12 @@ impl Invented {
             CheckRow {
                 code: code.into(),
                 severity,
-                meaning: format!("A finding says that {words}. Look at the frames and decide."),
-                measure: "what is invented here".to_owned(),
+                meaning: format!("In these frames, {words}. Check them."),
+                measure: "a synthetic value".to_owned(),
                 threshold: Some(threshold),
                 unit: unit.into(),
                 origin: "data".into(),
-                derivation: "invented".to_owned(),
+                derivation: "synthetic".to_owned(),
                 findings,
                 episodes: demos.len() as u32,
             }
@@ -290,9 +290,9 @@ impl Invented {
         let [eef_speed, object_speed] = self.speed;
         Audit {
             tool_version: "0.0.0".to_owned(),
-            dataset: "invented/low_dim.hdf5".to_owned(),
+            dataset: "synthetic/low_dim.hdf5".to_owned(),
             task: "PickPlaceCan".to_owned(),
-            command: "re4-pipe audit invented.toml".to_owned(),
+            command: "re4-pipe audit synthetic.toml".to_owned(),
             artifacts: ["audit", "modes", "episodes"]
                 .map(|kind| (kind.to_owned(), "0123456789abcdef".repeat(4)))
                 .to_vec(),
@@ -327,7 +327,7 @@ impl Invented {
                 },
             ],
             panels: vec![
-                panel("Fingers apart", "mm", vec![("", self.fingers)]),
+                panel("Finger separation", "mm", vec![("", self.fingers)]),
                 panel(
                     "Height",
                     "mm",
