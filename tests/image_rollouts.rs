@@ -21,8 +21,8 @@ use re4_mujoco::{Library, Version};
 use re4_policy::spatial::{
     SpatialDecision, SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig, SpatialRe4Factory,
 };
-use re4_robosuite::models::{looks, with_assets};
-use re4_robosuite::physics::without_images;
+use re4_robosuite::models::{split_appearance, with_assets};
+use re4_robosuite::physics::without_visuals;
 use re4_rollout::{
     Estimator, Image, ObservedPose, PolicyError, RobosuiteEnv, Rollout, SceneRenderer, Source, Space, Start, rollout,
 };
@@ -230,7 +230,7 @@ fn images_equal_those_of_the_demonstrations() {
         let front = cameras.iter().position(|camera| *camera == Some("agentview")).unwrap();
         for demo in 0..3_u32 {
             let mjcf = models[model_of[demo as usize].unwrap() as usize].unwrap();
-            let boxes = looks(mjcf).unwrap().boxes;
+            let boxes = split_appearance(mjcf).unwrap().boxes;
             let rows: Vec<usize> = (0..demos.len()).filter(|row| demos[*row] == demo).step_by(9).collect();
             let of_rows: Vec<Vec<f64>> = rows.iter().map(|row| states[*row].clone()).collect();
             let start = Instant::now();
@@ -281,10 +281,10 @@ fn the_policy_observes_the_object_only_through_the_estimator() {
     run(&place, &simulators, "index lift.toml").done();
     let episodes = only(&place, "artifacts", Stage::Ingest);
     let models = episodes.table(ModelRow::table()).unwrap().read_all().unwrap();
-    let mjcf = without_images(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
+    let mjcf = without_visuals(col_text(&models, "mjcf").unwrap()[0].unwrap()).unwrap();
     let mjcf = with_assets(&mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
     let lift = RobosuiteTask::named("lift").unwrap();
-    let placement = Placement::draw(lift, 200_000);
+    let placement = Placement::sample(lift, 200_000);
     let mjcf = placement.in_model(&mjcf).unwrap();
     let library = Library::open(&simulators.join("mujoco-2.3.7"), Version::V2_3_7).unwrap();
     let model = RobosuiteModel::compile(&library, lift, Profile::V1_4, &mjcf).unwrap();

@@ -30,7 +30,7 @@ fn states(place: &Place) -> Vec<State> {
 
 fn render_state(state: &State) -> Vec<u8> {
     let mut canvas = Canvas::new();
-    canvas.draw_state(
+    canvas.render_state(
         Point2::new(state[0], state[1]),
         Pose2::new(state[2], state[3], state[4]),
     );

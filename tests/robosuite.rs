@@ -12,7 +12,7 @@ use re4_ingest::IngestError;
 use re4_ingest::robomimic::{Access, Demo, DemoChoice, RobomimicReader, Sources};
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::without_images;
+use re4_robosuite::physics::without_visuals;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{FirstTorques, Profile, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteTask};
 use reference::Reference;
@@ -93,7 +93,7 @@ fn observations_and_success_match_robosuite() {
             let mjcf = demo.model.as_ref().unwrap();
             if last.as_ref().is_none_or(|(of, _)| of != mjcf) {
                 let whole = with_assets(mjcf, &simulators.join("robosuite-1.4.1")).unwrap();
-                let text = without_images(&whole).unwrap();
+                let text = without_visuals(&whole).unwrap();
                 let model = RobosuiteModel::compile(&library, task, profile, &text).unwrap();
                 last = Some((Arc::clone(mjcf), Robosuite::new(&model).unwrap()));
             }

@@ -32,7 +32,7 @@ pub struct VerifiedFile {
     pub blake3: Key,
 }
 
-/// Looks up the description of a table of an artifact by its name; `None` if the table is unknown.
+/// Appearance up the description of a table of an artifact by its name; `None` if the table is unknown.
 pub type Described<'a> = &'a dyn Fn(&Artifact, &str) -> Option<&'static TableSpec>;
 
 /// Verifies an artifact completely.

@@ -22,7 +22,7 @@ struct Published {
     folder: PathBuf,
 }
 
-/// Looks up the descriptions of the tables in this file.
+/// Appearance up the descriptions of the tables in this file.
 fn known(_: &Artifact, name: &str) -> Option<&'static re4_artifact::TableSpec> {
     [&SCALES, &EVERY_KIND].into_iter().find(|spec| spec.name == name)
 }

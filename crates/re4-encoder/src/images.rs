@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::Scope;
 
 use crate::batches::{Batch, Sample, Sampler};
-use crate::{CROP, EncoderError, PICTURE_BYTES, SIDE};
+use crate::{CROP, EncoderError, IMAGE_BYTES, SIDE};
 
 /// Means and standard deviations of ImageNet's channels (red, green, blue), for which ResNet's weights are trained.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
@@ -28,7 +28,7 @@ pub struct ImageFile {
 }
 
 impl ImageFile {
-    /// Writes images of [`PICTURE_BYTES`] bytes to a temporary file, which is deleted when the value is dropped.
+    /// Writes images of [`IMAGE_BYTES`] bytes to a temporary file, which is deleted when the value is dropped.
     ///
     /// # Errors
     /// When the disk is full, when an image has another size, or when the iterator returns an error.
@@ -45,7 +45,7 @@ impl ImageFile {
         let mut count = 0;
         for image in images {
             let image = image?;
-            if image.len() != PICTURE_BYTES {
+            if image.len() != IMAGE_BYTES {
                 return Err(EncoderError::Image(image.len()).into());
             }
             out.write_all(&image).map_err(failed)?;
@@ -61,13 +61,13 @@ impl ImageFile {
         self.count
     }
 
-    /// Reads an image to `into`, which must have [`PICTURE_BYTES`] bytes.
+    /// Reads an image to `into`, which must have [`IMAGE_BYTES`] bytes.
     ///
     /// # Errors
     /// When the file cannot be read.
     pub fn read(&self, number: u64, into: &mut [u8]) -> Result<(), EncoderError> {
         self.file
-            .read_exact_at(into, number * PICTURE_BYTES as u64)
+            .read_exact_at(into, number * IMAGE_BYTES as u64)
             .map_err(EncoderError::ScratchRead)
     }
 }
@@ -103,7 +103,7 @@ pub struct Loaded {
 /// Loads the crops of samples.
 pub(crate) fn load(images: &ImageFile, samples: &[Sample]) -> Result<Vec<f32>, EncoderError> {
     let mut inputs = vec![0.0; samples.len() * INPUTS];
-    let mut image = vec![0; PICTURE_BYTES];
+    let mut image = vec![0; IMAGE_BYTES];
     for (sample, into) in samples.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
         images.read(sample.image, &mut image)?;
         crop_and_normalise(&image, sample.crop, into);

@@ -17,7 +17,7 @@ pub mod weights;
 
 pub use config::{Backend, EncoderConfig, LossConfig};
 pub use error::EncoderError;
-pub use predict::{PICTURE_BYTES, Prediction, Predictor, SIDE};
+pub use predict::{IMAGE_BYTES, Prediction, Predictor, SIDE};
 pub use weights::to_bytes;
 
 /// Side of the crop that is the encoder's input, in pixels.

@@ -15,7 +15,7 @@ use crate::{CROP, EncoderError};
 pub const SIDE: usize = 84;
 
 /// Bytes of an image: 84 x 84 pixels, RGB, first row at the top.
-pub const PICTURE_BYTES: usize = SIDE * SIDE * 3;
+pub const IMAGE_BYTES: usize = SIDE * SIDE * 3;
 
 /// The encoder's output for an image.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,12 +50,12 @@ impl Predictor {
         }
     }
 
-    /// The encoder's outputs for images of [`PICTURE_BYTES`] bytes each, in the same order, with a centre crop.
+    /// The encoder's outputs for images of [`IMAGE_BYTES`] bytes each, in the same order, with a centre crop.
     ///
     /// # Errors
     /// When an image has another size.
     pub fn predict(&self, images: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError> {
-        if let Some(wrong) = images.iter().find(|image| image.len() != PICTURE_BYTES) {
+        if let Some(wrong) = images.iter().find(|image| image.len() != IMAGE_BYTES) {
             return Err(EncoderError::Image(wrong.len()));
         }
         // A panic in another thread cannot leave the weights inconsistent, so a poisoned lock is usable.

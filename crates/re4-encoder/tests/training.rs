@@ -9,7 +9,7 @@ use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::{ImageFile, MIDDLE};
 use re4_encoder::train::{Task, Trained, train};
-use re4_encoder::{EncoderConfig, EncoderError, PICTURE_BYTES, Predictor, SIDE};
+use re4_encoder::{EncoderConfig, EncoderError, IMAGE_BYTES, Predictor, SIDE};
 use re4_fault::Remedy as _;
 
 /// Number of frames before the grasp, and of frames that hold the object.
@@ -30,7 +30,7 @@ fn pose(at: [f64; 2], height: f64) -> Isometry3<f64> {
 }
 
 fn render(object: [f64; 2], gripper: [f64; 2]) -> Vec<u8> {
-    let mut image = vec![60; PICTURE_BYTES];
+    let mut image = vec![60; IMAGE_BYTES];
     let pixel = |at: [f64; 2]| at.map(|x| (SIDE as f64 * (0.5 + x / 0.5)) as i64);
     let mut paint = |column: i64, row: i64, colour: [u8; 3]| {
         let at = (row as usize * SIDE + column as usize) * 3;
@@ -161,7 +161,7 @@ fn the_loss_decreases_and_held_out_positions_are_estimated() {
         / training.len() as f64;
     let (mut errors, mut of_mean) = (Vec::new(), Vec::new());
     for demo in scenes.demos.iter().step_by(5) {
-        let mut image = vec![0; PICTURE_BYTES];
+        let mut image = vec![0; IMAGE_BYTES];
         scenes.images.read(demo.first + 1, &mut image).unwrap();
         let found = &predictor.predict(&[&image]).unwrap()[0];
         assert_eq!(found.embedding.len(), 256);

@@ -229,7 +229,7 @@ impl<'a> Download<'a> {
 fn no_answer(error: &ureq::Error) -> Fault {
     let why = error.to_string();
     match error {
-        ureq::Error::BadUri(_) | ureq::Error::Http(_) => Fault::BadAddress { why },
+        ureq::Error::BadUri(_) | ureq::Error::Http(_) => Fault::InvalidUrl { why },
         ureq::Error::Protocol(_) | ureq::Error::TooManyRedirects | ureq::Error::LargeResponseHeader(..) => {
             Fault::BadAnswer { why }
         }

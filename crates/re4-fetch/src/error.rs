@@ -47,7 +47,7 @@ pub enum Fault {
     /// The URL is not valid.
     #[error("the URL is not valid ({why})")]
     #[remedy("give a URL that starts with https://")]
-    BadAddress {
+    InvalidUrl {
         /// Message of the parser.
         why: String,
     },

@@ -10,7 +10,7 @@ use re4_ingest::pusht::{PushtOptions, PushtReader, PushtSource};
 use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources};
 use re4_ingest::{DemoSource, Episode, Frames, IngestError, LeftOut, Selection, Tally};
 use re4_robosuite::conventions::{RobosuiteTask, Settings};
-use re4_robosuite::hand_to_site;
+use re4_robosuite::hand_from_site;
 
 fn sample() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/can-sample.hdf5")
@@ -129,7 +129,7 @@ fn hdf5_poses_are_of_the_grip_site() {
         for frame in frames {
             // The file has the orientation of the hand body, and robosuite's gripper sign.
             let recorded = frame.raw_eef.unwrap();
-            assert_eq!(frame.eef.rotation, recorded * hand_to_site());
+            assert_eq!(frame.eef.rotation, recorded * hand_from_site());
             assert_eq!(frame.raw_gripper, None);
             assert!(frame.object.is_some() && frame.gripper.abs() <= 1.0);
         }

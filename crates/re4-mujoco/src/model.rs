@@ -210,7 +210,7 @@ impl Model {
 
     /// Whether both models are the same apart from [`Model::with_boxes`].
     #[must_use]
-    pub fn looks_like(&self, other: &Self) -> bool {
+    pub fn has_same_appearance(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.inner.family, &other.inner.family)
     }
 

@@ -166,11 +166,11 @@ impl Renderer {
     /// If the model has no such camera, or OpenGL does not work in this thread.
     ///
     /// # Panics
-    /// If the simulation's model has another appearance ([`Model::looks_like`]).
-    pub fn draw(&mut self, data: &mut Data, camera: &str) -> Result<Vec<u8>, MujocoError> {
+    /// If the simulation's model has another appearance ([`Model::has_same_appearance`]).
+    pub fn render(&mut self, data: &mut Data, camera: &str) -> Result<Vec<u8>, MujocoError> {
         let mut pixels = vec![0; 3 * self.width * self.height];
         let id = self.model.id(Kind::Camera, camera)?;
-        self.draw_into(data, id, &mut pixels)?;
+        self.render_into(data, id, &mut pixels)?;
         Ok(pixels)
     }
 
@@ -182,8 +182,8 @@ impl Renderer {
     /// # Panics
     /// If the simulation's model has another appearance, the model has no camera with this index, or the length of the buffer
     /// differs from that of an image.
-    pub fn draw_into(&mut self, data: &mut Data, camera: usize, pixels: &mut [u8]) -> Result<(), MujocoError> {
-        assert!(data.model().looks_like(&self.model) && camera < self.model.cameras());
+    pub fn render_into(&mut self, data: &mut Data, camera: usize, pixels: &mut [u8]) -> Result<(), MujocoError> {
+        assert!(data.model().has_same_appearance(&self.model) && camera < self.model.cameras());
         assert!(pixels.len() == 3 * self.width * self.height);
         self.gl.make_current()?;
         let model = data.model().clone();

@@ -73,7 +73,7 @@ fn images(renderer: &mut Renderer, model: &Model) -> Vec<Vec<u8>> {
         data.qpos_mut()[2] = 0.6 + 0.1 * f64::from(step);
         data.forward();
         for camera in ["front", "above"] {
-            images.push(renderer.draw(&mut data, camera).unwrap());
+            images.push(renderer.render(&mut data, camera).unwrap());
         }
     }
     images
@@ -91,7 +91,7 @@ fn images_are_upright_and_show_what_robosuite_shows() {
         let mut data = Data::new(&model).unwrap();
         data.qpos_mut()[2] = 1.2;
         data.forward();
-        let image = renderer.draw(&mut data, "front").unwrap();
+        let image = renderer.render(&mut data, "front").unwrap();
         assert_eq!(image.len(), 60 * 40 * 3);
         let red = |pixel: [u8; 3]| pixel[0] > 60 && pixel[1] < 30 && pixel[2] < 30;
         let (top, bottom) = image.split_at(60 * 20 * 3);
@@ -102,7 +102,7 @@ fn images_are_upright_and_show_what_robosuite_shows() {
         let white = |pixel: [u8; 3]| pixel.iter().all(|&part| part > 150);
         assert_eq!(count(&image, white), 0, "geoms of group 0 and sites are not shown");
         assert!(matches!(
-            renderer.draw(&mut data, "behind"),
+            renderer.render(&mut data, "behind"),
             Err(MujocoError::NoSuch { .. })
         ));
     }
@@ -117,7 +117,7 @@ fn views_project_points_to_the_pixels_that_show_them() {
         for centre in [[0.0, 0.0, 1.2], [0.3, -0.4, 1.0], [-0.2, 0.2, 1.1]] {
             data.qpos_mut()[..3].copy_from_slice(&centre);
             data.forward();
-            let image = renderer.draw(&mut data, "front").unwrap();
+            let image = renderer.render(&mut data, "front").unwrap();
             let (pixels, _) = image.as_chunks::<3>();
             let red: Vec<usize> = (0..pixels.len())
                 .filter(|&i| pixels[i][0] > 60 && pixels[i][1] < 30 && pixels[i][2] < 30)
@@ -167,10 +167,10 @@ fn renderers_in_several_threads_give_the_same_images() {
 fn resized_boxes_give_the_same_images_as_compiled_ones() {
     for model in Version::ALL.into_iter().filter_map(model) {
         let resized = model.with_boxes([("cube", [0.2, 0.05, 0.1])]).unwrap();
-        assert!(resized.looks_like(&model));
+        assert!(resized.has_same_appearance(&model));
         let text = SCENE.replace("size=\"0.1 0.1 0.1\"", "size=\"0.2 0.05 0.1\"");
         let compiled = Model::compile(model.library(), &text).unwrap();
-        assert!(!compiled.looks_like(&model));
+        assert!(!compiled.has_same_appearance(&model));
         let mut renderer = Renderer::new(&model, 84, 84).unwrap();
         let before = images(&mut renderer, &model);
         let after = images(&mut renderer, &resized);
@@ -185,7 +185,7 @@ fn assert_tiles(renderer: &mut Renderer, model: &Model) {
     let mut data = Data::new(model).unwrap();
     data.qpos_mut()[0] = 9.0;
     data.forward();
-    let image = renderer.draw(&mut data, "above").unwrap();
+    let image = renderer.render(&mut data, "above").unwrap();
     let view = renderer.view().unwrap();
     let blue: Vec<bool> = (0..16)
         .map(|tile| {

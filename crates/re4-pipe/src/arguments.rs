@@ -211,7 +211,7 @@ pub(crate) struct ReplayArguments {
     #[arg(long, value_name = "OUT.svg")]
     pub(crate) plot: Option<PathBuf>,
     /// robosuite tasks: end with exit code 1 when a smaller fraction of the replays than this succeeds, from 0 to 1
-    #[arg(long = "fail-under", value_name = "SHARE", value_parser = share)]
+    #[arg(long = "fail-under", value_name = "FRACTION", value_parser = fraction)]
     pub(crate) minimum: Option<f64>,
 }
 
@@ -367,9 +367,9 @@ fn jobs(text: &str) -> Result<NonZeroUsize, String> {
         .ok_or_else(|| format!("give a whole number from 1 to {MOST_JOBS}"))
 }
 
-fn share(text: &str) -> Result<f64, String> {
+fn fraction(text: &str) -> Result<f64, String> {
     text.parse()
         .ok()
-        .filter(|share| (0.0..=1.0).contains(share))
+        .filter(|fraction| (0.0..=1.0).contains(fraction))
         .ok_or_else(|| "give a number from 0 to 1".to_owned())
 }

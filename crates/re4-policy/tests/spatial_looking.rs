@@ -161,7 +161,7 @@ fn a_pose_that_cannot_be_observed_is_an_error() {
     let world = World::new(block(0.0, 0.0, 0.0));
     let arm = world.arm_state();
     let mut policy = SpatialRe4::new(config.clone(), Arc::clone(&known), world.eef);
-    let blind = act_on_request(&mut policy, arm, &mut || Err(PolicyError::look("it is dark")));
+    let blind = act_on_request(&mut policy, arm, &mut || Err(PolicyError::unobservable("it is dark")));
     assert_eq!(blind.unwrap_err().to_string(), "cannot observe the scene: it is dark");
     let mut policy = SpatialRe4::new(config, known, world.eef);
     let not_finite = act_on_request(&mut policy, arm, &mut || Ok(Isometry3::translation(f64::NAN, 0.0, 0.0)));

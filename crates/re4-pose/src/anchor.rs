@@ -182,7 +182,7 @@ impl Anchor {
     }
 
     /// For each of the 96 x 96 pixels, row by row, the fraction that has the goal's colour.
-    pub fn share(&self) -> &[f32] {
+    pub fn fractions(&self) -> &[f32] {
         &self.fractions
     }
 

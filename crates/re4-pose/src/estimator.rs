@@ -112,7 +112,7 @@ impl LogPolarEstimator {
     pub fn new(anchor: &Anchor, outline: Outline, refined: bool) -> Self {
         let log_polar = LogPolar::new();
         Self {
-            signature: log_polar.signature(anchor.share(), anchor.centroid()),
+            signature: log_polar.signature(anchor.fractions(), anchor.centroid()),
             log_polar,
             angle: anchor.goal().theta,
             centroid: outline.centroid(),

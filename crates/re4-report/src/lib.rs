@@ -13,6 +13,6 @@ pub use sources::space::{scene_rollout, spatial_rollouts};
 pub use sources::{find_input, is_spatial, stated};
 pub use svg::{ImageError, divergence_plot, rollout_image, training_plot};
 pub use video::{
-    DrawScene, FILM_SIZES, FILM_SPEEDS, FILM_TILES, SceneRollout, SceneState, VideoDecision, VideoError, VideoRollout,
-    VideoSettings, VideoState, VideoSummary, write_scene_video, write_video,
+    RenderScene, SceneRollout, SceneState, VIDEO_SIZES, VIDEO_SPEEDS, VIDEO_TILES, VideoDecision, VideoError,
+    VideoRollout, VideoSettings, VideoState, VideoSummary, write_scene_video, write_video,
 };

@@ -8,7 +8,7 @@
 //! A delta with zero rotation leaves the goal orientation unchanged: it remains the orientation of the last goal, not the
 //! current orientation of the site. Therefore the conversion needs all steps of a demonstration in order, from the first one.
 //! Source: robosuite 1.4.1, `controllers/osc.py` (`set_goal`). The orientation of the grip site follows from the recorded one
-//! with [`hand_to_site`](crate::hand_to_site).
+//! with [`hand_from_site`](crate::hand_from_site).
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use schemars::JsonSchema;

@@ -24,11 +24,11 @@ pub mod physics;
 use nalgebra::UnitQuaternion;
 
 /// The orientation of the grip site in the frame of the hand body: -90 degrees about z, so that
-/// `R_site = R_hand * hand_to_site()`. It converts coordinates in the grip site's frame to the hand body's frame.
+/// `R_site = R_hand * hand_from_site()`. It converts coordinates in the grip site's frame to the hand body's frame.
 ///
 /// It is the `quat` of the body `right_gripper` in the Panda models of robosuite 1.0 to 1.5. Observations contain the
 /// orientation of the hand body (`robot0_eef_quat`), while the goals of the controller are orientations of the grip site.
 #[must_use]
-pub fn hand_to_site() -> UnitQuaternion<f64> {
+pub fn hand_from_site() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), -std::f64::consts::FRAC_PI_2)
 }

@@ -81,7 +81,7 @@ pub fn with_assets(mjcf: &str, folder: &Path) -> Result<String, AssetsError> {
 
 /// The appearance of a model, with the sizes of its boxes separated from the rest.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Looks {
+pub struct Appearance {
     /// The text of the model without the sizes of named boxes. Images of two models with the same text differ only because of
     /// `boxes`.
     pub rest: String,
@@ -96,7 +96,7 @@ pub struct Looks {
 ///
 /// # Errors
 /// If the text is not XML.
-pub fn looks(mjcf: &str) -> Result<Looks, AssetsError> {
+pub fn split_appearance(mjcf: &str) -> Result<Appearance, AssetsError> {
     let document = Document::parse(mjcf).map_err(|error| AssetsError::Xml(error.to_string()))?;
     let mut boxes = Vec::new();
     let mut rest = String::with_capacity(mjcf.len());
@@ -121,7 +121,7 @@ pub fn looks(mjcf: &str) -> Result<Looks, AssetsError> {
         copied = range.end;
     }
     rest.push_str(&mjcf[copied..]);
-    Ok(Looks { rest, boxes })
+    Ok(Appearance { rest, boxes })
 }
 
 /// The path on this machine of a file that a model refers to.

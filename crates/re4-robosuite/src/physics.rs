@@ -14,7 +14,7 @@ use roxmltree::{Document, Node};
 ///
 /// # Errors
 /// If the text is not XML. The error is the parser's message.
-pub fn without_images(mjcf: &str) -> Result<String, String> {
+pub fn without_visuals(mjcf: &str) -> Result<String, String> {
     let document = Document::parse(mjcf).map_err(|error| error.to_string())?;
     let elements = || document.descendants().filter(Node::is_element);
     let mut used: BTreeSet<&str> = BTreeSet::new();
@@ -123,7 +123,7 @@ mod tests {
             <geom name="b" contype="0" conaffinity="0" mass="0"/><geom name="c" contype="0" mass="0"/></body>
             <body><joint/><inertial/><geom name="d" mesh="seen" contype="0" conaffinity="0"/></body>
             <body><geom name="e" mesh="seen" contype="0" conaffinity="0"/></body></worldbody></mujoco>"#;
-        let text = without_images(model).unwrap();
+        let text = without_visuals(model).unwrap();
         let document = Document::parse(&text).unwrap();
         let names: Vec<_> = document
             .descendants()
@@ -136,7 +136,7 @@ mod tests {
             "{text}"
         );
         assert!(text.contains(r#"mesh="felt""#) && text.contains(r#"rgba="1 0 0 1""#));
-        assert!(without_images("<a>").is_err());
+        assert!(without_visuals("<a>").is_err());
         let model =
             r#"<a><body name="x"><geom size="1"/><body><geom conaffinity="1" size="2"/></body></body><geom/></a>"#;
         assert_eq!(

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use re4_robosuite::models::{AssetsError, looks, with_assets};
+use re4_robosuite::models::{AssetsError, split_appearance, with_assets};
 
 fn model(file: &str) -> String {
     format!("<mujoco>\n  <asset><mesh name=\"a\" file='{file}'/></asset> <!-- kept -->\n</mujoco>\n")
@@ -81,7 +81,8 @@ fn models_that_differ_only_in_box_sizes_have_the_same_rest() {
             "<mujoco><statistic meansize=\"{mean}\" extent=\"2\"/><geom name=\"a\" type=\"box\" size=\"{size}\"/><geom type=\"box\" size=\"1 1 1\"/><geom name=\"b\" size=\"3\"/></mujoco>"
         )
     };
-    let [one, other] = [model("0.2", "0.1 0.2 0.3"), model("0.3", "1 2 3e-1")].map(|text| looks(&text).unwrap());
+    let [one, other] =
+        [model("0.2", "0.1 0.2 0.3"), model("0.3", "1 2 3e-1")].map(|text| split_appearance(&text).unwrap());
     assert_eq!(one.rest, other.rest);
     assert_eq!(one.boxes, [("a".to_owned(), [0.1, 0.2, 0.3])]);
     assert_eq!(other.boxes, [("a".to_owned(), [1.0, 2.0, 0.3])]);
@@ -89,5 +90,5 @@ fn models_that_differ_only_in_box_sizes_have_the_same_rest() {
     assert!(
         one.rest.contains("size=\"1 1 1\"") && one.rest.contains("size=\"3\"") && one.rest.contains("extent=\"2\"")
     );
-    assert_ne!(looks(&model("0.2", "0.1 0.2")).unwrap().rest, one.rest);
+    assert_ne!(split_appearance(&model("0.2", "0.1 0.2")).unwrap().rest, one.rest);
 }

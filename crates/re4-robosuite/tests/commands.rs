@@ -9,7 +9,7 @@ use re4_robosuite::conventions::{
     EefOrientation, GripperRange, GripperSign, Proof, QuaternionOrder, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
-use re4_robosuite::hand_to_site;
+use re4_robosuite::hand_from_site;
 
 /// A change of each action.
 type Change = fn(&[f64; 7]) -> [f64; 7];
@@ -72,7 +72,7 @@ fn demo(world: World, number: u64) -> Demo {
     let mut idle = 0;
     for t in 0..FRAMES {
         demo.eef_pos.push(position.into());
-        demo.eef_quat.push((site * hand_to_site().inverse()).coords.into());
+        demo.eef_quat.push((site * hand_from_site().inverse()).coords.into());
         demo.fingers.push([opening, -opening]);
         if idle == 0 && random.next() < world.idle / 8.0 {
             idle = 8;
@@ -189,7 +189,7 @@ fn refused(demos: &[Demo], settings: &Settings) -> (String, String) {
         | Unproven::Setting { convention, .. }
         | Unproven::Declared { convention, .. }
         | Unproven::Undecided { convention, .. } => (*convention).to_owned(),
-        Unproven::Odd(odd) => odd[0].demo.clone(),
+        Unproven::RefusedDemo(odd) => odd[0].demo.clone(),
         _ => String::new(),
     };
     (convention, error.to_string())
@@ -479,10 +479,10 @@ fn a_single_wrong_demonstration_is_named_and_can_be_left_out() {
         let mut mixed = right.clone();
         mixed[3] = mixed[3].with(change);
         let arrays: Vec<DemoArrays<'_>> = mixed.iter().map(Demo::arrays).collect();
-        let learned = Conventions::detect_leaving_out(&arrays, &env("1.4.1"), &known()).unwrap();
+        let learned = Conventions::detect_excluding(&arrays, &env("1.4.1"), &known()).unwrap();
         match Conventions::detect(&arrays, &env("1.4.1"), &known()) {
             // Either the detection names it,
-            Err(Unproven::Odd(odd)) => {
+            Err(Unproven::RefusedDemo(odd)) => {
                 assert_eq!((odd.len(), odd[0].place, odd[0].demo.as_str()), (1, 3, "demo_3"));
                 assert!(odd[0].why.contains(sentence), "{}", odd[0].why);
                 assert_eq!(learned.odd, odd);
@@ -536,7 +536,7 @@ fn rows_that_were_never_recorded_are_reported_first() {
         "{error}"
     );
     let arrays: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
-    let learned = Conventions::detect_leaving_out(&arrays, &env("1.4.1"), &known()).unwrap();
+    let learned = Conventions::detect_excluding(&arrays, &env("1.4.1"), &known()).unwrap();
     assert_eq!(learned.odd.len(), 1);
     assert_eq!((learned.odd[0].place, learned.odd[0].demo.as_str()), (2, "demo_2"));
     assert!(

@@ -8,7 +8,7 @@ use re4_robosuite::conventions::{
     ObjectLayout, QuaternionOrder, RelativeLag, RobosuiteTask, Rows, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
-use re4_robosuite::hand_to_site;
+use re4_robosuite::hand_from_site;
 
 const FRAMES: usize = 60;
 
@@ -62,7 +62,7 @@ fn demo(conventions: &Conventions, phase: f64) -> Demo {
         demo.eef_pos.push(hand.translation.vector.into());
         let orientation = match conventions.eef_orientation {
             EefOrientation::HandBody => hand.rotation,
-            EefOrientation::GripSite => hand.rotation * hand_to_site(),
+            EefOrientation::GripSite => hand.rotation * hand_from_site(),
         };
         demo.eef_quat.push(stored(orientation, conventions.eef_quaternion));
         let mut pose = object.translation.vector.as_slice().to_vec();
@@ -90,7 +90,7 @@ fn demo(conventions: &Conventions, phase: f64) -> Demo {
             ActionKind::Delta => (motion / 0.05).map(|command| command.clamp(-1.0, 1.0)).into(),
             ActionKind::Absolute => (hand.translation.vector + motion).into(),
         };
-        let goal = (hand.rotation * hand_to_site()).scaled_axis();
+        let goal = (hand.rotation * hand_from_site()).scaled_axis();
         demo.actions.push(match conventions.action_kind {
             ActionKind::Delta => [x, y, z, 0.0, 0.0, 0.1, command],
             ActionKind::Absolute => [x, y, z, goal.x, goal.y, goal.z, command],

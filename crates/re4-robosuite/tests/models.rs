@@ -60,7 +60,11 @@ fn poses_match_a_computation_by_hand() {
     near(hand.rotation * Vector3::x(), [0.0, 0.0, -1.0]);
     let site = poses.site(robot.grip_site);
     near(site.translation.vector, [1.0, 1.1, 0.0]);
-    assert!(site.rotation.angle_to(&(hand.rotation * re4_robosuite::hand_to_site())) < 1e-12);
+    assert!(
+        site.rotation
+            .angle_to(&(hand.rotation * re4_robosuite::hand_from_site()))
+            < 1e-12
+    );
     near(poses.body(cube).translation.vector, [1.0, 2.0, 3.0]);
     near(poses.body(cube).rotation * Vector3::y(), [0.0, 0.0, 1.0]);
     // The door's hinge is at its reference of 90 degrees, and its ball joint is all zeros, so both rotations are zero.
@@ -253,7 +257,7 @@ proptest! {
         let poses = model.forward(&qpos).unwrap();
         let between = poses.body(robot.hand).inverse() * poses.site(robot.grip_site);
         prop_assert!((between.translation.vector - Vector3::new(0.0, 0.0, 0.1)).norm() < 1e-12);
-        prop_assert!(between.rotation.angle_to(&re4_robosuite::hand_to_site()) < 1e-12);
+        prop_assert!(between.rotation.angle_to(&re4_robosuite::hand_from_site()) < 1e-12);
         for pose in [poses.body(robot.hand), poses.site(robot.grip_site)] {
             prop_assert!((pose.rotation.norm() - 1.0).abs() < 1e-12);
         }

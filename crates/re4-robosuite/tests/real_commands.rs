@@ -13,7 +13,7 @@ use re4_robosuite::conventions::{
     InitialGoal, Proof, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
-use re4_robosuite::hand_to_site;
+use re4_robosuite::hand_from_site;
 
 /// A change of each action.
 type Change = fn(&[f64; 7]) -> [f64; 7];
@@ -177,7 +177,7 @@ fn exactly_the_planted_faults_are_found() {
     // Three of the first ten demonstrations have frozen rows although their states continue.
     let demos = source.demos(10);
     let arrays: Vec<DemoArrays<'_>> = demos.iter().map(Demo::arrays).collect();
-    let learned = Conventions::detect_leaving_out(&arrays, &source.env, &Settings::default()).unwrap();
+    let learned = Conventions::detect_excluding(&arrays, &source.env, &Settings::default()).unwrap();
     let odd: Vec<&str> = learned.odd.iter().map(|odd| odd.demo.as_str()).collect();
     println!("{:?}", learned.odd);
     let conventions = learned.conventions;
@@ -323,7 +323,7 @@ fn errors_describe_changed_goals() {
         let error = detect(&demos, &source.env, &settings).unwrap_err().to_string();
         assert!(error.contains("contradicted by the data"), "{error}");
         let hand = with(&demos, |a| {
-            with_rotation(a, (goal(a) * hand_to_site().inverse()).scaled_axis())
+            with_rotation(a, (goal(a) * hand_from_site().inverse()).scaled_axis())
         });
         let error = detect(&hand, &source.env, &Settings::default())
             .unwrap_err()
@@ -478,7 +478,7 @@ fn a_demonstration_with_other_conventions_is_named() {
             println!("{task} {what}: {named}");
             assert!(named.starts_with("demo_1: "), "{task} {what}: {named}");
             let arrays: Vec<DemoArrays<'_>> = mixed.iter().map(Demo::arrays).collect();
-            let learned = Conventions::detect_leaving_out(&arrays, &source.env, &Settings::default()).unwrap();
+            let learned = Conventions::detect_excluding(&arrays, &source.env, &Settings::default()).unwrap();
             assert!(learned.odd.iter().all(|odd| odd.demo == "demo_1"), "{:?}", learned.odd);
         }
     }

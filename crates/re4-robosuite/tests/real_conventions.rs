@@ -9,7 +9,7 @@ use re4_robosuite::conventions::{
     ObjectLayout, Proof, QuaternionOrder, RelativeLag, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
-use re4_robosuite::hand_to_site;
+use re4_robosuite::hand_from_site;
 
 type Outcome = Result<(Conventions, Vec<Proof>), Unproven>;
 
@@ -364,7 +364,7 @@ fn orientations_of_site_and_hand_body_are_distinguished() {
         let demos = changed(&source.demos(10), |demo| {
             let mut demo = demo.clone();
             for stored in &mut demo.eef_quat {
-                let site = QuaternionOrder::Xyzw.rotation(*stored).unwrap() * hand_to_site();
+                let site = QuaternionOrder::Xyzw.rotation(*stored).unwrap() * hand_from_site();
                 *stored = site.coords.as_slice().try_into().unwrap();
             }
             demo

@@ -45,7 +45,7 @@ pub trait Env<D: Domain> {
     /// Renders the current state into `into`, which is resized as needed.
     ///
     /// # Errors
-    /// [`PolicyError::Look`] if the camera does not exist or the image cannot be rendered.
+    /// [`PolicyError::Unobservable`] if the camera does not exist or the image cannot be rendered.
     fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError>;
 }
 
@@ -164,6 +164,6 @@ impl Env<Space> for RobosuiteEnv<'_> {
             Some(scene_camera) => scene_camera,
             none => none.insert(scene_renderer.scene_camera(self.scene.as_ref())?),
         };
-        scene_camera.draw(camera, &self.simulation.state(), into)
+        scene_camera.render(camera, &self.simulation.state(), into)
     }
 }

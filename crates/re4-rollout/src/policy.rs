@@ -91,10 +91,10 @@ pub enum PolicyError {
     /// The estimator found no block in the current image or in any earlier image.
     #[error("neither the current image nor an earlier image shows the block")]
     #[remedy("start from a scene in which the block is visible")]
-    Blind,
+    BlockNeverVisible,
     /// An observation that the policy requested is not available.
     #[error("cannot observe the scene: {source}")]
-    Look {
+    Unobservable {
         /// The reason, as a clause without a capital letter or a full stop.
         source: Box<dyn Error + Send + Sync>,
     },
@@ -104,12 +104,12 @@ pub enum PolicyError {
 }
 
 impl PolicyError {
-    /// Creates a [`PolicyError::Look`] from the reason why an observation is not available.
-    pub fn look(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
-        Self::Look { source: error.into() }
+    /// Creates a [`PolicyError::Unobservable`] from the reason why an observation is not available.
+    pub fn unobservable(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self::Unobservable { source: error.into() }
     }
 
     pub(crate) fn no_camera(camera: &str) -> Self {
-        Self::look(format!("the scene has no camera {camera:?}"))
+        Self::unobservable(format!("the scene has no camera {camera:?}"))
     }
 }

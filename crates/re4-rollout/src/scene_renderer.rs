@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 
 use re4_mujoco::{Data, Kind, Model, MujocoError, Renderer};
-use re4_robosuite::models::looks;
+use re4_robosuite::models::split_appearance;
 use re4_sim::robosuite::Placement;
 
 use crate::{Image, PolicyError};
@@ -62,9 +62,9 @@ impl SceneRenderer {
     /// If memory cannot be allocated or the MJCF cannot be parsed.
     pub fn scene_camera(&self, scene: Option<&Placement>) -> Result<SceneCamera, PolicyError> {
         match scene {
-            Some(scene) if scene.task.draws_models() => {
-                let mjcf = scene.in_model(&self.mjcf).map_err(PolicyError::look)?;
-                self.scene_camera_of(&looks(&mjcf).map_err(PolicyError::look)?.boxes)
+            Some(scene) if scene.task.samples_models() => {
+                let mjcf = scene.in_model(&self.mjcf).map_err(PolicyError::unobservable)?;
+                self.scene_camera_of(&split_appearance(&mjcf).map_err(PolicyError::unobservable)?.boxes)
             }
             _ => self.scene_camera_of(&[]),
         }
@@ -79,10 +79,10 @@ impl SceneRenderer {
             self.model.clone()
         } else {
             let boxes = boxes.iter().map(|(name, size)| (name.as_str(), *size));
-            self.model.with_boxes(boxes).map_err(PolicyError::look)?
+            self.model.with_boxes(boxes).map_err(PolicyError::unobservable)?
         };
         Ok(SceneCamera {
-            data: Data::new(&model).map_err(PolicyError::look)?,
+            data: Data::new(&model).map_err(PolicyError::unobservable)?,
             side: self.side,
         })
     }
@@ -99,25 +99,25 @@ impl SceneCamera {
     /// the same state.
     ///
     /// # Errors
-    /// [`PolicyError::Look`] if the state does not match the scene, the camera does not exist, or rendering is not possible on
+    /// [`PolicyError::Unobservable`] if the state does not match the scene, the camera does not exist, or rendering is not possible on
     /// this machine.
-    pub fn draw(&mut self, camera: &str, state: &[f64], into: &mut Image) -> Result<(), PolicyError> {
-        set_state(&mut self.data, state).map_err(PolicyError::look)?;
+    pub fn render(&mut self, camera: &str, state: &[f64], into: &mut Image) -> Result<(), PolicyError> {
+        set_state(&mut self.data, state).map_err(PolicyError::unobservable)?;
         into.pixels.resize(self.side * self.side * 3, 0);
         (into.width, into.height) = (self.side, self.side);
         let rendered = RENDERER.with_borrow_mut(|cached| -> Result<(), MujocoError> {
             let camera = self.data.model().id(Kind::Camera, camera)?;
             let renderer = match cached {
-                Some(renderer) if renderer.model().looks_like(self.data.model()) => renderer,
+                Some(renderer) if renderer.model().has_same_appearance(self.data.model()) => renderer,
                 other => {
                     // Free the memory of the old renderer before the new one is created.
                     *other = None;
                     other.insert(Renderer::new(self.data.model(), self.side, self.side)?)
                 }
             };
-            renderer.draw_into(&mut self.data, camera, &mut into.pixels)
+            renderer.render_into(&mut self.data, camera, &mut into.pixels)
         });
-        rendered.map_err(PolicyError::look)
+        rendered.map_err(PolicyError::unobservable)
     }
 }
 

@@ -20,7 +20,7 @@ fn main() -> Result<(), Error> {
             let message = format!("line {}: expected five numbers, found {line:?}", number + 1);
             return Err(Error::new(ErrorKind::InvalidData, message));
         };
-        canvas.draw_state(Point2::new(agent_x, agent_y), Pose2::new(x, y, theta));
+        canvas.render_state(Point2::new(agent_x, agent_y), Pose2::new(x, y, theta));
         if whole {
             out.write_all(canvas.bytes())?;
         } else {

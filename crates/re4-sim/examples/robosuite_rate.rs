@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::{without_contacts, without_images};
+use re4_robosuite::physics::{without_contacts, without_visuals};
 use re4_sim::Simulator;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -36,8 +36,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         profile.mujoco(),
     )?;
     // Rollouts simulate the same reduced model, without the parts that only rendering needs.
-    let mjcf = without_images(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
-    let apart = without_contacts(&mjcf, &task.put_away())?;
+    let mjcf = without_visuals(&with_assets(trace.text("xml"), &simulators.join("robosuite-1.4.1"))?)?;
+    let apart = without_contacts(&mjcf, &task.unused_bodies())?;
 
     let numbers = trace.f64s("actions");
     let actions: Vec<RobosuiteAction> = (0..numbers.shape[0])

@@ -65,7 +65,7 @@ fn states_after_a_reset_equal_those_of_robosuite() {
         let seeds = file.u32s("seeds").numbers;
         assert!(seeds.len() >= 200);
         for (index, &seed) in seeds.iter().enumerate() {
-            let placement = Placement::draw(task, seed);
+            let placement = Placement::sample(task, seed);
             let cube = boxes(&placement);
             if !cube.is_empty() {
                 assert_eq!(bits(&cube), bits(file.f64s("cube_size").row(index)), "seed {seed}");
@@ -100,12 +100,12 @@ fn scenes_of_traces_equal_those_of_their_seed() {
     for name in names("trace_") {
         let file = Reference::read(&format!("trace_{name}.bin.gz"));
         let task = RobosuiteTask::of_environment(file.text("task")).unwrap();
-        let placement = Placement::draw(task, 11);
+        let placement = Placement::sample(task, 11);
         let coordinates = as_computed_with(file.text("robosuite"), placement.clone());
         let state = file.f64s("initial_state").numbers;
         assert_eq!(bits(&state[1..=coordinates.len()]), bits(&coordinates), "{name}");
         let robosuites = file.text("xml");
-        if task.draws_models() {
+        if task.samples_models() {
             let other = with_cube(placement.clone(), robosuites, [0.02, 0.0215, 0.022]).unwrap();
             assert!(other.contains(r#"name="cube_g0" size="0.02 0.0215 0.022" "#), "{other}");
             assert_eq!(placement.in_model(&other).unwrap(), robosuites, "{name}");
@@ -124,7 +124,10 @@ fn a_model_without_a_cube_is_refused() {
         ),
         ("<mujoco><worldbody>", "its MJCF is not XML"),
     ] {
-        let error = Placement::draw(task("lift"), 0).in_model(mjcf).unwrap_err().to_string();
+        let error = Placement::sample(task("lift"), 0)
+            .in_model(mjcf)
+            .unwrap_err()
+            .to_string();
         assert!(
             error.starts_with("cannot simulate Lift: ") && error.contains(expected),
             "{error}"
@@ -137,7 +140,7 @@ fn a_model_without_a_cube_is_refused() {
 fn ten_thousand_samples_follow_the_rules() {
     for name in ["lift", "can", "square"] {
         let task = task(name);
-        let samples: Vec<Placement> = (0..10_000).map(|seed| Placement::draw(task, seed)).collect();
+        let samples: Vec<Placement> = (0..10_000).map(|seed| Placement::sample(task, seed)).collect();
         let object = |index: usize, axis: usize| -> Vec<f64> {
             samples
                 .iter()
@@ -216,7 +219,7 @@ fn ten_thousand_samples_equal_those_of_robosuite() {
         let used = task.placement.iter().position(|rule| rule.used).unwrap();
         let mut hash = Sha256::new();
         for seed in 0..10_000 {
-            let sample = Placement::draw(task, seed);
+            let sample = Placement::sample(task, seed);
             let object = &sample.objects[used];
             let numbers = boxes(&sample).into_iter().chain(sample.arm);
             for number in numbers.chain(object.position).chain(object.quaternion) {

@@ -52,7 +52,7 @@ pub struct Finding {
     pub fix: Option<String>,
 }
 
-/// Looks for everything that the commands use. With a pipeline, what its stages need is [`State::Missing`] if it is not there.
+/// Appearance for everything that the commands use. With a pipeline, what its stages need is [`State::Missing`] if it is not there.
 pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     let mut found = program(artifacts);
     found.extend(datasets());

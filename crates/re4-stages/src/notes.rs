@@ -68,7 +68,7 @@ pub fn fault_of(error: &anyhow::Error) -> Fault {
             what.push_str(if what.is_empty() { "" } else { ": " });
             what.push_str(&words);
         }
-        if let Some(remedy) = remedy.filter(|remedy| !remedies.iter().any(|told| told.contains(&**remedy))) {
+        if let Some(remedy) = remedy.filter(|remedy| !remedies.iter().any(|known| known.contains(&**remedy))) {
             remedies.push(remedy.into_owned());
         }
         if last {

@@ -12,7 +12,7 @@ use re4_mujoco::{Data, Model, Renderer, View};
 use re4_report::html::rollouts::space::{DecisionImage, FrameInImage, Space};
 use re4_report::html::rollouts::{Rollout, Rollouts};
 use re4_report::{find_input, spatial_rollouts, stated};
-use re4_robosuite::models::looks;
+use re4_robosuite::models::split_appearance;
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Placement, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -78,7 +78,7 @@ impl Rerendered {
         };
         for place in 0..rerendered.rollouts.len() {
             let rollout = &rerendered.rollouts[place];
-            let placement = Placement::draw(task, rollout.core().seed);
+            let placement = Placement::sample(task, rollout.core().seed);
             let model = scenes.compile(&placement.in_model(scenes.first_mjcf()?)?)?;
             rerendered.coordinates.push(again(artifact, &model, rollout)?);
             rerendered.set(&placement.in_model(&with_visuals)?, &scenes, side)?;
@@ -90,7 +90,7 @@ impl Rerendered {
     /// the others differ from it only in the sizes of boxes, which are set in a copy.
     fn set(&mut self, mjcf: &str, scenes: &Scenes, side: u32) -> Result<()> {
         let model: Model = if let Some(renderer) = &self.renderer {
-            let boxes = looks(mjcf)?.boxes;
+            let boxes = split_appearance(mjcf)?.boxes;
             let boxes = boxes.iter().map(|(name, size)| (name.as_str(), *size));
             renderer.model().with_boxes(boxes)?
         } else {
@@ -106,12 +106,12 @@ impl Rerendered {
     ///
     /// # Errors
     /// If the renderer fails.
-    pub fn draw(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
+    pub fn render(&mut self, rollout: usize, state: usize) -> Result<Vec<u8>> {
         let data = &mut self.sets[rollout];
         let renderer = self.renderer.as_mut().context("there is no model to render")?;
         data.qpos_mut().copy_from_slice(&self.coordinates[rollout][state]);
         data.forward();
-        Ok(renderer.draw(data, CAMERA)?)
+        Ok(renderer.render(data, CAMERA)?)
     }
 }
 
@@ -182,14 +182,14 @@ fn images(artifact: &Artifact, set: &mut Rollouts<Space>, count: usize, store: &
     let mut rerendered = Rerendered::new(artifact, &seeds, SIDE, store)?;
     for (place, rollout) in chosen.into_iter().enumerate() {
         for (number, decision) in (0..).zip(rollout.decisions.iter().take(DECISIONS)) {
-            let pixels = rerendered.draw(place, decision.core().step as usize)?;
+            let pixels = rerendered.render(place, decision.core().step as usize)?;
             let view = rerendered.renderer.as_mut().and_then(Renderer::view);
             let project = |pose: Option<&Isometry3<f64>>| project(view.as_ref(), pose);
             let image = DecisionImage {
                 camera: CAMERA,
                 side: SIDE,
                 png: encode_png(&pixels, SIDE, SIDE)?,
-                told: project(decision.core.query_object.as_ref()),
+                observed: project(decision.core.query_object.as_ref()),
                 simulated: project(Some(&rollout.object_before(decision.core().step as usize))),
             };
             set.scene.images.insert((rollout.core().seed, number), image);

@@ -168,7 +168,7 @@ pub fn images(
         let mut scene_camera = scene_renderer(&scenes, &episodes, &camera)?.scene_camera_of(boxes)?;
         let mut image = Image::default();
         let mut render_state = |state: &Vec<f64>| {
-            scene_camera.draw(&camera, state, &mut image)?;
+            scene_camera.render(&camera, state, &mut image)?;
             Ok(image.pixels.clone())
         };
         states.iter().map(&mut render_state).collect()

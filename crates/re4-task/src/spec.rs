@@ -119,14 +119,14 @@ impl TaskSpec {
 
     /// Returns the names of the bodies of the unused objects, which are moved out of the scene.
     #[must_use]
-    pub fn put_away(&self) -> Vec<String> {
+    pub fn unused_bodies(&self) -> Vec<String> {
         let away = self.placement.iter().filter(|rule| !rule.used);
         away.map(ObjectRule::body).collect()
     }
 
     /// Whether every seed has its own model, with other sizes of boxes.
     #[must_use]
-    pub fn draws_models(&self) -> bool {
+    pub fn samples_models(&self) -> bool {
         self.placement.iter().any(|rule| matches!(rule.extent, Extent::Box(_)))
     }
 

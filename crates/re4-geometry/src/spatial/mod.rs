@@ -89,7 +89,7 @@ pub fn step_toward(from: &Isometry3<f64>, to: &Isometry3<f64>, length: f64, angl
 }
 
 /// Whether all numbers of a pose are finite and the length of its quaternion is 1 within about 1e-6.
-pub fn is_sound(pose: &Isometry3<f64>) -> bool {
+pub fn is_valid_pose(pose: &Isometry3<f64>) -> bool {
     // An error of 1e-6 in the length is one of 2e-6 in its square.
     pose.translation.vector.iter().all(|v| v.is_finite())
         && (pose.rotation.quaternion().norm_squared() - 1.0).abs() <= 2e-6

@@ -238,11 +238,11 @@ impl SymmetryGroup {
     /// rad of the rotation S between the two: the pose is `query S`.
     pub fn align(&self, query: &Isometry3<f64>, demo: &Isometry3<f64>) -> (Isometry3<f64>, f64) {
         let (angle, _) = self.nearest_rotation(&query.rotation, &demo.rotation);
-        (self.turned(query, angle), angle)
+        (self.rotated(query, angle), angle)
     }
 
     /// Rotates a pose of the object by an angle in rad about the object's axis.
-    pub fn turned(&self, pose: &Isometry3<f64>, angle: f64) -> Isometry3<f64> {
+    pub fn rotated(&self, pose: &Isometry3<f64>, angle: f64) -> Isometry3<f64> {
         // An angle of 0 returns the pose bit for bit.
         if angle == 0.0 {
             return *pose;

@@ -212,7 +212,7 @@ proptest! {
         let group = s.group().unwrap();
         let (aligned, nearest) = group.align(&q, &j);
         prop_assert_eq!(aligned.translation, q.translation);
-        prop_assert_eq!(aligned, group.turned(&q, nearest));
+        prop_assert_eq!(aligned, group.rotated(&q, nearest));
         prop_assert!(group.angle(&aligned.rotation, &q.rotation) < 1e-7);
     }
 }

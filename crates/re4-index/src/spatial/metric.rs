@@ -1,7 +1,7 @@
 //! The scale-normalised distances of Retrieve in SE(3).
 
 use nalgebra::Isometry3;
-use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_sound, rotation_angle};
+use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_valid_pose, rotation_angle};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -89,7 +89,7 @@ impl State {
     /// Returns `None` if a coordinate is not finite or is so large that squared differences could overflow.
     pub(crate) fn new(eef: &Isometry3<f64>, object: &Isometry3<f64>) -> Option<Self> {
         let near = |pose: &Isometry3<f64>| pose.translation.vector.amax() < 1e100;
-        let valid = is_sound(eef) && is_sound(object) && near(eef) && near(object);
+        let valid = is_valid_pose(eef) && is_valid_pose(object) && near(eef) && near(object);
         valid.then(|| Self {
             object: *object,
             object_from_eef: object.inv_mul(eef),

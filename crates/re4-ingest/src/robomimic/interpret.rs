@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use re4_artifact::SixAxis;
 use re4_robosuite::actions::{Action, ActionError, Osc, distance};
 use re4_robosuite::conventions::{
-    ActionKind, Basis, Conventions, DemoArrays, EefOrientation, GripperRange, GripperSign, InitialGoal, Learned, Proof,
-    QuaternionOrder, RobosuiteTask, Rows, Settings, Unproven,
+    ActionKind, Basis, Conventions, DemoArrays, Detection, EefOrientation, GripperRange, GripperSign, InitialGoal,
+    Proof, QuaternionOrder, RobosuiteTask, Rows, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::{Model, PANDA_RESET};
@@ -84,12 +84,12 @@ impl Interpreter {
             .collect();
         let unproven = |error: Unproven| {
             Hdf5Fault::Other(match error {
-                Unproven::Odd(_) | Unproven::Demo(_) => format!("{error}; {LEAVE_OUT}"),
+                Unproven::RefusedDemo(_) | Unproven::Demo(_) => format!("{error}; {LEAVE_OUT}"),
                 error => format!("{error} (settings are keys of [ingest.conventions])"),
             })
         };
-        let learned = Conventions::detect_leaving_out(&complete, &env, &reading.conventions);
-        let Learned {
+        let learned = Conventions::detect_excluding(&complete, &env, &reading.conventions);
+        let Detection {
             conventions,
             proofs,
             odd,

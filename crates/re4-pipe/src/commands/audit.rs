@@ -36,7 +36,7 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
     answer["warnings"] = json!(runner.warnings());
     console.answer(&answer)?;
     console.say(&found.text()?)?;
-    // The gate comes last: whatever it says, everything is written and told.
+    // The gate comes last: the artifacts and the page are written even if it fails.
     let errors = found.count(Severity::Error);
     let failed = match arguments.fail_on {
         None => false,

@@ -37,12 +37,16 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let audit = runner.audit(&episodes, &modes)?;
-    let told = Findings::read(&audit.artifact)?;
+    let findings = Findings::read(&audit.artifact)?;
     let mut both = modes.to_json();
     both["audit"] = audit.to_json();
     both["warnings"] = json!(runner.warnings());
     console.answer(&both)?;
-    let text = format!("{}\naudit: {}; see re4-pipe audit", described(&modes)?, told.headline());
+    let text = format!(
+        "{}\naudit: {}; see re4-pipe audit",
+        described(&modes)?,
+        findings.headline()
+    );
     console.say(&text)?;
     Ok(Outcome::Done)
 }

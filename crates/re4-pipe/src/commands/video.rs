@@ -69,8 +69,8 @@ pub(crate) fn video(arguments: &VideoArguments) -> Result<Outcome> {
     let summary = match &mut videos {
         Videos::Planar(rollouts, _) => write_video(file, rollouts, settings, &mut going),
         Videos::Spatial(rollouts, rerendered) => {
-            let mut draw = |rollout, state| rerendered.draw(rollout, state).map_err(Into::into);
-            write_scene_video(file, rollouts, settings, &mut draw, &mut going)
+            let mut render = |rollout, state| rerendered.render(rollout, state).map_err(Into::into);
+            write_scene_video(file, rollouts, settings, &mut render, &mut going)
         }
     }
     .with_context(|| format!("cannot make the video {}", out.display()))?;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Translation3, Vector3};
 use re4_episode::{Mode, SpatialFrame};
-use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_sound, rotation_from_vector};
+use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_valid_pose, rotation_from_vector};
 use re4_index::{IndexError, IndexedSpatialFrame, SpatialIndex};
 
 use crate::DemoSet;
@@ -76,7 +76,7 @@ impl SpatialKnowledge {
                 _ => all.len(),
             };
             for (number, frame) in (0..).zip(all) {
-                if !is_sound(&frame.goal) || !frame.gripper.is_finite() {
+                if !is_valid_pose(&frame.goal) || !frame.gripper.is_finite() {
                     return Err(named(IndexError::NotFinite { episode, frame: number }));
                 }
                 if (number as usize) < end && !excluded(episode, number) {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use re4_episode::Mode;
-use re4_geometry::spatial::{is_sound, pose_distance, step_toward};
+use re4_geometry::spatial::{is_valid_pose, pose_distance, step_toward};
 use re4_index::{IndexError, SpatialDistances, SpatialQuery};
 use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space};
 
@@ -112,7 +112,7 @@ impl Observation {
     ) -> Result<(), PolicyError> {
         if let Some(senses) = observer.take() {
             let object = senses.object()?;
-            if !is_sound(&object) {
+            if !is_valid_pose(&object) {
                 return Err(not_finite());
             }
             self.object = estimate.observe(self.mode, &self.eef, &object);
@@ -190,7 +190,7 @@ impl Policy<Space> for SpatialRe4 {
     /// only when it selects what to do next, at most once per step.
     fn act(&mut self, senses: &mut dyn Senses<Space>) -> Result<Act<Space, SpatialDecision>, PolicyError> {
         let arm = senses.proprio();
-        if !is_sound(&arm.eef) || arm.fingers.iter().any(|f| !f.is_finite()) {
+        if !is_valid_pose(&arm.eef) || arm.fingers.iter().any(|f| !f.is_finite()) {
             return Err(not_finite());
         }
         let mode = self.mode();
@@ -503,7 +503,7 @@ impl SpatialRe4 {
         let knowledge = Arc::clone(&self.knowledge);
         let frames = frames_of(&knowledge, demo, start)?;
         let first = &frames[start];
-        let object = knowledge.group().turned(&observed.object, distances.symmetry_rotation);
+        let object = knowledge.group().rotated(&observed.object, distances.symmetry_rotation);
         let carry = if self.config.reframe.enabled {
             reframe_spatial(
                 observed.mode,

@@ -24,6 +24,6 @@ impl<D: Domain> Senses<D> for Shown<'_, D> {
     }
 
     fn image(&mut self, camera: &str) -> Result<&Image, PolicyError> {
-        Err(PolicyError::look(format!("there is no camera {camera}")))
+        Err(PolicyError::unobservable(format!("there is no camera {camera}")))
     }
 }

@@ -17,7 +17,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_sim::{Canvas, SUCCESS_COVERAGE};
 use thiserror::Error;
 
-pub use scene::{DrawScene, SceneRollout, SceneState, write_scene_video};
+pub use scene::{RenderScene, SceneRollout, SceneState, write_scene_video};
 
 use paint::{Palette, Shrink, line_pixels};
 use reel::{Reel, check_settings};
@@ -42,11 +42,11 @@ const SHORTEST_CS: f64 = 2.0;
 const LAST_CS: u16 = 100;
 
 /// Minimum and maximum side of a tile, in pixels.
-pub const FILM_SIZES: std::ops::RangeInclusive<u32> = 64..=Canvas::SIDE as u32;
+pub const VIDEO_SIZES: std::ops::RangeInclusive<u32> = 64..=Canvas::SIDE as u32;
 /// Minimum and maximum speed, in multiples of the speed of the rollout.
-pub const FILM_SPEEDS: std::ops::RangeInclusive<f64> = 0.1..=50.0;
+pub const VIDEO_SPEEDS: std::ops::RangeInclusive<f64> = 0.1..=50.0;
 /// Maximum number of rollouts in a video.
-pub const FILM_TILES: usize = 100;
+pub const VIDEO_TILES: usize = 100;
 
 /// Why a video could not be made.
 #[derive(Debug, Error)]
@@ -54,7 +54,7 @@ pub enum VideoError {
     /// The caller asked to stop.
     #[error("the video was interrupted; nothing was written, run it again")]
     Interrupted,
-    /// The settings are outside of [`FILM_SIZES`], [`FILM_SPEEDS`] or [`FILM_TILES`], or a rollout has no states.
+    /// The settings are outside of [`VIDEO_SIZES`], [`VIDEO_SPEEDS`] or [`VIDEO_TILES`], or a rollout has no states.
     #[error("{0}")]
     Settings(String),
     /// An image could not be rendered.
@@ -255,7 +255,7 @@ impl Painter {
     /// Paints a tile in a state, and returns its pixels as palette indices.
     fn paint(&mut self, tile: &mut Tile, at: usize) -> &[u8] {
         let shown = tile.rollout.states[at];
-        self.canvas.draw_state(shown.pusher, shown.block);
+        self.canvas.render_state(shown.pusher, shown.block);
         self.image.clear();
         self.image.extend_from_slice(self.canvas.bytes());
         for (pixel, colour) in tile.overlay(shown.decision) {

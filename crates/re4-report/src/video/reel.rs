@@ -5,7 +5,7 @@ use std::io::Write;
 
 use gif::{DisposalMethod, Encoder, EncodingError, Frame, Repeat};
 
-use super::{FILM_SIZES, FILM_SPEEDS, FILM_TILES, LAST_CS, SHORTEST_CS, VideoError, VideoSettings, VideoSummary};
+use super::{LAST_CS, SHORTEST_CS, VIDEO_SIZES, VIDEO_SPEEDS, VIDEO_TILES, VideoError, VideoSettings, VideoSummary};
 
 /// Paints a tile, given its index and a state, and returns its pixels as palette indices, row by row.
 pub(super) type PaintTile<'a> = dyn FnMut(usize, usize) -> Result<Vec<u8>, VideoError> + 'a;
@@ -27,7 +27,7 @@ impl Reel {
         let last = lasts.iter().copied().max().unwrap_or(0);
         Self {
             lasts: lasts.to_vec(),
-            columns: (1..=FILM_TILES).find(|c| c * c >= lasts.len()).unwrap_or(1),
+            columns: (1..=VIDEO_TILES).find(|c| c * c >= lasts.len()).unwrap_or(1),
             side: settings.size as usize,
             tile_height: (settings.size + strip) as usize,
             times: shown(last, settings.speed, step),
@@ -83,23 +83,23 @@ pub(super) fn check_settings(
 ) -> Result<(), VideoError> {
     let refuse = |text: String| Err(VideoError::Settings(text));
     let count = rollouts.len();
-    if count == 0 || count > FILM_TILES {
-        return refuse(format!("a video can show 1 to {FILM_TILES} rollouts, not {count}"));
+    if count == 0 || count > VIDEO_TILES {
+        return refuse(format!("a video can show 1 to {VIDEO_TILES} rollouts, not {count}"));
     }
     for (seed, states) in rollouts {
         if states == 0 {
             return refuse(format!("the rollout of seed {seed} has no states to show"));
         }
     }
-    if !FILM_SIZES.contains(&settings.size) {
-        let (minimum, maximum) = (FILM_SIZES.start(), FILM_SIZES.end());
+    if !VIDEO_SIZES.contains(&settings.size) {
+        let (minimum, maximum) = (VIDEO_SIZES.start(), VIDEO_SIZES.end());
         return refuse(format!(
             "the size of a video has to be {minimum} to {maximum} px, not {}",
             settings.size
         ));
     }
-    if !FILM_SPEEDS.contains(&settings.speed) {
-        let (minimum, maximum) = (FILM_SPEEDS.start(), FILM_SPEEDS.end());
+    if !VIDEO_SPEEDS.contains(&settings.speed) {
+        let (minimum, maximum) = (VIDEO_SPEEDS.start(), VIDEO_SPEEDS.end());
         return refuse(format!(
             "the speed of a video has to be {minimum} to {maximum}, not {}",
             settings.speed

@@ -44,7 +44,7 @@ pub struct SceneRollout {
 
 /// Renders a rollout, given its index, in a state. Returns a square RGB image of the video's size, three bytes per pixel, rows
 /// from top to bottom.
-pub type DrawScene<'a> = dyn FnMut(usize, usize) -> Result<Vec<u8>, Box<dyn std::error::Error + Send + Sync>> + 'a;
+pub type RenderScene<'a> = dyn FnMut(usize, usize) -> Result<Vec<u8>, Box<dyn std::error::Error + Send + Sync>> + 'a;
 
 /// Writes a video of rollouts, with one tile per rollout, row by row. Rollouts that end earlier stay in their last state. A control
 /// step lasts 0.05 s at speed 1. Otherwise, the video is like that of [`super::write_video`].
@@ -55,7 +55,7 @@ pub fn write_scene_video(
     out: impl Write,
     rollouts: &[SceneRollout],
     settings: VideoSettings,
-    draw: &mut DrawScene<'_>,
+    draw: &mut RenderScene<'_>,
     going: &mut dyn FnMut() -> bool,
 ) -> Result<VideoSummary, VideoError> {
     check_settings(
@@ -80,7 +80,7 @@ pub fn write_scene_video(
 }
 
 /// Returns a palette of the strip's colours, and of the colours that best represent a sample of images.
-fn palette(rollouts: &[SceneRollout], draw: &mut DrawScene<'_>) -> Result<Palette, VideoError> {
+fn palette(rollouts: &[SceneRollout], draw: &mut RenderScene<'_>) -> Result<Palette, VideoError> {
     let mut colours = vec![INK, BAR, PAPER, PLAN, REPLAY, HOME, SUCCEEDED, FAILED];
     colours.extend((0..HUES).map(hue_colour));
     let mut sample = Vec::new();

@@ -31,7 +31,7 @@ const MOTION: Test = Test {
 
 /// A demonstration that cannot be used together with the others.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Odd {
+pub struct RefusedDemo {
     /// Its index among the given demonstrations.
     pub place: usize,
     /// Its name.
@@ -42,13 +42,13 @@ pub struct Odd {
 
 /// Conventions with their evidence.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Learned {
+pub struct Detection {
     /// The conventions.
     pub conventions: Conventions,
     /// Their proofs, in a fixed order.
     pub proofs: Vec<Proof>,
     /// Demonstrations that were left out, in the given order.
-    pub odd: Vec<Odd>,
+    pub odd: Vec<RefusedDemo>,
 }
 
 impl Conventions {
@@ -76,7 +76,7 @@ impl Conventions {
         file.prove(&demos).map_err(|error| {
             let places: Vec<usize> = (0..demos.len()).collect();
             file.prove_by_majority(&demos, &places)
-                .map_or(error, |learned| Unproven::Odd(learned.odd))
+                .map_or(error, |learned| Unproven::RefusedDemo(learned.odd))
         })
     }
 
@@ -85,11 +85,11 @@ impl Conventions {
     ///
     /// # Errors
     /// The same as [`Conventions::detect`], if the remaining demonstrations do not prove everything either.
-    pub fn detect_leaving_out(
+    pub fn detect_excluding(
         demos: &[DemoArrays<'_>],
         env: &EnvArgs,
         settings: &Settings,
-    ) -> Result<Learned, Unproven> {
+    ) -> Result<Detection, Unproven> {
         let file = File::new(demos, env, settings)?;
         let (mut valid, mut places, mut odd) = (Vec::new(), Vec::new(), Vec::new());
         for (place, demo) in demos.iter().enumerate() {
@@ -98,11 +98,11 @@ impl Conventions {
                     valid.push(demo);
                     places.push(place);
                 }
-                Err(contradiction) => odd.push(Odd::of(place, &contradiction)),
+                Err(contradiction) => odd.push(RefusedDemo::of(place, &contradiction)),
             }
         }
         let mut learned = match file.prove(&valid) {
-            Ok((conventions, proofs)) => Learned {
+            Ok((conventions, proofs)) => Detection {
                 conventions,
                 proofs,
                 odd: Vec::new(),
@@ -115,7 +115,7 @@ impl Conventions {
     }
 }
 
-impl Odd {
+impl RefusedDemo {
     fn of(place: usize, contradiction: &Contradiction) -> Self {
         let demo = contradiction.demo().to_owned();
         let sentence = contradiction.to_string();
@@ -160,7 +160,7 @@ impl<'a> File<'a> {
 
     /// Proves the conventions from a majority of at least three demonstrations, and lists the others, which contradict it. Returns
     /// `None` if there is no such majority.
-    fn prove_by_majority(&self, demos: &[ValidDemo<'_>], places: &[usize]) -> Option<Learned> {
+    fn prove_by_majority(&self, demos: &[ValidDemo<'_>], places: &[usize]) -> Option<Detection> {
         if demos.len() < 3 {
             return None;
         }
@@ -208,9 +208,9 @@ impl<'a> File<'a> {
             if !majority_proves {
                 return None;
             }
-            odd.push(Odd::of(places[at], &contradiction));
+            odd.push(RefusedDemo::of(places[at], &contradiction));
         }
-        Some(Learned {
+        Some(Detection {
             conventions,
             proofs,
             odd,

@@ -8,7 +8,7 @@ use super::reading::{ActionFrame, ActionReading};
 use super::response::{Response, Sums, TRANSLATION};
 use super::{ActionKind, Unproven};
 use crate::actions::{self, Action};
-use crate::hand_to_site;
+use crate::hand_from_site;
 
 /// Maximum distance (metres) between the mean of the goals and the mean of the end effector's targets. If it is larger, the goals
 /// are in another frame. Friction, weight and contacts cause up to 0.008.
@@ -121,7 +121,7 @@ impl ActionTests<'_, '_> {
             (
                 "hand_rotation_vector",
                 "rotation vectors of the hand body, which is rotated by 90 degrees from the grip site",
-                |action| actions::rotation(action) * hand_to_site(),
+                |action| actions::rotation(action) * hand_from_site(),
             ),
             ("roll_pitch_yaw", "roll, pitch and yaw", |action| {
                 UnitQuaternion::from_euler_angles(action[3], action[4], action[5])
@@ -129,7 +129,7 @@ impl ActionTests<'_, '_> {
             (
                 "hand_roll_pitch_yaw",
                 "roll, pitch and yaw of the hand body",
-                |action| UnitQuaternion::from_euler_angles(action[3], action[4], action[5]) * hand_to_site(),
+                |action| UnitQuaternion::from_euler_angles(action[3], action[4], action[5]) * hand_from_site(),
             ),
         ];
         let median = |representation: Representation| {

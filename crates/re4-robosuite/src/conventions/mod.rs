@@ -30,16 +30,16 @@ use thiserror::Error;
 
 pub use commands::Controls;
 pub use demo::{DemoArrays, Rows, zero_rows};
-pub use detect::{Learned, Odd};
+pub use detect::{Detection, RefusedDemo};
 pub use evidence::{Basis, Candidate, Evidence, MARGIN, Proof};
 pub use monitor::{Contradiction, DemoResiduals, QUATERNION_TOLERANCE};
 pub use re4_task::{ObjectLayout, RobosuiteTask};
 pub use reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, GripperRange, InitialGoal};
 pub use response::Response;
 
-use crate::hand_to_site;
+use crate::hand_from_site;
 
-/// The frame whose orientation `obs/robot0_eef_quat` stores. The two frames differ by [`hand_to_site`].
+/// The frame whose orientation `obs/robot0_eef_quat` stores. The two frames differ by [`hand_from_site`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EefOrientation {
@@ -239,14 +239,14 @@ pub enum Unproven {
     Settings(String),
     /// Demonstrations that contradict the others. Without them everything is proven.
     #[error("{}", listed(.0))]
-    Odd(Vec<Odd>),
+    RefusedDemo(Vec<RefusedDemo>),
     /// A demonstration whose numbers cannot be used at all.
     #[error(transparent)]
     Demo(#[from] Contradiction),
 }
 
 /// All refused demonstrations with the reasons, in one line.
-fn listed(odd: &[Odd]) -> String {
+fn listed(odd: &[RefusedDemo]) -> String {
     let each: Vec<String> = odd.iter().map(|odd| format!("{}: {}", odd.demo, odd.why)).collect();
     each.join("; ")
 }
@@ -286,7 +286,7 @@ impl EefOrientation {
     pub fn hand(self, stored: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         match self {
             Self::HandBody => stored,
-            Self::GripSite => stored * hand_to_site().inverse(),
+            Self::GripSite => stored * hand_from_site().inverse(),
         }
     }
 
@@ -294,7 +294,7 @@ impl EefOrientation {
     #[must_use]
     pub fn site(self, stored: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         match self {
-            Self::HandBody => stored * hand_to_site(),
+            Self::HandBody => stored * hand_from_site(),
             Self::GripSite => stored,
         }
     }

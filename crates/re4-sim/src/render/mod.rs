@@ -35,7 +35,7 @@ pub const OUTLINE_RADIUS: f64 = 2.0;
 
 /// An image of 512 x 512 pixels: 8-bit RGB, row by row from the top.
 ///
-/// Reusing a canvas, with [`PushT::render_into`] or [`Canvas::draw_state`], saves an allocation of 768 KiB per frame.
+/// Reusing a canvas, with [`PushT::render_into`] or [`Canvas::render_state`], saves an allocation of 768 KiB per frame.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Canvas {
     pixels: Vec<[u8; 3]>,
@@ -109,7 +109,7 @@ impl Canvas {
     }
 
     /// Renders a state and replaces the previous image: [`render_state`] without a new canvas.
-    pub fn draw_state(&mut self, agent: Point2, block: Pose2) {
+    pub fn render_state(&mut self, agent: Point2, block: Pose2) {
         self.draw_scene(&[agent], &tee_vertices(block), &[]);
     }
 
@@ -184,6 +184,6 @@ impl PushT {
 /// within the last bits of half a pixel. Shapes that are outside of the window, or not finite, are not rendered.
 pub fn render_state(agent: Point2, block: Pose2) -> Canvas {
     let mut canvas = Canvas::new();
-    canvas.draw_state(agent, block);
+    canvas.render_state(agent, block);
     canvas
 }

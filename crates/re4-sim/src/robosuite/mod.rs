@@ -25,7 +25,7 @@ pub use re4_task::RobosuiteTask;
 use crate::{SimError, Simulator};
 use controller::{Controller, JOINTS};
 use model::{ACTUATORS, Robot};
-use re4_robosuite::hand_to_site;
+use re4_robosuite::hand_from_site;
 use re4_task::{ObjectLayout, Positions};
 
 /// Simulation steps per second.
@@ -166,7 +166,7 @@ impl Robosuite {
         RobosuiteObservation {
             grip_site: Isometry3::from_parts(
                 Translation3::from(robot.site_position(&self.data)),
-                hand * hand_to_site(),
+                hand * hand_from_site(),
             ),
             hand,
             object: Robot::body_pose(&self.data, robot.object),

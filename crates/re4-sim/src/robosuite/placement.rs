@@ -74,7 +74,7 @@ struct Reach {
 impl Placement {
     /// The initial state of a seed.
     #[must_use]
-    pub fn draw(task: RobosuiteTask, seed: u32) -> Self {
+    pub fn sample(task: RobosuiteTask, seed: u32) -> Self {
         let mut generator = RandomState::new(seed);
         let rules = task.placement;
         let sizes: Vec<Option<[f64; 3]>> = rules
@@ -141,7 +141,7 @@ impl Placement {
     /// # Errors
     /// When the text is not XML, or lacks the geom of such a box.
     pub fn in_model<'m>(&self, mjcf: &'m str) -> Result<Cow<'m, str>, SimError> {
-        if !self.task.draws_models() {
+        if !self.task.samples_models() {
             return Ok(Cow::Borrowed(mjcf));
         }
         let refuse = |reason: String| SimError::Model {

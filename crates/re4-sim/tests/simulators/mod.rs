@@ -12,7 +12,7 @@ use std::sync::Mutex;
 
 use re4_mujoco::Library;
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::{without_contacts, without_images};
+use re4_robosuite::physics::{without_contacts, without_visuals};
 use re4_sim::Simulator as _;
 use re4_sim::robosuite::{
     ArmAction, Fidelity, FirstTorques, Profile, Robosuite, RobosuiteAction, RobosuiteModel, RobosuiteScene,
@@ -102,8 +102,8 @@ impl Trace {
         let whole = self.mjcf(simulators);
         let text = match form {
             Form::Whole => whole,
-            Form::Physics => without_images(&whole).unwrap(),
-            Form::Apart => without_contacts(&without_images(&whole).unwrap(), &self.task.put_away()).unwrap(),
+            Form::Physics => without_visuals(&whole).unwrap(),
+            Form::Apart => without_contacts(&without_visuals(&whole).unwrap(), &self.task.unused_bodies()).unwrap(),
         };
         let model = RobosuiteModel::compile(&self.library(simulators), self.task, self.profile, &text).unwrap();
         compiled.push((self.name.clone(), form, model.clone()));
@@ -147,7 +147,7 @@ impl Trace {
     /// Indices of the coordinates of objects that push each other from the first step, which magnifies differences in the last
     /// bits: Can puts three objects away to one place. The round nut of Square is alone there.
     pub(crate) fn coordinates_in_contact_from_the_start(&self, simulation: &Robosuite) -> Vec<usize> {
-        match self.task.put_away().len() {
+        match self.task.unused_bodies().len() {
             0 | 1 => Vec::new(),
             _ => self.coordinates_put_away(simulation.model()),
         }

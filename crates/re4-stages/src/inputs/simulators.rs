@@ -10,7 +10,7 @@ use re4_fault::{bail, ensure};
 use re4_ingest::{DemoRow, ModelRow};
 use re4_mujoco::{Gl, Library, Version};
 use re4_robosuite::models::with_assets;
-use re4_robosuite::physics::{without_contacts, without_images};
+use re4_robosuite::physics::{without_contacts, without_visuals};
 use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
 use tracing::{debug, info};
 
@@ -131,11 +131,11 @@ impl Scenes {
             let demo = user.map_or("a demonstration", |demo| &demo.demo);
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
             // Removed first, so that physics does not require the textures and visual meshes to be installed.
-            let mut text = without_images(&text)
+            let mut text = without_visuals(&text)
                 .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
                 .with_context(place)?;
             if fidelity == Fidelity::Fast {
-                text = without_contacts(&text, &task.put_away()).map_err(anyhow::Error::msg)?;
+                text = without_contacts(&text, &task.unused_bodies()).map_err(anyhow::Error::msg)?;
             }
             let text = with_assets(&text, &folder).with_context(place)?;
             mjcf.push(text);

@@ -219,11 +219,17 @@ impl Images {
 }
 
 fn write_anchor(anchor: &Anchor, writer: &Writer) -> Result<()> {
-    writer.write_rows(anchor.share().iter().enumerate().map(|(pixel, fraction)| AnchorRow {
-        row: pixel / SIDE,
-        column: pixel % SIDE,
-        goal_fraction: f64::from(*fraction),
-    }))?;
+    writer.write_rows(
+        anchor
+            .fractions()
+            .iter()
+            .enumerate()
+            .map(|(pixel, fraction)| AnchorRow {
+                row: pixel / SIDE,
+                column: pixel % SIDE,
+                goal_fraction: f64::from(*fraction),
+            }),
+    )?;
     Ok(())
 }
 

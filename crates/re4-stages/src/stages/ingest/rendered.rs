@@ -10,7 +10,7 @@ use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_ingest::{Episode, Matrix};
 use re4_mujoco::{Data, Footprint, Gl, Kind, Library, Model, Renderer};
 use re4_robosuite::env_args::EnvArgs;
-use re4_robosuite::models::{Looks, looks, with_assets};
+use re4_robosuite::models::{Appearance, split_appearance, with_assets};
 use re4_sim::robosuite::Profile;
 use serde_json::{Value, json};
 
@@ -189,7 +189,7 @@ impl<'a> Rendering<'a> {
                 };
                 let mjcf = demo.model.take().ok_or_else(|| lacks("attribute model_file"))?;
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
-                let Looks { rest, boxes } = looks(&mjcf).with_context(|| self.cannot(&name))?;
+                let Appearance { rest, boxes } = split_appearance(&mjcf).with_context(|| self.cannot(&name))?;
                 let pool = match &mut pool {
                     Some(pool) if pool.looks == rest => pool,
                     other => {
@@ -280,7 +280,7 @@ fn render_demo(
         }
         re4_rollout::set_state(&mut data, state).map_err(anyhow::Error::msg)?;
         for (&camera, images) in cameras.iter().zip(&mut images) {
-            renderer.draw_into(&mut data, camera, &mut pixels)?;
+            renderer.render_into(&mut data, camera, &mut pixels)?;
             images.push(encode_png(&pixels, SIDE as u32, SIDE as u32)?);
             done(1);
         }

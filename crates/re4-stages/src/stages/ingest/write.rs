@@ -257,7 +257,7 @@ impl Ingest<'_> {
                 .par_iter()
                 .map_init(Canvas::new, |canvas, frame| {
                     let object = frame.object.or_fault(|| fault!("cannot render images of demonstrations without object poses"; "remove ingest.render"))?;
-                    canvas.draw_state(frame.eef, object);
+                    canvas.render_state(frame.eef, object);
                     encode_png(&canvas.observation(), side, side)
                 })
                 .collect::<Result<Vec<_>>>()?;

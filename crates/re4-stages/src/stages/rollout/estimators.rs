@@ -25,14 +25,17 @@ impl LogPolar {
 
 impl Estimator<Plane> for LogPolar {
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Plane>, PolicyError> {
-        let image = PushtImage::new(&image.pixels, image.width, image.height).map_err(PolicyError::look)?;
+        let image = PushtImage::new(&image.pixels, image.width, image.height).map_err(PolicyError::unobservable)?;
         let estimate = self.estimator.estimate(&image);
         if estimate.flag == Flag::Clear {
             self.last_clear = estimate.pose;
         }
         // The block is slow, so a recent clear estimate is more accurate than a doubtful one. Without a clear one, a doubtful one
         // is still better than none.
-        let pose = self.last_clear.or(estimate.pose).ok_or(PolicyError::Blind)?;
+        let pose = self
+            .last_clear
+            .or(estimate.pose)
+            .ok_or(PolicyError::BlockNeverVisible)?;
         Ok(ObservedPose {
             pose,
             confidence: Some(estimate.confidence),
@@ -46,9 +49,10 @@ pub(super) struct Encoder(pub(super) Predictor);
 
 impl Estimator<Space> for Encoder {
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
-        let mut predictions = self.0.predict(&[&image.pixels]).map_err(PolicyError::look)?;
+        let mut predictions = self.0.predict(&[&image.pixels]).map_err(PolicyError::unobservable)?;
         let prediction = predictions.pop();
-        let prediction = prediction.ok_or_else(|| PolicyError::look("the encoder returned no pose for an image"))?;
+        let prediction =
+            prediction.ok_or_else(|| PolicyError::unobservable("the encoder returned no pose for an image"))?;
         Ok(ObservedPose {
             pose: prediction.pose,
             confidence: None,

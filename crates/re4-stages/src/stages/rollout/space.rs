@@ -113,7 +113,7 @@ impl Runner {
             let scenes = Scenes::open(episodes, task, section.fidelity)?;
             let mjcf = scenes.first_mjcf()?;
             // If the seed determines the size of a box (Lift's cube), every seed needs its own compiled model.
-            let shared = (!task.draws_models()).then(|| scenes.compile(mjcf)).transpose()?;
+            let shared = (!task.samples_models()).then(|| scenes.compile(mjcf)).transpose()?;
             let observed = match observer {
                 Some(observer) => Some((
                     scene_renderer(&scenes, episodes, &camera)?,
@@ -148,7 +148,7 @@ impl Runner {
             let seeds = section.seeds.as_ref().context("no seeds to start from")?;
             let mut starts = seeds.as_slice().iter().map(|&seed| Start {
                 seed,
-                scene: Placement::draw(task, seed),
+                scene: Placement::sample(task, seed),
             });
             let setup = RolloutSetup {
                 policy: policy.settings(),

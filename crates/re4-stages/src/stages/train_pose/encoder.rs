@@ -14,7 +14,7 @@ use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::{ImageFile, MIDDLE};
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{Backend, EncoderConfig, EncoderError, PICTURE_BYTES, Predictor};
+use re4_encoder::{Backend, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
@@ -286,7 +286,7 @@ impl Runner {
                             .into_rgb8();
                         let (width, height) = image.dimensions();
                         ensure!(
-                            image.as_raw().len() == PICTURE_BYTES && width == height,
+                            image.as_raw().len() == IMAGE_BYTES && width == height,
                             "{} has {width} x {height} pixels, but the encoder needs 84 x 84", place();
                             "render images with ingest.render"
                         );
@@ -338,7 +338,7 @@ impl Runner {
             for start in (0..frames).step_by(BATCH) {
                 let chunk = (start..frames.min(start + BATCH))
                     .map(|frame| {
-                        let mut image = vec![0; PICTURE_BYTES];
+                        let mut image = vec![0; IMAGE_BYTES];
                         images.read(demo.first + frame as u64, &mut image)?;
                         Ok(image)
                     })

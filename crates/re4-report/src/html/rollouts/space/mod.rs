@@ -57,7 +57,7 @@ pub struct DecisionImage {
     /// The image as the bytes of a PNG file.
     pub png: Vec<u8>,
     /// The object's frame as the policy observed it.
-    pub told: FrameInImage,
+    pub observed: FrameInImage,
     /// The object's frame in the simulator.
     pub simulated: FrameInImage,
 }
@@ -334,7 +334,7 @@ fn images(artifact: &Rollouts<Space>) -> Value {
     };
     let places = shown
         .iter()
-        .flat_map(|(_, image)| image.told.iter().chain(&image.simulated));
+        .flat_map(|(_, image)| image.observed.iter().chain(&image.simulated));
     json!({
         "camera": first.camera,
         "side": first.side,

@@ -214,7 +214,7 @@ fn images_of_decisions_are_packed_with_their_numbers() {
         camera: "agentview",
         side: 84,
         png: b"image".to_vec(),
-        told: [Some([1.0, 2.0]); 4],
+        observed: [Some([1.0, 2.0]); 4],
         simulated: behind,
     };
     artifact.scene.images.insert((200_001, 1), image);
