@@ -1,9 +1,10 @@
 //! Conversion of panics in the Parquet decoder to errors.
 //!
 //! Every command compares a table's bytes with their published hash before it decodes them, so damaged files do not reach the
-//! decoder. A table that was forged together with its hash does, and the decoder of the `parquet` crate panics on some of them.
-//! This module converts such a panic to the error that the crate should have returned. One thing is not prevented: for a page
-//! header with a wrong length or count, the crate allocates up to 2 GiB and loops up to 2^32 times.
+//! decoder. A table that was forged together with its hash does reach it, and the decoder of the `parquet` crate panics on some
+//! of these tables. This module converts such a panic to the error that the crate should have returned. It does not limit the
+//! work of the decoder: for a page header with a wrong length or count, the crate allocates up to 2 GiB and loops up to 2^32
+//! times.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};

@@ -26,7 +26,7 @@ pub(crate) fn lock(path: &Path) -> Result<File, ArtifactError> {
     Ok(file)
 }
 
-/// Whether a running process holds the lock file in this temporary folder. The caller must hold the lock of the store.
+/// Returns whether a running process has locked this temporary folder. The caller must hold the lock of the store.
 pub(crate) fn is_alive(temporary: &Path) -> bool {
     // A writer creates its lock file right after its folder and removes it right before publication, both under the lock of the
     // store. The caller holds that lock, so a folder without a lock file belongs to a writer that died in between.
@@ -44,11 +44,11 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), ArtifactError> {
         .map_err(ArtifactError::io("sync", folder))
 }
 
-/// Bytes that are hashed at once: large enough to use all cores.
+/// Number of bytes that are hashed at once: large enough to use all cores.
 const BLOCK: usize = 4 << 20;
 
 /// Computes the BLAKE3 hash of a file, block by block, on all cores. The file is not memory-mapped, because the process would be
-/// killed if another one truncated it meanwhile.
+/// killed if another process truncated the file meanwhile.
 pub(crate) fn hash_file(path: &Path) -> io::Result<Key> {
     let mut file = File::open(path)?;
     let length = usize::try_from(file.metadata()?.len()).unwrap_or(BLOCK);

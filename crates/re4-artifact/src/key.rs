@@ -89,7 +89,7 @@ impl fmt::Display for Stage {
 pub struct Key([u8; 32]);
 
 impl Key {
-    /// A key from its bytes.
+    /// Creates a key from its bytes.
     pub const fn from_bytes(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }

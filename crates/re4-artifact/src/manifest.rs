@@ -118,7 +118,7 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// The bytes of the file.
+    /// Returns the text of `manifest.json`.
     pub(crate) fn to_text(&self) -> Result<String, ArtifactError> {
         Ok(canonical_text(&canonical_json(self)?))
     }

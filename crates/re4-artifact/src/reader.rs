@@ -23,6 +23,7 @@ use crate::key::Key;
 use crate::manifest::{MANIFEST_NAME, Manifest, TableSummary};
 use crate::spec::{DOMAIN_KEY, TableSpec};
 
+/// Maximum number of rows that are decoded at once. It bounds the memory of [`Table::batches`].
 const ROWS_PER_BATCH: usize = 65_536;
 
 /// An artifact that has been published.
@@ -81,7 +82,7 @@ impl Artifact {
         Table::open(self, summary, Some(spec))
     }
 
-    /// Whether the artifact has a table, under its present or its former name.
+    /// Returns whether the artifact has a table, under its present or its former name.
     pub fn has_table(&self, spec: &'static TableSpec) -> bool {
         self.manifest.tables.contains_key(spec.name) || self.under_former_name(spec).is_some()
     }
@@ -173,7 +174,7 @@ impl Artifact {
     }
 }
 
-/// A table of an artifact. It is cheap to clone; the footer of the file is read once.
+/// An opened table of an artifact. It is cheap to clone, because the footer of the file is read only when the table is opened.
 #[derive(Debug, Clone)]
 pub struct Table {
     path: PathBuf,
@@ -391,7 +392,7 @@ impl Table {
             .collect();
         let before = (rows.start % size) as usize;
         let wanted = before..before + (rows.end - rows.start) as usize;
-        // The decoder fills whole batches. A smaller size keeps it from decoding images behind the requested ones.
+        // The decoder fills whole batches. A smaller size keeps it from decoding images after the requested ones.
         let size = wanted.end.min(ROWS_PER_BATCH);
         let reader = self.reader(Some(groups))?.with_batch_size(size);
         self.collect(reader, &self.schema(), Some(wanted))
@@ -421,7 +422,7 @@ impl Table {
         }
     }
 
-    /// Opens the file anew for each read, because clones of a handle share their position and reads may run in parallel.
+    /// Opens the file again for each read, because clones of a handle share their position and reads may run in parallel.
     fn reader(&self, groups: Option<Vec<usize>>) -> Result<ParquetRecordBatchReaderBuilder<File>, ArtifactError> {
         let file = File::open(&self.path).map_err(ArtifactError::io("read", &self.path))?;
         let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
@@ -432,7 +433,7 @@ impl Table {
         })
     }
 
-    /// Decodes; of the row groups of the reader these rows, or all.
+    /// Decodes the given rows, counted from the first row of the builder's row groups, or all rows of these groups.
     fn collect(
         &self,
         builder: ParquetRecordBatchReaderBuilder<File>,
@@ -473,7 +474,7 @@ impl Table {
 
 /// Reads all batches, or the parts of them that contain a range of rows.
 ///
-/// Rows in front of the range are decoded and dropped. The decoder's own row selection is not used, because it does not terminate
+/// Rows before the range are decoded and dropped. The decoder's own row selection is not used, because it does not terminate
 /// on some invalid pages.
 fn cut(reader: ParquetRecordBatchReader, rows: Option<Range<usize>>) -> Result<Vec<RecordBatch>, ParquetError> {
     let Some(rows) = rows else {

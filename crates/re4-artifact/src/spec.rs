@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 pub struct TableSpec {
     /// Name of the table. Its file is `<name>.parquet`.
     pub name: &'static str,
-    /// Version of the schema. Raise it when a column is added, and set [`ColumnSpec::since`] of that column to the new version.
+    /// Version of the schema. Raise it when a column is added or renamed, and set [`ColumnSpec::since`] of an added column to the
+    /// new version.
     pub version: u32,
     /// Domain of the columns that are not common to all domains: `plane` (SE(2), Push-T) or `space` (SE(3), robosuite); "" if
     /// there are no such columns.

@@ -1,15 +1,15 @@
-//! Values of a column as text, for people.
+//! Formats the values of a column as text for display.
 
 use arrow_array::Array;
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
 use arrow_schema::DataType;
 
-/// The value of a column in one row. Floats have as many digits as tell them from all others; bytes are only counted; a null
-/// value is `null`.
+/// Formats the value of a column in one row. A float has the fewest digits that parse to the same float, for bytes only their
+/// number is given, and a null value is `null`.
 ///
 /// # Panics
-/// When the column has fewer rows.
+/// If the column has no such row.
 pub fn cell_text(column: &dyn Array, row: usize) -> String {
     if column.is_null(row) {
         return "null".to_owned();

@@ -28,11 +28,11 @@ pub struct VerifiedFile {
     pub bytes: u64,
     /// Number of rows if the file is a table.
     pub rows: Option<u64>,
-    /// BLAKE3 hash of the file; for the manifest, the hash that it contains of itself.
+    /// BLAKE3 hash of the file; for the manifest, the hash in its field `manifest_blake3`.
     pub blake3: Key,
 }
 
-/// Appearance up the description of a table of an artifact by its name; `None` if the table is unknown.
+/// Looks up the description of an artifact's table by the name of the table; `None` if the table is unknown.
 pub type Described<'a> = &'a dyn Fn(&Artifact, &str) -> Option<&'static TableSpec>;
 
 /// Verifies an artifact completely.

@@ -30,7 +30,8 @@ use crate::store::Store;
 /// Default number of rows of a row group.
 pub const DEFAULT_ROW_GROUP_ROWS: usize = 65_536;
 
-/// Contains no version and no host, so that equal rows give equal bytes on every machine and in every build.
+/// Name of the program in the metadata of a Parquet file. It contains no version and no host, so that equal rows give equal bytes
+/// on every machine and in every build.
 const CREATED_BY: &str = "re4-pipe";
 const ZSTD_LEVEL: i32 = 3;
 

@@ -1,5 +1,5 @@
-//! The audit of demonstrations and of their segmentation. A finding says what looks wrong, in which frames, and which measured
-//! value was compared with which threshold. The crate does no input or output.
+//! The audit of demonstrations and of their segmentation. A finding states what looks wrong, in which frames, and which
+//! measured value was compared with which threshold. The crate does no input or output.
 //!
 //! An audit makes two passes over the demonstrations. In the first pass, [`observe_spatial`] and [`observe_planar`] measure the
 //! values from which [`Thresholds::derive`] derives thresholds. In the second pass, [`audit_spatial`] and [`audit_planar`] return

@@ -9,7 +9,7 @@ impl Backend {
     /// The backend's device, without gradients.
     ///
     /// # Errors
-    /// When this program was built without the backend, or the machine has no such device.
+    /// If this program was built without the backend, or the machine has no such device.
     pub fn device(self) -> Result<Device, EncoderError> {
         match self {
             Self::Flex => Ok(Device::flex()),
@@ -21,7 +21,7 @@ impl Backend {
     /// Sets the number of threads of the whole program. This takes effect once, before the first computation.
     ///
     /// # Errors
-    /// When this program was built without the backend, or its threads have already started.
+    /// If this program was built without the backend, or its threads have already started.
     pub fn set_threads(self, threads: usize) -> Result<(), EncoderError> {
         match self {
             Self::Flex => rayon::ThreadPoolBuilder::new()

@@ -42,7 +42,7 @@ impl Checkpoints {
     /// Opens the checkpoint folder of the artifact with this key, and creates it if necessary.
     ///
     /// # Errors
-    /// When the folder cannot be created.
+    /// If the folder cannot be created.
     pub fn open(folder: &Path, key: [u8; 32]) -> Result<Self, EncoderError> {
         fs::create_dir_all(folder).map_err(|source| EncoderError::Checkpoint {
             path: folder.to_path_buf(),
@@ -137,7 +137,7 @@ impl Checkpoints {
     /// The last valid checkpoint.
     ///
     /// # Errors
-    /// When a file cannot be read, or belongs to another artifact.
+    /// If a file cannot be read, or belongs to another artifact.
     pub(crate) fn last(&self) -> Result<Option<Checkpoint>, EncoderError> {
         for (_, path) in self.found()?.into_iter().rev() {
             let bytes = match fs::read(&path) {
@@ -179,7 +179,7 @@ impl Checkpoints {
     /// Removes the folder after the artifact is published.
     ///
     /// # Errors
-    /// When the folder cannot be removed.
+    /// If the folder cannot be removed.
     pub fn remove(self) -> Result<(), EncoderError> {
         match fs::remove_dir_all(&self.folder) {
             // Another run of the same artifact has already removed it.

@@ -31,7 +31,7 @@ impl ImageFile {
     /// Writes images of [`IMAGE_BYTES`] bytes to a temporary file, which is deleted when the value is dropped.
     ///
     /// # Errors
-    /// When the disk is full, when an image has another size, or when the iterator returns an error.
+    /// If the disk is full, if an image has another size, or if the iterator returns an error.
     pub fn write<E: From<EncoderError>>(
         folder: &Path,
         images: impl Iterator<Item = Result<Vec<u8>, E>>,
@@ -64,7 +64,7 @@ impl ImageFile {
     /// Reads an image to `into`, which must have [`IMAGE_BYTES`] bytes.
     ///
     /// # Errors
-    /// When the file cannot be read.
+    /// If the file cannot be read.
     pub fn read(&self, number: u64, into: &mut [u8]) -> Result<(), EncoderError> {
         self.file
             .read_exact_at(into, number * IMAGE_BYTES as u64)

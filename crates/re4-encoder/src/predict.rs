@@ -37,7 +37,7 @@ impl Predictor {
     /// Reads the weights file of a trained encoder.
     ///
     /// # Errors
-    /// When the file cannot be read or is not an encoder's, or this program was built without the backend.
+    /// If the file cannot be read or is not an encoder's, or this program was built without the backend.
     pub fn open(weights: &Path, backend: Backend) -> Result<Self, EncoderError> {
         let device = backend.device()?;
         Ok(Self::new(crate::weights::load(weights, &device)?))
@@ -53,7 +53,7 @@ impl Predictor {
     /// The encoder's outputs for images of [`IMAGE_BYTES`] bytes each, in the same order, with a centre crop.
     ///
     /// # Errors
-    /// When an image has another size.
+    /// If an image has another size.
     pub fn predict(&self, images: &[&[u8]]) -> Result<Vec<Prediction>, EncoderError> {
         if let Some(wrong) = images.iter().find(|image| image.len() != IMAGE_BYTES) {
             return Err(EncoderError::Image(wrong.len()));

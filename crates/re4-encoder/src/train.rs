@@ -90,7 +90,7 @@ pub fn steps_of(config: &EncoderConfig, sampler: &Sampler) -> u32 {
 /// training, and the checkpoints are kept.
 ///
 /// # Errors
-/// When the initial weights cannot be used, a loss is not finite, or the disk is full; or the error that `on_step` returns.
+/// If the initial weights cannot be used, a loss is not finite, or the disk is full; or the error that `on_step` returns.
 pub fn train<E: From<EncoderError>>(
     task: &Task,
     checkpoints: &Checkpoints,

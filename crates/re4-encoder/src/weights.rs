@@ -32,7 +32,7 @@ const PREFIXES: [&str; 4] = ["", "state_dict.", "module.", "state_dict.module."]
 /// The running statistics are included. torchvision's last layer `fc` is ignored, and the encoder's own layers stay unchanged.
 ///
 /// # Errors
-/// When the file cannot be read, is not a weights file, or contains another network. The presence, shape, data type and
+/// If the file cannot be read, is not a weights file, or contains another network. The presence, shape, data type and
 /// range of every tensor are checked before the encoder is changed.
 pub fn load_torchvision(encoder: Encoder, path: &Path) -> Result<Encoder, EncoderError> {
     File::open(path, Origin::Torchvision)
@@ -43,7 +43,7 @@ pub fn load_torchvision(encoder: Encoder, path: &Path) -> Result<Encoder, Encode
 /// Reads an encoder that [`save`] wrote. The file determines the number of channels.
 ///
 /// # Errors
-/// When the file cannot be read, or is not an encoder's weights file.
+/// If the file cannot be read, or is not an encoder's weights file.
 pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
     let origin = Origin::Own;
     let load = || {
@@ -57,7 +57,7 @@ pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
 /// Serialises an encoder to safetensors, with the tensors sorted by name: equal weights give equal bytes.
 ///
 /// # Errors
-/// When the weights cannot be read from their device.
+/// If the weights cannot be read from their device.
 pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
     let pack = || -> Result<Vec<u8>, Fault> {
         let mut tensors = BTreeMap::new();
@@ -83,7 +83,7 @@ pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
 /// time, write a sibling file and rename it.
 ///
 /// # Errors
-/// When the file cannot be written.
+/// If the file cannot be written.
 pub fn save(encoder: &Encoder, path: &Path) -> Result<(), EncoderError> {
     fs::write(path, to_bytes(encoder)?).map_err(|error| {
         let why = match error.kind() {

@@ -15,7 +15,7 @@ use crate::warning::{Warning, WarningCode};
 ///
 /// A new format implements this trait in a module of its own; what is written to the tables is the same for all formats.
 pub trait DemoSource: Sync {
-    /// Whether the file or folder at a path looks like this format, judged by its first bytes or by the names in the folder.
+    /// Whether the file or folder at a path looks like this format, judged by the kind of path, the extension or the first bytes.
     fn probe(path: &Path) -> bool
     where
         Self: Sized;

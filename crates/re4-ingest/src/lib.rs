@@ -1,9 +1,9 @@
 //! Readers and writers of raw demonstration datasets.
 //!
-//! A dataset of any format is a [`DemoSource`]: it is recognized by its path, describes its contents, and yields demonstrations
-//! one after the other. A fault of a single demonstration is a value ([`LeftOut`]), not an error. [`pusht`] reads and writes the
-//! Push-T replay dataset, a Zarr store of format 2 or 3 in a folder or a `.zip` file. [`robomimic`] reads demonstrations of
-//! robosuite's tasks from HDF5 files.
+//! A dataset of any format is a [`DemoSource`]: it recognizes its format by the kind of path, the extension or the first bytes,
+//! describes its contents, and yields demonstrations one after the other. A fault of a single demonstration is a value
+//! ([`LeftOut`]), not an error. [`pusht`] reads and writes the Push-T replay dataset, a Zarr store of format 2 or 3 in a folder
+//! or a `.zip` file. [`robomimic`] reads demonstrations of robosuite's tasks from HDF5 files.
 //!
 //! A reader checks everything that it returns. An [`IngestError`] rejects a dataset and names the array and the index; a
 //! [`Warning`] reports something unusual and is returned with the data.

@@ -308,7 +308,7 @@ impl ZarrArray {
         }
     }
 
-    /// Decodes a chunk's file to elements in native byte order, including the padding of chunks at the edge. `None` stands for a
+    /// Decodes a chunk's file to elements in native byte order, including the padding of chunks at the edge. `None` is a
     /// chunk without a file. `count` is incremented for every chunk that is not stored and is read as fill values.
     pub(crate) fn decode_chunk(
         &self,
@@ -506,7 +506,7 @@ impl ZarrArray {
         self.read(element, runs, absent, stop, |bytes| element.float(bytes))
     }
 
-    /// Reads the whole array as integers; `None` stands for a number that is not an integer.
+    /// Reads the whole array as integers; `None` is a number that is not an integer.
     pub(crate) fn read_integers(&self, element: Element, stop: Stop<'_>) -> Result<Rows<Option<i128>>, Fault> {
         let all = 0..self.len();
         let whole = |bytes: &[u8]| element.integer(bytes);

@@ -127,7 +127,7 @@ fn open(names: &[&str]) -> Result<Library, String> {
     Err(reason)
 }
 
-/// Appearance up functions in a library that is never unloaded.
+/// Looks up functions in a library that is never unloaded.
 macro_rules! take {
     ($library:expr, $kind:ident { $($field:ident: $symbol:literal),* $(,)? }) => {
         $kind {

@@ -174,7 +174,7 @@ impl Renderer {
         Ok(pixels)
     }
 
-    /// Does the same as [`Renderer::draw`] for a camera with this index, and writes the image to a buffer.
+    /// Does the same as [`Renderer::render`] for the camera with this index, and writes the image to a buffer.
     ///
     /// # Errors
     /// If OpenGL does not work in this thread.

@@ -60,6 +60,7 @@ fn open_states(
             eef,
             object,
             action,
+            // Not stored in the index, because no policy uses it.
             contacts: f64::NAN,
         };
         match demos.last_mut().filter(|(number, _)| *number == row.episode) {

@@ -23,7 +23,7 @@ use re4_episode::PlanarFrame;
 use crate::demos::DemoSet;
 use crate::replan::Obstacle;
 
-/// Minimum distance in pixels from the pusher's centre to the block at the start of a chunk. The radius of the pusher is 15 px.
+/// Minimum distance in pixels from the pusher's centre to the block at the start of a chunk: 1 px more than the pusher's radius.
 const FREE_DISTANCE: f64 = 16.0;
 
 /// Root mean square displacement between two frames, in pixels, below which the object counts as resting.

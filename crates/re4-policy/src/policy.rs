@@ -21,8 +21,7 @@ use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
 use re4_episode::DemoNames;
 
-/// Number of chunks, in ascending order of cost, for which a path is planned before the cheapest one is used although no path to
-/// it was found.
+/// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
 const MAX_PLANS: usize = 8;
 
 /// The same limit for the chunks that a widened search adds.
@@ -32,10 +31,10 @@ const MAX_PLANS_WIDENED: usize = 128;
 const WIDENING_FACTOR: NonZeroUsize = NonZeroUsize::MIN.saturating_add(7);
 
 /// Maximum depth in pixels to which the recorded motion may move the block into a wall, in addition to the depth at which it
-/// already is.
+/// already is. Tuned on randomly sampled blocks in corners (`tests/walls.rs`).
 const WALL_TOLERANCE: f64 = 30.0;
 
-/// Maximum deviation in pixels of a replayed path from the corners of the recorded path.
+/// Maximum deviation in pixels of the legs of a replayed path from the recorded path.
 const CORNER_TOLERANCE: f64 = 0.5;
 
 /// The read-only data of the policy, which all rollouts share: the demonstrations, their index, and the chunks by outcome.
@@ -48,7 +47,7 @@ pub struct Knowledge {
     pub chunks: Option<ChunkLibrary>,
 }
 
-/// The decision record of one Retrieve. Positions and poses are in the world frame, in pixels and radians.
+/// The decision record of one retrieval. Positions and poses are in the world frame, in pixels and radians.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
     /// Number of control steps taken before the decision.

@@ -15,7 +15,7 @@ pub struct Reframed {
 }
 
 /// Reframes a chunk that starts with the object at `demo_object` and the end effector at `demo_eef`, for a query with the object
-/// at `object` and the end effector at `eef`.
+/// at `object` and the end effector at `eef`. World frame, pixels and radians.
 ///
 /// * Transit: the object is fixed in the world. The chunk is transformed by δ, so that `o_q⁻¹ x_near = o_j⁻¹ x_j`, and every
 ///   action `a_k` becomes `δ a_k`.

@@ -19,7 +19,7 @@ pub enum PlanKind {
     Planned,
     /// No path was found, so the straight segment is used.
     Failed,
-    /// Replan is switched off.
+    /// Replan is disabled.
     Off,
 }
 
@@ -40,7 +40,8 @@ impl PlanKind {
 pub struct Plan {
     /// How the path was found.
     pub kind: PlanKind,
-    /// Polyline from the pusher's position to the set-point, both included, in the world frame, in pixels.
+    /// Polyline from the pusher's position to the set-point, both included, in the world frame, in pixels. Only the pusher's
+    /// position if Replan is disabled.
     pub path: Vec<Point2>,
     /// Number of nodes of the searched tree or graph.
     pub nodes: u32,
@@ -85,7 +86,7 @@ impl Obstacle {
     }
 }
 
-/// Plans a path from `start` to `goal` with the block fixed at `block`.
+/// Plans a path from `start` to `goal` with the block fixed at `block`. World frame, pixels. Only the RRT planner uses `random`.
 ///
 /// If an end is inside the keep-out, as for a pusher in contact, the keep-out shrinks to the distance of that end from the block,
 /// so that the pusher can leave and make contact.
@@ -105,6 +106,7 @@ pub fn plan(config: &ReplanConfig, block: Pose2, start: Point2, goal: Point2, ra
 }
 
 fn rrt(config: &ReplanConfig, obstacle: &Obstacle, start: Point2, goal: Point2, random: &mut Pcg64) -> Plan {
+    // Slightly smaller, so that rounding does not make an end at exactly this distance collide.
     let keepout = config
         .keepout
         .min(obstacle.distance(start))

@@ -14,10 +14,11 @@ const MARGIN: f64 = 0.5;
 
 /// Returns the shortest polyline from `start` to `goal` that keeps the configured distance from the block.
 ///
-/// An end inside the keep-out is first connected to the nearest point outside by one straight move away from the block.
+/// An end inside the keep-out is connected to the nearest point outside by one straight move away from the block.
 pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2, start: Point2, goal: Point2) -> Plan {
     let leave = escape(obstacle, start, config.keepout);
     let enter = escape(obstacle, goal, config.keepout);
+    // Slightly smaller, so that rounding does not make points at exactly the keep-out distance collide.
     let keepout = config.keepout - 1e-9;
     let free = |a: Point2, b: Point2| obstacle.segment_distance(a, b) >= keepout;
     let assemble = |kind, middle: &[Point2], nodes| {
@@ -98,7 +99,8 @@ pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2,
 }
 
 /// Returns the nearest point at the keep-out distance that can be reached from `p` by a straight move away from the block. It
-/// samples 32 directions, in steps of 0.5 px up to 60 px.
+/// samples 32 directions, in steps of 0.5 px up to 60 px. Returns `p` itself if it is outside the keep-out
+/// or there is no such point.
 fn escape(obstacle: &Obstacle, p: Point2, keepout: f64) -> Point2 {
     let here = obstacle.distance(p);
     if here >= keepout {

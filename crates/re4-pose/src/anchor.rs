@@ -124,7 +124,7 @@ impl AnchorBuilder {
     /// The anchor from the added images, for a T of this outline with the goal pose `goal`.
     ///
     /// # Errors
-    /// When the goal is not completely visible over all images, or is not at `goal`.
+    /// If the goal is not completely visible over all images, or is not at `goal`.
     pub fn finish(self, goal: Pose2, outline: &Outline) -> Result<Anchor, AnchorError> {
         if self.images == 0 {
             return Err(AnchorError::NoImages);
@@ -142,7 +142,7 @@ impl Anchor {
     /// The anchor from a mask of the goal: for each of the 96 x 96 pixels, row by row, the fraction that has the goal's colour.
     ///
     /// # Errors
-    /// When the mask does not show a goal at `goal`.
+    /// If the mask does not show a goal at `goal`.
     pub fn from_goal_mask(fractions: &[f32], goal: Pose2, outline: &Outline) -> Result<Self, AnchorError> {
         Self::of_goal_mask(fractions, goal, outline, 1)
     }

@@ -14,7 +14,7 @@ pub(crate) const SCALE: f64 = WINDOW / SIDE as f64;
 
 /// The fixed pixel-to-world affine: the world coordinate of the centre of image column or row `d`.
 ///
-/// The image samples the window at pixel centres, and the renderer draws a world coordinate in the window pixel `v` to which it
+/// The image samples the window at pixel centres, and the renderer maps a world coordinate to the window pixel `v` to which it
 /// rounds. This explains both halves in the formula.
 pub(crate) fn world(d: f64) -> f64 {
     (d + 0.5) * SCALE - 0.5
@@ -48,7 +48,7 @@ impl<'a> PushtImage<'a> {
     /// A view of the bytes of an image.
     ///
     /// # Errors
-    /// When width, height or the number of bytes differs from that of a 96 x 96 RGB image.
+    /// If width, height or the number of bytes differs from that of a 96 x 96 RGB image.
     pub fn new(bytes: &'a [u8], width: usize, height: usize) -> Result<Self, ImageError> {
         let (pixels, rest) = bytes.as_chunks::<3>();
         if (width, height) != (SIDE, SIDE) || pixels.len() != SIDE * SIDE || !rest.is_empty() {

@@ -1,6 +1,6 @@
 //! `GetPose`: object poses from images.
 //!
-//! Push-T's estimator has a closed form and learns nothing (paper, appendix "Push-T", Pose Estimation). It segments the block
+//! Push-T's estimator has a closed form and is not trained (paper, appendix "Push-T", Pose Estimation). It segments the block
 //! by colour. The centroid of the largest connected component and a fixed pixel-to-world affine give the position. The log-polar
 //! transform of the component gives the angle by cross-correlation with one anchor image (log-polar registration). The estimator
 //! then aligns the block's outline with the image. Every estimate has a confidence and a flag.

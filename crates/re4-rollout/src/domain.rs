@@ -19,7 +19,7 @@ pub trait Domain: Debug + Clone + Copy + PartialEq + Send + Sync + 'static {
     type Outcome: Debug + Clone + Copy + PartialEq + Send + Sync;
     /// Initial scene of an episode.
     type Scene: Debug + Clone + PartialEq + Send + Sync;
-    /// Recorded state after the reset.
+    /// State after the reset, as it is recorded in table `results`.
     type First: Debug + Clone + PartialEq + Send + Sync;
 
     /// Returns whether the task succeeded, which ends the episode.
@@ -89,7 +89,7 @@ impl From<&RobosuiteObservation> for ArmState {
 pub struct ArmAction {
     /// Absolute goal pose of the grip site in the world frame.
     pub goal: Isometry3<f64>,
-    /// Gripper command: -1 opens, +1 closes, 0 leaves the gripper as it is.
+    /// Gripper command, of which only the sign matters: below 0 opens, above 0 closes, 0 leaves the gripper as it is.
     pub gripper: f64,
 }
 

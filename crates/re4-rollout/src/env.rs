@@ -99,7 +99,7 @@ impl Env<Plane> for PushTEnv {
     }
 }
 
-/// The simulation of a robosuite task.
+/// The simulation of a robosuite task. As in robosuite, poses after a step are those 2 ms before its end.
 pub struct RobosuiteEnv<'a> {
     simulation: Robosuite,
     now: RobosuiteStep,
@@ -138,6 +138,7 @@ impl Env<Space> for RobosuiteEnv<'_> {
             observation,
             success: false,
         };
+        // The renderer's model may depend on the scene (the size of Lift's cube), so the next image needs a new one.
         (self.scene, self.scene_camera) = (Some(scene.clone()), None);
         Ok(SpaceFirst {
             observation,

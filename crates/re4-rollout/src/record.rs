@@ -57,7 +57,7 @@ pub struct Batch<D: Recorded> {
 
 /// An opened policy with its type erased.
 pub trait Opened<D: Recorded>: Sync {
-    /// Starts to write the policy-specific table.
+    /// Starts the policy-specific table.
     ///
     /// # Errors
     /// If the table cannot be written.
@@ -66,7 +66,7 @@ pub trait Opened<D: Recorded>: Sync {
 
 /// Rolls out a policy and writes its policy-specific table.
 pub trait Recording<D: Recorded> {
-    /// Rolls out the policy from further starts and returns the rows of the shared tables.
+    /// Rolls out the policy from the next starts and returns the rows of the shared tables.
     ///
     /// # Errors
     /// If a rollout fails (see [`rollouts`]) or the policy-specific table cannot be written.

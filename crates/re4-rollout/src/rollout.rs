@@ -143,6 +143,7 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
             asked,
             action: act.action,
             phase: act.phase,
+            // The last decision so far. Steps before the first decision count to decision 0.
             decision: (decisions.len() as u32).saturating_sub(1),
             after,
         });

@@ -17,7 +17,7 @@ thread_local! {
 /// Sets a flattened state (time, qpos, qvel) in a simulation and computes the quantities that rendering needs.
 ///
 /// # Errors
-/// If the length of the state does not match the model.
+/// A message, if the length of the state does not match the model.
 pub fn set_state(data: &mut Data, state: &[f64]) -> Result<(), String> {
     let (nq, nv) = (data.model().nq(), data.model().nv());
     if state.len() != 1 + nq + nv {
@@ -70,10 +70,10 @@ impl SceneRenderer {
         }
     }
 
-    /// Creates a [`SceneCamera`] for the scene with boxes of the given half sizes, by name.
+    /// Creates a [`SceneCamera`] for the scene with other half sizes (metres) of the named boxes.
     ///
     /// # Errors
-    /// If memory cannot be allocated.
+    /// If a name is not that of a box, or memory cannot be allocated.
     pub fn scene_camera_of(&self, boxes: &[(String, [f64; 3])]) -> Result<SceneCamera, PolicyError> {
         let model = if boxes.is_empty() {
             self.model.clone()

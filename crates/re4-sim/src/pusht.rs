@@ -23,7 +23,7 @@ pub const TIME_STEP: f64 = 0.01;
 /// Physics steps in one control step: actions come at 10 Hz.
 pub const SUBSTEPS: u32 = 10;
 
-/// Side of the square window, in pixels; actions of the demonstrations lie within it.
+/// Side of the square window, in pixels. Actions of the demonstrations are inside it.
 pub const WINDOW: f64 = 512.0;
 
 /// Maximum absolute value of a coordinate that a reset or step accepts, in pixels or radians.
@@ -101,7 +101,7 @@ impl PushT {
     /// A simulator in gym-pusht's state before its first reset: agent at (256, 400), block at (256, 300) and angle 0.
     ///
     /// # Errors
-    /// When the major version of the linked Chipmunk library is not 7.
+    /// If the major version of the linked Chipmunk library is not 7.
     pub fn new() -> Result<Self, SimError> {
         let found = chipmunk_version();
         if !found.starts_with("7.") {

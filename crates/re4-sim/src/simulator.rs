@@ -23,13 +23,13 @@ pub trait Simulator: Send {
     /// Starts an episode from `scene`.
     ///
     /// # Errors
-    /// When the scene is invalid; the simulator then keeps its state.
+    /// If the scene is invalid; the simulator then keeps its state.
     fn reset(&mut self, scene: &Self::Scene, how: Self::Reset) -> Result<Self::Observation, SimError>;
 
     /// Runs one control step.
     ///
     /// # Errors
-    /// When the action is invalid, in which case the simulator keeps its state; or when the physics diverges, after which
+    /// If the action is invalid, in which case the simulator keeps its state; or if the physics diverges, after which
     /// the simulator must be reset.
     fn step(&mut self, action: &Self::Action) -> Result<Self::Step, SimError>;
 }

@@ -70,16 +70,19 @@ pub fn iou(block: Pose2, goal: Pose2) -> f64 {
     iou_of_area(overlap_area(&tee_vertices(block), &tee_vertices(goal)))
 }
 
-/// The minimum removes the rounding error of a block that is exactly on the goal; the same holds for [`iou_of_area`].
+/// Coverage for an area of overlap in square pixels. The minimum removes the rounding error of a block that is exactly on the
+/// goal.
 pub(crate) fn coverage_of_area(overlap: f64) -> f64 {
     (overlap / TEE_AREA).min(1.0)
 }
 
+/// Intersection over union for an area of overlap in square pixels, limited to 1 for the same reason.
 pub(crate) fn iou_of_area(overlap: f64) -> f64 {
     (overlap / (2.0 * TEE_AREA - overlap)).min(1.0)
 }
 
-/// Area of the intersection of two T shapes. The two rectangles of a T do not overlap, so the four intersections add up.
+/// Area of the intersection of two T shapes, in square pixels. The two rectangles of a T do not overlap, so the four
+/// intersections add up.
 pub(crate) fn overlap_area(a: &[[Point2; 4]; 2], b: &[[Point2; 4]; 2]) -> f64 {
     a.iter()
         .flat_map(|p| b.iter().map(move |q| (p, q)))

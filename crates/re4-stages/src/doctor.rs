@@ -1,4 +1,4 @@
-//! What is installed, found and missing, each with the command that gets it.
+//! Reports what the program needs, what of it is installed, and the command that installs each missing part.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,15 +13,15 @@ use crate::inputs::sources::{data_folders, find_source, find_weights};
 use crate::notes::fault_of;
 use crate::pipeline::{Pipeline, PoseSource};
 
-/// Whether something is there.
+/// Whether something that commands use is available.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// It is there and can be used.
+    /// It exists and can be used.
     Found,
-    /// It is not there, and only some tasks or commands need it.
+    /// It does not exist or cannot be used, and only some tasks or commands need it.
     Absent,
-    /// It is not there, and the pipeline needs it.
+    /// It does not exist or cannot be used, and the pipeline or every command needs it.
     Missing,
 }
 
@@ -35,24 +35,25 @@ impl fmt::Display for State {
     }
 }
 
-/// One thing that was looked for.
+/// The result for one thing that commands use.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What it belongs to: `program`, `datasets`, `simulators`, `python`, `pipeline`.
+    /// Its group: `program`, `datasets`, `simulators`, `python`, `pipeline`.
     pub group: &'static str,
-    /// What was looked for.
+    /// Its name.
     pub name: String,
-    /// Whether it is there.
+    /// Whether it is available.
     pub state: State,
-    /// Where it is, which version, or why it cannot be used.
+    /// Its path and version, or the reason why it cannot be used.
     pub detail: String,
-    /// What needs it; empty for what every command needs.
+    /// The tasks, commands or settings that need it, or the description of a dataset; empty if every command needs it.
     pub needed_by: String,
-    /// The command that gets it, if it is not there.
+    /// The command that installs it, or another remedy.
     pub fix: Option<String>,
 }
 
-/// Appearance for everything that the commands use. With a pipeline, what its stages need is [`State::Missing`] if it is not there.
+/// Looks for everything that the commands use. With a pipeline, the things that its stages need are [`State::Missing`] if they are
+/// not available.
 pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     let mut found = program(artifacts);
     found.extend(datasets());
@@ -62,7 +63,7 @@ pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     found
 }
 
-/// Something that is part of the program.
+/// Returns a finding of the group `program` in the state [`State::Found`].
 fn part(name: &str, detail: impl Into<String>) -> Finding {
     Finding {
         group: "program",
@@ -74,7 +75,7 @@ fn part(name: &str, detail: impl Into<String>) -> Finding {
     }
 }
 
-/// The program itself, and where it writes.
+/// The program itself, and the folder to which it writes artifacts.
 fn program(artifacts: &Path) -> Vec<Finding> {
     let target = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
     let threads = rayon::current_num_threads();
@@ -99,7 +100,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
             ..part("encoder backend torch", "not built in")
         });
     }
-    // The nearest folder that exists is the one in which the others are created.
+    // Missing folders of the path are created in the nearest one that exists.
     let absolute = std::path::absolute(artifacts).unwrap_or_else(|_| artifacts.to_owned());
     let existing = absolute.ancestors().find(|path| path.exists());
     let writable = existing.is_some_and(|folder| folder.is_dir() && tempfile::tempfile_in(folder).is_ok());
@@ -118,7 +119,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
     found
 }
 
-/// The datasets and weights that `re4-pipe fetch` knows.
+/// The datasets and weights that `re4-pipe fetch` can download.
 fn datasets() -> Vec<Finding> {
     let folders = data_folders();
     let listed: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
@@ -155,7 +156,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
         .into_iter()
         .map(|version| (version, Library::open(&mujoco_folder(version), version)))
         .collect();
-    // A file needs one of the two, and says only inside which.
+    // A dataset needs one of the two versions. Which one is known only when the file is read, so one version is enough here.
     let any = opened.iter().any(|(_, library)| library.is_ok());
     for (version, library) in opened {
         let robosuite = match version {
@@ -228,7 +229,7 @@ fn python() -> Vec<Finding> {
         let output = output.ok().filter(|output| output.status.success())?;
         Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
     };
-    // Finding a package's files is enough and takes a fraction of the time that importing it does.
+    // Finding a package's files is enough, and much faster than importing it.
     let script = format!(
         "import sys, importlib.util as u\nprint(sys.version.split()[0])\n\
          print(' '.join(p for p in '{PACKAGES}'.split(', ') if u.find_spec(p) is None))"

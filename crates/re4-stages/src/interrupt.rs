@@ -15,13 +15,13 @@ use re4_fault::{Fault, fault};
 
 use crate::notes;
 
-/// How long a stage may take to end after a request.
+/// Time within which a stage has to end after a request to stop.
 const GRACE: Duration = Duration::from_millis(500);
 
-/// How long the watchdog waits for a killed worker process to exit, so that it writes nothing more.
+/// Time for which the watchdog waits for a killed worker process to exit, so that the worker writes nothing more.
 const GONE: Duration = Duration::from_millis(100);
 
-/// Whether the final message of the program is being printed, either by the stage or by the watchdog, never by both.
+/// Whether the program's final message is being printed. Either the stage or the watchdog prints it, but not both.
 static ANSWERED: AtomicBool = AtomicBool::new(false);
 
 /// Whether the user asked to stop.
@@ -36,21 +36,21 @@ struct Asked {
     /// The store that may contain an unfinished artifact.
     store: Mutex<Option<Store>>,
     /// How the watchdog reports that it ended the run.
-    say: OnceLock<fn(Fault)>,
+    report: OnceLock<fn(Fault)>,
 }
 
 impl Interrupt {
     /// Handles Ctrl-C and termination signals from now on. The watchdog removes unfinished artifacts from `store`, and prints an
     /// error.
     pub fn listen(store: Option<&Store>) -> Self {
-        Self::listen_and_say(store, |fault| notes::print_error(&fault.into()))
+        Self::listen_with_report(store, |fault| notes::print_error(&fault.into()))
     }
 
-    /// As [`Self::listen`], but the watchdog reports through `say`. For the worker process, whose output is read by a program.
-    pub fn listen_and_say(store: Option<&Store>, say: fn(Fault)) -> Self {
+    /// As [`Self::listen`], but the watchdog reports through `report`. For the worker process, whose output is read by a program.
+    pub fn listen_with_report(store: Option<&Store>, report: fn(Fault)) -> Self {
         let interrupt = Self::default();
         *interrupt.store() = store.cloned();
-        let _ = interrupt.0.say.set(say);
+        let _ = interrupt.0.report.set(report);
         let listener = interrupt.clone();
         // If no handler can be set, Ctrl-C ends the process at once, and the next run removes the unfinished artifact.
         let _ = ctrlc::set_handler(move || {
@@ -87,8 +87,8 @@ impl Interrupt {
         let store = self.store().clone();
         // The lock is held until the process has ended, so that nothing more is published.
         let _locked = store.as_ref().map(Store::abandon);
-        if let Some(say) = self.0.say.get() {
-            say(interrupted("the run"));
+        if let Some(report) = self.0.report.get() {
+            report(interrupted("the run"));
         }
         #[allow(
             clippy::exit,

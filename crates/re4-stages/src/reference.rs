@@ -64,7 +64,7 @@ impl<'a> Page<'a> {
         }
     }
 
-    /// Whether a value is another or null.
+    /// Returns whether a schema allows another schema or null.
     fn is_optional(&self, value: &Value) -> bool {
         let null = |part: &Value| part["type"] == "null";
         value["anyOf"]
@@ -72,7 +72,7 @@ impl<'a> Page<'a> {
             .is_some_and(|parts| parts.len() == 2 && parts.iter().any(null))
     }
 
-    /// The name of the definition that a value refers to, if it does, and be it optional.
+    /// Returns the name of the definition to which a schema refers, directly or as an optional value.
     fn reference(&self, value: &'a Value) -> Option<&'a str> {
         let of = |value: &'a Value| value["$ref"].as_str()?.strip_prefix("#/$defs/");
         of(value).or_else(|| {
@@ -245,7 +245,7 @@ impl<'a> Page<'a> {
     }
 }
 
-/// The values of an enumeration of words; none for anything else.
+/// Returns the values of an enumeration of words; `None` for any other definition.
 fn words(definition: &Value) -> Option<String> {
     let variants = definition["oneOf"].as_array()?;
     let words: Option<Vec<String>> = variants.iter().map(|variant| variant.get("const").map(code)).collect();

@@ -36,7 +36,8 @@ impl ObjectLayout {
         if self == Self::RelativeFirst { 7 } else { 0 }
     }
 
-    /// Whether the relative part of a row is missing: robosuite 1.5 writes zeros in the first row of a demonstration.
+    /// Whether the relative part of a row of `obs/object` is missing: robosuite 1.5 writes zeros in the first row of a
+    /// demonstration. `frame` is the number of the row.
     #[must_use]
     pub fn pending(self, row: &[f64], frame: usize) -> bool {
         let since_1_5 = matches!(self, Self::RelativeFirst | Self::LiftCubeMinusEef);

@@ -28,8 +28,9 @@ impl RobosuiteTask {
         Self::all().find(|task| task.name == name)
     }
 
-    /// Returns the task of an environment name. This is robosuite's name, or `MimicGen`'s name (`Square_D0`, `Square_D1`, ...),
-    /// whose environments have the same scene, object vector and success rule, but other distributions of initial poses.
+    /// Returns the task of an environment, given by robosuite's name or by `MimicGen`'s name (`Square_D0`, `Square_D1`, ...).
+    /// `MimicGen`'s environments have the same scene, object vector and success rule as robosuite's, but other distributions of
+    /// initial poses.
     #[must_use]
     pub fn of_environment(name: &str) -> Option<Self> {
         let mimicgen = Self::distribution(name).and_then(|_| name.rsplit_once('_'));
@@ -49,8 +50,8 @@ impl RobosuiteTask {
         digits.parse().ok().filter(|_| plain)
     }
 
-    /// Returns the part of an error message that lists the environments and names of the tasks with a record, and then the
-    /// remedy.
+    /// Returns a part of an error message: the environments of the tasks with a record, and a remedy with the names of these
+    /// tasks.
     #[must_use]
     pub fn known() -> String {
         let environments: Vec<_> = RECORDS.iter().map(|task| task.environment.to_owned()).collect();
@@ -123,7 +124,7 @@ pub enum Task {
     PushT,
     /// A robosuite task that has a record.
     Known(RobosuiteTask),
-    /// Any other robosuite environment of one arm with a two-finger gripper. It is not simulated.
+    /// Any other robosuite environment with one arm and a two-finger gripper. It is not simulated.
     Robosuite,
 }
 
@@ -166,7 +167,7 @@ impl Task {
         self.summary().cameras
     }
 
-    /// Number of control steps per second.
+    /// Number of control steps per second (Hz).
     #[must_use]
     pub fn control_rate(self) -> usize {
         self.summary().control_rate
@@ -187,7 +188,7 @@ impl Task {
         }
     }
 
-    /// Rotations after which the manipulated object looks the same.
+    /// Rotations after which the manipulated object looks the same, in its own frame. None for a task without a record.
     #[must_use]
     pub fn symmetry(self) -> Symmetry {
         self.robosuite().map_or(Symmetry::None, |task| task.symmetry)

@@ -1,7 +1,7 @@
 //! The records of all tasks.
 //!
-//! To add a task, add its record here and to `RECORDS`, and its parity trace to `re4-sim` as described in CONTRIBUTING.md.
-//! Numbers are those of robosuite's environments; the parity tests of `re4-sim` compare placement and success rule with robosuite
+//! To add a task, add its record here and to `RECORDS`, and its parity trace to `re4-sim` (`docs/guides/add-a-task.md`). Numbers
+//! are those of robosuite's environments; the parity tests of `re4-sim` compare placement and success rule with robosuite
 //! itself.
 
 use re4_geometry::spatial::Symmetry;
@@ -33,7 +33,7 @@ pub(crate) const ROBOSUITE: Summary = Summary {
 const ARM_CAMERAS: &[Camera] = &[Camera::Agentview, Camera::EyeInHand];
 /// Control steps per second in robosuite's and robomimic's demonstrations.
 const ARM_RATE: usize = 20;
-/// The vertical axis of an object that stands or lies on a table.
+/// The vertical axis of an object on a table.
 const UPRIGHT: [f64; 3] = [0.0, 0.0, 1.0];
 /// Layouts of tasks whose observation contains the offset between gripper and object.
 const OFFSET: [ObjectLayout; 2] = [ObjectLayout::LiftEefMinusCube, ObjectLayout::LiftCubeMinusEef];
@@ -80,9 +80,9 @@ const LIFT: TaskSpec = TaskSpec {
     shape: &[Solid::cuboid("object", [0.0; 3], [CUBE_MIDDLE; 3])],
 };
 
-/// Height of the table's top.
+/// Height of the table's top, in metres.
 const LIFT_TABLE: f64 = 0.8;
-/// Range of the cube's half sizes.
+/// Range of the cube's half sizes, in metres.
 const CUBE: [f64; 2] = [0.020, 0.022];
 /// Middle of the range, which HTML pages show for all seeds.
 const CUBE_MIDDLE: f64 = 0.021;
@@ -173,6 +173,7 @@ const SQUARE: TaskSpec = TaskSpec {
     environment: "NutAssemblySquare",
     mimicgen: Some("Square"),
     object: "SquareNut",
+    // Because of its handle.
     symmetry: Symmetry::None,
     layouts: RELATIVE_POSE,
     placement: &[square_nut(true), round_nut(false)],
@@ -201,6 +202,7 @@ const ROUND: TaskSpec = TaskSpec {
     environment: "NutAssemblyRound",
     mimicgen: None,
     object: "RoundNut",
+    // Because of its handle.
     symmetry: Symmetry::None,
     layouts: RELATIVE_POSE,
     placement: &[square_nut(false), round_nut(true)],

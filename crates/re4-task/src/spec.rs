@@ -33,7 +33,7 @@ pub struct TaskSpec {
     pub success: fn(&Positions<'_>) -> bool,
     /// Cameras whose images can be rendered.
     pub cameras: &'static [Camera],
-    /// Number of control steps per second.
+    /// Number of control steps per second (Hz).
     pub control_rate: usize,
     /// Shapes of the static scene for HTML pages, world frame. They do not affect the simulation.
     pub fixtures: &'static [Solid],
@@ -65,7 +65,7 @@ pub struct ObjectRule {
     pub x: [f64; 2],
     /// Range of y relative to the reference.
     pub y: [f64; 2],
-    /// Reference point.
+    /// Reference point in the world frame.
     pub reference: [f64; 3],
     /// Height of the object's bottom above the reference.
     pub height: f64,
@@ -124,7 +124,7 @@ impl TaskSpec {
         away.map(ObjectRule::body).collect()
     }
 
-    /// Whether every seed has its own model, with other sizes of boxes.
+    /// Returns whether every seed has its own model, because the sizes of boxes are sampled.
     #[must_use]
     pub fn samples_models(&self) -> bool {
         self.placement.iter().any(|rule| matches!(rule.extent, Extent::Box(_)))
@@ -152,10 +152,10 @@ fn joint_of(object: &str) -> String {
     format!("{object}_joint0")
 }
 
-/// A box or an upright cylinder for HTML pages, aligned with the axes of its frame. In metres.
+/// A box or an upright cylinder for HTML pages, aligned with the axes of its frame. Lengths are in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Solid {
-    /// Its style: `table`, `wall`, `goal`, `object`.
+    /// Its style on the page: `table`, `wall`, `goal` or `object`.
     pub kind: &'static str,
     /// Its centre.
     pub centre: [f64; 3],

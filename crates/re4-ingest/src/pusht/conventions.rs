@@ -56,8 +56,8 @@ pub enum ActionKind {
 /// The window of the original dataset.
 const PIXELS: [f64; 2] = [0.0, WINDOW];
 
-/// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with up to about three
-/// turns.
+/// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with angles of up to
+/// about three full rotations.
 const UNWRAPPED: f64 = 25.0;
 
 /// The block is 120 px wide and stays between the walls, so its larger coordinate always exceeds this value, in pixels.
@@ -180,7 +180,7 @@ impl PushtConventions {
                 state[4] = state[4].to_radians();
             }
             // Larger values are not angles; the check of values reports them.
-            if !in_one_turn(state[4]) && state[4].abs() <= UNWRAPPED {
+            if !in_full_circle(state[4]) && state[4].abs() <= UNWRAPPED {
                 state[4] = wrap_to_two_pi(state[4]);
                 wrapped += usize::from(!degrees);
             }
@@ -333,7 +333,7 @@ pub(super) struct Judgement {
     pub(super) faults: Vec<Fault>,
     /// The same settings with the window that the coordinates appear to have.
     pub(super) likely: PushtConventions,
-    /// Indices of episodes in which the block is where it cannot be, if that is true of a minority only.
+    /// Indices of episodes in which the block is where it cannot be, if this concerns only a minority.
     pub(super) small: Vec<usize>,
 }
 
@@ -345,7 +345,7 @@ fn pixels(value: f64, window: Option<[f64; 2]>) -> f64 {
     }
 }
 
-fn in_one_turn(angle: f64) -> bool {
+fn in_full_circle(angle: f64) -> bool {
     (0.0..=std::f64::consts::TAU + ANGLE_TOLERANCE).contains(&angle)
 }
 

@@ -24,7 +24,7 @@ const STATE_COLUMNS: [&str; 5] = ["agent_x", "agent_y", "block_x", "block_y", "b
 const ACTION_COLUMNS: [&str; 2] = ["action_x", "action_y"];
 const THETA: usize = 4;
 
-/// Converts exclusive cumulative ends to the frames of episodes. `None` stands for a number that is not an integer.
+/// Converts exclusive cumulative ends to the frames of episodes. `None` is a number that is not an integer.
 pub(super) fn episode_ranges(ends: &[Option<i128>], frames: u64) -> Result<Vec<Range<usize>>, Fault> {
     let mut previous = 0;
     let mut ranges = Vec::with_capacity(ends.len());

@@ -12,13 +12,13 @@ use super::reader::{Layout, RobomimicReader};
 /// Poses and finger positions of a demonstration, in the conventions of its file.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Poses {
-    /// Position of the grip site.
+    /// Position of the grip site, world frame, metres.
     pub(super) eef_position: Vec<[f64; 3]>,
     /// Orientation of the end effector.
     pub(super) eef_quaternion: Vec<[f64; 4]>,
-    /// Joint positions of the fingers.
+    /// Joint positions of the fingers, in metres.
     pub(super) fingers: Vec<[f64; 2]>,
-    /// Position of the object, then its quaternion x, y, z, w; `None` if it is read from observations.
+    /// Position of the object (world frame, metres), then its quaternion x, y, z, w; `None` if it is read from observations.
     pub(super) object: Option<Vec<[f64; 7]>>,
 }
 

@@ -72,8 +72,10 @@ impl Survey {
         self.demos.iter().filter(|(_, observed)| which(observed)).count()
     }
 
-    /// The layout to use. It is raw if no demonstration has complete observations, or if some have none and all others are
-    /// complete, provided that all demonstrations have states and a model, or that none has observations.
+    /// The layout to use. It is [`Layout::Raw`] if both of these conditions are met:
+    ///
+    /// * No demonstration has complete observations, or some have none and all others are complete.
+    /// * All demonstrations have states and a model, or none has observations.
     pub(super) fn layout(&self) -> Layout {
         let whole = self.count(|observed| *observed == Observed::Whole);
         let none = self.count(|observed| *observed == Observed::None);

@@ -148,7 +148,7 @@ fn bits(value: &Value) -> Option<&str> {
     value.as_str()?.strip_prefix("0x")
 }
 
-/// Parses a number, or a string that stands for a special value.
+/// Parses a number, or a string that names a special value.
 fn special(value: &Value) -> Option<f64> {
     match value.as_str() {
         Some("NaN") => Some(f64::NAN),

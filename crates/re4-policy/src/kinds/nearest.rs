@@ -1,7 +1,7 @@
 //! The nearest-neighbour baseline: it replays the recorded actions of the frame with the nearest state.
 //!
-//! It does not retrieve by outcome, does not transform actions to the object frame and does not plan, so it shows what a policy
-//! achieves without any of these. It is also the smallest complete policy, and its module is a template for new ones:
+//! It does not retrieve by outcome, does not transform actions to the observed object pose and does not plan, so it shows what a
+//! policy achieves without any of these. It is also the smallest complete policy, and its module is a template for new ones:
 //!
 //! * [`PlaneNearest`] and [`SpaceNearest`] are the settings in the two domains. Their [`Settings`] implementations check the
 //!   settings and open the index artifact.

@@ -240,11 +240,12 @@ impl SpatialPolicyConfig {
     /// The method and constants of the paper. Values that the paper does not give (scales, weights, tolerances, leads, limits of
     /// steps) are our own choices.
     ///
-    /// The preset cannot recover from retrieving the same demonstration again and again without progress; such an episode ends
-    /// when its step budget is used up.
+    /// Without bans, the preset can retrieve the same demonstration repeatedly without progress. Such an episode ends when its
+    /// step budget is used up.
     pub fn paper() -> Self {
         Self {
             retrieve: SpatialRetrieveConfig {
+                // `SpatialMetric` explains the scales.
                 translation_scale: 0.1,
                 rotation_scale: 1.0,
                 object_weight: 1.0,
@@ -293,7 +294,7 @@ impl SpatialPolicyConfig {
     }
 
     /// The settings of `paper` with additions: grasp correction, continuous measurement, bans, commitment to a demonstration,
-    /// averaged poses, and no decision while the fingers move. docs/robosuite.md compares the presets.
+    /// averaged poses, and no decision while the fingers move. docs/results/robosuite.md compares the presets.
     pub fn re4() -> Self {
         let mut config = Self::paper();
         config.retrieve.tail = false;

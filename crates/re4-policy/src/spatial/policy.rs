@@ -144,6 +144,7 @@ impl SpatialRe4 {
             knowledge,
             home,
             gripper: OPEN,
+            // The fingers do not count as settling before the first command.
             since_change: MAX_SETTLE_STEPS,
             separation: None,
             activity: Activity::None,

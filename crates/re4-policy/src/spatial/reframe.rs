@@ -27,7 +27,7 @@ impl Carry {
 
 /// Reframes a chunk that starts with the object at `o_j` and the end effector at `x_j`, for a query with the object at `o_q` and
 /// the end effector at `x_q`. For an object with a symmetry, `o_q` must be the symmetry-equivalent pose that is aligned with
-/// `o_j` (`re4_geometry::spatial::SymmetryGroup::align`). Let `a_k` be a recorded goal:
+/// `o_j` (`re4_geometry::spatial::SymmetryGroup::align`). All poses are in the world frame. Let `a_k` be a recorded goal:
 ///
 /// * Transit: the object is fixed in the world, and the chunk is transformed by δ. `x_near = δ x_j`, so that
 ///   `o_q⁻¹ x_near = o_j⁻¹ x_j`, and `a_k` becomes `δ a_k`.

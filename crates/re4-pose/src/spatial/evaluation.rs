@@ -83,10 +83,10 @@ pub struct Evaluation {
 /// Evaluates the estimates of demonstrations with an object of this symmetry.
 ///
 /// # Errors
-/// When the symmetry is invalid.
+/// If the symmetry is invalid.
 ///
 /// # Panics
-/// When the lists of a demonstration differ in length.
+/// If the lists of a demonstration differ in length.
 pub fn evaluate(demonstrations: &[Demonstration], symmetry: Symmetry) -> Result<Evaluation, SymmetryError> {
     for own in demonstrations {
         let frames = own.phases.len();

@@ -80,7 +80,7 @@ impl Offset {
     /// fewer than half of the pairs. Returns `None` if there are no pairs.
     ///
     /// # Errors
-    /// When the symmetry is invalid.
+    /// If the symmetry is invalid.
     pub fn fit(pairs: &[[Isometry3<f64>; 2]], symmetry: Symmetry) -> Result<Option<Self>, SymmetryError> {
         let group = symmetry.group()?;
         let allows_pi = !has_rotation_by_pi(&symmetry);

@@ -121,7 +121,7 @@ fn measure(unit: &str, factor: f64) -> Measure {
 struct KnownEpisodes(Vec<u32>);
 
 impl KnownEpisodes {
-    /// Fails if a table names any other demonstration.
+    /// Returns an error if a table names any other demonstration.
     fn require(&self, artifact: &Artifact, table: &str, mut episodes: impl Iterator<Item = u32>) -> Result<()> {
         let foreign = episodes.find(|episode| self.0.binary_search(episode).is_err());
         ensure!(

@@ -55,7 +55,7 @@ pub fn write_scene_video(
     out: impl Write,
     rollouts: &[SceneRollout],
     settings: VideoSettings,
-    draw: &mut RenderScene<'_>,
+    render: &mut RenderScene<'_>,
     going: &mut dyn FnMut() -> bool,
 ) -> Result<VideoSummary, VideoError> {
     check_settings(
@@ -63,13 +63,13 @@ pub fn write_scene_video(
         settings,
     )?;
     let side = settings.size as usize;
-    let mut palette = palette(rollouts, draw)?;
+    let mut palette = palette(rollouts, render)?;
     let lasts: Vec<usize> = rollouts.iter().map(|rollout| rollout.states.len() - 1).collect();
     let reel = Reel::new(&lasts, settings, strip_height(settings.size), STEP_CS);
     let (colours, transparent) = (palette.bytes(), palette.transparent());
     let mut pixels = Vec::new();
     let mut paint = |number: usize, state: usize| {
-        let image = draw(number, state).map_err(VideoError::Image)?;
+        let image = render(number, state).map_err(VideoError::Image)?;
         pixels.clear();
         palette.index(&image, &mut pixels);
         pixels.resize(side * side, palette.of(PAPER));
@@ -80,14 +80,14 @@ pub fn write_scene_video(
 }
 
 /// Returns a palette of the strip's colours, and of the colours that best represent a sample of images.
-fn palette(rollouts: &[SceneRollout], draw: &mut RenderScene<'_>) -> Result<Palette, VideoError> {
+fn palette(rollouts: &[SceneRollout], render: &mut RenderScene<'_>) -> Result<Palette, VideoError> {
     let mut colours = vec![INK, BAR, PAPER, PLAN, REPLAY, HOME, SUCCEEDED, FAILED];
     colours.extend((0..HUES).map(hue_colour));
     let mut sample = Vec::new();
     for (number, rollout) in rollouts.iter().enumerate().take(SAMPLES) {
         for part in 0..SAMPLES {
             let state = (rollout.states.len() - 1) * part / (SAMPLES - 1);
-            sample.extend(draw(number, state).map_err(VideoError::Image)?);
+            sample.extend(render(number, state).map_err(VideoError::Image)?);
         }
     }
     // A GIF palette has 256 colours, and one of them is the transparent one.
@@ -202,11 +202,11 @@ mod tests {
     fn video(rollouts: &[SceneRollout], size: u32) -> (VideoSummary, Vec<u8>) {
         let mut bytes = Vec::new();
         let settings = VideoSettings { size, speed: 1.0 };
-        let mut draw = |number: usize, state: usize| {
+        let mut render = |number: usize, state: usize| {
             let colour = [200 - number as u8 * 50, 10, state as u8];
             Ok(colour.repeat((size * size) as usize))
         };
-        let summary = write_scene_video(&mut bytes, rollouts, settings, &mut draw, &mut || true).unwrap();
+        let summary = write_scene_video(&mut bytes, rollouts, settings, &mut render, &mut || true).unwrap();
         (summary, bytes)
     }
 
@@ -258,9 +258,9 @@ mod tests {
 
     #[test]
     fn an_image_that_cannot_be_rendered_ends_the_video() {
-        let mut draw = |_: usize, _: usize| Err("no OpenGL".into());
+        let mut render = |_: usize, _: usize| Err("no OpenGL".into());
         let settings = VideoSettings { size: 64, speed: 1.0 };
-        let error = write_scene_video(Vec::new(), &[rollout(2)], settings, &mut draw, &mut || true).unwrap_err();
+        let error = write_scene_video(Vec::new(), &[rollout(2)], settings, &mut render, &mut || true).unwrap_err();
         assert_eq!(error.to_string(), "no OpenGL");
     }
 }

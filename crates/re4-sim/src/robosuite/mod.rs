@@ -122,7 +122,7 @@ impl Robosuite {
     /// A simulation in the model's own initial state.
     ///
     /// # Errors
-    /// When MuJoCo cannot allocate its data.
+    /// If MuJoCo cannot allocate its data.
     pub fn new(model: &RobosuiteModel) -> Result<Self, SimError> {
         let mut data = Data::new(&model.model).map_err(|source| SimError::Mujoco {
             task: model.task.environment,
@@ -203,7 +203,7 @@ impl Robosuite {
     /// As [`Simulator::step`].
     ///
     /// # Panics
-    /// When the length of a row is not the number of the model's actuators.
+    /// If the length of a row is not the number of the model's actuators.
     pub fn step_with_controls(&mut self, rows: &[Vec<f64>]) -> Result<RobosuiteStep, SimError> {
         for row in rows {
             self.stages_before_controls();
@@ -262,7 +262,7 @@ impl Robosuite {
     /// part of a recorded state, but affects the last bits of the following states; a reset sets it to zeros.
     ///
     /// # Panics
-    /// When the number of accelerations is not the number of degrees of freedom.
+    /// If the number of accelerations is not the number of degrees of freedom.
     pub fn set_solver_start(&mut self, accelerations: &[f64]) {
         self.data.qacc_warmstart_mut().copy_from_slice(accelerations);
     }

@@ -52,7 +52,7 @@ impl RobosuiteModel {
     /// after its paths were rewritten.
     ///
     /// # Errors
-    /// When MuJoCo refuses the model, or it is not a scene of the task with one Panda of this profile.
+    /// If MuJoCo refuses the model, or it is not a scene of the task with one Panda of this profile.
     pub fn compile(library: &Library, task: RobosuiteTask, profile: Profile, mjcf: &str) -> Result<Self, SimError> {
         let model = Model::compile(library, mjcf).map_err(|source| SimError::Mujoco {
             task: task.environment,

@@ -139,7 +139,7 @@ impl Placement {
     /// which files of MuJoCo 2.3 have, stays: it only affects the size of decorations.
     ///
     /// # Errors
-    /// When the text is not XML, or lacks the geom of such a box.
+    /// If the text is not XML, or lacks the geom of such a box.
     pub fn in_model<'m>(&self, mjcf: &'m str) -> Result<Cow<'m, str>, SimError> {
         if !self.task.samples_models() {
             return Ok(Cow::Borrowed(mjcf));

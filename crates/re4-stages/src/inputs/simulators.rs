@@ -36,11 +36,12 @@ pub(crate) fn mujoco_folder(version: Version) -> PathBuf {
 }
 
 impl Runner {
-    /// Refuses a robosuite task at once if nothing that simulates it is installed, before a stage has run for minutes. Which
-    /// version of MuJoCo is needed is known only after ingest. `what` says what cannot be done: "roll out".
+    /// Returns an error if nothing that simulates the pipeline's robosuite task is installed, before a stage has run for
+    /// minutes. Any version of MuJoCo is accepted, because the required one is known only after ingest. `what` is the operation
+    /// that the message names, such as "roll out".
     ///
     /// # Errors
-    /// When no version of MuJoCo or no meshes are installed, or nothing that renders although images are needed.
+    /// If no version of MuJoCo or no meshes are installed, or if images are needed and no OpenGL library is installed.
     pub fn require_simulator(&self, what: &str) -> Result<()> {
         const REMEDY: &str = "run scripts/setup-simulators.sh, or set RE4_SIMULATORS to the folder that it filled; re4-pipe doctor lists what is missing";
         let pipeline = &self.pipeline;

@@ -108,7 +108,7 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     Ok(())
 }
 
-/// Checks that every task's rollouts need.
+/// Checks the settings of rollouts that all tasks have.
 fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {
     pipeline.index()?;
     pipeline.pose()?;
@@ -210,8 +210,8 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
     Ok(())
 }
 
-/// An encoder needs images, and no other part of its pipeline may read recorded object poses: the results would not be those
-/// of a policy from images.
+/// Checks a pipeline with an encoder. It needs images, and no other part of the pipeline may read recorded object poses, because
+/// the results would then not be those of a policy from images.
 fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
     let ingest = &pipeline.ingest;
     ensure!(
@@ -220,7 +220,7 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
         "remove ingest.images"
     );
     ensure!(
-        ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
+        ingest.render.is_empty() || ingest.render.iter().any(|rendered| rendered.name() == camera),
         "pose.encoder.camera is {camera:?}, but ingest.render does not render that camera";
         "set ingest.render = [{camera:?}]"
     );

@@ -320,7 +320,7 @@ fn refuse_unknown(walk: &Walk<'_>, schema: &Value, document: &Value, place: &str
 }
 
 /// Finds the settings of a file, or of the command line, that nothing reads because of the value of another setting. A field
-/// of a config says so with `#[schemars(extend("only_with" = { "path.of.another": value }))]`; all of these have to agree.
+/// of a config declares this with `#[schemars(extend("only_with" = { "path.of.another": value }))]`; all of these have to agree.
 fn without_effect(schema: &Value, given: &Value, pipeline: &Pipeline) -> Result<Vec<String>> {
     let mut effective = serde_json::to_value(pipeline)?;
     effective["policy"] = serde_json::to_value(&pipeline.policy)?;

@@ -86,7 +86,7 @@ impl Pipeline {
     /// The table `[pose]`: where object poses come from.
     ///
     /// # Errors
-    /// When the pipeline has no table `[pose]`.
+    /// If the pipeline has no table `[pose]`.
     pub fn pose(&self) -> Result<&PoseSection> {
         self.pose.as_ref().or_fault(|| Self::missing("pose"))
     }
@@ -94,7 +94,7 @@ impl Pipeline {
     /// The table `[index]`: how the index is built.
     ///
     /// # Errors
-    /// When the pipeline has no table `[index]`.
+    /// If the pipeline has no table `[index]`.
     pub fn index(&self) -> Result<&IndexSection> {
         self.index.as_ref().or_fault(|| Self::missing("index"))
     }
@@ -102,7 +102,7 @@ impl Pipeline {
     /// The table `[policy]`.
     ///
     /// # Errors
-    /// When the pipeline has no table `[policy]`.
+    /// If the pipeline has no table `[policy]`.
     pub fn policy(&self) -> Result<&Policy> {
         self.policy.as_ref().or_fault(|| Self::missing("policy"))
     }
@@ -110,7 +110,7 @@ impl Pipeline {
     /// The table `[rollout]`: how the policy is rolled out.
     ///
     /// # Errors
-    /// When the pipeline has no table `[rollout]`.
+    /// If the pipeline has no table `[rollout]`.
     pub fn rollout(&self) -> Result<&RolloutSection> {
         self.rollout.as_ref().or_fault(|| Self::missing("rollout"))
     }

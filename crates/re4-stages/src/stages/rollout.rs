@@ -46,7 +46,7 @@ impl RolloutArtifacts<'_> {
     }
 }
 
-/// A policy and the environments and pose sources of its rollouts.
+/// A policy with the environments and the sources of object poses of its rollouts.
 struct RolloutSetup<'a, 'e, D: Recorded> {
     policy: &'a dyn Settings<D>,
     symmetry: Symmetry,

@@ -211,7 +211,7 @@ impl Images {
                     .or_fault(|| fault!("{} is not a PNG image", place(row); "delete the artifact and ingest again"))?;
                 apply(image.into_rgb8()).with_context(|| place(row))
             })
-            // Collected in order before the errors are looked at, so that the first error is reported whatever the threads do.
+            // Collected in order before the errors are examined, so that the reported error does not depend on the threads.
             .collect::<Vec<_>>()
             .into_iter()
             .collect()

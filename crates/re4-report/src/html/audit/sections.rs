@@ -7,7 +7,8 @@ use super::{Audit, Contacts, SEVERITIES};
 use crate::html::shell::{self, choice, exact, plural, table};
 use re4_stats::median;
 
-/// The symbol of a severity. Its shape distinguishes severities for readers who cannot see the colours; the script draws it.
+/// The symbol of a severity. Severities differ in shape as well as in colour, for readers who cannot distinguish the colours. The
+/// script renders it.
 fn glyph(severity: Severity) -> Markup {
     html! {
         svg class={ "glyph sev-" (severity.as_str()) } viewBox="-7 -7 14 14" width="14" height="14" aria-hidden="true" {

@@ -97,8 +97,8 @@ impl<'a, S: Scene> Summary<'a, S> {
 /// A part of an artifact's label.
 pub(super) type Part<'a, S> = &'a dyn Fn(&Rollouts<S>) -> String;
 
-/// Returns labels that distinguish artifacts. Each starts with `name`. Where labels are equal, the parts are appended that
-/// differ, in order: first `parts`, then the maximum number of steps, then the beginning of the key.
+/// Returns labels that distinguish artifacts. Each starts with `name`. To equal labels, the parts that differ are appended, in
+/// order: first `parts`, then the maximum number of steps, then the beginning of the key.
 pub(super) fn distinct_labels<S: Scene>(
     artifacts: &[Rollouts<S>],
     name: impl Fn(&Rollouts<S>) -> String,

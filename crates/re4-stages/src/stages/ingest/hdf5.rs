@@ -184,7 +184,7 @@ pub fn serve_ingest() -> Result<()> {
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
     let store = Store::open(&request.artifacts)?;
-    let interrupt = Interrupt::listen_and_say(Some(&store), |fault| send(&Message::failed(&fault)));
+    let interrupt = Interrupt::listen_with_report(Some(&store), |fault| send(&Message::failed(&fault)));
     let stop = interrupt.clone();
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut input, &mut std::io::sink());

@@ -79,7 +79,7 @@ struct Job {
 /// Threads that render demonstrations with the same model (up to box sizes), until the queue ends.
 struct RenderPool<'scope> {
     /// The common part of the models: MJCF without the box sizes.
-    looks: String,
+    appearance: String,
     jobs: SyncSender<Job>,
     threads: Vec<ScopedJoinHandle<'scope, ()>>,
 }
@@ -191,7 +191,7 @@ impl<'a> Rendering<'a> {
                 let states = demo.states.take().ok_or_else(|| lacks("dataset states"))?;
                 let Appearance { rest, boxes } = split_appearance(&mjcf).with_context(|| self.cannot(&name))?;
                 let pool = match &mut pool {
-                    Some(pool) if pool.looks == rest => pool,
+                    Some(pool) if pool.appearance == rest => pool,
                     other => {
                         // Frees the memory of the previous pool before the next model is compiled.
                         if let Some(last) = other.take() {
@@ -294,7 +294,7 @@ fn render_demo(
 /// Starts threads that render demonstrations of a model, each with its own renderer.
 fn start_pool<'scope>(
     scope: &'scope Scope<'scope, '_>,
-    looks: String,
+    appearance: String,
     model: &Model,
     threads: usize,
     work: &'scope (impl Fn(&Job, &Model, &mut Option<Renderer>) + Sync),
@@ -313,7 +313,11 @@ fn start_pool<'scope>(
             })
         })
         .collect();
-    RenderPool { looks, jobs, threads }
+    RenderPool {
+        appearance,
+        jobs,
+        threads,
+    }
 }
 
 /// Waits for the next demonstration; `None` if there are no more.

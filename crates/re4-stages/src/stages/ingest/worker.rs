@@ -27,7 +27,7 @@ use crate::pipeline::Pipeline;
 /// Name of the hidden subcommand.
 pub const SUBCOMMAND: &str = "ingest-worker";
 
-/// How long a worker may report nothing. It reports every demonstration and every block of images.
+/// Maximum time between two messages of a worker. It reports every demonstration and every block of images.
 const PATIENCE: Duration = Duration::from_mins(3);
 
 /// Replaces [`PATIENCE`], in seconds, for tests.
