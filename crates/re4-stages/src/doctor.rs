@@ -1,4 +1,4 @@
-//! What is installed, found and missing, each with the command that gets it.
+//! Reports what is installed and what is missing, with the command that installs it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,15 +13,15 @@ use crate::inputs::sources::{data_folders, find_source, find_weights};
 use crate::notes::fault_of;
 use crate::pipeline::{Pipeline, PoseSource};
 
-/// Whether something is there.
+/// Whether a component was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// It is there and can be used.
+    /// Found and usable.
     Found,
-    /// It is not there, and only some tasks or commands need it.
+    /// Not found. Only some tasks or commands need it.
     Absent,
-    /// It is not there, and the pipeline needs it.
+    /// Not found. The pipeline, or every command, needs it.
     Missing,
 }
 
@@ -35,24 +35,25 @@ impl fmt::Display for State {
     }
 }
 
-/// One thing that was looked for.
+/// The result for one component.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What it belongs to: `program`, `datasets`, `simulators`, `python`, `pipeline`.
+    /// Group of the component: `program`, `datasets`, `simulators`, `python`, `pipeline`.
     pub group: &'static str,
-    /// What was looked for.
+    /// Name of the component.
     pub name: String,
-    /// Whether it is there.
+    /// Whether it was found.
     pub state: State,
-    /// Where it is, which version, or why it cannot be used.
+    /// Its path or version, or the reason why it cannot be used.
     pub detail: String,
-    /// What needs it; empty for what every command needs.
+    /// What needs it. Empty if every command needs it.
     pub needed_by: String,
-    /// The command that gets it, if it is not there.
+    /// The command that installs it.
     pub fix: Option<String>,
 }
 
-/// Appearance for everything that the commands use. With a pipeline, what its stages need is [`State::Missing`] if it is not there.
+/// Looks for all components that the commands use. A component that a stage of `pipeline` needs is [`State::Missing`] if it is not
+/// found.
 pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     let mut found = program(artifacts);
     found.extend(datasets());
@@ -62,7 +63,7 @@ pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     found
 }
 
-/// Something that is part of the program.
+/// A part of the program.
 fn part(name: &str, detail: impl Into<String>) -> Finding {
     Finding {
         group: "program",
@@ -74,7 +75,7 @@ fn part(name: &str, detail: impl Into<String>) -> Finding {
     }
 }
 
-/// The program itself, and where it writes.
+/// The program itself and the artifacts folder.
 fn program(artifacts: &Path) -> Vec<Finding> {
     let target = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
     let threads = rayon::current_num_threads();
@@ -99,7 +100,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
             ..part("encoder backend torch", "not built in")
         });
     }
-    // The nearest folder that exists is the one in which the others are created.
+    // Missing folders are created in the nearest ancestor that exists.
     let absolute = std::path::absolute(artifacts).unwrap_or_else(|_| artifacts.to_owned());
     let existing = absolute.ancestors().find(|path| path.exists());
     let writable = existing.is_some_and(|folder| folder.is_dir() && tempfile::tempfile_in(folder).is_ok());
@@ -108,7 +109,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
     } else {
         Finding {
             state: State::Missing,
-            fix: Some("name a folder that you can write to with --artifacts".to_owned()),
+            fix: Some("give a writable folder with --artifacts".to_owned()),
             ..part(
                 "artifacts folder",
                 format!("{} cannot be written to", artifacts.display()),
@@ -118,7 +119,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
     found
 }
 
-/// The datasets and weights that `re4-pipe fetch` knows.
+/// The datasets and weights that `re4-pipe fetch` can download.
 fn datasets() -> Vec<Finding> {
     let folders = data_folders();
     let listed: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
@@ -134,7 +135,7 @@ fn datasets() -> Vec<Finding> {
                 group: "datasets",
                 state: if path.is_some() { State::Found } else { State::Absent },
                 detail: path.map_or_else(
-                    || format!("{} is not below {}", dataset.provides, listed.join(" or ")),
+                    || format!("{} is not in {}", dataset.provides, listed.join(" or ")),
                     |path| path.display().to_string(),
                 ),
                 needed_by: dataset.description,
@@ -145,7 +146,7 @@ fn datasets() -> Vec<Finding> {
         .collect()
 }
 
-/// MuJoCo, robosuite's meshes, and the library that renders.
+/// MuJoCo, robosuite's meshes, and the rendering library.
 fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
     const SETUP: &str = "scripts/setup-simulators.sh";
     let simulated = pipeline.is_some_and(Pipeline::needs_simulator);
@@ -155,7 +156,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
         .into_iter()
         .map(|version| (version, Library::open(&mujoco_folder(version), version)))
         .collect();
-    // A file needs one of the two, and says only inside which.
+    // A dataset needs one of the two versions. Which one, is known only after its file is read.
     let any = opened.iter().any(|(_, library)| library.is_ok());
     for (version, library) in opened {
         let robosuite = match version {
@@ -192,7 +193,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
         } else {
             format!("there is no folder {}", assets.display())
         },
-        needed_by: "the same".to_owned(),
+        needed_by: "rollouts, replays and rendering of robosuite tasks".to_owned(),
         fix: Some(SETUP.to_owned()),
     });
     let gl = Gl::of_process();
@@ -205,7 +206,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
             absent(pipeline.is_some_and(Pipeline::needs_renderer))
         },
         detail: match &gl {
-            Ok(gl) => format!("{gl} loads"),
+            Ok(gl) => format!("{gl} was loaded"),
             Err(error) => error.to_string(),
         },
         needed_by: "images of robosuite's scenes: ingest.render, rollouts from images, videos".to_owned(),
@@ -217,7 +218,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
     found
 }
 
-/// Python with the packages of the notebooks.
+/// Python and the packages that the notebooks import.
 fn python() -> Vec<Finding> {
     const PACKAGES: &str = "polars, pyarrow, matplotlib, numpy";
     let program = std::env::var_os("RE4_PYTHON")
@@ -228,7 +229,7 @@ fn python() -> Vec<Finding> {
         let output = output.ok().filter(|output| output.status.success())?;
         Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
     };
-    // Finding a package's files is enough and takes a fraction of the time that importing it does.
+    // Finding a package's files is enough, and much faster than importing it.
     let script = format!(
         "import sys, importlib.util as u\nprint(sys.version.split()[0])\n\
          print(' '.join(p for p in '{PACKAGES}'.split(', ') if u.find_spec(p) is None))"
@@ -258,7 +259,7 @@ fn python() -> Vec<Finding> {
         finding("Python packages", State::Found, PACKAGES.to_owned(), "")
     } else {
         let fix = format!("{} -m pip install -r notebooks/requirements.txt", program.display());
-        finding("Python packages", State::Absent, format!("without {lacking}"), &fix)
+        finding("Python packages", State::Absent, format!("missing: {lacking}"), &fix)
     };
     vec![python, packages]
 }

@@ -220,7 +220,7 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
         "remove ingest.images"
     );
     ensure!(
-        ingest.render.is_empty() || ingest.render.iter().any(|drawn| drawn.name() == camera),
+        ingest.render.is_empty() || ingest.render.iter().any(|rendered| rendered.name() == camera),
         "pose.encoder.camera is {camera:?}, but ingest.render does not render that camera";
         "set ingest.render = [{camera:?}]"
     );
@@ -383,7 +383,7 @@ fn padding(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     Ok(())
 }
 
-/// Checks a standard deviation. A larger one than `most` would place the object far outside of the workspace.
+/// Checks a standard deviation. A larger one than `most` would place the object far outside the workspace.
 fn standard_deviation(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     ensure!((0.0..=most).contains(&value), "{name} is {value} {unit}"; "give 0 to {most:.2}");
     Ok(())
