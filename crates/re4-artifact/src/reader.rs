@@ -421,7 +421,7 @@ impl Table {
         }
     }
 
-    /// Opens the file anew for each read, because clones of a handle share their position and reads may run in parallel.
+    /// Opens the file again for each read, because clones of a handle share their position and reads may run in parallel.
     fn reader(&self, groups: Option<Vec<usize>>) -> Result<ParquetRecordBatchReaderBuilder<File>, ArtifactError> {
         let file = File::open(&self.path).map_err(ArtifactError::io("read", &self.path))?;
         let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())

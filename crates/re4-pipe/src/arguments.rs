@@ -51,7 +51,7 @@ pub(crate) enum Command {
     Run(RolloutArguments),
     /// Replay the demonstrations' actions open-loop and measure the divergence; writes the `replays` artifact
     Replay(ReplayArguments),
-    /// Render rollouts as a video: the scene with the reframed chunk, the plan and the progress
+    /// Render rollouts as a GIF video, with the plan and the coverage (Push-T) or the retrieved demonstrations (robosuite)
     #[command(alias = "film")]
     Video(VideoArguments),
     /// Verify every byte of artifacts against their manifests

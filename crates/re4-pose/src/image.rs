@@ -14,7 +14,7 @@ pub(crate) const SCALE: f64 = WINDOW / SIDE as f64;
 
 /// The fixed pixel-to-world affine: the world coordinate of the centre of image column or row `d`.
 ///
-/// The image samples the window at pixel centres, and the renderer draws a world coordinate in the window pixel `v` to which it
+/// The image samples the window at pixel centres, and the renderer maps a world coordinate to the window pixel `v` to which it
 /// rounds. This explains both halves in the formula.
 pub(crate) fn world(d: f64) -> f64 {
     (d + 0.5) * SCALE - 0.5

@@ -57,7 +57,7 @@ pub enum ActionKind {
 const PIXELS: [f64; 2] = [0.0, WINDOW];
 
 /// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with up to about three
-/// turns.
+/// full rotations.
 const UNWRAPPED: f64 = 25.0;
 
 /// The block is 120 px wide and stays between the walls, so its larger coordinate always exceeds this value, in pixels.

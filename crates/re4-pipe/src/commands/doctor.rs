@@ -1,4 +1,4 @@
-//! `re4-pipe doctor`: what is installed, found and missing.
+//! `re4-pipe doctor`: reports what is installed and what is missing.
 
 use std::fmt::Write as _;
 

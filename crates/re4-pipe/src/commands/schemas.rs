@@ -63,8 +63,7 @@ fn write_or_check(
         .or_fault(|| fault!("cannot create the folder {}", folder.display(); "give a writable folder"))?;
     for (name, text) in files {
         let path = folder.join(name);
-        fs::write(&path, text)
-            .or_fault(|| fault!("cannot write {}", path.display(); "give a writable folder"))?;
+        fs::write(&path, text).or_fault(|| fault!("cannot write {}", path.display(); "give a writable folder"))?;
     }
     console.answer(&json!({ "written": files.keys().collect::<Vec<_>>() }))?;
     console.say(&format!("wrote {} files to {}", files.len(), folder.display()))?;
