@@ -5,7 +5,7 @@ use insta::assert_snapshot;
 use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
-const COMMANDS: [&str; 15] = [
+const COMMANDS: [&str; 16] = [
     "ingest",
     "segment",
     "audit",
@@ -20,6 +20,7 @@ const COMMANDS: [&str; 15] = [
     "inspect",
     "report",
     "fetch",
+    "doctor",
     "schemas",
 ];
 

@@ -105,7 +105,7 @@ fn a_video_shows_every_state_of_the_rollout() {
         );
     }
     assert!(
-        answer.stdout.starts_with("video in out.gif: 512 x 568 px, "),
+        answer.stdout.starts_with("video written to out.gif: 512 x 568 px, "),
         "{}",
         answer.stdout
     );
@@ -207,7 +207,7 @@ fn without_the_index_a_video_has_no_chunks_and_warns() {
     let (place, path) = rollouts();
     fs::rename(place.artifacts().join("index"), place.path().join("elsewhere")).unwrap();
     let answer = place.run(&format!("video {path} --seed 502 out.gif --size 512")).done();
-    assert!(answer.stderr.contains("so chunks are not drawn"), "{}", answer.stderr);
+    assert!(answer.stderr.contains("the video shows no chunks"), "{}", answer.stderr);
     let video = video(&place, "out.gif");
     let scene = |frame: &Vec<[u8; 3]>| frame[..512 * 512].to_vec();
     assert!(video.frames.iter().all(|frame| !scene(frame).contains(&LINES[1])));

@@ -31,8 +31,8 @@ table! {
         pub episode: u32,
         /// Number of the demonstration in its source. Push-T: its index, from 0. HDF5 files, whose demonstrations have names
         /// (table demos): the number at the end of the name; null if the name has none, the number exceeds 32 bits, or several
-        /// demonstrations have the same number. In artifacts of version 1 it is the index of the demonstration for HDF5 files,
-        /// too.
+        /// demonstrations have the same number. In tables of version 1 it is the index of the demonstration also for
+        /// HDF5 files.
         pub source_episode: Option<u32>,
         /// Number of frames of the demonstration.
         pub frames: usize,
@@ -101,10 +101,10 @@ columns! {
 }
 
 columns! {
-    /// A frame of a demonstration in SE(3). Recorded numbers are copied bit for bit unless a column `raw_*` contains them. Row
+    /// A frame of a demonstration in SE(3). Columns are bit-exact copies of recorded numbers unless a column `raw_*` contains them. Row
     /// action_kind of table conventions states which kind of action was recorded; the other kind is converted from it.
     pub struct SpatialColumns {
-        /// Pose of the grip site. In artifacts of version 1 its orientation is the recorded one, even if that is of another
+        /// Pose of the grip site. In tables of version 1, the orientation is the recorded one, even if it is that of another
         /// frame.
         #[frame = "world"]
         pub eef: Isometry3<f64>,
@@ -122,7 +122,7 @@ columns! {
         /// Absolute action: goal of the grip site.
         #[frame = "world"]
         pub goal: SixAxis,
-        /// Gripper command: below 0 opens, above 0 closes. In artifacts of version 1 its sign is the recorded one.
+        /// Gripper command: below 0 opens, above 0 closes. In tables of version 1, its sign is the recorded one.
         pub gripper: f64,
         /// Reward of the step; null if it was not recorded.
         pub reward: Option<f64>,
@@ -141,8 +141,8 @@ columns! {
 }
 
 table! {
-    /// One row per image, sorted by camera, episode and frame. Images are lossless; they are recorded ones or, if the summary of
-    /// the artifact says so, rendered from the recorded states. Row groups are small, so that single images can be read.
+    /// One row per image, sorted by camera, episode and frame. Images are stored without loss. They are recorded or, according to the
+    /// summary of the artifact, rendered from the recorded states. Row groups are small, so that single images can be read.
     #[table("images", version = 2, formerly = "camera_images")]
     pub struct ImageRow {
         /// Number of the demonstration in this artifact, from 0.

@@ -20,12 +20,12 @@ pub const MANIFEST_NAME: &str = "manifest.json";
 const HASH_FIELD: &str = "manifest_blake3";
 
 /// The manifest of an artifact, `manifest.json`. Its bytes depend only on the recipe and on the content: keys are sorted, and
-/// there is no time, host or absolute path.
+/// it contains no time, host name or absolute path.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Manifest {
     /// Format of the manifest itself.
     pub format: u32,
-    /// Stage that made the artifact.
+    /// Stage that wrote the artifact.
     pub stage: String,
     /// Kind of artifact: `episodes`, `modes`, ...
     pub artifact: String,

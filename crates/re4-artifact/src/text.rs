@@ -5,8 +5,8 @@ use arrow_array::cast::AsArray as _;
 use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type, UInt32Type, UInt64Type};
 use arrow_schema::DataType;
 
-/// Formats the value of a column in one row. A float has the fewest digits that parse to the same float, for bytes only their
-/// number is given, and a null value is `null`.
+/// The value of a column in one row. Floats have the minimum number of digits that identifies them; of bytes, only the number is
+/// given; a null value is `null`.
 ///
 /// # Panics
 /// If the column has no such row.

@@ -332,7 +332,7 @@ pub const CHECKS: &[Check] = &[
         ..check("same_actions", Severity::Note, Applies::Everywhere)
     },
     Check {
-        meaning: "The controls are at their limits in an unusually large fraction of the demonstration: the demonstrator probably wanted larger motions than were recorded.",
+        meaning: "The controls are at their limits in an unusually large fraction of the demonstration: the demonstrator probably intended larger motions than were recorded.",
         measure: "Fraction of the frames in which at least one of the arm's controls is at its limit",
         basis: Basis::Fence {
             of: "fractions of saturated frames (one per demonstration)",

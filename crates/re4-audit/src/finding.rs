@@ -5,9 +5,9 @@ use std::ops::Range;
 /// The severity of a finding, in increasing order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
-    /// Worth knowing.
+    /// For information.
     Note,
-    /// Probably not what the demonstrator wanted, or harmful to a policy that is trained on it.
+    /// Probably not what the demonstrator intended, or harmful to a policy that uses it.
     Warning,
     /// The segmentation or the data is wrong in these frames.
     Error,

@@ -15,8 +15,8 @@ table! {
     pub struct FindingRow {
         /// Number of the finding in this artifact, from 0.
         pub finding: u32,
-        /// error: the segmentation or the data is wrong in these frames; warning: probably not what the demonstrator wanted, or
-        /// harmful to a policy that is trained on it; note: worth knowing.
+        /// error: the segmentation or the data is wrong in these frames; warning: probably not what the demonstrator intended, or
+        /// harmful to a policy that uses it; note: for information.
         pub severity: Severity,
         /// Code of the check that made the finding; table checks has its meaning.
         pub code: Label,
@@ -59,7 +59,7 @@ impl FindingRow {
 }
 
 table! {
-    /// One row per check that applies to the dataset, whether or not it found something, with its threshold and the threshold's
+    /// One row per check that applies to the dataset, whether or not it has findings, with its threshold and the threshold's
     /// origin. Sorted by code.
     #[table("checks", version = 1)]
     pub struct CheckRow {
@@ -71,7 +71,7 @@ table! {
         pub meaning: String,
         /// What is measured.
         pub measure: String,
-        /// Threshold that the measured value is compared with; null if the check has none, or is not made.
+        /// Threshold that the measured value is compared with; null if the check has none, or does not run.
         pub threshold: Option<f64>,
         /// Unit of the threshold; empty if it has none.
         pub unit: Label,
@@ -106,8 +106,8 @@ table! {
         pub transfers: usize,
         /// First transfer frame; null if there is none.
         pub grasp_frame: Option<usize>,
-        /// Distance between the positions of the object's origin at the first and the last frame; in px for Push-T, in m for
-        /// robosuite's tasks.
+        /// Distance between the positions of the object's origin at the first and the last frame, in px for Push-T and in m for
+        /// robosuite tasks.
         pub object_displacement: f64,
         /// Number of findings of severity error.
         pub errors: u32,

@@ -37,7 +37,7 @@ pub struct EncoderConfig {
     /// Channels after the first convolution: 64 for ResNet-18; a smaller number makes all layers narrower by the same factor.
     pub width: usize,
     /// Initial weights: those of ResNet-18 with torchvision's names, as `.pth` or `.safetensors`. If omitted, the initial weights
-    /// are random. The path is resolved like that of the source.
+    /// are random. The path is looked up as for `ingest.source`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
     /// The backend. Backends other than `flex` require a program built with them.

@@ -111,7 +111,7 @@ fn angles_in_other_units() {
             _ => value,
         })
     };
-    let turns = || {
+    let full_rotations = || {
         world().map(|column, value| {
             if column == 4 {
                 value - 2.0 * std::f64::consts::TAU
@@ -133,8 +133,8 @@ fn angles_in_other_units() {
     ];
     insta::assert_snapshot!(sentences.join("\n"));
     check(&degrees(), r#"{"angle": "degrees"}"#, &world(), 1e-3);
-    // Angles that differ by whole turns are wrapped; the unit is not in question.
-    for (other, count) in [(signed(), 1..540), (turns(), 540..541)] {
+    // Angles that differ by full rotations are wrapped; the unit is not in question.
+    for (other, count) in [(signed(), 1..540), (full_rotations(), 540..541)] {
         let reading = check(&other, "{}", &world(), 1e-3);
         let wrapped = reading
             .warnings

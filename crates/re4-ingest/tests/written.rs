@@ -26,7 +26,7 @@ fn frame(x: f64, theta: f64) -> PlanarFrame {
     }
 }
 
-/// Two episodes over more than two chunks, with angles beyond one turn.
+/// Two episodes over more than two chunks, with angles beyond one full rotation.
 fn episodes() -> Vec<RecordedEpisode> {
     [200, 150]
         .map(|count| RecordedEpisode {

@@ -1,4 +1,4 @@
-//! The command line.
+//! The arguments of the command line.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -7,25 +7,25 @@ use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use re4_stages::{Notes, Runner, Seeds, Settings};
 
-/// Staged batch jobs from robot demonstrations to explainable imitation policies.
+/// From robot demonstrations to explainable imitation policies.
 ///
-/// A pipeline file names a dataset and how it is ingested, segmented, indexed and rolled out. Each stage leaves an
-/// artifact: Parquet tables and a manifest, addressed by the hash of everything that went in. A stage whose artifact is
-/// there is skipped.
+/// A pipeline file names a dataset and defines how it is ingested, segmented, indexed and rolled out. Each stage writes an
+/// artifact: a folder with Parquet tables and a manifest, named after the hash of all inputs. A stage is skipped if its
+/// artifact exists.
 #[derive(Debug, Parser)]
 #[command(name = "re4-pipe", version, max_term_width = 100, propagate_version = true)]
 pub(crate) struct Arguments {
-    /// How much is logged.
+    /// Level of the log.
     #[arg(
         short,
         long,
         action = ArgAction::Count,
         global = true,
         display_order = 900,
-        help = "Log what is done on standard error; -vv logs more, RUST_LOG by crate"
+        help = "Log to standard error; -vv logs more, and RUST_LOG sets the level of each crate"
     )]
     pub(crate) verbose: u8,
-    /// What to do.
+    /// The subcommand.
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -33,49 +33,49 @@ pub(crate) struct Arguments {
 /// Subcommands.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Read the raw dataset into the `episodes` artifact
+    /// Read the raw dataset; writes the `episodes` artifact
     Ingest(StageArguments),
-    /// Label manipulation modes: the `modes` artifact
+    /// Label the manipulation modes of the demonstrations; writes the `modes` and `audit` artifacts
     Segment(StageArguments),
-    /// Look for what is wrong with the demonstrations and their modes: the `audit` artifact
+    /// Check the demonstrations and their modes for errors; writes the `audit` artifact
     Audit(AuditArguments),
-    /// Calibrate the pose estimator and estimate poses from the images: the `poses` artifact
+    /// Calibrate or train the pose estimator and estimate poses from images; writes the `poses` artifact
     TrainPose(StageArguments),
-    /// Build what Retrieve searches: the `index` artifact
+    /// Build the index in which the policy retrieves demonstrations; writes the `index` artifact
     Index(StageArguments),
-    /// Choose scenes far from the demonstrations for the rollouts to start from: the `scenes` artifact
+    /// Push-T: choose start scenes far from the demonstrations; writes the `scenes` artifact
     Scenes(StageArguments),
-    /// Roll the policy out in the simulator: the `rollouts` artifact
+    /// Roll the policy out in the simulator; writes the `rollouts` artifact
     Rollout(RolloutArguments),
-    /// Run every stage of a pipeline
+    /// Run the stages of a pipeline: up to the rollouts, or to the audit if it has no table `[rollout]`
     Run(RolloutArguments),
-    /// Replay the demonstrations' actions open-loop and measure how far the simulator strays from the recording
+    /// Replay the demonstrations' actions open-loop and measure the divergence; writes the `replays` artifact
     Replay(ReplayArguments),
-    /// Draw rollouts as a video: the scene, the plan, the reframed chunk, the coverage
+    /// Render rollouts as a GIF video, with the plan and the coverage (Push-T) or the retrieved demonstrations (robosuite)
     #[command(alias = "film")]
     Video(VideoArguments),
-    /// Check every byte of artifacts against their manifests
+    /// Verify every byte of artifacts against their manifests
     Verify(VerifyArguments),
-    /// Show what an artifact holds: tables, rows, columns with units, provenance
+    /// Print the contents of an artifact: provenance, tables, columns with units, rows
     Inspect(InspectArguments),
-    /// Write one HTML page over rollouts: scores, every seed, step budgets, and a viewer of each decision
+    /// Write an HTML page about rollouts: scores, every seed, step budgets, and a viewer of every decision
     Report(ReportArguments),
-    /// Download a dataset, or weights to start an encoder from, into the data folder
+    /// Download a dataset, or initial weights of an encoder, to the data folder
     Fetch(FetchArguments),
-    /// Say what is installed, found and missing, with the command that gets it
+    /// Report what is installed and what is missing, with the command that installs it
     Doctor(DoctorArguments),
-    /// Write the JSON descriptions of all tables, of the pipeline file and of the manifest
+    /// Write JSON descriptions of all tables, and JSON Schemas of the pipeline file and the manifest
     Schemas(SchemasArguments),
-    /// Write the pages of the reference: commands, pipeline file, tables
+    /// Write the reference pages: commands, pipeline file, tables
     #[command(hide = true)]
     Reference(ReferenceArguments),
-    /// Read HDF5 for another process of this program
+    /// Read HDF5 files for another process of this program
     #[command(name = re4_stages::INGEST_WORKER, hide = true)]
     IngestWorker,
 }
 
 impl Command {
-    /// What all commands share, but for the one that people do not use.
+    /// The options that all commands have, except for the worker, which only the program itself starts.
     pub(crate) fn common(&self) -> Option<&Common> {
         match self {
             Self::Ingest(stage)
@@ -99,19 +99,19 @@ impl Command {
     }
 }
 
-/// What all commands share.
+/// Options of all commands.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Common {
-    /// Folder that holds the artifacts
+    /// Folder of the artifacts
     #[arg(long, value_name = "DIR", default_value = "artifacts")]
     pub(crate) artifacts: PathBuf,
-    /// Worker threads; results do not depend on it [default: all processors]
+    /// Number of worker threads; results do not depend on it [default: one per processor]
     #[arg(long, value_name = "N", value_parser = jobs)]
     pub(crate) jobs: Option<NonZeroUsize>,
-    /// Print one JSON object on standard output, and nothing else
+    /// Print the result as one JSON object on standard output, and no other text there
     #[arg(long)]
     pub(crate) json: bool,
-    /// Print neither progress nor notes
+    /// Print no notes and no progress bars
     #[arg(long, short)]
     pub(crate) quiet: bool,
 }
@@ -122,19 +122,19 @@ pub(crate) struct StageArguments {
     /// Pipeline file
     #[arg(value_name = "PIPELINE.toml")]
     pub(crate) pipeline: PathBuf,
-    /// Override a setting of the pipeline file, as often as needed
+    /// Override a setting of the pipeline file; can be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(crate) set: Vec<String>,
-    /// Leave the images out, for work on states; as --set ingest.images=false
+    /// Do not ingest images; same as --set ingest.images=false
     #[arg(long)]
     pub(crate) no_images: bool,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
 
 impl StageArguments {
-    /// The pipeline with its overrides, those of the command line first.
+    /// Reads the pipeline and applies the overrides: first those of the command line, then `more_overrides`.
     pub(crate) fn runner(&self, more_overrides: &[String]) -> Result<Runner> {
         let mut overrides = self.set.clone();
         if self.no_images {
@@ -154,21 +154,21 @@ impl StageArguments {
 /// Arguments of `audit`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct AuditArguments {
-    /// What all stages share.
+    /// Arguments of all stages.
     #[command(flatten)]
     pub(crate) stage: StageArguments,
-    /// End with exit code 1 when there is a finding of this severity or worse
+    /// Exit with code 1 if there is a finding of this severity or a higher one
     #[arg(long, value_name = "SEVERITY")]
     pub(crate) fail_on: Option<FailOn>,
-    /// Also write the HTML page of the audit
+    /// Also write an HTML page about the audit
     #[arg(long, value_name = "OUT.html")]
     pub(crate) html: Option<PathBuf>,
 }
 
-/// From which severity on a finding fails the command.
+/// Minimum severity of a finding that fails the command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum FailOn {
-    /// Errors alone.
+    /// Only errors.
     Error,
     /// Errors and warnings.
     Warning,
@@ -177,26 +177,26 @@ pub(crate) enum FailOn {
 /// Arguments of `rollout` and `run`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct RolloutArguments {
-    /// What all stages share.
+    /// Arguments of all stages.
     #[command(flatten)]
     pub(crate) stage: StageArguments,
-    /// Seeds of the scenes, half-open: 500..600; as --set rollout.seeds=...
+    /// Seeds of the scenes, such as 500..600 (600 is excluded) or 3,7; same as --set rollout.seeds=...
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
-    /// Kind of the policy: re4, paper, re2, ...; as --set policy.kind=...
+    /// Kind of policy: re4, paper, re2, ...; same as --set policy.kind=...
     #[arg(long, value_name = "NAME")]
     pub(crate) policy: Option<String>,
-    /// Control steps an episode lasts at most.
+    /// Maximum length of an episode in control steps.
     #[arg(
         long,
         value_name = "N",
-        help = "Control steps an episode lasts at most; as --set rollout.max_steps=..."
+        help = "Maximum length of an episode in control steps; same as --set rollout.max_steps=..."
     )]
     pub(crate) max_steps: Option<u32>,
-    /// Also write the HTML page of the rollouts, as re4-pipe report does
+    /// Also write an HTML page about the rollouts, as re4-pipe report does
     #[arg(long, value_name = "OUT.html")]
     pub(crate) report: Option<PathBuf>,
-    /// Push-T: also write the rollouts as a dataset in its own zarr format, to a folder that does not exist yet
+    /// Push-T: also write the rollouts as a dataset in Push-T's zarr format; the folder must not exist
     #[arg(long, value_name = "OUT.zarr")]
     pub(crate) record: Option<PathBuf>,
 }
@@ -204,13 +204,13 @@ pub(crate) struct RolloutArguments {
 /// Arguments of `replay`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ReplayArguments {
-    /// What all stages share.
+    /// Arguments of all stages.
     #[command(flatten)]
     pub(crate) stage: StageArguments,
-    /// Also draw the divergence as an SVG image
+    /// Push-T: also plot the divergence as an SVG image
     #[arg(long, value_name = "OUT.svg")]
     pub(crate) plot: Option<PathBuf>,
-    /// robosuite tasks: end with exit code 1 when a smaller fraction of the replays than this succeeds, from 0 to 1
+    /// robosuite tasks: exit with code 1 if the success rate of the replays is below this fraction, from 0 to 1
     #[arg(long = "fail-under", value_name = "FRACTION", value_parser = fraction)]
     pub(crate) minimum: Option<f64>,
 }
@@ -218,22 +218,22 @@ pub(crate) struct ReplayArguments {
 /// Arguments of `video`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct VideoArguments {
-    /// Folder of a rollouts artifact
+    /// Folder of a `rollouts` artifact
     #[arg(value_name = "ARTIFACT")]
     pub(crate) path: PathBuf,
-    /// File that the video is written to
+    /// GIF file to write
     #[arg(value_name = "OUT.gif")]
     pub(crate) out: PathBuf,
-    /// Seeds of the rollouts: 503, or several side by side: 500..504
+    /// Seeds of the rollouts, shown side by side, such as 503 or 500..504 (504 is excluded)
     #[arg(long, value_name = "SEEDS", visible_alias = "seed")]
     pub(crate) seeds: Seeds,
-    /// Width and height of a scene in pixels, from 64 to 512; text is below it from 256 on
+    /// Width and height of a scene in pixels, from 64 to 512; text is shown below scenes of at least 256 pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 256)]
     pub(crate) size: u32,
-    /// Speed, from 0.1 to 50; at 1, a second holds as many control steps as in the simulator: 10 of Push-T, 20 of robosuite's tasks
+    /// Speed, from 0.1 to 50; 1 is real time: 10 control steps per second for Push-T, 20 for robosuite tasks
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub(crate) speed: f64,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -241,10 +241,10 @@ pub(crate) struct VideoArguments {
 /// Arguments of `verify`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct VerifyArguments {
-    /// Artifact folders [default: every artifact in the artifacts folder]
+    /// Folders of artifacts [default: every artifact in the artifacts folder]
     #[arg(value_name = "ARTIFACT")]
     pub(crate) paths: Vec<PathBuf>,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -252,19 +252,19 @@ pub(crate) struct VerifyArguments {
 /// Arguments of `inspect`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct InspectArguments {
-    /// Artifact folder
+    /// Folder of an artifact
     #[arg(value_name = "ARTIFACT")]
     pub(crate) path: PathBuf,
-    /// Also print the first rows of every table
+    /// Also print the first N rows of every table
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) rows: usize,
-    /// Push-T: also draw the rollout of this seed as an SVG image
+    /// Push-T: also render the rollout of this seed as an SVG image
     #[arg(long, value_name = "SEED", requires = "image")]
     pub(crate) seed: Option<u32>,
-    /// File that the image is written to
+    /// SVG file to write
     #[arg(long, value_name = "OUT.svg", requires = "seed", alias = "picture")]
     pub(crate) image: Option<PathBuf>,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -272,24 +272,24 @@ pub(crate) struct InspectArguments {
 /// Arguments of `report`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ReportArguments {
-    /// Folders of rollouts artifacts, in the order in which the page shows them
+    /// Folders of `rollouts` artifacts, in the order in which the page shows them
     #[arg(value_name = "ARTIFACT", required = true)]
     pub(crate) paths: Vec<PathBuf>,
-    /// File that the page is written to
+    /// HTML file to write
     #[arg(long, short, value_name = "OUT.html", default_value = "report.html")]
     pub(crate) output: PathBuf,
-    /// Rollouts that the viewer holds, to keep the page small; all count in the figures [default: all]
+    /// Seeds of the rollouts in the viewer, to keep the page small; the scores cover all rollouts [default: all]
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
-    /// Rollouts in the viewer, failures first, whose decisions are shown in the camera's image, drawn by MuJoCo
+    /// robosuite tasks: number of rollouts in the viewer, failures first, with camera images of their decisions.
     #[arg(
         long,
         value_name = "N",
         alias = "pictures",
-        help = "Rollouts in the viewer, failures first, whose decisions are shown in the camera's image, drawn by MuJoCo [default: 8 where poses come from images, else none]"
+        help = "robosuite tasks: number of rollouts in the viewer, failures first, with camera images of their decisions, rendered by MuJoCo [default: 8 if poses are estimated from images, else 0]"
     )]
     pub(crate) images: Option<usize>,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -297,20 +297,20 @@ pub(crate) struct ReportArguments {
 /// Arguments of `fetch`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct FetchArguments {
-    /// Dataset or weights, as data/datasets.toml names them
+    /// Name of the dataset or weights in data/datasets.toml
     #[arg(value_name = "DATASET")]
     pub(crate) dataset: String,
-    /// Folder to put it into.
+    /// Folder to download to.
     #[arg(
         long,
         value_name = "DIR",
-        help = "Folder to put it into [default: the folder in RE4_DATA, else data]"
+        help = "Folder to download to [default: the folder that RE4_DATA names, else data]"
     )]
     pub(crate) destination: Option<PathBuf>,
-    /// Address to download from in place of the official one
+    /// URL to download from instead of the one in data/datasets.toml
     #[arg(long, value_name = "URL")]
     pub(crate) url: Option<String>,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -318,13 +318,13 @@ pub(crate) struct FetchArguments {
 /// Arguments of `doctor`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct DoctorArguments {
-    /// Pipeline file whose needs are checked, too: exit code 1 if one of them is not met
+    /// Pipeline file whose requirements are also checked; exit with code 1 if one is missing
     #[arg(value_name = "PIPELINE.toml")]
     pub(crate) pipeline: Option<PathBuf>,
-    /// Override a setting of the pipeline file, as often as needed
+    /// Override a setting of the pipeline file; can be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE", requires = "pipeline")]
     pub(crate) set: Vec<String>,
-    /// Arguments of all commands.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -335,10 +335,10 @@ pub(crate) struct SchemasArguments {
     /// Folder to write to
     #[arg(value_name = "DIR", default_value = "schemas")]
     pub(crate) folder: PathBuf,
-    /// Write nothing; fail (exit code 1) when the folder is not up to date
+    /// Write nothing; exit with code 1 if the folder is not up to date
     #[arg(long)]
     pub(crate) check: bool,
-    /// What all commands share.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
@@ -349,22 +349,22 @@ pub(crate) struct ReferenceArguments {
     /// Folder to write to
     #[arg(value_name = "DIR", default_value = "docs/reference")]
     pub(crate) folder: PathBuf,
-    /// Write nothing; fail (exit code 1) when the folder is not up to date
+    /// Write nothing; exit with code 1 if the folder is not up to date
     #[arg(long)]
     pub(crate) check: bool,
-    /// Arguments of all commands.
+    /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
 
-/// More threads would only cost memory.
-const MOST_JOBS: usize = 1024;
+/// Maximum of `--jobs`. More threads only need more memory.
+const MAX_JOBS: usize = 1024;
 
 fn jobs(text: &str) -> Result<NonZeroUsize, String> {
     text.parse()
         .ok()
-        .filter(|jobs: &NonZeroUsize| jobs.get() <= MOST_JOBS)
-        .ok_or_else(|| format!("give a whole number from 1 to {MOST_JOBS}"))
+        .filter(|jobs: &NonZeroUsize| jobs.get() <= MAX_JOBS)
+        .ok_or_else(|| format!("give a whole number from 1 to {MAX_JOBS}"))
 }
 
 fn fraction(text: &str) -> Result<f64, String> {

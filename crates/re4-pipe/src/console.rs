@@ -1,4 +1,4 @@
-//! Everything that is printed. Results go to standard output, notes and progress to standard error.
+//! Printing. Results go to standard output; notes, progress bars and errors go to standard error.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use crate::arguments::Common;
 use crate::output::Output;
 
-/// How to print.
+/// Prints results, notes and progress bars.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Console {
     json: bool,
@@ -20,7 +20,7 @@ pub(crate) struct Console {
 }
 
 impl Console {
-    /// Printing as the command line asks.
+    /// Uses the options `--json` and `--quiet` of the command line.
     pub(crate) fn new(common: &Common) -> Self {
         Self {
             json: common.json,
@@ -28,12 +28,12 @@ impl Console {
         }
     }
 
-    /// A note on progress, on standard error.
+    /// Prints a note on standard error.
     pub(crate) fn note(self, text: &str) {
         self.notes.note(text);
     }
 
-    /// A part of the result for people, on standard output.
+    /// Prints a part of the result as text on standard output, unless JSON was requested.
     pub(crate) fn say(self, text: &str) -> std::io::Result<()> {
         if self.json {
             Ok(())
@@ -42,7 +42,7 @@ impl Console {
         }
     }
 
-    /// The result for machines, on standard output.
+    /// Prints the result as JSON on standard output, if requested.
     pub(crate) fn answer(self, value: &Value) -> std::io::Result<()> {
         if self.json {
             closed_pipe_is_fine(writeln!(std::io::stdout(), "{value}"))
@@ -51,20 +51,20 @@ impl Console {
         }
     }
 
-    /// Writes an image, and says where it is.
+    /// Writes an SVG image and prints its path.
     pub(crate) fn image(self, path: &Path, svg: &str) -> Result<()> {
         Output::at(path, "image")?.write(svg)?;
-        self.note(&format!("image in {}", path.display()));
+        self.note(&format!("image written to {}", path.display()));
         Ok(())
     }
 
-    /// A progress bar; invisible when asked to be quiet or when standard error is no terminal.
+    /// A progress bar. It is hidden with `--quiet` or if standard error is not a terminal.
     pub(crate) fn progress(self, length: u64, what: &'static str) -> ProgressBar {
         self.notes.progress(length, what)
     }
 }
 
-/// A reader that has read enough (`| head`) ends the printing, not the work.
+/// Ignores a closed pipe (`| head`): the printing ends, and the command continues.
 fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
     match result {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
@@ -72,7 +72,7 @@ fn closed_pipe_is_fine(result: std::io::Result<()>) -> std::io::Result<()> {
     }
 }
 
-/// Prints an error: one sentence on standard error, and where JSON was asked for, what is wrong and how to fix it on standard
+/// Prints an error as one sentence on standard error. If JSON was requested, also prints the error and its remedy on standard
 /// output.
 pub(crate) fn print_error(error: &anyhow::Error, json: bool) {
     re4_stages::print_error(error);
@@ -86,12 +86,13 @@ pub(crate) fn print_error(error: &anyhow::Error, json: bool) {
     }
 }
 
-/// Prints what is wrong with the command line, as one sentence on standard error.
+/// Prints an error in the arguments as one sentence on standard error.
 pub(crate) fn print_usage_error(error: &clap::Error) {
     re4_stages::print_error(&usage_fault(&error.render().to_string()).into());
 }
 
-/// The parser answers in paragraphs: what is wrong (in its last line, the names it is about), a tip, the usage.
+/// Converts clap's message to one sentence. Its paragraphs are the error, whose last lines may list arguments, tips, and the usage,
+/// which is dropped.
 fn usage_fault(rendered: &str) -> Fault {
     let mut parts = Vec::new();
     for paragraph in rendered.split("\n\n") {

@@ -1,15 +1,15 @@
-//! What the program does, for those who ask: `-v`, `-vv`, or the variable `RUST_LOG`. On standard error, and quiet by default.
+//! Logging to standard error with `-v`, `-vv` or the environment variable `RUST_LOG`. By default nothing is logged.
 
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::time::uptime;
 use tracing_subscriber::prelude::*;
 
-/// Crates of this workspace.
+/// Prefix of the names of this workspace's crates.
 const OWN: &str = "re4_";
 
-/// Begins to log. `RUST_LOG`, as in `re4_stages=debug`, goes before the count of `-v`: 1 says what is read, found and made, 2 or
-/// more also of what.
+/// Starts logging. `RUST_LOG`, for instance `re4_stages=debug`, has priority over the number of `-v`: with one, the level is INFO,
+/// with more it is DEBUG.
 pub(crate) fn start(verbose: u8) {
     let asked = std::env::var("RUST_LOG").ok().filter(|text| !text.is_empty());
     let targets = match (asked.and_then(|text| text.parse().ok()), verbose) {
@@ -21,9 +21,9 @@ pub(crate) fn start(verbose: u8) {
     let lines = tracing_subscriber::fmt::layer()
         .with_timer(uptime())
         .with_ansi(false)
-        // A closed standard error is no reason to stop the work.
+        // A closed standard error does not stop the command.
         .log_internal_errors(false)
         .with_writer(std::io::stderr);
-    // The program has one subscriber, so nobody was before this one.
+    // Fails only if a subscriber is already set, and the program sets no other.
     let _ = tracing_subscriber::registry().with(targets).with(lines).try_init();
 }

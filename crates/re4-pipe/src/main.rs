@@ -1,7 +1,7 @@
-//! The program `re4-pipe`: staged batch jobs from robot demonstrations to explainable imitation policies.
+//! The program `re4-pipe`: from robot demonstrations to explainable imitation policies.
 //!
-//! This crate holds arguments, printing and exit codes; what stages do is in `re4-stages`. Exit codes: 0 done, 1 a gate
-//! failed, 2 the user's or the machine's fault.
+//! This crate parses arguments, prints results and sets the exit code. The stages are implemented in `re4-stages`. Exit codes: 0
+//! success, 1 a check failed, 2 an error of the input or the machine.
 
 mod arguments;
 mod commands;
@@ -17,7 +17,7 @@ use re4_stages::answer;
 
 use crate::arguments::{Arguments, Command};
 
-/// Reads the command line, does the work, prints, and answers with the exit code.
+/// Parses the command line, runs the command, prints errors and returns the exit code.
 fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
@@ -27,7 +27,7 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    // The worker's standard error is for its last words.
+    // The standard error of the worker contains only its final error, which the parent process reads.
     if !matches!(arguments.command, Command::IngestWorker) {
         log::start(arguments.verbose);
     }
@@ -54,7 +54,7 @@ fn main() -> ExitCode {
     };
     match outcome {
         Ok(_) if !answer() => loop {
-            // The watchdog ends the process: it has removed what was not published.
+            // The user interrupted the command. The watchdog prints the error and ends the process.
             std::thread::park();
         },
         Ok(commands::Outcome::Done) => ExitCode::SUCCESS,
@@ -64,7 +64,7 @@ fn main() -> ExitCode {
                 console::print_error(&error, json);
                 ExitCode::from(2)
             } else {
-                // The watchdog ends the process.
+                // The watchdog prints the error and ends the process.
                 loop {
                     std::thread::park();
                 }
@@ -73,7 +73,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Help and version are asked for, or shown where a subcommand is missing; they are printed as they are.
+/// Whether the parser's result is not an error in the arguments but the help or the version, which clap prints itself.
 fn is_help(error: &clap::Error) -> bool {
     use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
     matches!(

@@ -1,9 +1,9 @@
-//! Text that fits the terminal.
+//! Text wrapped and cut to the width of the terminal.
 
 use std::io::IsTerminal as _;
 
-/// Width of standard output in characters. `None` if it is a file or a pipe, unless `COLUMNS` gives a width: programs that read
-/// the output should not see line breaks that depend on a window.
+/// Width of standard output in characters. `None` if standard output is a file or a pipe and `COLUMNS` gives no width, so that a
+/// program that reads the output gets no line breaks that depend on the size of a window.
 pub(crate) fn width() -> Option<usize> {
     if std::io::stdout().is_terminal() {
         return terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
@@ -11,15 +11,15 @@ pub(crate) fn width() -> Option<usize> {
     std::env::var("COLUMNS").ok()?.parse().ok().filter(|width| *width > 0)
 }
 
-/// A paragraph behind `indent`, broken into lines of at most `width` characters. All lines after the first are indented
-/// `hanging` characters further.
+/// A paragraph wrapped to lines of at most `width` characters and indented by `indent` characters. Lines after the first are
+/// indented by `hanging` further characters.
 pub(crate) fn paragraph(text: &str, indent: usize, hanging: usize, width: Option<usize>) -> String {
     let first = " ".repeat(indent);
     let Some(width) = width else {
         return first + text;
     };
     let next = " ".repeat(indent + hanging);
-    // Narrower than this, words are broken, and a line holds little besides its indentation.
+    // In narrower lines, words would be broken.
     let width = width.max(indent + hanging + 20);
     textwrap::fill(
         text,
@@ -29,7 +29,7 @@ pub(crate) fn paragraph(text: &str, indent: usize, hanging: usize, width: Option
     )
 }
 
-/// A value cut to `width` characters, with an ellipsis if anything was cut.
+/// A value truncated to `width` characters. A truncated value ends in an ellipsis.
 pub(crate) fn cut(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();

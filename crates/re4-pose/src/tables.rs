@@ -52,7 +52,7 @@ table! {
 
 table! {
     /// One row per epoch of the encoder's training: the training losses (means over the epoch's steps), and the loss on held-out
-    /// demonstrations, which is not used for any choice.
+    /// demonstrations, which does not influence the training.
     #[table("training", version = 1)]
     pub struct TrainingRow {
         /// Number of the epoch, from 1.

@@ -15,7 +15,7 @@ impl Word for Phase {
 }
 
 columns! {
-    /// Result of a rollout, in every domain.
+    /// Result of a rollout: the columns of all domains.
     #[derive(Copy)]
     pub struct ResultCore {
         /// Number of the rollout, from 0.
@@ -176,7 +176,7 @@ table! {
 }
 
 columns! {
-    /// A decision of a policy, in every domain.
+    /// A decision of a policy: the columns of all domains.
     pub struct DecisionCore {
         /// Seed of the scene, or its number in the table scenes.
         pub seed: u32,
@@ -187,7 +187,7 @@ columns! {
         /// Kind of decision, such as retrieve. Every policy defines its own kinds. Null in older artifacts of Push-T.
         #[since = 3]
         pub kind: Option<Label>,
-        /// Number of the demonstration that the policy follows, which is its episode in the index. Column demo_name has its name
+        /// Number of the demonstration that the policy follows: its episode in the index. Column demo_name has its name
         /// in the source. Null if the policy follows none.
         pub demo: Option<u32>,
         /// First frame of the part of the demonstration that the policy follows.

@@ -7,8 +7,8 @@ use crate::error::SegmentError;
 
 /// The rule that assigns modes to frames, and the thresholds of motion.
 ///
-/// Lengths are in the units of the demonstrations (pixels for Push-T, metres for robosuite), angles in radians. Both are
-/// per step. The defaults are those for Push-T.
+/// Lengths are in the units of the demonstrations (pixels for Push-T, metres for robosuite tasks) per control step, angles are in
+/// radians per control step. The defaults are those for Push-T.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmentConfig {
@@ -32,7 +32,7 @@ pub struct SegmentConfig {
     /// `rigid_motion`: the point of the object whose distance is compared with that of the end effector.
     #[schemars(extend("only_with" = { "segment.rule": "rigid_motion" }))]
     pub object_distance: ObjectDistance,
-    /// Settings of the gripper. For robosuite's tasks only, which use the defaults if it is left out.
+    /// robosuite tasks: settings of the gripper. Default: the default of each setting.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gripper: Option<GripperConfig>,
 }
@@ -43,9 +43,9 @@ pub struct SegmentConfig {
 pub struct GripperConfig {
     /// `gripper_command`: the action whose gripper command determines the mode of a frame.
     pub command: Command,
-    /// Fingers that are less than this apart, in m, hold nothing. The default is the paper's value for a failed grasp.
+    /// Distance between the fingers, in m, below which they hold no object. The default is the paper's value for a failed grasp.
     pub closed: f64,
-    /// Fingers have stopped if the distance between them changes by less than this in a step, in m.
+    /// Change of the distance between the fingers, in m per control step, below which they have stopped.
     pub still: f64,
 }
 

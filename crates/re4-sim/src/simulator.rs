@@ -59,12 +59,12 @@ pub struct Step<O> {
 /// The order matters because setting the angle rotates the block about its centre of gravity, which is not its origin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 pub enum ResetOrder {
-    /// Position, then angle: gym-pusht always does this, as do `diffusion_policy` in its benchmark (`legacy_test: True`) and
-    /// the human demonstrations. The block arrives at `requested + c - R(theta) c`, where `c` is its centre of gravity.
+    /// Position, then angle. This is the order of gym-pusht, of Diffusion Policy's benchmark (`legacy_test: True`) and of the human
+    /// demonstrations. The block's position becomes `requested + c - R(theta) c`, where `c` is its centre of gravity.
     #[default]
     #[serde(rename = "legacy")]
     Legacy,
-    /// Angle, then position: the block arrives at the requested pose.
+    /// Angle, then position. The block's pose becomes the requested pose.
     #[serde(rename = "pose")]
     PoseIsPose,
 }

@@ -1,4 +1,4 @@
-//! Reports what the program needs, what of it is installed, and the command that installs each missing part.
+//! Reports what is installed and what is missing, with the command that installs it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,15 +13,15 @@ use crate::inputs::sources::{data_folders, find_source, find_weights};
 use crate::notes::fault_of;
 use crate::pipeline::{Pipeline, PoseSource};
 
-/// Whether something that commands use is available.
+/// Whether a component was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// It exists and can be used.
+    /// Found and usable.
     Found,
-    /// It does not exist or cannot be used, and only some tasks or commands need it.
+    /// Not found. Only some tasks or commands need it.
     Absent,
-    /// It does not exist or cannot be used, and the pipeline or every command needs it.
+    /// Not found. The pipeline, or every command, needs it.
     Missing,
 }
 
@@ -35,25 +35,25 @@ impl fmt::Display for State {
     }
 }
 
-/// The result for one thing that commands use.
+/// The result for one component.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// Its group: `program`, `datasets`, `simulators`, `python`, `pipeline`.
+    /// Group of the component: `program`, `datasets`, `simulators`, `python`, `pipeline`.
     pub group: &'static str,
-    /// Its name.
+    /// Name of the component.
     pub name: String,
-    /// Whether it is available.
+    /// Whether it was found.
     pub state: State,
-    /// Its path and version, or the reason why it cannot be used.
+    /// Its path or version, or the reason why it cannot be used.
     pub detail: String,
-    /// The tasks, commands or settings that need it, or the description of a dataset; empty if every command needs it.
+    /// What needs it. Empty if every command needs it.
     pub needed_by: String,
-    /// The command that installs it, or another remedy.
+    /// The command that installs it.
     pub fix: Option<String>,
 }
 
-/// Looks for everything that the commands use. With a pipeline, the things that its stages need are [`State::Missing`] if they are
-/// not available.
+/// Looks for all components that the commands use. A component that a stage of `pipeline` needs is [`State::Missing`] if it is not
+/// found.
 pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     let mut found = program(artifacts);
     found.extend(datasets());
@@ -63,7 +63,7 @@ pub fn doctor(pipeline: Option<&Pipeline>, artifacts: &Path) -> Vec<Finding> {
     found
 }
 
-/// Returns a finding of the group `program` in the state [`State::Found`].
+/// A part of the program.
 fn part(name: &str, detail: impl Into<String>) -> Finding {
     Finding {
         group: "program",
@@ -75,7 +75,7 @@ fn part(name: &str, detail: impl Into<String>) -> Finding {
     }
 }
 
-/// The program itself, and the folder to which it writes artifacts.
+/// The program itself and the artifacts folder.
 fn program(artifacts: &Path) -> Vec<Finding> {
     let target = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
     let threads = rayon::current_num_threads();
@@ -100,7 +100,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
             ..part("encoder backend torch", "not built in")
         });
     }
-    // Missing folders of the path are created in the nearest one that exists.
+    // Missing folders are created in the nearest ancestor that exists.
     let absolute = std::path::absolute(artifacts).unwrap_or_else(|_| artifacts.to_owned());
     let existing = absolute.ancestors().find(|path| path.exists());
     let writable = existing.is_some_and(|folder| folder.is_dir() && tempfile::tempfile_in(folder).is_ok());
@@ -109,7 +109,7 @@ fn program(artifacts: &Path) -> Vec<Finding> {
     } else {
         Finding {
             state: State::Missing,
-            fix: Some("name a folder that you can write to with --artifacts".to_owned()),
+            fix: Some("give a writable folder with --artifacts".to_owned()),
             ..part(
                 "artifacts folder",
                 format!("{} cannot be written to", artifacts.display()),
@@ -135,7 +135,7 @@ fn datasets() -> Vec<Finding> {
                 group: "datasets",
                 state: if path.is_some() { State::Found } else { State::Absent },
                 detail: path.map_or_else(
-                    || format!("{} is not below {}", dataset.provides, listed.join(" or ")),
+                    || format!("{} is not in {}", dataset.provides, listed.join(" or ")),
                     |path| path.display().to_string(),
                 ),
                 needed_by: dataset.description,
@@ -146,7 +146,7 @@ fn datasets() -> Vec<Finding> {
         .collect()
 }
 
-/// MuJoCo, robosuite's meshes, and the library that renders.
+/// MuJoCo, robosuite's meshes, and the rendering library.
 fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
     const SETUP: &str = "scripts/setup-simulators.sh";
     let simulated = pipeline.is_some_and(Pipeline::needs_simulator);
@@ -156,7 +156,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
         .into_iter()
         .map(|version| (version, Library::open(&mujoco_folder(version), version)))
         .collect();
-    // A dataset needs one of the two versions. Which one is known only when the file is read, so one version is enough here.
+    // A dataset needs one of the two versions. Which one, is known only after its file is read.
     let any = opened.iter().any(|(_, library)| library.is_ok());
     for (version, library) in opened {
         let robosuite = match version {
@@ -193,7 +193,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
         } else {
             format!("there is no folder {}", assets.display())
         },
-        needed_by: "the same".to_owned(),
+        needed_by: "rollouts, replays and rendering of robosuite tasks".to_owned(),
         fix: Some(SETUP.to_owned()),
     });
     let gl = Gl::of_process();
@@ -206,7 +206,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
             absent(pipeline.is_some_and(Pipeline::needs_renderer))
         },
         detail: match &gl {
-            Ok(gl) => format!("{gl} loads"),
+            Ok(gl) => format!("{gl} was loaded"),
             Err(error) => error.to_string(),
         },
         needed_by: "images of robosuite's scenes: ingest.render, rollouts from images, videos".to_owned(),
@@ -218,7 +218,7 @@ fn simulators(pipeline: Option<&Pipeline>) -> Vec<Finding> {
     found
 }
 
-/// Python with the packages of the notebooks.
+/// Python and the packages that the notebooks import.
 fn python() -> Vec<Finding> {
     const PACKAGES: &str = "polars, pyarrow, matplotlib, numpy";
     let program = std::env::var_os("RE4_PYTHON")
@@ -259,7 +259,7 @@ fn python() -> Vec<Finding> {
         finding("Python packages", State::Found, PACKAGES.to_owned(), "")
     } else {
         let fix = format!("{} -m pip install -r notebooks/requirements.txt", program.display());
-        finding("Python packages", State::Absent, format!("without {lacking}"), &fix)
+        finding("Python packages", State::Absent, format!("missing: {lacking}"), &fix)
     };
     vec![python, packages]
 }

@@ -34,7 +34,7 @@ const ROLLOUTS: usize = 8;
 const DECISIONS: usize = 48;
 /// Side length of an image on a page, in pixels: the input size of the encoder.
 const SIDE: u32 = 84;
-/// Length of the axes that are overlaid on an image for a pose, in metres.
+/// Length of the axes that are rendered for a pose, in metres.
 const AXIS: f64 = 0.05;
 
 /// Rollouts that can be rendered in each of their states.

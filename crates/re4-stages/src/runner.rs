@@ -47,7 +47,7 @@ pub struct Runner {
     warnings: Mutex<Vec<Value>>,
 }
 
-/// The artifact of a stage, and whether it was made or found.
+/// The artifact of a stage, and whether it existed before.
 pub struct Built {
     /// The stage.
     pub stage: Stage,
@@ -55,7 +55,7 @@ pub struct Built {
     pub artifact: Artifact,
     /// Whether the artifact existed already.
     pub skipped: bool,
-    /// Wall time of making or verifying it.
+    /// Wall time of building the artifact, or of verifying an existing one.
     pub wall: Duration,
 }
 
@@ -228,13 +228,13 @@ impl Runner {
     }
 }
 
-/// A warning of a manifest as one line: its code and its message.
+/// A warning of a manifest in one line: its code and its message.
 pub fn warning_text(warning: &Value) -> String {
     let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default();
     format!("{}: {}", word("code"), word("message"))
 }
 
-/// The integers of a summary, as `25650 frames, 206 episodes`.
+/// The integers of a summary, for instance `25650 frames, 206 episodes`.
 fn headline(summary: &Value) -> String {
     summary
         .as_object()

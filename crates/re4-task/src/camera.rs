@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Camera {
-    /// Push-T's only camera: the window from above, 96 x 96.
+    /// Push-T's only camera: the whole scene from above, 96 x 96 pixels.
     Image,
-    /// robosuite's camera in front of the robot and the table, 84 x 84.
+    /// robosuite's camera in front of the robot and the table, 84 x 84 pixels.
     Agentview,
-    /// robosuite's camera on the robot's hand, 84 x 84.
+    /// robosuite's camera on the robot's hand, 84 x 84 pixels.
     #[serde(rename = "robot0_eye_in_hand")]
     EyeInHand,
 }

@@ -33,7 +33,7 @@ pub(crate) const ROBOSUITE: Summary = Summary {
 const ARM_CAMERAS: &[Camera] = &[Camera::Agentview, Camera::EyeInHand];
 /// Control steps per second in robosuite's and robomimic's demonstrations.
 const ARM_RATE: usize = 20;
-/// The vertical axis of an object on a table.
+/// The axis of an object that is vertical while the object rests on a table.
 const UPRIGHT: [f64; 3] = [0.0, 0.0, 1.0];
 /// Layouts of tasks whose observation contains the offset between gripper and object.
 const OFFSET: [ObjectLayout; 2] = [ObjectLayout::LiftEefMinusCube, ObjectLayout::LiftCubeMinusEef];

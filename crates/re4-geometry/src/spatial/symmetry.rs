@@ -9,7 +9,7 @@ use thiserror::Error;
 /// Largest `n` of a [`Symmetry::Fold`].
 pub const LARGEST_FOLD: u32 = 360;
 
-/// Rotational symmetry of an object: the rotations about its own origin after which it looks the same. Part of a task's record.
+/// Rotational symmetry of an object: the rotations about its own origin after which it looks the same.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "Table", into = "Table")]
 #[schemars(with = "Table")]
@@ -17,7 +17,7 @@ pub enum Symmetry {
     /// No symmetry: every orientation looks different.
     #[default]
     None,
-    /// Rotations about `axis` by multiples of `2π / n`: a cube on a table has `n = 4` about the vertical.
+    /// Rotations about `axis` by multiples of `2π / n`: a cube on a table has `n = 4` about the vertical axis.
     Fold {
         /// Axis through the object's origin, in the object's frame; only its direction matters.
         axis: [f64; 3],
@@ -31,7 +31,8 @@ pub enum Symmetry {
     },
 }
 
-/// [`Symmetry`] as it is written in a pipeline file.
+/// Rotational symmetry of an object: the rotations about its own origin after which it looks the same. This is the form of
+/// [`Symmetry`] in a pipeline file.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
 #[schemars(rename = "Symmetry")]

@@ -56,8 +56,8 @@ pub enum ActionKind {
 /// The window of the original dataset.
 const PIXELS: [f64; 2] = [0.0, WINDOW];
 
-/// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with angles of up to
-/// about three full rotations.
+/// Maximum angle in radians that is wrapped rather than refused: the scenes of Diffusion Policy start with up to about three
+/// full rotations.
 const UNWRAPPED: f64 = 25.0;
 
 /// The block is 120 px wide and stays between the walls, so its larger coordinate always exceeds this value, in pixels.

@@ -296,7 +296,7 @@ impl Header {
         (bytes == size && bytes > 0).then_some((shape, offset))
     }
 
-    /// Whether the header has an attribute with this name; `None` if the header alone does not determine it.
+    /// Whether the header has an attribute with this name; `None` if the header does not determine it without other data.
     pub(super) fn has_attribute(&self, name: &str) -> Option<bool> {
         // If there are many attributes, they are stored elsewhere, and this message is present.
         (!self.has(ATTRIBUTE_INFO)).then_some(())?;

@@ -14,16 +14,16 @@ use crate::output::Output;
 /// `re4-pipe audit`.
 pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
-    // Where it cannot be written, that is said before any work.
+    // An output path that cannot be written to is refused before any computation.
     let page = arguments
         .html
         .as_deref()
         .map(|path| Output::at(path, "page"))
         .transpose()?;
-    // What cannot be used is what an audit is there to find.
+    // The audit reports unusable demonstrations instead of refusing the dataset.
     let runner = arguments.stage.runner(&["ingest.on_bad=leave_out".to_owned()])?;
     if let Some(page) = &page {
-        page.spares(&runner.inputs()?)?;
+        page.refuse_inputs(&runner.inputs()?)?;
     }
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
@@ -36,7 +36,7 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
     answer["warnings"] = json!(runner.warnings());
     console.answer(&answer)?;
     console.say(&found.text()?)?;
-    // The gate comes last: the artifacts and the page are written even if it fails.
+    // Checked last, so that the artifacts and the page are written even if the check fails.
     let errors = found.count(Severity::Error);
     let failed = match arguments.fail_on {
         None => false,
@@ -46,7 +46,7 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
     Ok(if failed { Outcome::GateFailed } else { Outcome::Done })
 }
 
-/// Writes the page of a pipeline's `episodes`, `modes` and `audit`, whole or not at all.
+/// Writes the HTML page about a pipeline's artifacts `episodes`, `modes` and `audit`.
 fn write_page(
     runner: &Runner,
     arguments: &StageArguments,
@@ -77,7 +77,7 @@ fn write_page(
     console.note(&format!("{:>10}  {}  {size:.1} MB", "page", output.named().display()));
     if text.len() > LARGE_PAGE {
         console.note(&format!(
-            "warning: the page is {size:.0} MB large and may open slowly; ingest.filter or ingest.select limits the demonstrations"
+            "warning: the page has {size:.0} MB and may open slowly; ingest.filter or ingest.select limits the demonstrations"
         ));
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! `re4-pipe doctor`: what is installed, found and missing.
+//! `re4-pipe doctor`: reports what is installed and what is missing.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,7 @@ use crate::arguments::DoctorArguments;
 use crate::console::Console;
 use crate::terminal::{paragraph, width};
 
-/// Prints one line for each thing that is there, and for each that is not what needs it and how to get it.
+/// Prints one line per component. For a component that was not found, also prints what needs it and how to install it.
 pub(crate) fn doctor(arguments: &DoctorArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let pipeline = arguments
@@ -40,14 +40,14 @@ pub(crate) fn doctor(arguments: &DoctorArguments) -> Result<Outcome> {
             writeln!(text, "{}", paragraph(&line, 11, 2, width))?;
         }
         if let Some(fix) = &finding.fix {
-            writeln!(text, "{}", paragraph(&format!("to get it: {fix}"), 11, 2, width))?;
+            writeln!(text, "{}", paragraph(&format!("fix: {fix}"), 11, 2, width))?;
         }
     }
     text += &match (missing, &arguments.pipeline) {
         (0, Some(path)) => format!("{} can be run", path.display()),
-        (0, None) => "nothing that every command needs is missing".to_owned(),
-        (1, _) => "1 thing is missing".to_owned(),
-        (n, _) => format!("{n} things are missing"),
+        (0, None) => "nothing that all commands need is missing".to_owned(),
+        (1, _) => "1 component is missing".to_owned(),
+        (n, _) => format!("{n} components are missing"),
     };
     console.say(&text)?;
     Ok(if missing == 0 {

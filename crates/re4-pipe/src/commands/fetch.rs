@@ -1,4 +1,4 @@
-//! `re4-pipe fetch`: download a dataset, or weights.
+//! `re4-pipe fetch`: downloads a dataset or weights.
 
 use anyhow::Result;
 use re4_fault::Fault;
@@ -10,7 +10,7 @@ use crate::arguments::FetchArguments;
 use crate::console::Console;
 use re4_stages::data_folders;
 
-/// Downloads, checks and puts in place.
+/// Downloads and verifies a dataset or weights, unless they exist already.
 pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let destination = arguments
@@ -30,8 +30,7 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
             destination.display()
         ));
     }
-    tracing::info!(provides = %dataset.provides, destination = %destination.display(), "looking for what is there");
-    tracing::info!(provides = %dataset.provides, destination = %destination.display(), "looking for what is there");
+    tracing::info!(provides = %dataset.provides, destination = %destination.display(), "looking for existing files");
     let bar = console.progress(0, "bytes");
     let report = re4_fetch::fetch(&dataset, &destination, &mut |done, length| {
         bar.set_length(length.unwrap_or(done));
@@ -42,7 +41,7 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
     let path = report.path.display();
     let (text, summary) = match &report.outcome {
         Fetched::AlreadyThere => (
-            format!("{path} is there already; nothing was downloaded"),
+            format!("{path} exists already; nothing was downloaded"),
             json!({ "skipped": true }),
         ),
         Fetched::Fetched {
@@ -52,9 +51,9 @@ pub(crate) fn fetch(arguments: &FetchArguments) -> Result<Outcome> {
             verified,
         } => {
             let check = if *verified {
-                "equal to the recorded one"
+                "equal to the recorded checksum"
             } else {
-                "none is recorded to compare it with"
+                "no checksum is recorded for comparison"
             };
             (
                 format!("{path}: {bytes} bytes downloaded, sha256 {sha256} ({check})"),

@@ -1,4 +1,4 @@
-//! `re4-pipe inspect`: what an artifact holds.
+//! `re4-pipe inspect`: prints the contents of an artifact.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use crate::arguments::InspectArguments;
 use crate::console::Console;
 use crate::terminal::{cut, paragraph, width};
 
-/// Prints provenance, tables and columns.
+/// Prints the provenance, tables and columns of an artifact.
 pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let artifact = Artifact::open(&arguments.path)?;
@@ -65,11 +65,11 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     if let (Some(seed), Some(path)) = (arguments.seed, &arguments.image) {
         ensure!(
             !is_spatial(&artifact),
-            "cannot draw seed {seed}: --image draws Push-T's rollouts";
-            "for those of robosuite's tasks use re4-pipe report or re4-pipe video"
+            "cannot render seed {seed}: --image renders rollouts of Push-T only";
+            "for robosuite tasks use re4-pipe report or re4-pipe video"
         );
         let svg = rollout_image(&planar_rollout(&artifact, seed)?)
-            .with_context(|| format!("cannot draw {}", path.display()))?;
+            .with_context(|| format!("cannot render {}", path.display()))?;
         console.image(path, &svg)?;
     }
     console.answer(&json!({ "path": artifact.path(), "manifest": manifest, "tables": Value::Object(descriptions) }))?;
@@ -89,7 +89,7 @@ fn described(column: &ColumnSpec) -> String {
     format!("{:<24} {kind}{unit}{null}: {}", column.name, column.description)
 }
 
-/// The values in nested JSON objects, each with its dotted name.
+/// The values in nested JSON objects, each with its path separated by dots.
 fn leaves(value: &Value) -> Vec<(String, &Value)> {
     let Value::Object(map) = value else {
         return Vec::new();
@@ -110,11 +110,11 @@ fn leaves(value: &Value) -> Vec<(String, &Value)> {
     found
 }
 
-/// Characters of a value, if the output has no width.
+/// Maximum width of a value, in characters.
 const WIDEST_CELL: usize = 40;
 
-/// The first rows of a table, one line a column and as many rows side by side as fit: tables have up to 60 columns, and few
-/// terminals are that wide.
+/// The first rows of a table, transposed: one line per column, with as many rows side by side as fit. Tables have up to 60 columns,
+/// which do not fit side by side in a terminal.
 fn first_rows(table: &Table, count: usize, width: Option<usize>) -> Result<String> {
     let rows = table.read_rows(0..table.rows().min(count as u64))?;
     let schema = rows.schema();
@@ -122,7 +122,7 @@ fn first_rows(table: &Table, count: usize, width: Option<usize>) -> Result<Strin
     let name_width = names.iter().map(|name| name.chars().count()).max().unwrap_or_default();
     let room = width.map_or(usize::MAX, |width| width.saturating_sub(name_width + 4));
     let widest = WIDEST_CELL.min(room).max(8);
-    // Column by column, so that each row of the table is as wide as its widest value.
+    // Cells by row, because each row of the table is printed as wide as its widest value.
     let cells: Vec<Vec<String>> = (0..rows.num_rows())
         .map(|row| {
             rows.columns()

@@ -1,4 +1,4 @@
-//! The subcommands: one file each, or one for those that run stages.
+//! The subcommands. Those that run stages share the file `run.rs`, except `audit`.
 
 pub(crate) mod audit;
 pub(crate) mod doctor;
@@ -10,11 +10,11 @@ pub(crate) mod schemas;
 pub(crate) mod verify;
 pub(crate) mod video;
 
-/// How a command ended, unless in an error.
+/// The result of a command that ended without an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Outcome {
-    /// Done.
+    /// Success.
     Done,
-    /// What was to be checked did not hold.
+    /// A check that the user requested failed.
     GateFailed,
 }

@@ -1,4 +1,4 @@
-//! `re4-pipe report`: one self-contained HTML page over `rollouts` artifacts.
+//! `re4-pipe report`: writes one self-contained HTML page about `rollouts` artifacts.
 
 use std::path::{Path, PathBuf};
 
@@ -13,23 +13,23 @@ use crate::arguments::ReportArguments;
 use crate::console::Console;
 use crate::output::Output;
 
-/// What the viewer holds.
+/// Which rollouts the viewer contains.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Shown<'a> {
-    /// Seeds of its rollouts; all where there are none.
+    /// Seeds of its rollouts. `None`: all rollouts.
     pub(crate) seeds: Option<&'a Seeds>,
-    /// How many of the rollouts have images; where it is left open, it depends on where poses come from.
+    /// Number of rollouts with camera images. `None`: the default, which depends on the source of the poses.
     pub(crate) images: Option<usize>,
 }
 
-/// What was written.
+/// The page that was written.
 pub(crate) struct Written {
     artifacts: Vec<Artifact>,
     page: ReportPage,
 }
 
 impl Written {
-    /// What the page holds, in words.
+    /// The contents of the page in one line.
     pub(crate) fn headline(&self) -> String {
         let ReportPage {
             rollouts,
@@ -42,7 +42,7 @@ impl Written {
         format!("{rollouts} {noun} in the viewer, {demonstrations} demonstrations, {size:.1} MB")
     }
 
-    /// What the user should know.
+    /// Prints the warnings.
     pub(crate) fn say_warnings(&self, console: Console) {
         for warning in &self.page.warnings {
             console.note(&format!("warning: {warning}"));
@@ -77,7 +77,7 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Reads the artifacts, makes the page and writes it whole. Indices are looked for beside the artifacts and in `store`.
+/// Reads the artifacts and writes the page. `index` artifacts are searched for beside the artifacts and in `store`.
 pub(crate) fn write(paths: &[PathBuf], shown: Shown<'_>, output: &Output, store: &Path) -> Result<Written> {
     let artifacts = open_rollouts(paths)?;
     let page = report_page(

@@ -1,4 +1,4 @@
-//! The commands that run stages, each after those that it needs.
+//! The commands that run stages. Each also runs the stages that its stage depends on.
 
 mod spatial;
 
@@ -51,16 +51,16 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// `re4-pipe train-pose`: there is nothing to do where the recorded pose is the pose.
+/// `re4-pipe train-pose`. Refuses pipelines that use the recorded poses.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
     let planar = runner.pipeline.task.is_planar();
     ensure!(
         runner.pipeline.pose()?.source != PoseSource::Recorded,
-        "nothing to train: {} says pose.source = \"recorded\", so the recorded pose is the pose",
+        "nothing to train: {} uses the recorded poses, because pose.source is \"recorded\"",
         arguments.pipeline.display();
-        "for poses from images set variant = \"image\" and pose.source = \"{}\"",
+        "to estimate poses from images, set variant = \"image\" and pose.source = \"{}\"",
         if planar { "log_polar" } else { "encoder" }
     );
     let episodes = runner.ingest()?;
@@ -95,12 +95,12 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     let runner = arguments.runner(&[])?;
     ensure!(
         runner.pipeline.task.is_planar(),
-        "no scenes to choose: they are for Push-T";
-        "rollouts of robosuite's tasks start from rollout.seeds"
+        "no scenes to choose: the stage scenes applies only to Push-T";
+        "rollouts of robosuite tasks start from rollout.seeds"
     );
     ensure!(
         runner.pipeline.scenes.is_some(),
-        "no scenes to choose: {} has no table [scenes], its rollouts start from the scenes of seeds",
+        "no scenes to choose: {} has no table [scenes], so its rollouts start from the scenes of seeds",
         arguments.pipeline.display();
         "add one with kind = \"sparse_observations\", and leave rollout.seeds out"
     );
@@ -115,7 +115,7 @@ pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
     roll_out(&runner, arguments)
 }
 
-/// `re4-pipe run`: up to the last stage that the pipeline has a table for.
+/// `re4-pipe run`: runs the stages up to `rollout`, or up to `audit` if the pipeline has no table `[rollout]`.
 pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let runner = runner(arguments)?;
@@ -124,8 +124,8 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     }
     ensure!(
         arguments.report.is_none() && arguments.record.is_none(),
-        "no rollouts to report or to record: {} has no table [rollout]", arguments.stage.pipeline.display();
-        "leave --report and --record out"
+        "no rollouts to report or record: {} has no table [rollout]", arguments.stage.pipeline.display();
+        "remove --report and --record"
     );
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
@@ -159,13 +159,13 @@ struct Page<'a> {
 }
 
 impl<'a> Page<'a> {
-    /// Refuses what could not be written before anything is run.
+    /// Checks the path of the page before any stage runs.
     fn at(runner: &Runner, arguments: &'a RolloutArguments) -> Result<Option<Self>> {
         let Some(path) = arguments.report.as_deref() else {
             return Ok(None);
         };
         let output = Output::at(path, "report")?;
-        output.spares(&runner.inputs()?)?;
+        output.refuse_inputs(&runner.inputs()?)?;
         Ok(Some(Self { path, output }))
     }
 
@@ -194,13 +194,13 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     if let Some(path) = &arguments.record {
         ensure!(
             !path.exists(),
-            "cannot record to {}: there is something at that path", path.display();
-            "give one that does not exist yet"
+            "cannot record to {}: that path exists", path.display();
+            "give a path that does not exist yet"
         );
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
         ensure!(
             parent.is_none_or(Path::is_dir),
-            "cannot record to {}: there is no folder to put it into", path.display();
+            "cannot record to {}: its parent folder does not exist", path.display();
             "create it, or give another path"
         );
     }
@@ -216,7 +216,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let section = runner.pipeline.rollout()?;
     let kind = runner.pipeline.policy()?.kind();
     let rollouts = built.artifact.table(PlaneResultRow::table())?.rows();
-    // The curve over budgets is what scenes are rolled out for; elsewhere the table in the artifact is enough.
+    // The scores over step budgets are the result of the experiments with `[scenes]`. For others, the artifact's table is enough.
     let budgets = scenes.is_some().then(|| budgets(&built)).transpose()?;
     let mut answer = json!({
         "task": runner.pipeline.task,
@@ -250,8 +250,8 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     }
     ensure!(
         arguments.minimum.is_none(),
-        "--fail-under is for robosuite's tasks";
-        "Push-T's demonstrations end before success"
+        "--fail-under applies only to robosuite tasks";
+        "remove it, because the demonstrations of Push-T end before success"
     );
     let built = runner.replay(&runner.ingest()?)?;
     if let Some(path) = &arguments.plot {
@@ -261,7 +261,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
             .read_columns(&["frame", "block"])?;
         let frames = col_u32(&table, "frame")?;
         let svg = divergence_plot(frames, col_f64(&table, "block")?)
-            .with_context(|| format!("cannot draw {}", path.display()))?;
+            .with_context(|| format!("cannot plot {}", path.display()))?;
         console.image(path, &svg)?;
     }
     answer(console, &runner, &built)
@@ -290,7 +290,7 @@ fn answer(console: Console, runner: &Runner, built: &Built) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// An artifact with its tables and warnings.
+/// The path of an artifact, the sizes of its tables, the conventions of the dataset and the error of converted actions.
 fn described(built: &Built) -> Result<String> {
     let manifest = built.artifact.manifest();
     let mut text = format!("{} artifact in {}", manifest.artifact, built.artifact.path().display());
@@ -304,7 +304,7 @@ fn described(built: &Built) -> Result<String> {
     Ok(text)
 }
 
-/// The conventions of a dataset, each with the reason why it is believed.
+/// The conventions of a dataset, each with its evidence.
 fn conventions(built: &Built) -> Result<String> {
     let mut text = String::new();
     if !built.artifact.has::<Convention>() {
@@ -326,7 +326,7 @@ fn conventions(built: &Built) -> Result<String> {
     Ok(text)
 }
 
-/// How far converted actions are from recorded ones.
+/// The error of converted actions, compared with recorded ones.
 fn goal_error(errors: &Value) -> Result<String> {
     let part = |name: &str, factor: f64| -> Vec<String> {
         let values = errors[name].as_array().into_iter().flatten().filter_map(Value::as_f64);
@@ -335,7 +335,7 @@ fn goal_error(errors: &Value) -> Result<String> {
     let mut text = String::new();
     write!(
         text,
-        "\n  goals from deltas against recorded goals, {} steps beyond the first of a demonstration; median, 90 %, 99 %, maximum: {} mm, {} deg",
+        "\n  error of goals converted from deltas, against recorded goals, over {} steps (first steps excluded); median, 90 %, 99 %, maximum: {} mm, {} deg",
         errors["steps"],
         part("position_m", 1e3).join(" "),
         part("rotation_rad", 1.0_f64.to_degrees()).join(" "),
@@ -343,7 +343,7 @@ fn goal_error(errors: &Value) -> Result<String> {
     Ok(text)
 }
 
-/// Value before bounds; manifests sort their keys.
+/// The metrics in the order of [`METRICS`], each with its value before its bounds. The manifest sorts keys alphabetically.
 fn in_order(metrics: &Value) -> Value {
     let ordered = |metric: &Value| json!({ "value": metric["value"], "low": metric["low"], "high": metric["high"] });
     Value::Object(
@@ -361,7 +361,7 @@ const METRICS: [(&str, &str); 4] = [
     ("success rate", "success_rate"),
 ];
 
-/// What was reached under smaller budgets of steps: a budget and its metrics, as the answer has them.
+/// The metrics for each step budget, in the form of the JSON result.
 fn budgets(built: &Built) -> Result<Vec<Value>> {
     let rows: Vec<BudgetRow> = built.artifact.read()?;
     let object = |row: BudgetRow| {

@@ -1,4 +1,4 @@
-//! `re4-pipe verify`: every byte of an artifact against its manifest.
+//! `re4-pipe verify`: verifies every byte of artifacts against their manifests.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,10 @@ use crate::arguments::VerifyArguments;
 use crate::console::Console;
 use re4_stages::print_error;
 
-/// Verifies the artifacts named, or all below the artifacts folder; the first damaged one is the error.
+/// Verifies the given artifacts, or all in the artifacts folder.
+///
+/// # Errors
+/// If an artifact is damaged. The error is that of the first; those of the others are printed.
 pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let paths = if arguments.paths.is_empty() {
@@ -40,7 +43,7 @@ pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
         "intact": verified,
         "damaged": damaged.iter().map(Remedy::sentence).collect::<Vec<_>>(),
     }))?;
-    // Every damaged artifact is named; the first is the error that the command ends with.
+    // The command returns the error of the first damaged artifact and prints those of the others.
     let mut errors = damaged.into_iter().map(anyhow::Error::from);
     let Some(first) = errors.next() else {
         return Ok(Outcome::Done);
@@ -54,7 +57,7 @@ pub(crate) fn verify(arguments: &VerifyArguments) -> Result<Outcome> {
 fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {
     let listing = |folder: &Path| -> Result<Vec<PathBuf>> {
         let entries = std::fs::read_dir(folder).or_fault(|| {
-            fault!("cannot verify: {} is not a folder with artifacts", folder.display(); "name one with --artifacts")
+            fault!("cannot verify: {} is not a folder with artifacts", folder.display(); "give another folder with --artifacts")
         })?;
         let mut paths = entries
             .map(|entry| entry.map(|e| e.path()))
@@ -70,6 +73,6 @@ fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {
                 .filter(|path| path.join(MANIFEST_NAME).exists()),
         );
     }
-    ensure!(!found.is_empty(), "cannot verify: there is no artifact below {}", root.display(); "run a pipeline first");
+    ensure!(!found.is_empty(), "cannot verify: there is no artifact in {}", root.display(); "run a pipeline first");
     Ok(found)
 }

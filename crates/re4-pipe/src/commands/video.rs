@@ -1,4 +1,4 @@
-//! `re4-pipe video`: rollouts as a GIF.
+//! `re4-pipe video`: renders rollouts as a GIF file.
 
 use std::io::BufWriter;
 
@@ -16,7 +16,7 @@ use crate::arguments::VideoArguments;
 use crate::console::Console;
 use crate::output::Output;
 
-/// Writes the video, whole or not at all.
+/// Writes the video.
 pub(crate) fn video(arguments: &VideoArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let interrupt = Interrupt::listen(None);
@@ -25,13 +25,13 @@ pub(crate) fn video(arguments: &VideoArguments) -> Result<Outcome> {
         .extension()
         .is_some_and(|extension| extension.eq_ignore_ascii_case("gif"))
     {
-        bail!("cannot write a video to {}", out.display(); "videos are GIF files, give a name that ends in .gif");
+        bail!("cannot write a video to {}", out.display(); "videos are GIF files, so give a name that ends in .gif");
     }
     let artifact = Artifact::open(&arguments.path)?;
     let kind = &artifact.manifest().artifact;
     ensure!(
         *kind == Stage::Rollout.artifact(),
-        "cannot video {}: it is an artifact of kind {kind}, and videos are made of rollouts",
+        "cannot make a video of {}: it is an artifact of kind {kind}, not rollouts",
         arguments.path.display()
     );
     artifact.verify_bytes()?;
@@ -47,7 +47,7 @@ pub(crate) fn video(arguments: &VideoArguments) -> Result<Outcome> {
         let (rollouts, chunks) = planar_videos(&artifact, seeds, store)?;
         if !chunks {
             console.note(&format!(
-                "the index of {} is not beside it, so chunks are not drawn",
+                "the video shows no chunks, because the index of {} was not found",
                 artifact.path().display()
             ));
         }
@@ -96,7 +96,7 @@ pub(crate) fn video(arguments: &VideoArguments) -> Result<Outcome> {
     }
     console.answer(&answer)?;
     console.say(&format!(
-        "video in {}: {} x {} px, {} frames, {seconds} s, {bytes} bytes",
+        "video written to {}: {} x {} px, {} frames, {seconds} s, {bytes} bytes",
         out.display(),
         summary.width,
         summary.height,
@@ -105,16 +105,16 @@ pub(crate) fn video(arguments: &VideoArguments) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// What is recorded.
+/// The rollouts in the video.
 enum Videos {
-    /// Push-T's rollouts, and whether the video shows chunks.
+    /// Rollouts of Push-T, and whether the video shows their chunks.
     Planar(Vec<VideoRollout>, bool),
-    /// Rollouts of a robosuite task, and what draws them.
+    /// Rollouts of a robosuite task, and their simulations, which are rendered.
     Spatial(Vec<SceneRollout>, Box<Rerendered>),
 }
 
 impl Videos {
-    /// States of the longest rollout.
+    /// Number of states of the longest rollout.
     fn states(&self) -> usize {
         let most = match self {
             Self::Planar(rollouts, _) => rollouts.iter().map(|rollout| rollout.states.len()).max(),

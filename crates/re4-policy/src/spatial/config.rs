@@ -105,8 +105,8 @@ pub enum WhileHeld {
     /// The pose estimated from the image.
     #[default]
     Seen,
-    /// The pose estimated before the grasp, moved with the gripper since then, as the transfer mode implies. The object may be
-    /// hidden by the gripper.
+    /// The pose estimated before the grasp, moved with the gripper since then, as the transfer mode implies. It does not require that
+    /// the object is visible.
     Carried,
 }
 

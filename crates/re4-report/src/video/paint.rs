@@ -1,4 +1,4 @@
-//! Draws lines on an image, scales it down, and reduces its colours to a palette.
+//! Overlays lines on an image, scales it down, and reduces its colours to a palette.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 

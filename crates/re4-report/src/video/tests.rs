@@ -132,7 +132,7 @@ fn the_bar_shows_the_coverage() {
             let shown = colour(frame, width, (*x, 257));
             shown == Canvas::OUTLINE || shown == SUCCEEDED
         });
-        // A bar that is longer than the mark at 0.95 has one pixel less, because the mark is drawn on it.
+        // A bar that is longer than the mark at 0.95 has one pixel less, because the mark covers it.
         let expected = (state as f64 / 20.0 * 256.0).round() as usize - usize::from(state > 19);
         assert_eq!(filled.count(), expected, "state {state}");
     }

@@ -64,15 +64,15 @@ impl Profile {
     }
 }
 
-/// How closely robosuite's computations are followed.
+/// How closely the simulation follows robosuite's computations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fidelity {
     /// Bit-exact. With profile 1.4, forces are computed three times per simulation step: the last result counts, the
-    /// others change the solver's warm start. Objects that a task has put away overlap and touch each other.
+    /// others change the solver's warm start. Objects that the task has placed out of the way overlap and collide with each other.
     #[default]
     Robosuite,
-    /// The same physics at lower cost: forces are computed once per simulation step, and objects that the task has put away do
-    /// not collide. Forces agree within the solver's tolerance, but trajectories eventually diverge after contact.
+    /// The same physics at lower cost: forces are computed once per simulation step, and objects that the task has placed out
+    /// of the way do not collide. Forces agree within the solver's tolerance, but trajectories eventually diverge after contact.
     Fast,
 }

@@ -145,7 +145,7 @@ impl Trace {
     }
 
     /// Indices of the coordinates of objects that push each other from the first step, which magnifies differences in the last
-    /// bits: Can puts three objects away to one place. The round nut of Square is alone there.
+    /// bits: Can places its three unused objects at one position. Square places only its round nut there.
     pub(crate) fn coordinates_in_contact_from_the_start(&self, simulation: &Robosuite) -> Vec<usize> {
         match self.task.unused_bodies().len() {
             0 | 1 => Vec::new(),

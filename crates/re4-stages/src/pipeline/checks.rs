@@ -383,7 +383,7 @@ fn padding(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     Ok(())
 }
 
-/// Checks a standard deviation. A larger one than `most` would place the object far outside of the workspace.
+/// Checks a standard deviation. A larger one than `most` would place the object far outside the workspace.
 fn standard_deviation(name: &str, value: f64, unit: &str, most: f64) -> Result<()> {
     ensure!((0.0..=most).contains(&value), "{name} is {value} {unit}"; "give 0 to {most:.2}");
     Ok(())

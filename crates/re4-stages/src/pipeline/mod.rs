@@ -47,7 +47,7 @@ pub struct Pipeline {
     /// How frames are indexed for retrieval: `episodes` and `modes` to `index`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub index: Option<IndexSection>,
-    /// How start scenes are chosen: `episodes` to `scenes`. Leave it out if rollouts start from seeds.
+    /// How start scenes are chosen: `episodes` to `scenes`. Leave it out if rollouts start from the scenes of seeds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenes: Option<ScenesConfig>,
     /// The policy that is rolled out.

@@ -74,7 +74,7 @@ pub struct RolloutSection {
     /// robosuite tasks: rotations that leave the object's appearance unchanged, in the object's frame. Default with `re4`: the
     /// symmetry of the task's object, which is multiples of 90 degrees about the vertical axis for the cube, any rotation about
     /// its axis for the can, and none for the nut. Default with other policies: none. Default with `variant = "image"`: none,
-    /// because the encoder estimates the frame of the gripper as it would hold the object, and its axes are not the object's.
+    /// because the encoder estimates the pose of the gripper that grasps the object, whose axes are not those of the object.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("domain" = "space"))]
     pub symmetry: Option<Symmetry>,

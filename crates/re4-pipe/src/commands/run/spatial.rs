@@ -1,4 +1,4 @@
-//! Rollouts and replays of robosuite's tasks.
+//! Rollouts and replays of robosuite tasks.
 
 use std::fmt::Write as _;
 use std::time::Instant;
@@ -19,7 +19,7 @@ use re4_stages::{Built, Runner};
 pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let start = Instant::now();
-    ensure!(arguments.record.is_none(), "--record writes Push-T's own format"; "leave it out for robosuite's tasks");
+    ensure!(arguments.record.is_none(), "--record writes the dataset format of Push-T"; "remove it for robosuite tasks");
     let page = Page::at(runner, arguments)?;
     let (built, _) = runner.roll_out()?;
     if let Some(page) = &page {
@@ -56,13 +56,13 @@ pub(super) fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<
     match summary["medians"]["steps_of_successes"].as_f64() {
         Some(median) => write!(
             text,
-            "\n  median of {median} steps where it succeeds; the grasp was lost {losses} times"
+            "\n  median {median} steps of the successful rollouts; {losses} lost grasps"
         )?,
-        None => write!(text, "\n  no rollout succeeds; the grasp was lost {losses} times")?,
+        None => write!(text, "\n  no rollout succeeds; {losses} lost grasps")?,
     }
     if let Some(images) = images {
         let steps = built.artifact.table(SpaceStepRow::table())?.rows();
-        write!(text, "\n  {images} images looked at in {steps} steps")?;
+        write!(text, "\n  poses estimated from {images} images in {steps} steps")?;
     }
     console.say(&text)?;
     Ok(Outcome::Done)
@@ -72,13 +72,13 @@ fn ordered(rate: &Value) -> Value {
     json!({ "value": rate["value"], "low": rate["low"], "high": rate["high"] })
 }
 
-/// `re4-pipe replay` for robosuite's tasks.
+/// `re4-pipe replay` for robosuite tasks.
 pub(super) fn replay(runner: &Runner, arguments: &ReplayArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     ensure!(
         arguments.plot.is_none(),
-        "--plot draws Push-T's replays";
-        "for robosuite's tasks, table spatial_divergence holds the distances"
+        "--plot applies only to Push-T";
+        "for robosuite tasks, the distances are in the table divergence of the artifact"
     );
     runner.require_simulator("replay")?;
     let built = runner.replay_spatial(&runner.ingest()?)?;
@@ -103,7 +103,7 @@ fn description(built: &Built) -> Result<String> {
         let millimetres = |part: &str| 1e3 * of["object_max_m"][part].as_f64().unwrap_or(f64::NAN);
         write!(
             text,
-            "\n  {kind:<8} {origin:<9}  {} of {} succeed; object astray at most, median {:.3} mm, 99 % {:.3} mm, maximum {:.3} mm",
+            "\n  {kind:<8} {origin:<9}  {} of {} succeed; maximum object error per replay: median {:.3} mm, 99 % {:.3} mm, maximum {:.3} mm",
             of["successes"],
             of["replays"],
             millimetres("p50"),
@@ -114,7 +114,7 @@ fn description(built: &Built) -> Result<String> {
             .as_array()
             .into_iter()
             .flatten()
-            // Artifacts of older versions have numbers.
+            // Artifacts of older versions contain numbers instead of names.
             .map(|demo| {
                 demo.as_str()
                     .map_or_else(|| format!("demonstration {demo}"), str::to_owned)

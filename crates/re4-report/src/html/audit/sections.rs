@@ -7,8 +7,7 @@ use super::{Audit, Contacts, SEVERITIES};
 use crate::html::shell::{self, choice, exact, plural, table};
 use re4_stats::median;
 
-/// The symbol of a severity. Severities differ in shape as well as in colour, for readers who cannot distinguish the colours. The
-/// script renders it.
+/// The symbol of a severity. Its shape distinguishes severities for readers who cannot see the colours; the script renders it.
 fn glyph(severity: Severity) -> Markup {
     html! {
         svg class={ "glyph sev-" (severity.as_str()) } viewBox="-7 -7 14 14" width="14" height="14" aria-hidden="true" {
@@ -153,7 +152,7 @@ pub(super) fn findings(audit: &Audit) -> Markup {
 fn meaning(severity: Severity) -> &'static str {
     match severity {
         Severity::Error => "The segmentation or the data is wrong in these frames.",
-        Severity::Warning => "Probably not what the demonstrator wanted, or harmful to a policy that is trained on it.",
+        Severity::Warning => "Probably not what the demonstrator intended, or harmful to a policy that uses it.",
         Severity::Note => "Worth knowing.",
     }
 }

@@ -208,7 +208,7 @@ pub trait Scene: Clone + std::fmt::Debug {
     fn details(artifact: &Rollouts<Self>) -> Vec<String>;
     /// Renders an artifact's cells in the score table.
     fn score_cells(artifact: &Rollouts<Self>) -> Markup;
-    /// Renders the section with the plots of all rollouts; the script draws the plots.
+    /// Renders the section with the plots of all rollouts; the script renders the plots.
     fn overview(labels: &[String]) -> Markup;
     /// Renders the part of the viewer below a decision's reason.
     fn evidence(report: &Report<Self>) -> Markup;

@@ -28,7 +28,7 @@ impl Spool {
     /// Opens the spool of the artifact with this key. Creates its folder if necessary.
     pub(super) fn open(artifacts: &Path, key: Key) -> Result<Self> {
         let folder = artifacts.join(FOLDER).join(key.short());
-        fs::create_dir_all(&folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        fs::create_dir_all(&folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
         Ok(Self { folder, key })
     }
 

@@ -23,7 +23,7 @@ const OTHER_SIDE: f64 = std::f64::consts::FRAC_PI_2;
 
 /// Compares the estimates of all demonstrations with the recorded poses. Writes table `pose_errors`, and returns the entry
 /// `evaluation` of the summary. `poses` are the estimates by demonstration and frame, world frame, in the order of the artifacts;
-/// `trained_on` has an entry for each demonstration: whether it was trained on.
+/// `trained_on` has one entry per demonstration: whether it was trained on.
 ///
 /// Demonstrations are read one at a time; only poses stay in memory, some 200 bytes per frame.
 ///

@@ -290,7 +290,7 @@ impl Scene for Plane {
     }
 
     fn pack_more<'a>(pack: Pack<'a, Self>, _: &Rollouts<Self>, curve: &Curve) -> Pack<'a, Self> {
-        // gym-pusht draws the inner edges of the walls 5 px inside the workspace.
+        // gym-pusht renders the inner edges of the walls 5 px inside the workspace.
         let world = json!({
             "side": 512.0,
             "wall": 5.0,

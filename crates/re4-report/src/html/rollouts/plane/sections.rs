@@ -82,7 +82,7 @@ pub(super) fn paper_table() -> Markup {
     }
 }
 
-/// The section of plots, which the script draws.
+/// The section of plots, which the script renders.
 pub(super) fn plots(labels: &[String]) -> Markup {
     html! {
         section #plots aria-labelledby="plots-title" {

@@ -40,7 +40,7 @@ pub(super) fn score_cells(artifact: &Rollouts<Space>) -> Markup {
     }
 }
 
-/// The section with the grid of rollouts, which the script draws.
+/// The section with the grid of rollouts, which the script renders.
 pub(super) fn grid(labels: &[String]) -> Markup {
     html! {
         section #plots aria-labelledby="plots-title" {
