@@ -41,7 +41,7 @@ def settings(preset, *changes):
 
 
 def main(artifacts):
-    print("\n| task | policy | simulation | seeds | success rate [95 %] | median steps | grasps lost |\n|---|---|---|---|---|---|---|")
+    print("\n| task | policy | simulation | seeds | success rate, 95 % interval | median steps | lost grasps |\n|---|---|---|---|---|---|---|")
     rows = [("re4", [], "500..600", "robosuite")]
     rows += [(policy, EVERY_FRAME, "500..600", "fast") for policy in ("paper", "re2")]
     rows += [("re4", [], "100000..100300", "fast")]
