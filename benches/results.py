@@ -84,9 +84,9 @@ FROM_PAPER = [
     ("`paper`", STATE, change("paper")),
     ("Retrieve by outcome", STATE, change("paper", "retrieve.selector=outcome", "retrieve.candidates=256", "retrieve.step_cost=0.8", "retrieve.motion_cost=0.05", "replay.horizon=200")),
     ("periodic angle", STATE, change("paper", "retrieve.angle=periodic")),
-    ("shortest path for RRT, keep-out 18", STATE, change("paper", "replan.planner=visibility", "replan.keepout=18")),
+    ("shortest path instead of RRT, keep-out 18 px", STATE, change("paper", "replan.planner=visibility", "replan.keepout=18")),
     ("waypoints every 15 px", STATE, change("paper", "replan.spacing=15")),
-    ("path tracking at 20 px a step", STATE, change("paper", "replay.tracking=path", "replan.spacing=60")),
+    ("path tracking at 20 px per step", STATE, change("paper", "replay.tracking=path", "replan.spacing=60")),
     ("every 2nd action, n = 16", STATE, change("paper", "replay.stride=2", "replay.horizon=16")),
     ("without epsilon filter", STATE, change("paper", "retrieve.epsilon=1000")),
     ("without Reframe", STATE, change("paper", "reframe.enabled=false")),
@@ -98,10 +98,10 @@ FROM_PAPER = [
 FROM_RE4 = [
     ("`re4`", STATE, change("re4")),
     ("two-stage Retrieve, n = 24", STATE, change("re4", "retrieve.selector=two_stage", "replay.horizon=24")),
-    ("recorded actions for path tracking", STATE, change("re4", "replay.tracking=actions")),
-    ("RRT for the shortest path", STATE, change("re4", "replan.planner=rrt")),
-    ("keep-out 15", STATE, change("re4", "replan.keepout=15")),
-    ("speed 10 px a step", STATE, change("re4", "replay.speed=10")),
+    ("recorded actions instead of path tracking", STATE, change("re4", "replay.tracking=actions")),
+    ("RRT instead of the shortest path", STATE, change("re4", "replan.planner=rrt")),
+    ("keep-out 15 px", STATE, change("re4", "replan.keepout=15")),
+    ("speed 10 px per step", STATE, change("re4", "replay.speed=10")),
     ("no divergence check", STATE, change("re4", "replay.divergence=10000")),
     ("no cost of steps", STATE, change("re4", "retrieve.step_cost=0")),
     ("no cost of pushing", STATE, change("re4", "retrieve.motion_cost=0")),
@@ -134,7 +134,7 @@ TABLES = {
 def print_poses(artifacts):
     """How far the estimated poses are from the recorded ones, over every frame."""
     print("\nPoses from images, over every frame\n")
-    print("| estimate | frames | not clear | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
+    print("| estimate | frames | flag not `clear` | position, px: p50 / p90 / p99 / max | angle, degrees: p50 / p90 / p99 / max | flips |")
     print("|---|---|---|---|---|---|")
     for label, refine in [("aligned with the outline", "true"), ("only the paper's closed form", "false")]:
         command = [BINARY, "train-pose", IMAGE, "--json", "--quiet", "--artifacts", artifacts, "--set", f"pose.refine={refine}"]

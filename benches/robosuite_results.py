@@ -41,7 +41,7 @@ def settings(preset, *changes):
 
 
 def main(artifacts):
-    print("\n| task | policy | simulation | seeds | success rate [95 %] | median steps | grasps lost |\n|---|---|---|---|---|---|---|")
+    print("\n| task | policy | simulation | seeds | success rate, 95 % interval | median steps | lost grasps |\n|---|---|---|---|---|---|---|")
     rows = [("re4", [], "500..600", "robosuite")]
     rows += [(policy, EVERY_FRAME, "500..600", "fast") for policy in ("paper", "re2")]
     rows += [("re4", [], "100000..100300", "fast")]
@@ -84,7 +84,7 @@ STEPS = [
     ("`re4`", settings("re4")),
     ("without Reframe", settings("re4", "policy.reframe.enabled=false")),
     ("without the bridge", settings("re4", "policy.replan.enabled=false")),
-    ("verbatim in transfer", settings("re4", "policy.reframe.transfer=verbatim")),
+    ("recorded goals in transfer (`verbatim`)", settings("re4", "policy.reframe.transfer=verbatim")),
     ("without symmetry", settings("re4", 'rollout.symmetry={kind="none"}')),
     ("every frame indexed", settings("re4", "index.leave_out=[]")),
     ("without bans", settings("re4", "policy.recovery.ban=false")),
@@ -100,7 +100,7 @@ def steps(artifacts):
 
 
 def replay(artifacts):
-    print("\n| task | actions | succeed | largest deviation of the object: median, 99 %, maximum, mm |\n|---|---|---|---|")
+    print("\n| task | actions | successes | largest deviation of the object in each demonstration: median, 99th percentile, maximum, mm |\n|---|---|---|---|")
     for task in TASKS:
         for file in ("low_dim.hdf5", "low_dim_abs.hdf5"):
             result = run("replay", task, ["--set", f"ingest.source=robomimic-scripted/{task}/{file}"], artifacts)

@@ -138,7 +138,7 @@ pub const CHECKS: &[Check] = &[
         basis: Basis::Constant {
             spatial: 0.15,
             planar: 120.0,
-            why: "robosuite: a free fall from half a metre ends at 3 m/s, which is 0.15 m in one step; Push-T: the length of the block's bar",
+            why: "robosuite: a free fall from half a meter ends at 3 m/s, which is 0.15 m in one step; Push-T: the length of the block's bar",
         },
         ..check("discontinuity_object", Severity::Error, Applies::Everywhere)
     },
@@ -236,7 +236,7 @@ pub const CHECKS: &[Check] = &[
         ..check("left_out", Severity::Error, Applies::Everywhere)
     },
     Check {
-        meaning: "The object was held, and left the gripper while the command was still to close. The frames after the loss are labelled transfer, but the object is not carried: object poses derived from the end effector are wrong there. Leave the demonstration out, or cut it at the loss.",
+        meaning: "The object was held, and left the gripper while the command was still to close. The frames after the loss are labeled transfer although the gripper no longer carries the object: object poses derived from the end effector are wrong there. Leave the demonstration out, or cut it at the loss.",
         measure: "Distance of the end effector, in the object's frame, from the grasp transform",
         unit: "m",
         basis: Basis::Constant {
@@ -247,7 +247,7 @@ pub const CHECKS: &[Check] = &[
         ..check("lost_grasp", Severity::Error, Applies::Gripper)
     },
     Check {
-        meaning: "The gripper was commanded to close, but did not grasp the object: the fingers closed on nothing, or on something else, so that the object does not follow the end effector. The frames are labelled transfer, but this object is not carried. If this is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out or, if another object is carried, audit that object (ingest.object).",
+        meaning: "The gripper was commanded to close, but did not grasp the object: the fingers closed on nothing, or on something else, so that the object does not follow the end effector. The frames are labeled transfer, but this object is not carried. If this is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out or, if another object is carried, audit that object (ingest.object).",
         measure: "Smallest distance between the fingers, and whether the object follows the end effector",
         unit: "m",
         basis: Basis::ClosedFingers,
@@ -311,7 +311,7 @@ pub const CHECKS: &[Check] = &[
         basis: Basis::Constant {
             spatial: 0.01,
             planar: 0.0,
-            why: "an eighth of the gripper's opening, which is more than a gripper nudges the object while it centres itself on it",
+            why: "an eighth of the gripper's opening; a gripper that centers itself on the object moves it less",
         },
         ..check("pushed_in_transit", Severity::Warning, Applies::Gripper)
     },
@@ -332,7 +332,7 @@ pub const CHECKS: &[Check] = &[
         ..check("same_actions", Severity::Note, Applies::Everywhere)
     },
     Check {
-        meaning: "The controls are at their limits in an unusually large fraction of the demonstration: the demonstrator probably intended larger motions than were recorded.",
+        meaning: "The arm's controls are at their limits in an unusually large fraction of the demonstration: the demonstrator probably intended larger motions than the controls allow.",
         measure: "Fraction of the frames in which at least one of the arm's controls is at its limit",
         basis: Basis::Fence {
             of: "fractions of saturated frames (one per demonstration)",
@@ -397,7 +397,7 @@ impl Check {
             } => format!(
                 "Q3 + 3 (Q3 - Q1) of the {of}, but at least {}; with fewer than {ENOUGH} values, {}",
                 both(spatial, planar),
-                if small { "that minimum" } else { "the check is not made" }
+                if small { "that minimum" } else { "the check is skipped" }
             ),
             Basis::Multiple {
                 of,
