@@ -38,3 +38,4 @@ mod source_changes;
 mod spatial_report;
 mod support;
 mod videos;
+mod words;

@@ -69,7 +69,7 @@ fn images_equal_those_that_robosuite_recorded() {
             .done()
             .json();
         assert!(
-            output["summary"]["drawn"]["by"]
+            output["summary"]["rendered"]["by"]
                 .as_str()
                 .unwrap()
                 .starts_with("MuJoCo 2.3.7 with ")

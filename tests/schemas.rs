@@ -24,6 +24,14 @@ fn the_committed_schemas_are_up_to_date() {
 }
 
 #[test]
+fn the_committed_reference_pages_are_up_to_date() {
+    let place = Place::empty();
+    let folder = repository().join("docs/reference");
+    let answer = place.run_each(&["reference", folder.to_str().unwrap(), "--check"]);
+    assert_eq!(answer.code, Some(0), "{}{}", answer.stdout, answer.stderr);
+}
+
+#[test]
 fn a_check_finds_stale_schemas_and_writes_nothing() {
     let place = Place::empty();
     place.run("schemas described").done();

@@ -20,7 +20,7 @@ use crate::inputs::episodes::read_episodes;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
 impl Runner {
     /// Makes the `index` artifact of Push-T, or returns the existing one. Object poses come from `poses` if it is given,

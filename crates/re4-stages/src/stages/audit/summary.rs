@@ -79,7 +79,7 @@ pub(super) fn summary(audited: &Audited) -> Value {
             mode.as_str().to_owned(),
             json!({
                 "frames": own,
-                "share": if frames > 0 { own as f64 / frames as f64 } else { 0.0 },
+                "fraction": if frames > 0 { own as f64 / frames as f64 } else { 0.0 },
                 "segments": lengths.len(),
                 "segment_frames": quartiles(&lengths),
             }),

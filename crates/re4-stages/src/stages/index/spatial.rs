@@ -15,7 +15,7 @@ use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 1;
+const CODE_VERSION: u32 = 2;
 
 impl Runner {
     /// Makes the `index` artifact of a robosuite task, or returns the existing one. Object poses come from `poses` if it is

@@ -166,7 +166,7 @@ impl Ingest<'_> {
             set("left_out", json!(tally.left_out.len()));
         }
         if let Images::Rendered(rendering, _) = &self.images {
-            set("drawn", rendering.summary());
+            set("rendered", rendering.summary());
         }
         if let Some(errors) = GoalErrors::of(&tally.goal_errors) {
             set("goal_error", json!(errors));
