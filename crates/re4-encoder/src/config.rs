@@ -97,9 +97,9 @@ pub struct LossConfig {
     pub relative: f64,
     /// L_cross: demonstrations with nearby anchors have equal estimates before the grasp.
     pub cross: f64,
-    /// In L_abs, the fraction of the weight on frames that hold the object; the rest is on frames before the grasp.
+    /// In L_abs, the fraction of the weight on frames in which the object is held; the rest is on frames before the grasp.
     pub absolute_held: f64,
-    /// In L_rel, the weight of pairs of frames that hold the object.
+    /// In L_rel, the weight of pairs of frames in which the object is held.
     pub relative_held: f64,
     /// In L_rel, the weight of pairs of frames before the grasp.
     pub relative_before: f64,

@@ -41,7 +41,7 @@ pub(crate) enum Command {
     Audit(AuditArguments),
     /// Calibrate or train the pose estimator and estimate poses from images; writes the `poses` artifact
     TrainPose(StageArguments),
-    /// Build the index in which the policy retrieves demonstrations; writes the `index` artifact
+    /// Build the index from which the policy retrieves demonstrations; writes the `index` artifact
     Index(StageArguments),
     /// Push-T: choose start scenes far from the demonstrations; writes the `scenes` artifact
     Scenes(StageArguments),
@@ -108,7 +108,7 @@ pub(crate) struct Common {
     /// Number of worker threads; results do not depend on it [default: one per processor]
     #[arg(long, value_name = "N", value_parser = jobs)]
     pub(crate) jobs: Option<NonZeroUsize>,
-    /// Print the result as one JSON object on standard output, and no other text there
+    /// Print only one JSON object with the result on standard output
     #[arg(long)]
     pub(crate) json: bool,
     /// Print no notes and no progress bars

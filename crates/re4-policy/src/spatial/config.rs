@@ -188,9 +188,9 @@ pub enum EndOfDemo {
     GoHome,
 }
 
-/// Bans of demonstrations in an episode. A demonstration is banned if it made a grasp that was lost, if it was being followed
-/// when a grasp was lost, or if it is retrieved repeatedly without progress. Banned demonstrations rank after all others. When
-/// all demonstrations are banned, all bans are lifted.
+/// Bans of demonstrations in an episode. A lost grasp bans the demonstration that was followed when the object was grasped
+/// and the one that was followed when the grasp was lost. A demonstration that is retrieved repeatedly without progress is
+/// also banned. Banned demonstrations rank after all others. When all demonstrations are banned, all bans are lifted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BanConfig {
@@ -232,7 +232,8 @@ pub struct PoseFilterConfig {
     /// Maximum number of averaged observations: a new observation has a weight of at least the inverse of this number. 1 disables
     /// averaging.
     pub samples: u32,
-    /// Distance from the average above which the object has moved, in standard deviations of an error along one axis.
+    /// Distance from the average above which the object is assumed to have moved, in standard deviations of an error along one
+    /// axis.
     pub gate: f64,
 }
 
@@ -284,8 +285,8 @@ impl SpatialPolicyConfig {
         }
     }
 
-    /// Retrieve and Replay only. After a lost grasp the arm still returns home; otherwise every missed grasp would end the
-    /// episode.
+    /// Retrieve and Replay only. After a lost grasp, the arm still returns to the home pose; otherwise no episode could
+    /// continue after a missed grasp.
     pub fn re2() -> Self {
         let mut config = Self::paper();
         config.reframe.enabled = false;

@@ -74,7 +74,8 @@ pub struct RolloutSection {
     /// robosuite tasks: rotations that leave the object's appearance unchanged, in the object's frame. Default with `re4`: the
     /// symmetry of the task's object, which is multiples of 90 degrees about the vertical axis for the cube, any rotation about
     /// its axis for the can, and none for the nut. Default with other policies: none. Default with `variant = "image"`: none,
-    /// because the encoder estimates the pose of the gripper that grasps the object, whose axes are not those of the object.
+    /// because the encoder estimates the pose at which a gripper would hold the object, and the axes of the object's symmetry
+    /// are not known in this frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("domain" = "space"))]
     pub symmetry: Option<Symmetry>,

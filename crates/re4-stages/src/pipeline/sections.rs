@@ -45,8 +45,8 @@ pub struct IngestSection {
     /// Whether to ingest the images.
     #[serde(default = "yes")]
     pub images: bool,
-    /// For datasets without images: cameras whose images the simulator's own renderer renders from the recorded states. `image`
-    /// for Push-T; `agentview` and `robot0_eye_in_hand` for robosuite tasks, at 84 x 84 pixels.
+    /// For datasets without images: cameras whose images are rendered by the simulator from the recorded states. `image` for
+    /// Push-T; `agentview` and `robot0_eye_in_hand` for robosuite tasks, at 84 x 84 pixels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub render: Vec<Camera>,
     /// Which episodes to ingest.
