@@ -44,12 +44,18 @@ const REPLACED: [(&str, &str); 30] = [
 const KEPT: [&str; 3] = ["`film`", "`--picture`", "`--pictures`"];
 
 fn files(folder: &Path, endings: &[&str], found: &mut Vec<PathBuf>) {
-    let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut entries: Vec<PathBuf> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     entries.sort();
     for path in entries {
         if path.is_dir() {
             files(&path, endings, found);
-        } else if endings.iter().any(|ending| path.extension().is_some_and(|found| found == *ending)) {
+        } else if endings
+            .iter()
+            .any(|ending| path.extension().is_some_and(|found| found == *ending))
+        {
             found.push(path);
         }
     }
@@ -69,7 +75,11 @@ fn replaced(place: &str, text: &str) -> Vec<String> {
                 !letter(line[..at].chars().next_back()) && !letter(line[at + word.len()..].chars().next())
             };
             if line.match_indices(word).any(|(at, _)| stands_alone(at)) {
-                found.push(format!("{place}:{}: \"{word}\", write {instead}: {}", number + 1, line.trim()));
+                found.push(format!(
+                    "{place}:{}: \"{word}\", write {instead}: {}",
+                    number + 1,
+                    line.trim()
+                ));
             }
         }
     }
@@ -79,7 +89,11 @@ fn replaced(place: &str, text: &str) -> Vec<String> {
 #[test]
 fn documentation_help_and_schemas_use_the_terms_of_the_field() {
     let root = repository();
-    let mut pages = vec![root.join("README.md"), root.join("ARCHITECTURE.md"), root.join("CONTRIBUTING.md")];
+    let mut pages = vec![
+        root.join("README.md"),
+        root.join("ARCHITECTURE.md"),
+        root.join("CONTRIBUTING.md"),
+    ];
     files(&root.join("docs"), &["md"], &mut pages);
     files(&root.join("schemas"), &["json"], &mut pages);
     files(&root.join("pipelines"), &["toml"], &mut pages);
@@ -90,14 +104,35 @@ fn documentation_help_and_schemas_use_the_terms_of_the_field() {
         let text: String = fs::read_to_string(path)
             .unwrap()
             .lines()
-            .map(|line| if line.contains("\"formerly\"") { "\n".to_owned() } else { format!("{line}\n") })
+            .map(|line| {
+                if line.contains("\"formerly\"") {
+                    "\n".to_owned()
+                } else {
+                    format!("{line}\n")
+                }
+            })
             .collect();
         found.extend(replaced(&name, &text));
     }
     let place = Place::empty();
     for command in [
-        "", "ingest", "segment", "audit", "train-pose", "index", "scenes", "rollout", "run", "replay", "video", "verify",
-        "inspect", "report", "fetch", "doctor", "schemas",
+        "",
+        "ingest",
+        "segment",
+        "audit",
+        "train-pose",
+        "index",
+        "scenes",
+        "rollout",
+        "run",
+        "replay",
+        "video",
+        "verify",
+        "inspect",
+        "report",
+        "fetch",
+        "doctor",
+        "schemas",
     ] {
         let help = place.run(format!("{command} --help").trim()).done().stdout;
         found.extend(replaced(&format!("re4-pipe {command} --help"), &help));
@@ -112,7 +147,10 @@ fn public_documentation_uses_the_terms_of_the_field() {
     let mut sources = Vec::new();
     files(&root.join("crates"), &["rs"], &mut sources);
     let mut found = Vec::new();
-    for path in sources.iter().filter(|path| path.components().any(|part| part.as_os_str() == "src")) {
+    for path in sources
+        .iter()
+        .filter(|path| path.components().any(|part| part.as_os_str() == "src"))
+    {
         let name = path.strip_prefix(&root).unwrap().display().to_string();
         let text: String = fs::read_to_string(path)
             .unwrap()
@@ -120,7 +158,11 @@ fn public_documentation_uses_the_terms_of_the_field() {
             .map(|line| {
                 let line = line.trim_start();
                 let documentation = line.starts_with("///") || line.starts_with("//!");
-                if documentation { format!("{line}\n") } else { "\n".to_owned() }
+                if documentation {
+                    format!("{line}\n")
+                } else {
+                    "\n".to_owned()
+                }
             })
             .collect();
         found.extend(replaced(&name, &text));

@@ -110,7 +110,10 @@ impl Findings {
             write!(
                 text,
                 "\n  {mode:<9} {:>5.1} % of the frames, {}{}",
-                1e2 * mode_of["fraction"].as_f64().or_else(|| mode_of["share"].as_f64()).unwrap_or_default(),
+                1e2 * mode_of["fraction"]
+                    .as_f64()
+                    .or_else(|| mode_of["share"].as_f64())
+                    .unwrap_or_default(),
                 plural(whole(&mode_of["segments"]) as usize, "segment"),
                 median.map_or_else(String::new, |median| format!(", median length {median} frames"))
             )?;
