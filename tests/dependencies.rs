@@ -210,7 +210,6 @@ fn libraries_with_public_types_have_one_version() {
             .insert(version);
     }
     for name in [
-        "arrow",
         "arrow-array",
         "arrow-schema",
         "parquet",

@@ -135,7 +135,7 @@ const CASES: &[(&str, &str, &str, Expected)] = &[
     ("h57_action_dict", "lift", "", Read(&[])),
     ("z04_nested_separator", "pusht", "", Read(&[])),
     ("z12_rows_without_end", "pusht", "", Refused(&["episode_ends"])),
-    ("z23_images_unit_floats", "pusht", "", Refused(&["0..1"])),
+    ("z23_pictures_unit_floats", "pusht", "", Refused(&["0..1"])),
     ("z29_zattrs_nan", "pusht", "", Read(&[])),
 ];
 

@@ -201,7 +201,7 @@ fn a_file_with_gaps_keeps_its_names_from_ingest_to_the_index() {
     assert_eq!(reported[0].0, "demo_10");
     assert_eq!(
         reported[1],
-        ("demo_16".to_owned(), "the same as demo_2, bit for bit".to_owned())
+        ("demo_16".to_owned(), "identical to demo_2, bit for bit".to_owned())
     );
 }
 
@@ -270,7 +270,7 @@ fn demonstrations_are_sorted_by_the_numbers_in_their_names() {
     assert_eq!(taken("episodes=[10,\"last\",\"b_3\"]"), "b_3 demo10 last");
     assert_eq!(taken("range=\"2..8\""), "demo2 a_3 b_3 take-7");
     let refused = others.run("ingest p.toml --set ingest.select={episodes=[3]}").refused();
-    assert!(refused.contains("a_3, b_3 have that number"), "{refused}");
+    assert!(refused.contains("a_3, b_3 all have that number"), "{refused}");
     let filtered = others
         .run("ingest p.toml --set ingest.filter=some --set ingest.select={first=2}")
         .done();

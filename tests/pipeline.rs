@@ -58,6 +58,7 @@ fn json_output_is_one_object_with_the_documented_keys() {
             "max_steps",
             "metrics",
             "artifact",
+            "warnings",
             "wall_s"
         ]
     );

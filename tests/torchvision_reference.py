@@ -83,7 +83,7 @@ class Narrow(ResNet):
 
 def images() -> torch.Tensor:
     """Images with values of about -2 to 2, as normalised images have."""
-    each = [2 * numbers(f"image.{k}", 3 * SIDE * SIDE).reshape(3, SIDE, SIDE) for k in range(IMAGES)]
+    each = [2 * numbers(f"picture.{k}", 3 * SIDE * SIDE).reshape(3, SIDE, SIDE) for k in range(IMAGES)]
     return torch.from_numpy(np.stack(each))
 
 

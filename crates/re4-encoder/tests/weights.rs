@@ -108,7 +108,7 @@ fn difference(encoder: &Encoder, reference: &Value) -> f64 {
     let expected: Vec<Vec<f64>> = serde_json::from_value(reference["features"].clone()).unwrap();
     let (count, side) = (expected.len(), 76);
     let images: Vec<f32> = (0..count)
-        .flat_map(|k| numbers(&format!("image.{k}"), 3 * side * side))
+        .flat_map(|k| numbers(&format!("picture.{k}"), 3 * side * side))
         .map(|value| 2.0 * value)
         .collect();
     let images = Tensor::from_data(TensorData::new(images, [count, 3, side, side]), &Device::flex());

@@ -283,14 +283,15 @@ proptest! {
         let right = demos(world);
         let (conventions, _) = detect(&right, &known()).unwrap();
         let settings = Settings { allow_actions_beyond_range: true, ..known() };
-        for (factors, first) in [
-            ([factor; 6], "moves"),
-            ([1.0, 1.0, 1.0, rotation, rotation, rotation], "rotates"),
+        for (factors, named) in [
+            // A weak arm follows commands of another unit plausibly far in translation; then only the rotation shows the unit.
+            ([factor; 6], &["moves", "rotates"][..]),
+            ([1.0, 1.0, 1.0, rotation, rotation, rotation], &["rotates"][..]),
         ] {
             let other: Vec<Demo> = right.iter().map(|demo| demo.with(|action| scaled(action, factors, [0.0; 6]))).collect();
             let (convention, sentence) = refused(&other, &settings);
             prop_assert_eq!(&convention, "action_scale", "{}", sentence);
-            prop_assert!(sentence.contains(first), "{}", sentence);
+            prop_assert!(named.iter().any(|word| sentence.contains(word)), "{}", sentence);
             let undo = Settings { action_gain: Some(factors.map(|factor| 1.0 / factor)), ..known() };
             let (read, proofs) = detect(&other, &undo).unwrap();
             prop_assert_eq!(basis(&proofs, "action_scale"), Basis::Data);

@@ -412,7 +412,9 @@ mod tests {
                 .any(|text| text.starts_with("policy.replan.keepout has no effect")),
             "{off:?}"
         );
-        let scenes = with(&["scenes.kind=sparse_observations", "rollout.reset=pose"]);
+        let text = include_str!("../../../../pipelines/pusht-sparse-observations.toml");
+        let overrides = ["rollout.reset=pose".to_owned()];
+        let scenes = parse(text, Path::new("x.toml"), &overrides).unwrap().without_effect;
         assert!(
             scenes
                 .iter()
