@@ -1,5 +1,10 @@
 //! Reference pages in Markdown, generated from the schema of the pipeline file and from the descriptions of the tables.
 
+#![allow(
+    clippy::format_push_string,
+    reason = "pages are written once, and write! on a string has an error that cannot occur"
+)]
+
 use std::collections::BTreeSet;
 
 use re4_artifact::Stage;
@@ -29,7 +34,7 @@ pub fn pipeline_reference() -> String {
     let plain: Map<String, Value> = sections
         .iter()
         .filter(|(_, section)| {
-            page.object(section).is_none() && section.get("anyOf").is_none_or(|_| page.is_optional(section))
+            page.object(section).is_none() && section.get("anyOf").is_none_or(|_| Page::is_optional(section))
         })
         .map(|(name, section)| (name.clone(), section.clone()))
         .collect();
@@ -38,7 +43,7 @@ pub fn pipeline_reference() -> String {
         if name == "policy" {
             page.policies(section);
         } else if let Some(object) = page.object(section) {
-            page.section(2, name, text(section), object, &[]);
+            page.section(2, name, &text(section), object, &[]);
         }
     }
     page.value_types();
@@ -65,7 +70,7 @@ impl<'a> Page<'a> {
     }
 
     /// Whether a value is optional: of another type, or null.
-    fn is_optional(&self, value: &Value) -> bool {
+    fn is_optional(value: &Value) -> bool {
         let null = |part: &Value| part["type"] == "null";
         value["anyOf"]
             .as_array()
@@ -73,26 +78,26 @@ impl<'a> Page<'a> {
     }
 
     /// The name of the definition that a value, or an optional value, refers to.
-    fn reference(&self, value: &'a Value) -> Option<&'a str> {
+    fn reference(value: &'a Value) -> Option<&'a str> {
         let of = |value: &'a Value| value["$ref"].as_str()?.strip_prefix("#/$defs/");
         of(value).or_else(|| {
             value["anyOf"]
                 .as_array()?
                 .iter()
                 .find_map(of)
-                .filter(|_| self.is_optional(value))
+                .filter(|_| Self::is_optional(value))
         })
     }
 
     /// The definition of a table of settings: an object with properties.
     fn object(&self, value: &'a Value) -> Option<&'a Value> {
-        let definition = &self.definitions[self.reference(value)?];
+        let definition = &self.definitions[Self::reference(value)?];
         definition.get("properties").is_some().then_some(definition)
     }
 
     /// Writes one table of settings and the tables inside it.
-    fn section(&mut self, level: usize, name: &str, about: String, object: &'a Value, defaults: &[Defaults]) {
-        self.heading(level, &format!("`[{name}]`"), &about);
+    fn section(&mut self, level: usize, name: &str, about: &str, object: &'a Value, defaults: &[Defaults]) {
+        self.heading(level, &format!("`[{name}]`"), about);
         let Some(properties) = object["properties"].as_object() else {
             return;
         };
@@ -103,7 +108,13 @@ impl<'a> Page<'a> {
                     .iter()
                     .map(|(kind, values)| (*kind, values[key.as_str()].clone()))
                     .collect();
-                self.section(level + 1, &format!("{name}.{key}"), text(value), inner, &inner_defaults);
+                self.section(
+                    level + 1,
+                    &format!("{name}.{key}"),
+                    &text(value),
+                    inner,
+                    &inner_defaults,
+                );
             }
         }
     }
@@ -135,7 +146,7 @@ impl<'a> Page<'a> {
                         .iter()
                         .map(|(kind, values)| (*kind, values[key.as_str()].clone()))
                         .collect();
-                    self.section(4, &format!("policy.{key}"), text(value), inner, &inner_defaults);
+                    self.section(4, &format!("policy.{key}"), &text(value), inner, &inner_defaults);
                 }
             }
         }
@@ -180,7 +191,7 @@ impl<'a> Page<'a> {
 
     /// The name of a value's type.
     fn type_of(&mut self, value: &'a Value) -> String {
-        if let Some(name) = self.reference(value) {
+        if let Some(name) = Self::reference(value) {
             let definition = &self.definitions[name];
             if let Some(words) = words(definition) {
                 self.types.insert(name);

@@ -43,12 +43,13 @@ pub(crate) fn doctor(arguments: &DoctorArguments) -> Result<Outcome> {
             writeln!(text, "{}", paragraph(&format!("fix: {fix}"), 11, 2, width))?;
         }
     }
-    text += &match (missing, &arguments.pipeline) {
+    let conclusion = match (missing, &arguments.pipeline) {
         (0, Some(path)) => format!("{} can be run", path.display()),
         (0, None) => "nothing that all commands need is missing".to_owned(),
         (1, _) => "1 component is missing".to_owned(),
         (n, _) => format!("{n} components are missing"),
     };
+    text.push_str(&conclusion);
     console.say(&text)?;
     Ok(if missing == 0 {
         Outcome::Done

@@ -121,15 +121,14 @@ fn commands_reference() -> Result<String> {
                 (None, value) => format!("<{}>", value.map_or(argument.get_id().as_str(), |value| value.as_str())),
             };
             let about = argument.get_help().map(ToString::to_string).unwrap_or_default();
-            let (about, default) = match about.split_once(" [default: ") {
-                Some((about, default)) => (about.to_owned(), default.trim_end_matches(']').to_owned()),
-                None => {
-                    let values = argument
-                        .get_default_values()
-                        .iter()
-                        .map(|value| value.to_string_lossy());
-                    (about, values.collect::<Vec<_>>().join(", "))
-                }
+            let (about, default) = if let Some((about, default)) = about.split_once(" [default: ") {
+                (about.to_owned(), default.trim_end_matches(']').to_owned())
+            } else {
+                let values = argument
+                    .get_default_values()
+                    .iter()
+                    .map(|value| value.to_string_lossy());
+                (about, values.collect::<Vec<_>>().join(", "))
             };
             let about = about.replace('|', "\\|");
             writeln!(text, "| `{name}` | {about} | {default} |")?;

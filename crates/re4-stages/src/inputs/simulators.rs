@@ -61,7 +61,7 @@ impl Runner {
             "{REMEDY}"
         );
         if pipeline.needs_renderer() {
-            Gl::of_process().with_context(|| format!("cannot {what} {}, which needs images", task))?;
+            Gl::of_process().with_context(|| format!("cannot {what} {task}, which needs images"))?;
         }
         Ok(())
     }

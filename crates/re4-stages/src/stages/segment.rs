@@ -69,7 +69,7 @@ impl Runner {
             bar.inc(segmented.len() as u64);
         }
         bar.finish_and_clear();
-        let summary = summary.to_json(segments.rows());
+        let summary = summary.into_json(segments.rows());
         modes.finish()?;
         segments.finish()?;
         Ok(ArtifactSummary {
@@ -125,7 +125,7 @@ impl<E> Summary<E> {
     }
 
     /// The summary; `segments` is the number of rows of table `segments`.
-    fn to_json(self, segments: u64) -> Value {
+    fn into_json(self, segments: u64) -> Value {
         let mut summary = Map::new();
         let counts = self.counted.iter().map(|(name, _)| *name).zip(self.counts);
         let all = [
