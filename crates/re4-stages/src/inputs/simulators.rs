@@ -111,20 +111,30 @@ pub(crate) fn profile(episodes: &Artifact) -> Result<Profile> {
     })
 }
 
+/// Loads the simulator that the demonstrations of an artifact need. Cheap, so that it can be called before a stage that takes
+/// minutes.
+///
+/// # Errors
+/// If the artifact names no known version of robosuite or has no models, or MuJoCo's library is missing.
+pub(crate) fn simulator_of(episodes: &Artifact) -> Result<(Profile, Library)> {
+    let profile = profile(episodes)?;
+    let library = library(profile)?;
+    ensure!(
+        episodes.has::<ModelRow>(),
+        "cannot simulate the demonstrations of {}: they have no model_file", episodes.path().display();
+        "ingest a file whose demonstrations have that attribute"
+    );
+    Ok((profile, library))
+}
+
 impl Scenes {
     /// Opens the scenes of this artifact.
     ///
     /// # Errors
     /// If MuJoCo's library or an asset is missing, or the artifact has no models.
     pub(crate) fn open(episodes: &Artifact, task: RobosuiteTask, fidelity: Fidelity) -> Result<Self> {
-        let profile = profile(episodes)?;
-        let library = library(profile)?;
+        let (profile, library) = simulator_of(episodes)?;
         let demos = episodes.read::<DemoRow>()?;
-        ensure!(
-            episodes.has::<ModelRow>(),
-            "cannot simulate the demonstrations of {}: they have no model_file", episodes.path().display();
-            "ingest a file whose demonstrations have that attribute"
-        );
         let folder = assets_folder();
         let mut mjcf = Vec::new();
         for ModelRow { model, mjcf: text } in episodes.read()? {

@@ -13,6 +13,7 @@ use re4_rollout::{Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
+use crate::inputs::simulators::simulator_of;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
 
@@ -67,6 +68,10 @@ impl Runner {
         // Before ingest, which can take minutes.
         self.require_simulator("roll out")?;
         let episodes = self.ingest()?;
+        if !planar {
+            // Training an encoder takes hours, and the file is known now.
+            simulator_of(&episodes.artifact)?;
+        }
         let modes = self.segment(&episodes)?;
         let poses = if planar {
             self.train_pose(&episodes)?
