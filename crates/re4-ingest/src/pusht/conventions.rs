@@ -46,7 +46,6 @@ pub enum AngleUnit {
 /// Kind of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-#[schemars(rename = "PushtActionKind")]
 pub enum ActionKind {
     /// The target position of the agent.
     Absolute,
