@@ -72,7 +72,7 @@ fn other_units_and_kinds_are_refused_and_read_with_the_setting() {
         "z06_relative_actions",
         "z08_unit_coordinates",
         "z12_rows_without_end",
-        "z23_images_unit_floats",
+        "z23_pictures_unit_floats",
     ];
     let sentences: Vec<String> = cases.iter().filter_map(|case| refusal(case)).collect();
     if sentences.len() < cases.len() {

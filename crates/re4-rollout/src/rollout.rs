@@ -108,7 +108,7 @@ pub enum RolloutError {
     },
     /// The progress callback asked to stop.
     #[error("the rollout was interrupted")]
-    #[remedy("nothing was written, run it again")]
+    #[remedy("no unfinished artifact remains, so run the same command again to continue")]
     Interrupted,
 }
 

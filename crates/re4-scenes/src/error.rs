@@ -42,6 +42,6 @@ pub enum ScenesError {
     },
     /// The caller interrupted the choice.
     #[error("the choice of scenes was interrupted")]
-    #[remedy("nothing was written, run it again")]
+    #[remedy("no unfinished artifact remains, so run the same command again to continue")]
     Interrupted,
 }

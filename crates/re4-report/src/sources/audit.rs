@@ -253,7 +253,7 @@ const DEGREES: f64 = 180.0 / std::f64::consts::PI;
 
 const SPATIAL: Shown = Shown {
     flags: &[
-        ("command_closes", "close command"),
+        ("command_closes", "commanded"),
         ("holds", "object held"),
         ("object_moving", "object moves"),
     ],
