@@ -5,7 +5,8 @@ use insta::assert_snapshot;
 use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
-const COMMANDS: [&str; 16] = [
+/// The subcommands that `--help` lists.
+pub(crate) const COMMANDS: [&str; 16] = [
     "ingest",
     "segment",
     "audit",

@@ -23,6 +23,7 @@ mod images;
 mod interrupt;
 mod kill;
 mod notebooks;
+mod notes;
 mod pipeline;
 mod policies;
 mod real_data;

@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::cli::COMMANDS;
 use crate::support::{Place, repository};
 
 /// A word, and what to write instead. A word ends where no letter follows.
@@ -115,25 +116,7 @@ fn documentation_help_and_schemas_use_the_terms_of_the_field() {
         found.extend(replaced(&name, &text));
     }
     let place = Place::empty();
-    for command in [
-        "",
-        "ingest",
-        "segment",
-        "audit",
-        "train-pose",
-        "index",
-        "scenes",
-        "rollout",
-        "run",
-        "replay",
-        "video",
-        "verify",
-        "inspect",
-        "report",
-        "fetch",
-        "doctor",
-        "schemas",
-    ] {
+    for command in [""].into_iter().chain(COMMANDS) {
         let help = place.run(format!("{command} --help").trim()).done().stdout;
         found.extend(replaced(&format!("re4-pipe {command} --help"), &help));
     }

@@ -6,6 +6,9 @@ use std::io::{IsTerminal as _, Write as _};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use re4_fault::{Fault, Remedy as _};
+use serde_json::Value;
+
+use crate::runner::warning_text;
 
 /// Prints notes and progress bars, unless it is quiet.
 #[derive(Debug, Clone, Copy)]
@@ -25,6 +28,11 @@ impl Notes {
             // A closed standard error does not stop the stage.
             let _ = writeln!(std::io::stderr(), "{text}");
         }
+    }
+
+    /// Prints a warning of a manifest.
+    pub(crate) fn warning(self, warning: &Value) {
+        self.note(&format!("{:>10}  {}", "warning", warning_text(warning)));
     }
 
     /// A progress bar. It is hidden if notes are quiet or standard error is not a terminal.

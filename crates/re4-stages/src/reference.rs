@@ -102,19 +102,18 @@ impl<'a> Page<'a> {
             return;
         };
         self.table(properties, defaults, name);
+        self.inner_sections(level + 1, name, properties, defaults);
+    }
+
+    /// Writes the tables inside a table of settings. `defaults` are those of the outer table.
+    fn inner_sections(&mut self, level: usize, name: &str, properties: &'a Map<String, Value>, defaults: &[Defaults]) {
         for (key, value) in properties {
             if let Some(inner) = self.object(value) {
-                let inner_defaults: Vec<Defaults> = defaults
+                let defaults: Vec<Defaults> = defaults
                     .iter()
                     .map(|(kind, values)| (*kind, values[key.as_str()].clone()))
                     .collect();
-                self.section(
-                    level + 1,
-                    &format!("{name}.{key}"),
-                    &text(value),
-                    inner,
-                    &inner_defaults,
-                );
+                self.section(level, &format!("{name}.{key}"), &text(value), inner, &defaults);
             }
         }
     }
@@ -140,15 +139,7 @@ impl<'a> Page<'a> {
                 continue;
             };
             self.table(properties, &defaults, "policy");
-            for (key, value) in properties {
-                if let Some(inner) = self.object(value) {
-                    let inner_defaults: Vec<Defaults> = defaults
-                        .iter()
-                        .map(|(kind, values)| (*kind, values[key.as_str()].clone()))
-                        .collect();
-                    self.section(4, &format!("policy.{key}"), &text(value), inner, &inner_defaults);
-                }
-            }
+            self.inner_sections(4, "policy", properties, &defaults);
         }
     }
 

@@ -99,9 +99,7 @@ impl Runner {
         let mut warnings = Vec::new();
         for message in &pipeline.without_effect {
             let warning = json!({ "stage": "pipeline", "code": "setting_without_effect", "message": message });
-            settings
-                .notes
-                .note(&format!("{:>10}  {}", "warning", warning_text(&warning)));
+            settings.notes.warning(&warning);
             warnings.push(warning);
         }
         debug!(artifacts = %artifacts.display(), threads = rayon::current_num_threads(), "store open");
@@ -173,8 +171,7 @@ impl Runner {
     /// output of `ingest`.
     fn warn(&self, artifact: &Artifact, stage: Stage) {
         for warning in &artifact.manifest().warnings {
-            self.notes
-                .note(&format!("{:>10}  {}", "warning", warning_text(warning)));
+            self.notes.warning(warning);
             let mut warning = warning.clone();
             if let Some(object) = warning.as_object_mut() {
                 object.insert("stage".to_owned(), stage.as_str().into());
