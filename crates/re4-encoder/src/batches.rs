@@ -6,11 +6,13 @@
 //! that hold the object are sampled uniformly and independently, and every image has its own random crop. All samples depend only
 //! on seed, epoch and step, so a training that resumes from a checkpoint uses the same batches.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng as _;
 
-use crate::loss::{BEFORE, GROUP, HELD};
+use crate::images::MIDDLE;
+use crate::loss::{Alternatives, GROUP, PER_DEMO};
+use crate::config::EncoderConfig;
 use crate::{CROP, SIDE};
 
 /// Maximum angle between two anchors that L_cross treats as the same pose, in rad; beyond it, the gripper holds the object
@@ -39,9 +41,26 @@ pub struct Sample {
     pub image: u64,
     /// First row and column of the crop.
     pub crop: [u8; 2],
+    /// Factor of the pixels' values, and what is added to them as a fraction of the largest value.
+    pub light: [f32; 2],
     /// Target of the estimate.
     pub target: Isometry3<f64>,
 }
+
+impl Sample {
+    /// A sample with the centre crop and unchanged brightness.
+    pub fn plain(image: u64, target: Isometry3<f64>) -> Self {
+        Self {
+            image,
+            crop: MIDDLE,
+            light: AS_RECORDED,
+            target,
+        }
+    }
+}
+
+/// Unchanged brightness.
+pub(crate) const AS_RECORDED: [f32; 2] = [1.0, 0.0];
 
 /// The images of an optimiser step.
 #[derive(Debug, Clone)]
@@ -59,6 +78,8 @@ pub struct Sampler {
     near: Vec<Vec<usize>>,
     seed: u64,
     groups: usize,
+    held: usize,
+    brightness: f64,
 }
 
 /// A uniform integer below `bound`, which must be at least 1.
@@ -67,12 +88,37 @@ fn below(rng: &mut Pcg64, bound: usize) -> usize {
     ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
 }
 
+/// The angle between the rotations of two anchors, up to the alternatives.
+fn angle(a: &Isometry3<f64>, b: &Isometry3<f64>, symmetry: Alternatives) -> f64 {
+    match symmetry {
+        Alternatives::Axis => (a.rotation * Vector3::z()).angle(&(b.rotation * Vector3::z())),
+        Alternatives::Fold(_) => {
+            let of = |turn| a.rotation.angle_to(&(b.rotation * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn)));
+            symmetry.angles().map(of).fold(f64::INFINITY, f64::min)
+        }
+    }
+}
+
+/// A standard normal number, by the Box-Muller transform.
+pub(crate) fn normal(rng: &mut Pcg64) -> f64 {
+    // 1 - u is in (0, 1], so its logarithm is finite.
+    let (log, angle) = ((1.0 - uniform(rng)).ln(), uniform(rng));
+    (-2.0 * log).sqrt() * (std::f64::consts::TAU * angle).cos()
+}
+
+/// A uniform number in [0, 1).
+pub(crate) fn uniform(rng: &mut Pcg64) -> f64 {
+    (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+}
+
 impl Sampler {
     /// A sampler for demonstrations that each have frames before the grasp and frames that hold the object.
-    pub fn new(demos: Vec<TrainingDemo>, radius: f64, seed: u64, batch: usize) -> Self {
+    /// `symmetry` is that of the object, for the distance of two anchors.
+    pub fn new(demos: Vec<TrainingDemo>, config: &EncoderConfig, symmetry: Alternatives) -> Self {
+        let radius = config.radius;
         let same = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
             let difference: Vector3<f64> = a.translation.vector - b.translation.vector;
-            difference.norm() < radius && a.rotation.angle_to(&b.rotation) < SAME_ROTATION
+            difference.norm() < radius && angle(a, b, symmetry) < SAME_ROTATION
         };
         let near = (0..demos.len())
             .map(|i| {
@@ -84,8 +130,10 @@ impl Sampler {
         Self {
             demos,
             near,
-            seed,
-            groups: batch / GROUP,
+            seed: config.seed,
+            groups: config.batch / GROUP,
+            held: config.held_images,
+            brightness: config.brightness,
         }
     }
 
@@ -110,16 +158,23 @@ impl Sampler {
                     let frame = frames[below(&mut rng, frames.len())];
                     let offsets = SIDE - CROP + 1;
                     let crop = [below(&mut rng, offsets) as u8, below(&mut rng, offsets) as u8];
+                    let light = if self.brightness > 0.0 {
+                        let change = |rng: &mut Pcg64| (self.brightness * normal(rng)) as f32;
+                        [1.0 + change(&mut rng), change(&mut rng)]
+                    } else {
+                        AS_RECORDED
+                    };
                     samples.push(Sample {
                         image: demo.first + u64::from(frame),
                         crop,
+                        light,
                         target: target(frame as usize),
                     });
                 };
-                for _ in 0..BEFORE {
+                for _ in 0..PER_DEMO - self.held {
                     sample(&demo.before, &|_| demo.anchor);
                 }
-                for _ in 0..HELD {
+                for _ in 0..self.held {
                     sample(&demo.held, &|frame| demo.eef[frame]);
                 }
             }

@@ -13,7 +13,7 @@ use burn::optim::ModuleOptimizer;
 use burn::store::ModuleRecord;
 
 use crate::EncoderError;
-use crate::resnet::Encoder;
+use crate::network::Encoder;
 use crate::train::Epoch;
 
 /// First bytes of a checkpoint file.

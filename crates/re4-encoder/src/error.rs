@@ -16,6 +16,10 @@ pub enum EncoderError {
         "check that nvidia-smi lists a GPU and that this program's LibTorch supports CUDA, or set pose.encoder.backend = \"torch\""
     )]
     NoGraphicsCard,
+    /// Values cannot be read from the backend.
+    #[error("cannot read the network's weights from its backend ({0})")]
+    #[remedy("run again, training resumes from the last checkpoint")]
+    Device(String),
     /// The number of threads cannot be set.
     #[error("cannot set the number of threads ({0})")]
     #[remedy("set it once, before the first computation")]

@@ -11,6 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::Scope;
 
 use crate::batches::{Batch, Sample, Sampler};
+use crate::conv::Layout;
 use crate::{CROP, EncoderError, IMAGE_BYTES, SIDE};
 
 /// Means and standard deviations of ImageNet's channels (red, green, blue), for which ResNet's weights are trained.
@@ -72,15 +73,50 @@ impl ImageFile {
     }
 }
 
-/// Writes the crop of an image to the input of the network: channels first, normalised. `crop` is its first row and column.
-pub fn crop_and_normalise(image: &[u8], crop: [u8; 2], into: &mut [f32]) {
-    let [top, left] = crop.map(usize::from);
+/// A part of an image, and its brightness.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Crop {
+    /// First row and column.
+    pub corner: [u8; 2],
+    /// Factor of the values, and what is added to them as a fraction of the largest value.
+    pub light: [f32; 2],
+}
+
+impl Crop {
+    /// Factor and offset of a channel's bytes that give the network's input.
+    fn affine(&self, channel: usize) -> [f32; 2] {
+        let [factor, offset] = self.light;
+        [
+            factor / (255.0 * DEVIATION[channel]),
+            (offset - MEAN[channel]) / DEVIATION[channel],
+        ]
+    }
+}
+
+/// Writes the crop of an image to the input of the network: channels first, normalised.
+pub fn crop_and_normalise(image: &[u8], crop: Crop, into: &mut [f32]) {
+    let [top, left] = crop.corner.map(usize::from);
     for (channel, plane) in into.chunks_exact_mut(CROP * CROP).enumerate().take(3) {
-        let (scale, shift) = (1.0 / (255.0 * DEVIATION[channel]), MEAN[channel] / DEVIATION[channel]);
+        let [scale, shift] = crop.affine(channel);
         for (row, line) in plane.chunks_exact_mut(CROP).enumerate() {
             let start = ((top + row) * SIDE + left) * 3 + channel;
             for (out, pixel) in line.iter_mut().zip(image[start..].iter().step_by(3)) {
-                *out = f32::from(*pixel) * scale - shift;
+                *out = f32::from(*pixel) * scale + shift;
+            }
+        }
+    }
+}
+
+/// The same with the channels innermost, in a layout with padding.
+pub(crate) fn crop_into(image: &[u8], crop: Crop, into: &mut [f32], layout: Layout) {
+    let [top, left] = crop.corner.map(usize::from);
+    let affine = [0, 1, 2].map(|channel| crop.affine(channel));
+    for row in 0..CROP {
+        let start = ((top + row) * SIDE + left) * 3;
+        let line = into[layout.line(row)].chunks_exact_mut(3);
+        for (out, pixel) in line.zip(image[start..].chunks_exact(3)) {
+            for (channel, [scale, shift]) in affine.into_iter().enumerate() {
+                out[channel] = f32::from(pixel[channel]) * scale + shift;
             }
         }
     }
@@ -93,22 +129,20 @@ pub const MIDDLE: [u8; 2] = [((SIDE - CROP) / 2) as u8; 2];
 pub const INPUTS: usize = 3 * CROP * CROP;
 
 /// A batch with its images.
-pub struct Loaded {
+pub(crate) struct Loaded {
     /// The samples of the batch.
-    pub batch: Batch,
-    /// The normalised crops, `[samples, 3, 76, 76]`.
-    pub inputs: Vec<f32>,
+    pub(crate) batch: Batch,
+    /// The images, of [`IMAGE_BYTES`] bytes each.
+    pub(crate) images: Vec<u8>,
 }
 
-/// Loads the crops of samples.
-pub(crate) fn load(images: &ImageFile, samples: &[Sample]) -> Result<Vec<f32>, EncoderError> {
-    let mut inputs = vec![0.0; samples.len() * INPUTS];
-    let mut image = vec![0; IMAGE_BYTES];
-    for (sample, into) in samples.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
-        images.read(sample.image, &mut image)?;
-        crop_and_normalise(&image, sample.crop, into);
+/// Reads the images of samples.
+pub(crate) fn load(images: &ImageFile, samples: &[Sample]) -> Result<Vec<u8>, EncoderError> {
+    let mut bytes = vec![0; samples.len() * IMAGE_BYTES];
+    for (sample, into) in samples.iter().zip(bytes.chunks_exact_mut(IMAGE_BYTES)) {
+        images.read(sample.image, into)?;
     }
-    Ok(inputs)
+    Ok(bytes)
 }
 
 /// The batches of an epoch in order, loaded in advance by a thread that ends when the receiver is dropped.
@@ -132,7 +166,7 @@ pub(crate) fn batches<'scope, 'env>(
 
 /// Loads and sends a batch, or the error. Returns whether the next batch is wanted.
 fn send(sender: &SyncSender<Result<Loaded, EncoderError>>, images: &ImageFile, batch: Batch) -> bool {
-    let loaded = load(images, &batch.samples).map(|inputs| Loaded { batch, inputs });
+    let loaded = load(images, &batch.samples).map(|images| Loaded { batch, images });
     let good = loaded.is_ok();
     sender.send(loaded).is_ok() && good
 }

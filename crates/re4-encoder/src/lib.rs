@@ -7,18 +7,25 @@ mod backend;
 pub mod batches;
 pub mod checkpoint;
 pub mod config;
+mod conv;
 mod error;
 pub mod images;
+mod keypoints;
 pub mod loss;
+pub mod network;
 mod predict;
 pub mod resnet;
 pub mod train;
+mod trunk;
 pub mod weights;
 
-pub use config::{Backend, EncoderConfig, LossConfig};
+pub use config::{AnchorFrame, Backend, EncoderConfig, LossConfig, Network, PoseDistance, Preset};
 pub use error::EncoderError;
 pub use predict::{IMAGE_BYTES, Prediction, Predictor, SIDE};
 pub use weights::to_bytes;
 
 /// Side of the crop that is the encoder's input, in pixels.
 pub const CROP: usize = 76;
+
+/// The number of channels of a keypoint network is a multiple of this.
+pub const KEYPOINT_CHANNELS: usize = conv::CHANNELS;

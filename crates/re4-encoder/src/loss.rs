@@ -1,24 +1,58 @@
 //! The losses of the paper's appendix "Prehensile Pose Estimation", on batches of poses.
 //!
 //! Everything is in the world frame, in metres and radians. Batches have a fixed layout, so that pairs need no search: groups of
-//! [`GROUP`] images, which are two demonstrations with [`BEFORE`] images before the grasp and then [`HELD`] that hold the object.
+//! [`GROUP`] images, which are two demonstrations with [`PER_DEMO`] images each, first those before the grasp and then those that
+//! hold the object.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Isometry3;
 
-use crate::config::LossConfig;
+use crate::config::{LossConfig, PoseDistance};
 
-/// Images before the grasp per demonstration in a group.
-pub const BEFORE: usize = 2;
-
-/// Images that hold the object per demonstration in a group.
-pub const HELD: usize = 2;
+/// Images per demonstration in a group.
+pub const PER_DEMO: usize = 4;
 
 /// Images per group.
-pub const GROUP: usize = 2 * (BEFORE + HELD);
+pub const GROUP: usize = 2 * PER_DEMO;
 
 /// Added to squares before the square root, so that the gradient is finite at 0.
 const EPSILON: f64 = 1e-12;
+
+/// Below this translation distance, in metres, the robust distance is nearly quadratic, so that its gradient is continuous.
+const ROUNDED: f64 = 1e-3;
+
+/// Rotations of the gripper about its axis of approach (z) after which it grasps the object equally well. A label is known only
+/// up to these.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Alternatives {
+    /// Rotations by multiples of 2π / n.
+    Fold(u32),
+    /// All rotations.
+    Axis,
+}
+
+impl Alternatives {
+    /// No rotation but the identity.
+    pub const NONE: Self = Self::Fold(1);
+
+    /// Those of a label: the object's symmetry, and the rotation by π after which a two-finger gripper is the same.
+    #[must_use]
+    pub fn of_label(self) -> Self {
+        match self {
+            Self::Fold(n) if n % 2 == 1 => Self::Fold(2 * n),
+            other => other,
+        }
+    }
+
+    /// Their angles, for a fold.
+    pub(crate) fn angles(self) -> impl Iterator<Item = f64> {
+        let n = match self {
+            Self::Fold(n) => n.max(1),
+            Self::Axis => 1,
+        };
+        (0..n).map(move |k| std::f64::consts::TAU * f64::from(k) / f64::from(n))
+    }
+}
 
 /// A batch of poses: translations `[n, 3]`, and the columns of the rotation matrices, `[n, 3]` each.
 #[derive(Debug, Clone)]
@@ -120,10 +154,40 @@ impl Poses {
         (dot(&difference, &difference), twice_sine.atan2(twice_cosine))
     }
 
-    /// The paper's pose metric l, row by row, `[n, 1]`: squared translation distance times `translation`, plus the angle.
-    pub fn metric(&self, other: &Self, translation: f64) -> Tensor<2> {
-        let (square, angle) = self.distance(other);
-        square * translation + angle
+    /// The distance of two poses that the losses minimise, row by row, `[n, 1]`.
+    ///
+    /// * `squared`, the paper's: the squared translation distance times `translation`, plus the angle times `rotation`.
+    /// * `robust`: the translation distance, rounded off below [`ROUNDED`], times `translation`, plus the squared chordal distance
+    ///   of the rotations times `rotation`. The rotation is the nearest of those that `alternatives` makes equivalent.
+    pub fn metric(&self, other: &Self, config: &LossConfig, alternatives: Alternatives) -> Tensor<2> {
+        let (square, angle) = match config.distance {
+            PoseDistance::Squared => self.distance(other),
+            PoseDistance::Robust => {
+                let difference = self.translation.clone() - other.translation.clone();
+                let square = dot(&difference, &difference);
+                let distance = (square + ROUNDED * ROUNDED).sqrt() - ROUNDED;
+                (distance, self.chordal(other, alternatives))
+            }
+        };
+        square * config.translation + angle * config.rotation
+    }
+
+    /// Squared chordal distance of the rotations: the sum of the squared differences of their matrices.
+    fn chordal(&self, other: &Self, alternatives: Alternatives) -> Tensor<2> {
+        let [a, b] = [&self.columns, &other.columns];
+        let axes = dot(&a[2], &b[2]);
+        if alternatives == Alternatives::Axis {
+            return axes * -2.0 + 2.0;
+        }
+        // Rotating `other` about its z axis by t changes the sum of the first two products to cos(t) along + sin(t) across.
+        let along = dot(&a[0], &b[0]) + dot(&a[1], &b[1]);
+        let across = dot(&a[0], &b[1]) - dot(&a[1], &b[0]);
+        let nearest = alternatives
+            .angles()
+            .map(|angle| along.clone() * angle.cos() + across.clone() * angle.sin())
+            .reduce(Tensor::max_pair)
+            .unwrap_or(along);
+        (axes + nearest) * -2.0 + 6.0
     }
 }
 
@@ -140,29 +204,51 @@ pub struct Losses {
     pub cross: Tensor<1>,
 }
 
+/// What the losses need to know besides the estimates and their targets.
+#[derive(Debug, Clone, Copy)]
+pub struct Setting<'a> {
+    /// Weights and distance.
+    pub config: &'a LossConfig,
+    /// Rotations after which the object looks the same, about the gripper's axis of approach.
+    pub symmetry: Alternatives,
+    /// Images of each demonstration in a group that hold the object, at most 2.
+    pub held: usize,
+}
+
 /// The losses of a batch of estimates. `targets` are the anchor before the grasp and the end effector's pose while the object
 /// is held. `near`, `[groups, 1]`, is 1 if the two anchors of a group are the same pose for L_cross, and 0 otherwise.
-pub fn losses(estimates: &Poses, targets: &Poses, near: &Tensor<2>, config: &LossConfig) -> Losses {
-    let metric = |a: &Poses, b: &Poses| a.metric(b, config.translation);
-    let per_demo = BEFORE + HELD;
-    let of = |poses: &Poses, k: usize| poses.every(k, per_demo);
-    let absolute_of = |k: usize| metric(&of(estimates, k), &of(targets, k)).mean();
-    let held = (absolute_of(2) + absolute_of(3)) * 0.5;
-    let before = (absolute_of(0) + absolute_of(1)) * 0.5;
-    let absolute = held * config.absolute_held + before * (1.0 - config.absolute_held);
+pub fn losses(estimates: &Poses, targets: &Poses, near: &Tensor<2>, setting: Setting<'_>) -> Losses {
+    let Setting { config, symmetry, held } = setting;
+    let metric = |a: &Poses, b: &Poses, alternatives| a.metric(b, config, alternatives);
+    let of = |poses: &Poses, k: usize| poses.every(k, PER_DEMO);
+    let before = PER_DEMO - held;
+    // The mean over these images of every demonstration.
+    let absolute_of = |images: std::ops::Range<usize>| {
+        let count = images.len() as f64;
+        let each = images.map(|k| metric(&of(estimates, k), &of(targets, k), symmetry.of_label()).mean());
+        each.reduce(|a, b| a + b).map(|sum| sum / count)
+    };
+    let absolute = match (absolute_of(0..before), absolute_of(before..PER_DEMO)) {
+        (Some(before), Some(held)) => held * config.absolute_held + before * (1.0 - config.absolute_held),
+        (Some(one), None) | (None, Some(one)) => one,
+        (None, None) => Tensor::zeros([1], &estimates.translation.device()),
+    };
 
-    let estimated_motion = of(estimates, 2).to(&of(estimates, 3));
-    let eef_motion = of(targets, 2).to(&of(targets, 3));
     let motion_before = of(estimates, 0).to(&of(estimates, 1));
     let no_motion = {
         let [n, _] = motion_before.translation.dims();
         Poses::from_known(&vec![Isometry3::identity(); n], &motion_before.translation.device())
     };
-    let relative = metric(&estimated_motion, &eef_motion).mean() * config.relative_held
-        + metric(&motion_before, &no_motion).mean() * config.relative_before;
+    let mut relative = metric(&motion_before, &no_motion, symmetry).mean() * config.relative_before;
+    if held == 2 {
+        let estimated_motion = of(estimates, 2).to(&of(estimates, 3));
+        let eef_motion = of(targets, 2).to(&of(targets, 3));
+        relative = metric(&estimated_motion, &eef_motion, symmetry).mean() * config.relative_held + relative;
+    }
 
-    let other = |k: usize| estimates.every(per_demo + k, GROUP);
-    let pairs = (metric(&estimates.every(0, GROUP), &other(0)) + metric(&estimates.every(1, GROUP), &other(1))) * 0.5;
+    let other = |k: usize| estimates.every(PER_DEMO + k, GROUP);
+    let pair = |k: usize| metric(&estimates.every(k, GROUP), &other(k), symmetry.of_label());
+    let pairs = (pair(0) + pair(1)) * 0.5;
     let cross = (pairs * near.clone()).mean();
     let sum = absolute.clone() * config.absolute + relative.clone() * config.relative + cross.clone() * config.cross;
     Losses {

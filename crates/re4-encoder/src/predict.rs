@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use burn::tensor::{Tensor, TensorData};
-use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use burn::tensor::Tensor;
+use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3, Vector4};
 
-use crate::config::Backend;
-use crate::images::{INPUTS, MIDDLE, crop_and_normalise};
-use crate::resnet::{EMBEDDING, Encoder};
+use crate::batches::AS_RECORDED;
+use crate::config::EncoderConfig;
+use crate::images::{Crop, MIDDLE};
+use crate::network::{Crops, Encoder, Estimates, Kernels, estimate};
 use crate::{CROP, EncoderError};
 
 /// Side of the images, in pixels.
@@ -22,8 +23,12 @@ pub const IMAGE_BYTES: usize = SIDE * SIDE * 3;
 pub struct Prediction {
     /// Pose of the object, world frame, in metres: the pose of a gripper that would hold the object.
     pub pose: Isometry3<f64>,
-    /// The embedding, 256 numbers.
+    /// The embedding: 256 numbers, or the positions of the keypoints in the centre crop.
     pub embedding: Vec<f32>,
+    /// How much the estimates of the image's crops differ: their mean distance from their mean, in metres. `None` for one crop.
+    pub disagreement: Option<f64>,
+    /// Mean standard deviation of the keypoints' maps, in pixels. `None` for a network without keypoints.
+    pub spread: Option<f64>,
 }
 
 /// A trained encoder. Clones share the weights. An estimate does not depend on the other images of the same call.
@@ -31,6 +36,15 @@ pub struct Prediction {
 pub struct Predictor {
     // The mutex is needed because burn's modules are `Send` but not `Sync`.
     encoder: Arc<Mutex<Encoder>>,
+    kernels: Option<Kernels>,
+    corners: Vec<[u8; 2]>,
+}
+
+/// The corners of the crops of an image whose estimates are averaged: the centre crop first.
+fn corners(count: usize) -> Vec<[u8; 2]> {
+    let last = (SIDE - CROP) as u8;
+    let all = [MIDDLE, [0, 0], [0, last], [last, 0], [last, last]];
+    all.into_iter().take(count.max(1)).collect()
 }
 
 impl Predictor {
@@ -38,19 +52,24 @@ impl Predictor {
     ///
     /// # Errors
     /// If the file cannot be read or is not an encoder's, or this program was built without the backend.
-    pub fn open(weights: &Path, backend: Backend) -> Result<Self, EncoderError> {
-        let device = backend.device()?;
-        Ok(Self::new(crate::weights::load(weights, &device)?))
+    pub fn open(weights: &Path, config: &EncoderConfig) -> Result<Self, EncoderError> {
+        let device = config.backend.device()?;
+        Self::new(crate::weights::load(weights, &device)?, config)
     }
 
     /// A predictor from an encoder in memory, such as one that was just trained.
-    pub fn new(encoder: Encoder) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// If its weights cannot be read.
+    pub fn new(encoder: Encoder, config: &EncoderConfig) -> Result<Self, EncoderError> {
+        Ok(Self {
+            kernels: Kernels::of(&encoder, config.backend)?,
             encoder: Arc::new(Mutex::new(encoder)),
-        }
+            corners: corners(config.crops),
+        })
     }
 
-    /// The encoder's outputs for images of [`IMAGE_BYTES`] bytes each, in the same order, with a centre crop.
+    /// The encoder's outputs for images of [`IMAGE_BYTES`] bytes each, in the same order: the average over the crops.
     ///
     /// # Errors
     /// If an image has another size.
@@ -60,30 +79,79 @@ impl Predictor {
         }
         // A panic in another thread cannot leave the weights inconsistent, so a poisoned lock is usable.
         let encoder = self.encoder.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let device = encoder.device();
-        let mut inputs = vec![0.0; images.len() * INPUTS];
-        for (image, values) in images.iter().zip(inputs.chunks_exact_mut(INPUTS)) {
-            crop_and_normalise(image, MIDDLE, values);
+        let mut of_crops = Vec::with_capacity(self.corners.len());
+        for &corner in &self.corners {
+            let crops = vec![
+                Crop {
+                    corner,
+                    light: AS_RECORDED,
+                };
+                images.len()
+            ];
+            let crops = Crops { images, crops: &crops };
+            of_crops.push(Outputs::read(estimate(&encoder, self.kernels.as_ref(), crops)));
         }
-        let inputs = Tensor::<4>::from_data(TensorData::new(inputs, [images.len(), 3, CROP, CROP]), &device);
-        let (embeddings, poses) = encoder.poses(inputs);
+        Ok((0..images.len()).map(|image| combine(&of_crops, image)).collect())
+    }
+}
+
+/// The outputs for one crop of every image.
+struct Outputs {
+    poses: Vec<Isometry3<f64>>,
+    embeddings: Vec<f32>,
+    spread: Option<Vec<f32>>,
+}
+
+impl Outputs {
+    fn read(estimates: Estimates) -> Self {
         let numbers = |tensor: Tensor<2>| -> Vec<f32> { tensor.into_data().iter::<f32>().collect() };
-        let translations = numbers(poses.translation);
-        let columns = poses.columns.map(numbers);
-        let embeddings = numbers(embeddings);
-        Ok((0..images.len())
-            .map(|i| {
-                let vector = |values: &[f32]| Vector3::from_fn(|k, _| f64::from(values[3 * i + k]));
-                let [a, b, c] = [0, 1, 2].map(|k| vector(&columns[k]));
-                let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[a, b, c]));
-                Prediction {
-                    pose: Isometry3::from_parts(
-                        vector(&translations).into(),
-                        UnitQuaternion::from_rotation_matrix(&rotation),
-                    ),
-                    embedding: embeddings[i * EMBEDDING..(i + 1) * EMBEDDING].to_vec(),
-                }
-            })
-            .collect())
+        let translations = numbers(estimates.poses.translation);
+        let columns = estimates.poses.columns.map(numbers);
+        let poses = (0..translations.len() / 3).map(|i| {
+            let vector = |values: &[f32]| Vector3::from_fn(|k, _| f64::from(values[3 * i + k]));
+            let [a, b, c] = [0, 1, 2].map(|k| vector(&columns[k]));
+            let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[a, b, c]));
+            let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+            Isometry3::from_parts(vector(&translations).into(), rotation)
+        });
+        Self {
+            poses: poses.collect(),
+            embeddings: numbers(estimates.embedding),
+            spread: estimates.spread,
+        }
+    }
+}
+
+/// Half an image side, in pixels: the unit of keypoints.
+const HALF: f64 = SIDE as f64 / 2.0;
+
+/// Averages the poses of an image's crops.
+fn combine(of_crops: &[Outputs], image: usize) -> Prediction {
+    let count = of_crops.len() as f64;
+    let mut translation = Vector3::zeros();
+    let mut rotation = Vector4::zeros();
+    let first = of_crops[0].poses[image];
+    for outputs in of_crops {
+        let pose = outputs.poses[image];
+        translation += pose.translation.vector / count;
+        // A quaternion and its negative are the same rotation.
+        let own = pose.rotation.coords;
+        rotation += if own.dot(&first.rotation.coords) < 0.0 { -own } else { own };
+    }
+    let apart = |outputs: &Outputs| (outputs.poses[image].translation.vector - translation).norm();
+    let middle = &of_crops[0];
+    let part = |values: &[f32]| {
+        let length = values.len() / middle.poses.len();
+        values[image * length..(image + 1) * length].to_vec()
+    };
+    let mean = |values: &[f32]| values.iter().map(|x| f64::from(*x)).sum::<f64>() / values.len().max(1) as f64;
+    Prediction {
+        pose: Isometry3::from_parts(
+            translation.into(),
+            UnitQuaternion::new_normalize(Quaternion::from_vector(rotation)),
+        ),
+        embedding: part(&middle.embeddings),
+        disagreement: (of_crops.len() > 1).then(|| of_crops.iter().map(apart).sum::<f64>() / count),
+        spread: middle.spread.as_ref().map(|spread| HALF * mean(&part(spread))),
     }
 }

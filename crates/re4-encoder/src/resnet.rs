@@ -5,10 +5,8 @@ use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
 use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor, TensorData};
-use nalgebra::{Isometry3, Vector3};
+use burn::tensor::{Device, Tensor};
 
-use crate::loss::Poses;
 
 /// Length of the embedding.
 pub const EMBEDDING: usize = 256;
@@ -89,7 +87,7 @@ pub(crate) enum Slot<'a> {
     Running(&'a mut RunningState<Tensor<1>>),
 }
 
-type Named<'a> = (String, Slot<'a>);
+pub(crate) type Named<'a> = (String, Slot<'a>);
 
 fn conv_slot<'a>(name: &str, conv: &'a mut Conv2d) -> Named<'a> {
     (format!("{name}.weight"), Slot::Kernel(&mut conv.weight))
@@ -110,9 +108,9 @@ fn linear_slots<'a>(name: &'a str, linear: &'a mut Linear) -> impl Iterator<Item
         .chain(bias.map(|bias| (format!("{name}.bias"), Slot::Vector(bias))))
 }
 
-/// The encoder network.
+/// The network of the preset `paper`.
 #[derive(Module, Debug)]
-pub struct Encoder {
+pub struct ResNet {
     conv1: Conv2d,
     bn1: BatchNorm,
     maxpool: MaxPool2d,
@@ -124,12 +122,8 @@ pub struct Encoder {
     head: Linear,
 }
 
-/// Metres per unit of the head's translation output. With this scale, the outputs have the magnitude that the initial weights
-/// give, and an optimiser step changes the estimate by millimetres.
-pub const SCALE: f64 = 0.1;
-
-impl Encoder {
-    /// An encoder with burn's initial weights; `width` is the number of channels after the first convolution.
+impl ResNet {
+    /// A network with burn's initial weights; `width` is the number of channels after the first convolution.
     pub fn new(width: usize, device: &Device) -> Self {
         let stage = |inside: usize, out: usize, stride: usize| {
             vec![Block::new(inside, out, stride, device), Block::new(out, out, 1, device)]
@@ -148,38 +142,6 @@ impl Encoder {
             embedding: linear([8 * width, EMBEDDING], device),
             head: linear([EMBEDDING, 9], device),
         }
-    }
-
-    /// Sets the bias of the head to the mean of these poses, so that the initial estimates are distributed around it.
-    #[must_use]
-    pub fn centred_on(mut self, poses: &[Isometry3<f64>]) -> Self {
-        let count = poses.len().max(1) as f64;
-        let mean =
-            |part: &dyn Fn(&Isometry3<f64>) -> Vector3<f64>| poses.iter().map(part).sum::<Vector3<f64>>() / count;
-        let column =
-            |k: usize| move |pose: &Isometry3<f64>| pose.rotation.to_rotation_matrix().matrix().column(k).into_owned();
-        let parts = [
-            mean(&|pose| pose.translation.vector) / SCALE,
-            mean(&column(0)),
-            mean(&column(1)),
-        ];
-        let values: Vec<f32> = parts
-            .iter()
-            .flat_map(|part| [part.x, part.y, part.z])
-            .map(|x| x as f32)
-            .collect();
-        self.head.bias = self.head.bias.map(|bias| {
-            bias.map(|tensor| {
-                let device = tensor.device();
-                let bias = Tensor::from_data(TensorData::new(values.clone(), [9]), &device);
-                if tensor.is_require_grad() {
-                    bias.require_grad()
-                } else {
-                    bias
-                }
-            })
-        });
-        self
     }
 
     /// Number of channels after the first convolution.
@@ -207,15 +169,14 @@ impl Encoder {
         (embedding, raw)
     }
 
-    /// Maps normalised images `[batch, 3, height, width]` to embeddings `[batch, 256]` and poses in the world frame.
-    pub fn poses(&self, images: Tensor<4>) -> (Tensor<2>, Poses) {
-        let (embedding, raw) = self.forward(images);
-        (embedding, Poses::from_raw(&raw, SCALE))
+    /// The device of the weights.
+    pub(crate) fn head_device(&self) -> Device {
+        self.head.weight.val().device()
     }
 
-    /// The device of the weights.
-    pub fn device(&self) -> Device {
-        self.head.weight.val().device()
+    /// The layer whose bias is the initial estimate.
+    pub(crate) fn last_layer(&mut self) -> &mut Linear {
+        &mut self.head
     }
 
     /// Every tensor with its name in torchvision's `resnet18`; `embedding` and `head` are this crate's own.

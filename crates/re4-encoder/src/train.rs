@@ -8,16 +8,16 @@ use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Isometry3;
 use rand_pcg::Pcg64;
-use rand_pcg::rand_core::Rng as _;
 use serde::{Deserialize, Serialize};
 
-use crate::batches::{Sample, Sampler};
+use crate::batches::{Sample, Sampler, normal, uniform};
 use crate::checkpoint::Checkpoints;
-use crate::config::EncoderConfig;
-use crate::images::{INPUTS, ImageFile, Loaded, MIDDLE, batches, load};
-use crate::loss::{GROUP, Losses, Poses, losses};
-use crate::resnet::Encoder;
-use crate::{CROP, EncoderError};
+use crate::config::{EncoderConfig, Network};
+use crate::images::{Crop, ImageFile, Loaded, batches, load};
+use crate::loss::{Alternatives, Losses, Poses, Setting, losses};
+use crate::network::{Crops, Encoder, Kernels, SCALE, estimate};
+use crate::trunk::Tapes;
+use crate::{EncoderError, IMAGE_BYTES};
 
 /// Number of images per forward pass when the held-out loss is computed.
 const HELD_OUT_BATCH: usize = 64;
@@ -37,6 +37,8 @@ pub struct Task<'a> {
     pub held_out: &'a [Sample],
     /// Initial weights with torchvision's names; random if `None`.
     pub weights: Option<&'a Path>,
+    /// Rotations after which the object looks the same, about the gripper's axis of approach.
+    pub symmetry: Alternatives,
 }
 
 /// The progress of a training.
@@ -108,6 +110,12 @@ pub fn train<E: From<EncoderError>>(
     if let Some(last) = checkpoints.last()? {
         (encoder, optimizer, epochs) = last.restore(encoder, optimizer)?;
     }
+    let mut learner = Learner {
+        task,
+        encoder,
+        optimizer,
+        tapes: Tapes::default(),
+    };
     let resumed = epochs.len() as u32;
     let steps = steps_of(config, task.sampler);
     let clock = Instant::now();
@@ -115,8 +123,7 @@ pub fn train<E: From<EncoderError>>(
     for epoch in resumed..config.epochs {
         let mut sums = [0.0; 4];
         let mut rate_of_step = config.learning_rate;
-        encoder = std::thread::scope(|scope| -> Result<Encoder, E> {
-            let mut encoder = encoder;
+        std::thread::scope(|scope| -> Result<(), E> {
             let receiver = batches(scope, task.images, task.sampler, epoch, steps);
             for step in 0..steps {
                 let Ok(loaded) = receiver.recv() else {
@@ -124,8 +131,7 @@ pub fn train<E: From<EncoderError>>(
                 };
                 let loaded = loaded?;
                 rate_of_step = learning_rate(config, u64::from(epoch) * u64::from(steps) + u64::from(step), steps);
-                let values;
-                (encoder, values) = advance(encoder, &mut optimizer, &loaded, config, rate_of_step);
+                let values = learner.advance(&loaded, rate_of_step)?;
                 if values.iter().any(|value| !value.is_finite()) {
                     return Err(EncoderError::NotFinite {
                         epoch: epoch + 1,
@@ -145,19 +151,19 @@ pub fn train<E: From<EncoderError>>(
                     losses: sums.map(|sum| sum / f64::from(step + 1)),
                 })?;
             }
-            Ok(encoder)
+            Ok(())
         })?;
         epochs.push(Epoch {
             epoch: epoch + 1,
             steps: (epoch + 1) * steps,
             learning_rate: rate_of_step,
             losses: sums.map(|sum| sum / f64::from(steps)),
-            held_out: held_out(&encoder, task)?,
+            held_out: held_out(&learner.encoder, task)?,
         });
-        checkpoints.keep(&encoder, &optimizer, &epochs)?;
+        checkpoints.keep(&learner.encoder, &learner.optimizer, &epochs)?;
     }
     Ok(Trained {
-        encoder: encoder.valid(),
+        encoder: learner.encoder.valid(),
         rate: (sampled > 0).then(|| sampled as f64 / clock.elapsed().as_secs_f64()),
         epochs,
         resumed,
@@ -177,10 +183,11 @@ fn learning_rate(config: &EncoderConfig, step: u64, steps: u32) -> f64 {
 
 /// The encoder before the first step.
 fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
-    let encoder = Encoder::new(task.config.width, device);
+    let encoder = Encoder::new(task.config.network, task.config.width, device);
     let mut initializer = WeightInitializer {
         // Another stream than that of the batches, so that the two sequences are independent for the same seed.
         rng: Pcg64::new(u128::from(task.config.seed), 0x5851_f42d_4c95_7f2d_1405_7b7e_f767_814f),
+        network: task.config.network,
     };
     let encoder = encoder.map(&mut initializer).centred_on(&task.sampler.anchors());
     match task.weights {
@@ -193,20 +200,7 @@ fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
 /// of the process.
 struct WeightInitializer {
     rng: Pcg64,
-}
-
-impl WeightInitializer {
-    /// A uniform number in [0, 1).
-    fn uniform(&mut self) -> f64 {
-        (self.rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// A standard normal number, by the Box-Muller transform.
-    fn normal(&mut self) -> f64 {
-        // 1 - u is in (0, 1], so its logarithm is finite.
-        let (log, angle) = ((1.0 - self.uniform()).ln(), self.uniform());
-        (-2.0 * log).sqrt() * (std::f64::consts::TAU * angle).cos()
-    }
+    network: Network,
 }
 
 impl ModuleMapper for WeightInitializer {
@@ -215,16 +209,21 @@ impl ModuleMapper for WeightInitializer {
             let dims = tensor.dims();
             let count: usize = dims.iter().product();
             let values: Vec<f32> = match dims.as_slice() {
-                // Convolutions as in torchvision: He initialisation, normal, with the fan-out.
-                [out, _, height, width] => {
-                    let deviation = (2.0 / (out * height * width) as f64).sqrt();
-                    (0..count).map(|_| (self.normal() * deviation) as f32).collect()
+                // Convolutions as in torchvision: He initialisation, normal, with the fan-out. The keypoint network's have few
+                // inputs in the first layer, so its fan-in is used.
+                [out, inside, height, width] => {
+                    let fan = match self.network {
+                        Network::Resnet18 => out,
+                        Network::Keypoints => inside,
+                    };
+                    let deviation = (2.0 / (fan * height * width) as f64).sqrt();
+                    (0..count).map(|_| (normal(&mut self.rng) * deviation) as f32).collect()
                 }
                 // Linear layers as in PyTorch: uniform, bounded by one over the square root of the number of inputs.
                 [inputs, _] => {
                     let bound = (1.0 / *inputs as f64).sqrt();
                     (0..count)
-                        .map(|_| ((2.0 * self.uniform() - 1.0) * bound) as f32)
+                        .map(|_| ((2.0 * uniform(&mut self.rng) - 1.0) * bound) as f32)
                         .collect()
                 }
                 // Scales and biases keep burn's values, 1 and 0.
@@ -241,43 +240,90 @@ impl ModuleMapper for WeightInitializer {
     }
 }
 
-fn inputs(values: Vec<f32>, device: &Device) -> Tensor<4> {
-    let count = values.len() / INPUTS;
-    Tensor::from_data(TensorData::new(values, [count, 3, CROP, CROP]), device)
+/// The crops of samples.
+fn crops(samples: &[Sample]) -> Vec<Crop> {
+    let crop = |sample: &Sample| Crop {
+        corner: sample.crop,
+        light: sample.light,
+    };
+    samples.iter().map(crop).collect()
 }
 
-/// One step of the optimiser; returns the losses before the step. If a loss is not finite, the weights stay unchanged.
-fn advance(
+/// The targets of samples.
+fn targets(samples: &[Sample], device: &Device) -> Poses {
+    let targets: Vec<Isometry3<f64>> = samples.iter().map(|sample| sample.target).collect();
+    Poses::from_known(&targets, device)
+}
+
+/// The losses' values, or the numbers that are not finite.
+fn values(losses: &Losses) -> [f64; 4] {
+    let all = [&losses.sum, &losses.absolute, &losses.relative, &losses.cross];
+    all.map(|loss| f64::from(loss.clone().into_scalar::<f32>()))
+}
+
+/// A network in training.
+struct Learner<'a> {
+    task: &'a Task<'a>,
     encoder: Encoder,
-    optimizer: &mut ModuleOptimizer,
-    loaded: &Loaded,
-    config: &EncoderConfig,
-    learning_rate: f64,
-) -> (Encoder, [f64; 4]) {
-    let device = encoder.device();
-    let (_, estimates) = encoder.poses(inputs(loaded.inputs.clone(), &device));
-    let targets: Vec<Isometry3<f64>> = loaded.batch.samples.iter().map(|sample| sample.target).collect();
-    let targets = Poses::from_known(&targets, &device);
-    let near: Vec<f32> = loaded
-        .batch
-        .near
-        .iter()
-        .map(|near| f32::from(u8::from(*near)))
-        .collect();
-    let groups = loaded.batch.samples.len() / GROUP;
-    let near = Tensor::from_data(TensorData::new(near, [groups, 1]), &device);
-    let Losses {
-        sum,
-        absolute,
-        relative,
-        cross,
-    } = losses(&estimates, &targets, &near, &config.losses);
-    let values = [&sum, &absolute, &relative, &cross].map(|loss| f64::from(loss.clone().into_scalar::<f32>()));
-    if !values.iter().all(|value| value.is_finite()) {
-        return (encoder, values);
+    optimizer: ModuleOptimizer,
+    tapes: Tapes,
+}
+
+impl Learner<'_> {
+    /// One step of the optimiser; returns the losses before the step. If a loss is not finite, the weights stay unchanged.
+    fn advance(&mut self, loaded: &Loaded, learning_rate: f64) -> Result<[f64; 4], EncoderError> {
+        let config = self.task.config;
+        let device = self.encoder.device();
+        let samples = &loaded.batch.samples;
+        let images: Vec<&[u8]> = loaded.images.chunks_exact(IMAGE_BYTES).collect();
+        let crops = crops(samples);
+        let crops = Crops {
+            images: &images,
+            crops: &crops,
+        };
+        let near = loaded.batch.near.iter().map(|near| f32::from(u8::from(*near)));
+        let near: Vec<f32> = near.collect();
+        let groups = near.len();
+        let near = Tensor::from_data(TensorData::new(near, [groups, 1]), &device);
+        let setting = Setting {
+            config: &config.losses,
+            symmetry: self.task.symmetry,
+            held: config.held_images,
+        };
+        let targets = targets(samples, &device);
+        let kernels = Kernels::of(&self.encoder, config.backend)?;
+        let (values, gradients) = match (&kernels, self.encoder.keypoints()) {
+            (Some(kernels), Some(network)) => {
+                let found = kernels.forward(crops, &mut self.tapes);
+                let dims = [samples.len(), found.positions.len() / samples.len()];
+                let positions =
+                    Tensor::<2>::from_data(TensorData::new(found.positions, dims), &device).require_grad();
+                let poses = Poses::from_raw(&network.head(&positions), SCALE);
+                let losses = losses(&poses, &targets, &near, setting);
+                let values = values(&losses);
+                let gradients = losses.sum.backward();
+                let of_positions = positions.grad(&gradients);
+                let of_positions: Vec<f32> = of_positions
+                    .into_iter()
+                    .flat_map(|gradient| gradient.into_data().iter::<f32>().collect::<Vec<_>>())
+                    .collect();
+                let of_trunk = kernels.trunk().backward(&self.tapes, &of_positions);
+                let mut gradients = GradientsParams::from_grads(gradients, &self.encoder);
+                network.register(&of_trunk, &mut gradients);
+                (values, gradients)
+            }
+            _ => {
+                let poses = self.encoder.estimate(crops).poses;
+                let losses = losses(&poses, &targets, &near, setting);
+                let values = values(&losses);
+                (values, GradientsParams::from_grads(losses.sum.backward(), &self.encoder))
+            }
+        };
+        if values.iter().all(|value| value.is_finite()) {
+            self.encoder = self.optimizer.step(learning_rate, self.encoder.clone(), gradients);
+        }
+        Ok(values)
     }
-    let gradients = GradientsParams::from_grads(sum.backward(), &encoder);
-    (optimizer.step(learning_rate, encoder, gradients), values)
 }
 
 /// L_abs over frames of the held-out demonstrations, with centre crops.
@@ -287,21 +333,18 @@ fn held_out(encoder: &Encoder, task: &Task) -> Result<Option<f64>, EncoderError>
     }
     let encoder = encoder.valid();
     let device = encoder.device();
+    let kernels = Kernels::of(&encoder, task.config.backend)?;
     let step = task.held_out.len().div_ceil(MAXIMUM_HELD_OUT);
-    let samples: Vec<Sample> = task
-        .held_out
-        .iter()
-        .step_by(step)
-        .map(|sample| Sample {
-            crop: MIDDLE,
-            ..*sample
-        })
-        .collect();
+    let samples: Vec<Sample> = task.held_out.iter().step_by(step).copied().collect();
     let mut sum = 0.0;
     for chunk in samples.chunks(HELD_OUT_BATCH) {
-        let (_, estimates) = encoder.poses(inputs(load(task.images, chunk)?, &device));
-        let targets: Vec<Isometry3<f64>> = chunk.iter().map(|sample| sample.target).collect();
-        let losses = estimates.metric(&Poses::from_known(&targets, &device), task.config.losses.translation);
+        let images = load(task.images, chunk)?;
+        let images: Vec<&[u8]> = images.chunks_exact(IMAGE_BYTES).collect();
+        let crops = crops(chunk);
+        let estimates = estimate(&encoder, kernels.as_ref(), Crops { images: &images, crops: &crops });
+        let losses = estimates
+            .poses
+            .metric(&targets(chunk, &device), &task.config.losses, task.symmetry.of_label());
         sum += f64::from(losses.sum().into_scalar::<f32>());
     }
     Ok(Some(sum / samples.len() as f64))

@@ -17,13 +17,19 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 
 use crate::EncoderError;
-use crate::resnet::{Encoder, Slot};
+use crate::config::Network;
+use crate::keypoints::is_valid_width;
+use crate::network::Encoder;
+use crate::resnet::Slot;
 
 /// Maximum size of a weights file, in bytes. A ResNet-18 with 64 channels has 45 MB; a larger file is refused before it is read.
 const MAXIMUM_SIZE: u64 = 1 << 30;
 
 /// Maximum number of channels after the first convolution; more would exceed [`MAXIMUM_SIZE`].
 const MAXIMUM_WIDTH: usize = 256;
+
+/// Name of the first tensor of a keypoint network.
+const FIRST_OF_KEYPOINTS: &str = "keypoints.conv0.weight";
 
 /// Prefixes of the tensor names in a file: none, or those that training programs add.
 const PREFIXES: [&str; 4] = ["", "state_dict.", "module.", "state_dict.module."];
@@ -48,8 +54,8 @@ pub fn load(path: &Path, device: &Device) -> Result<Encoder, EncoderError> {
     let origin = Origin::Own;
     let load = || {
         let file = File::open(path, origin)?;
-        let width = file.width(origin)?;
-        fill(Encoder::new(width, device), &file, origin)
+        let (network, width) = file.network(origin)?;
+        fill(Encoder::new(network, width, device), &file, origin)
     };
     load().map_err(|why| weights_error(path, why))
 }
@@ -167,7 +173,7 @@ fn fill(mut encoder: Encoder, file: &File, origin: Origin) -> Result<Encoder, Fa
         .filter(|(name, _)| origin.requires(name))
         .collect();
     file.check_names(slots.iter().map(|(name, _)| name.as_str()).collect(), origin)?;
-    let width = file.width(origin)?;
+    let (_, width) = file.network(origin)?;
     if width != expected {
         return Err(fault!(
             "conv1.weight has {width} channels, but the encoder's has {expected}";
@@ -296,10 +302,21 @@ impl File {
             .ok_or_else(|| fault!("it has no tensor {name}, so it is not a ResNet-18"; "{}", origin.remedy()))
     }
 
-    /// Number of channels after the first convolution.
-    fn width(&self, origin: Origin) -> Result<usize, Fault> {
+    /// The network, and the number of channels after its first convolution.
+    fn network(&self, origin: Origin) -> Result<(Network, usize), Fault> {
+        if let (Origin::Own, Some(first)) = (origin, self.tensors.get(FIRST_OF_KEYPOINTS)) {
+            return match *first.shape() {
+                [width, 3, 5, 5] if (1..=MAXIMUM_WIDTH).contains(&width) && is_valid_width(width) => {
+                    Ok((Network::Keypoints, width))
+                }
+                ref shape => Err(fault!(
+                    "{FIRST_OF_KEYPOINTS} has the shape {shape:?}, but the network has [width, 3, 5, 5] with a width that is a multiple of 16 up to {MAXIMUM_WIDTH}";
+                    "{}", origin.remedy()
+                )),
+            };
+        }
         match *self.get("conv1.weight", origin)?.shape() {
-            [width, 3, 7, 7] if (1..=MAXIMUM_WIDTH).contains(&width) => Ok(width),
+            [width, 3, 7, 7] if (1..=MAXIMUM_WIDTH).contains(&width) => Ok((Network::Resnet18, width)),
             ref shape => Err(fault!(
                 "conv1.weight has the shape {shape:?}, but a ResNet-18 has [width, 3, 7, 7] with a width of 1 to {MAXIMUM_WIDTH}";
                 "{}", origin.remedy()

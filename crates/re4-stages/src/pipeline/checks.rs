@@ -1,7 +1,7 @@
 //! Checks settings for values that have the right type but are out of range or contradict each other.
 
 use anyhow::Result;
-use re4_encoder::EncoderConfig;
+use re4_encoder::{EncoderConfig, KEYPOINT_CHANNELS, Network};
 use re4_encoder::loss::GROUP;
 use re4_fault::{Fault, bail, ensure};
 use re4_robosuite::conventions::Settings as Conventions;
@@ -169,6 +169,18 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
         between(name, u32::try_from(value).unwrap_or(u32::MAX), minimum, most)
     };
     count("pose.encoder.width", encoder.width, 1, WIDEST)?;
+    ensure!(
+        encoder.network != Network::Keypoints || encoder.width.is_multiple_of(KEYPOINT_CHANNELS),
+        "pose.encoder.width is {}", encoder.width;
+        "give a multiple of {KEYPOINT_CHANNELS} for the network \"keypoints\""
+    );
+    ensure!(
+        encoder.weights.is_none() || encoder.network == Network::Resnet18,
+        "pose.encoder.weights are those of a ResNet-18, but pose.encoder.network is \"keypoints\"";
+        "remove pose.encoder.weights, or set pose.encoder.network = \"resnet18\""
+    );
+    count("pose.encoder.crops", encoder.crops, 1, 5)?;
+    count("pose.encoder.held_images", encoder.held_images, 0, 2)?;
     count("pose.encoder.batch", encoder.batch, GROUP as u32, LARGEST_BATCH)?;
     ensure!(
         encoder.batch.is_multiple_of(GROUP),
@@ -204,6 +216,8 @@ fn check_settings(encoder: &EncoderConfig) -> Result<()> {
         ("losses.relative_held", losses.relative_held),
         ("losses.relative_before", losses.relative_before),
         ("losses.translation", losses.translation),
+        ("losses.rotation", losses.rotation),
+        ("brightness", encoder.brightness),
     ] {
         not_negative(&format!("pose.encoder.{name}"), value)?;
     }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
+use re4_encoder::EncoderConfig;
 use re4_fault::{Fault, OrFault as _, bail, fault};
 use re4_policy::kinds::{Kinds, PlanePolicy, SpacePolicy};
 use re4_segment::SegmentConfig;
@@ -58,6 +59,7 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
         read_policy::<SpacePolicy>(&mut document, "space").map(|(policy, schema)| (policy.map(Policy::Space), schema))
     };
     let (policy, schema) = policy.with_context(unusable)?;
+    complete_encoder(&mut document)?;
     let mut pipeline: Pipeline = serde_path_to_error::deserialize(document).map_err(|error| {
         let place = error.path().to_string();
         placed(&place, &error.into_inner()).at(format!("cannot use the pipeline file {}: ", path.display()))
@@ -143,6 +145,20 @@ fn apply(document: &mut Value, text: &str) -> Result<()> {
         at = map.entry(key).or_insert(Value::Null);
     }
     *at = parsed;
+    Ok(())
+}
+
+/// Fills in the settings of the encoder's preset. A wrong value of a setting, also of the preset, is refused later.
+fn complete_encoder(document: &mut Value) -> Result<()> {
+    let Some(own) = document.pointer_mut("/pose/encoder").filter(|own| own.is_object()) else {
+        return Ok(());
+    };
+    let preset = own.get("preset").cloned();
+    let preset = preset.and_then(|preset| serde_json::from_value(preset).ok());
+    let config = preset.map_or_else(EncoderConfig::default, EncoderConfig::preset);
+    if let Some(merged) = merge(serde_json::to_value(config)?, Some(own.take())) {
+        *own = merged;
+    }
     Ok(())
 }
 

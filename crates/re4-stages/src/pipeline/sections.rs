@@ -78,7 +78,7 @@ pub struct PoseSection {
     #[serde(default = "goal")]
     #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
     pub goal: [f64; 3],
-    /// For `encoder`: the encoder and how it is trained. Default: the paper's settings.
+    /// For `encoder`: the encoder and how it is trained. Default: the preset `re4`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<EncoderConfig>,
 }

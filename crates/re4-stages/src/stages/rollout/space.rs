@@ -71,9 +71,9 @@ impl Runner {
         let Some(poses) = artifacts.poses else {
             return self.rollout_with_observer(policy, artifacts, None);
         };
-        let backend = self.pipeline.pose()?.encoder().backend;
+        let config = self.pipeline.pose()?.encoder().into_owned();
         let open = || -> Result<Box<MakeEstimator>> {
-            let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), backend)?;
+            let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), &config)?;
             Ok(Box::new(move || Box::new(Encoder(predictor.clone()))))
         };
         let observer = ImageObserver {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use re4_artifact::{Key, Writer};
-use re4_encoder::EncoderConfig;
+use re4_encoder::{EncoderConfig, Network};
 use re4_encoder::train::Epoch;
 use re4_report::training_plot;
 use serde_json::Value;
@@ -53,7 +53,11 @@ pub(super) fn write(
     )?;
     writeln!(
         text,
-        "- architecture: ResNet-18 of width {}, input 84 x 84 cropped to 76 x 76, embedding of 256 numbers, pose of 9 numbers (translation in units of 0.1 m, two columns of the rotation matrix)",
+        "- architecture: {} of width {}, input 84 x 84 cropped to 76 x 76, pose of 9 numbers (translation in units of 0.1 m, two columns of the rotation matrix)",
+        match config.network {
+            Network::Resnet18 => "ResNet-18 with an embedding of 256 numbers",
+            Network::Keypoints => "keypoint network",
+        },
         config.width
     )?;
     writeln!(

@@ -12,11 +12,13 @@ use re4_artifact::{
 };
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
-use re4_encoder::images::{ImageFile, MIDDLE};
+use re4_encoder::images::ImageFile;
+use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{Backend, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor};
+use re4_encoder::{AnchorFrame, Backend, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_fault::{OrFault as _, bail, ensure, fault};
+use re4_geometry::spatial::Symmetry;
 use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
 use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
@@ -30,13 +32,16 @@ use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
 /// Folder of checkpoints, below the artifacts folder.
 const CHECKPOINTS: &str = "checkpoints";
 
 /// Batch size of estimation, in images.
 const BATCH: usize = 64;
+
+/// Fingers that move less than this in a control step are at rest, in metres.
+const STILL: f64 = 5e-4;
 
 /// The stride of held-out demonstrations: every n-th demonstration, starting with the first, is held out. `None` for no held-out
 /// demonstrations.
@@ -49,6 +54,8 @@ struct Demo {
     episode: u32,
     first: u64,
     eef: Vec<Isometry3<f64>>,
+    /// Distance between the fingers, in metres.
+    separation: Vec<f64>,
     modes: Vec<Mode>,
     trained_on: bool,
 }
@@ -82,13 +89,26 @@ impl Demo {
         best
     }
 
-    fn training(&self) -> Option<TrainingDemo> {
+    /// The first frame of a run that holds the object in which the fingers have come to rest: they have closed, and move less
+    /// than [`STILL`] in a step. The last frame of the run if they never do.
+    fn settled(&self, held: &std::ops::Range<usize>) -> usize {
+        let moved = |frame: usize| (self.separation[frame] - self.separation[frame - 1]).abs();
+        let closing = (held.start + 1..held.end).find(|&frame| moved(frame) > STILL);
+        let rest = closing.and_then(|start| (start + 1..held.end).find(|&frame| moved(frame) <= STILL));
+        rest.unwrap_or(held.end - 1)
+    }
+
+    fn training(&self, anchor: AnchorFrame) -> Option<TrainingDemo> {
         let phases = self.phases()?;
+        let start = match anchor {
+            AnchorFrame::Command => phases.held.start,
+            AnchorFrame::Settled => self.settled(&phases.held),
+        };
         Some(TrainingDemo {
             first: self.first,
             before: phases.before.map(|frame| frame as u32).collect(),
-            anchor: self.eef[phases.held.start],
-            held: phases.held.map(|frame| frame as u32).collect(),
+            anchor: self.eef[start],
+            held: (start..phases.held.end).map(|frame| frame as u32).collect(),
             eef: self.eef.clone(),
         })
     }
@@ -164,7 +184,7 @@ impl Runner {
         let mut warnings = Vec::new();
         let (mut training_demos, mut held_out) = (Vec::new(), Vec::new());
         for demo in &demos {
-            let Some(training) = demo.training() else {
+            let Some(training) = demo.training(config.anchor) else {
                 warnings.push(json!({
                     "code": "no_grasp",
                     "demo_name": names.of(demo.episode),
@@ -178,11 +198,9 @@ impl Runner {
             if demo.trained_on {
                 training_demos.push(training);
             } else {
-                held_out.extend(training.before.iter().map(|&frame| Sample {
-                    image: training.first + u64::from(frame),
-                    crop: MIDDLE,
-                    target: training.anchor,
-                }));
+                let first = training.first;
+                let samples = training.before.iter().map(|&frame| first + u64::from(frame));
+                held_out.extend(samples.map(|image| Sample::plain(image, training.anchor)));
             }
         }
         ensure!(
@@ -198,13 +216,19 @@ impl Runner {
             config.backend.set_threads(rayon::current_num_threads())?;
         }
         let images = self.unpack(config, episodes, &demos, writer)?;
-        let sampler = Sampler::new(training_demos, config.radius, config.seed, config.batch);
+        let symmetry = match (config.symmetry, self.pipeline.task.symmetry()) {
+            (false, _) | (true, Symmetry::None) => Alternatives::NONE,
+            (true, Symmetry::Fold { n, .. }) => Alternatives::Fold(n),
+            (true, Symmetry::Full { .. }) => Alternatives::Axis,
+        };
+        let sampler = Sampler::new(training_demos, config, symmetry);
         let task = Task {
             config,
             sampler: &sampler,
             images: &images,
             held_out: &held_out,
             weights: weights.map(SourceFile::path),
+            symmetry,
         };
         let steps = u64::from(steps_of(config, &sampler));
         let bar = self.notes.progress(u64::from(config.epochs) * steps, "train-pose");
@@ -226,7 +250,7 @@ impl Runner {
         writer.file(WEIGHTS, &re4_encoder::to_bytes(&trained.encoder)?)?;
         write_training(&trained.epochs, writer)?;
         card::write_plot(&trained.epochs, writer)?;
-        let predictor = Predictor::new(trained.encoder.clone());
+        let predictor = Predictor::new(trained.encoder.clone(), config)?;
         let poses = self.estimate(&predictor, &demos, &images, writer)?;
         // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
@@ -375,6 +399,9 @@ columns! {
         pub frame: u32,
         /// Pose of the end effector, world frame.
         pub eef: Isometry3<f64>,
+        /// Joint positions of the fingers, in metres.
+        #[prefix = "finger"]
+        pub fingers: [f64; 2],
     }
 }
 
@@ -402,7 +429,7 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     );
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
-    for (row, (EefOf { episode, eef, .. }, ModeOf { mode, .. })) in frames.into_iter().zip(modes_of).enumerate() {
+    for (row, (EefOf { episode, eef, fingers, .. }, ModeOf { mode, .. })) in frames.into_iter().zip(modes_of).enumerate() {
         // Recorded quaternions are stored bit for bit and may not have unit length exactly.
         let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
         let eef = Isometry3::from_parts(eef.translation, rotation);
@@ -412,12 +439,14 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
                 episode,
                 first: row as u64,
                 eef: Vec::new(),
+                separation: Vec::new(),
                 modes: Vec::new(),
                 trained_on: every.is_none_or(|every| !number.is_multiple_of(every)),
             });
         }
         if let Some(demo) = demos.last_mut() {
             demo.eef.push(eef);
+            demo.separation.push((fingers[0] - fingers[1]).abs());
             demo.modes.push(mode);
         }
     }
