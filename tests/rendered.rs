@@ -2,13 +2,16 @@
 //!
 //! `RE4_IMAGES=all cargo test -p re4-pipe rendered::` compares all images, which takes minutes.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::support::{Answer, Gate, Place, assert_same_bytes, filters, repository, scripted_and_simulators, wait_for};
+use crate::support::{
+    Answer, Gate, Place, Process, assert_same_bytes, filters, repository, scripted_and_simulators, wait_for,
+};
 use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Row as _, Stage, col_binary, col_text, col_u32};
 use re4_ingest::{EpisodeRow, ImageRow};
@@ -89,27 +92,38 @@ fn images_equal_those_that_robosuite_recorded() {
     }
 }
 
-/// Peak memory of the rendering process in MiB, and the program's output.
-fn peak_of_worker(place: &Place, simulators: &Path, arguments: &str) -> (u64, Answer) {
+/// The processes that any thread of a process has started.
+fn children(process: u32) -> Vec<u32> {
+    let threads = fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten();
+    // A thread or the process may have ended meanwhile.
+    let lists = threads.filter_map(|thread| fs::read_to_string(thread.ok()?.path().join("children")).ok());
+    let lists: Vec<String> = lists.collect();
+    let numbers = lists.iter().flat_map(|list| list.split_whitespace());
+    numbers.map(|number| number.parse().unwrap()).collect()
+}
+
+/// Peak memory of each rendering process in MiB, the largest first, and the program's output.
+fn peaks(place: &Place, simulators: &Path, arguments: &str) -> (Vec<u64>, Answer) {
     let mut child = command(place, simulators, arguments);
     let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let children = format!("/proc/{0}/task/{0}/children", child.id());
-    let mut peak = 0;
+    let mut peaks = BTreeMap::new();
     while child.try_wait().unwrap().is_none() {
-        let workers = fs::read_to_string(&children).unwrap_or_default();
-        for worker in workers.split_whitespace() {
-            // The process may have ended meanwhile.
-            let status = fs::read_to_string(format!("/proc/{worker}/status")).unwrap_or_default();
-            let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-            let kilobytes = line.and_then(|line| line.trim().strip_suffix(" kB"));
-            peak = peak.max(kilobytes.map_or(0, |number| number.trim().parse().unwrap()));
+        for worker in children(child.id()) {
+            for process in children(worker).into_iter().chain([worker]) {
+                // The process may have ended meanwhile.
+                let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+                let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+                let kilobytes = line.and_then(|line| line.trim().strip_suffix(" kB"));
+                let peak: u64 = kilobytes.map_or(0, |number| number.trim().parse().unwrap());
+                let known = peaks.entry(process).or_insert(0);
+                *known = peak.max(*known);
+            }
         }
         std::thread::sleep(Duration::from_millis(5));
     }
-    (
-        peak >> 10,
-        Answer::new(&child.wait_with_output().unwrap(), place.path()),
-    )
+    let mut peaks: Vec<u64> = peaks.into_values().map(|peak| peak >> 10).collect();
+    peaks.sort_unstable_by(|a, b| b.cmp(a));
+    (peaks, Answer::new(&child.wait_with_output().unwrap(), place.path()))
 }
 
 #[test]
@@ -121,14 +135,51 @@ fn memory_is_bounded_for_any_number_of_jobs() {
     let places = [1, 16].map(|jobs| {
         let place = Place::empty();
         pipeline(&place, "lift", "lift", &data.join("lift/low_dim.hdf5"), rest);
-        let (peak, answer) = peak_of_worker(&place, &simulators, &format!("ingest lift.toml --jobs {jobs}"));
+        let (peaks, answer) = peaks(&place, &simulators, &format!("ingest lift.toml --jobs {jobs}"));
         answer.done();
-        println!("{jobs} jobs: {peak} MiB");
+        println!("{jobs} jobs: {peaks:?} MiB");
         // A lower bound: a rendering process needs at least the memory of its libraries.
-        assert!((100..512).contains(&peak), "{jobs} jobs: {peak} MiB");
+        assert!((100..512).contains(&peaks[0]), "{jobs} jobs: {peaks:?} MiB");
+        assert!(peaks.len() <= 4 && (peaks.len() == 1) == (jobs == 1));
         place
     });
     assert_same_bytes(&places[0].bytes(), &places[1].bytes());
+}
+
+#[test]
+fn helpers_that_end_change_nothing() {
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
+    let rest = "select = { first = 6 }\nrender = [\"agentview\"]";
+    let place = || {
+        let place = Place::empty();
+        pipeline(&place, "lift", "lift", &data.join("lift/low_dim.hdf5"), rest);
+        place
+    };
+    let alone = place();
+    run(&alone, &simulators, "ingest lift.toml --jobs 1").done();
+    let helper = |worker: &Process| wait_for("a helper", || children(worker.id()).into_iter().find_map(Process::of));
+    let killed = place();
+    let mut program = command(&killed, &simulators, "ingest lift.toml --jobs 2");
+    let gate = Gate::before(&mut program, &killed, 60);
+    let mut program = program.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let worker = gate.wait(&mut program);
+    helper(&worker).end_by("KILL");
+    gate.open();
+    Answer::new(&program.wait_with_output().unwrap(), killed.path()).done();
+    assert_same_bytes(&killed.bytes(), &alone.bytes());
+    // A helper ends with its worker.
+    let abandoned = place();
+    let mut program = command(&abandoned, &simulators, "ingest lift.toml --jobs 2 --quiet");
+    let gate = Gate::before(&mut program, &abandoned, 60);
+    let mut program = program.spawn().unwrap();
+    let worker = gate.wait(&mut program);
+    let left = helper(&worker);
+    worker.end_by("KILL");
+    left.wait();
+    program.kill().unwrap();
+    program.wait().unwrap();
 }
 
 /// Files of the spool, which has a single folder.

@@ -191,9 +191,13 @@ pub(crate) struct Process {
 
 impl Process {
     /// The process with this id.
-    fn of(id: u32) -> Option<Self> {
+    pub(crate) fn of(id: u32) -> Option<Self> {
         let (_, started) = Self::state(id)?;
         Some(Self { id, started })
+    }
+
+    pub(crate) fn id(&self) -> u32 {
+        self.id
     }
 
     /// State and start time of a process. In `/proc/ID/stat` they come after the name, which may contain spaces and parentheses.
@@ -244,6 +248,11 @@ impl Gate {
     pub(crate) fn worker(&self) -> Option<Process> {
         let text = fs::read_to_string(&self.0).ok()?;
         Process::of(text.strip_suffix('\n')?.parse().ok()?)
+    }
+
+    /// Lets the waiting worker continue.
+    pub(crate) fn open(&self) {
+        fs::remove_file(&self.0).unwrap();
     }
 
     /// Waits until the program's worker has arrived at the gate.

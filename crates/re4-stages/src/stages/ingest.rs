@@ -2,6 +2,7 @@
 //! are written does not.
 
 mod hdf5;
+mod helper;
 mod rendered;
 mod spool;
 mod tables;

@@ -18,9 +18,9 @@ use serde_json::{Value, json};
 
 use super::rendered::{self, Rendering};
 use super::spool::Spool;
-use super::worker::{self, Message, Request, send};
+use super::worker::{self, Message, Request, Work, send};
 use super::write::{Images, Ingest};
-use super::{STAGE, recipe};
+use super::{STAGE, helper, recipe};
 use crate::inputs::sources::find_source;
 use crate::interrupt::Interrupt;
 use crate::notes::fault_of;
@@ -177,8 +177,12 @@ pub fn serve_ingest() -> Result<()> {
         .take(MAX_REQUEST)
         .read_line(&mut line)
         .context("cannot read the request")?;
-    let request: Request = serde_json::from_str(&line)
+    let work: Work = serde_json::from_str(&line)
         .or_fault(|| fault!("ingest-worker is an internal command"; "use re4-pipe ingest"))?;
+    let request = match work {
+        Work::Ingest(request) => *request,
+        Work::Render(setup) => return helper::serve(&setup, input),
+    };
     // The limits are a safeguard against damaged files. If the system refuses them, the sizes in the file are still checked.
     let memory = worker::memory(&request);
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);

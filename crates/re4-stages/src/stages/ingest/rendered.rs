@@ -1,19 +1,23 @@
 //! Renders images of robosuite's cameras from recorded states, with each demonstration's own model.
 
+use std::cell::Cell;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Scope, ScopedJoinHandle};
 
 use anyhow::{Context as _, Result};
 use re4_fault::{OrFault as _, bail, ensure, fault};
-use re4_ingest::{Episode, Matrix};
+use re4_ingest::Episode;
 use re4_mujoco::{Data, Footprint, Gl, Kind, Library, Model, Renderer};
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::models::{Appearance, split_appearance, with_assets};
 use re4_sim::robosuite::Profile;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::helper::{Helper, Outcome, Setup};
 use super::spool::Spool;
 use super::tables::ImageTable;
 use crate::inputs::images::encode_png;
@@ -24,8 +28,8 @@ use crate::pipeline::Camera;
 /// Side of an image in pixels, as in robomimic's datasets.
 const SIDE: usize = Camera::Agentview.side();
 
-/// Memory budget of a process that renders, in bytes: 512 MiB less a margin. It limits the number of threads; one thread always
-/// renders, even if it needs more.
+/// Memory budget of the worker, in bytes: 512 MiB less a margin. It limits the number of threads, because all threads render in the
+/// worker if no helper can be used. One thread always renders, even if it needs more.
 const MEMORY: u64 = 480 << 20;
 
 /// Memory that the process needs besides renderers, in bytes: its libraries, and queued demonstrations.
@@ -60,6 +64,7 @@ fn profile(env: &EnvArgs) -> Result<Profile> {
 
 /// Everything that rendering needs besides the demonstrations.
 pub(super) struct Rendering<'a> {
+    profile: Profile,
     library: Library,
     gl: Gl,
     cameras: Vec<&'static str>,
@@ -67,13 +72,17 @@ pub(super) struct Rendering<'a> {
 }
 
 /// A demonstration to be rendered.
-struct Job {
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Job {
     episode: u32,
     demo: String,
     /// Names and half sizes (in metres) of the boxes whose sizes differ between demonstrations.
     boxes: Vec<(String, [f64; 3])>,
-    states: Matrix,
-    cameras: Vec<&'static str>,
+    /// Number of columns of the states.
+    columns: usize,
+    /// The states, one row per frame.
+    states: Vec<f64>,
+    cameras: Vec<String>,
 }
 
 /// Threads that render demonstrations with the same model (up to box sizes), until the queue ends.
@@ -82,6 +91,53 @@ struct RenderPool<'scope> {
     appearance: String,
     jobs: SyncSender<Job>,
     threads: Vec<ScopedJoinHandle<'scope, ()>>,
+}
+
+/// What the threads of a pool share.
+struct Scene {
+    model: Model,
+    setup: Setup,
+    /// Whether a thread renders in this process. It is the first one that gets a demonstration; the others use helpers.
+    occupied: AtomicBool,
+}
+
+/// Where a thread renders.
+enum Place {
+    /// It has rendered nothing yet.
+    Nowhere,
+    Here(Box<Option<Renderer>>),
+    InHelper(Helper),
+}
+
+impl Place {
+    /// Renders a demonstration and stores its images in the spool. Stores nothing if it is interrupted.
+    fn render(&mut self, job: &Job, scene: &Scene, interrupt: &Interrupt, done: &impl Fn(usize)) -> Result<()> {
+        if let Self::Nowhere = self {
+            *self = if scene.occupied.swap(true, Ordering::Relaxed) {
+                Helper::start(&scene.setup).map_or(Self::Here(Box::default()), Self::InHelper)
+            } else {
+                Self::Here(Box::default())
+            };
+        }
+        let reported = match self {
+            Self::InHelper(helper) => match helper.render(job, interrupt, done) {
+                Outcome::Stored | Outcome::Interrupted => return Ok(()),
+                Outcome::Failed(images) => images,
+            },
+            _ => 0,
+        };
+        if let Self::Nowhere | Self::InHelper(_) = self {
+            *self = Self::Here(Box::default());
+        }
+        let Self::Here(renderer) = self else { return Ok(()) };
+        // Images that the helper has reported are not counted twice.
+        let skipped = Cell::new(reported);
+        let done = |images| match skipped.get() {
+            0 => done(images),
+            left => skipped.set(left - 1),
+        };
+        render_demo(job, &scene.model, renderer, &scene.setup.spool, interrupt, &done)
+    }
 }
 
 impl RenderPool<'_> {
@@ -96,7 +152,7 @@ impl RenderPool<'_> {
     }
 }
 
-/// Number of threads, at most `threads`, that can render a model at the same time within [`MEMORY`].
+/// Number of threads, at most `threads`, that can render a model in this process within [`MEMORY`].
 fn pool_size(model: &Model, threads: usize) -> usize {
     let Footprint { shared, each } = Renderer::footprint(model, SIDE, SIDE);
     let room = MEMORY.saturating_sub(PROCESS + shared);
@@ -108,8 +164,10 @@ impl<'a> Rendering<'a> {
         let failed = || format!("cannot render images for {}", source.display());
         let mut cameras: Vec<_> = cameras.iter().map(|camera| camera.name()).collect();
         cameras.sort_unstable();
+        let profile = profile(env).with_context(failed)?;
         Ok(Self {
-            library: profile(env).and_then(simulators::library).with_context(failed)?,
+            profile,
+            library: simulators::library(profile).with_context(failed)?,
             gl: Gl::of_process().with_context(failed)?,
             cameras,
             source,
@@ -150,14 +208,14 @@ impl<'a> Rendering<'a> {
             *count += images;
             progress(*count);
         };
-        let work = |job: &Job, model: &Model, renderer: &mut Option<Renderer>| {
+        let work = |job: &Job, scene: &Scene, place: &mut Place| {
             // Demonstrations before a failed one are still rendered, because they may fail, too, and the first failure is
             // reported.
             let superseded = failed().as_ref().is_some_and(|(episode, _)| *episode < job.episode);
             if superseded || interrupt.requested() {
                 return;
             }
-            if let Err(error) = render_demo(job, model, renderer, spool, interrupt, &done) {
+            if let Err(error) = place.render(job, scene, interrupt, &done) {
                 let error = error.context(self.cannot(&job.demo));
                 let mut failure = failed();
                 if failure.as_ref().is_none_or(|(episode, _)| job.episode < *episode) {
@@ -177,7 +235,7 @@ impl<'a> Rendering<'a> {
                 let mut missing = Vec::new();
                 for &camera in &self.cameras {
                     if spool.get(camera, episode, frames)?.is_none() {
-                        missing.push(camera);
+                        missing.push(camera.to_owned());
                     }
                 }
                 done(frames * (self.cameras.len() - missing.len()));
@@ -197,15 +255,25 @@ impl<'a> Rendering<'a> {
                         if let Some(last) = other.take() {
                             last.finish();
                         }
-                        let model = self.compile(&mjcf).with_context(|| self.cannot(&name))?;
-                        other.insert(start_pool(scope, rest, &model, threads, &work))
+                        let model = compile(&self.library, &mjcf).with_context(|| self.cannot(&name))?;
+                        let scene = Scene {
+                            model,
+                            setup: Setup {
+                                profile: self.profile,
+                                mjcf: mjcf.to_string(),
+                                spool: spool.clone(),
+                            },
+                            occupied: AtomicBool::new(false),
+                        };
+                        other.insert(start_pool(scope, rest, scene, threads, &work))
                     }
                 };
                 let job = Job {
                     episode,
                     demo: name,
                     boxes,
-                    states,
+                    columns: states.columns,
+                    states: states.values,
                     cameras: missing,
                 };
                 pool.jobs
@@ -224,12 +292,6 @@ impl<'a> Rendering<'a> {
         format!("cannot render the images of {demo} in {}", self.source.display())
     }
 
-    /// Compiles the model of a demonstration. That takes seconds, so demonstrations that differ only in box sizes share a model.
-    fn compile(&self, mjcf: &str) -> Result<Model> {
-        let text = with_assets(mjcf, &simulators::assets_folder())?;
-        Model::compile(&self.library, &text).context("its model_file does not compile")
-    }
-
     /// Writes the images of the spool to table `images`, sorted by camera, episode and frame. Returns the number of images.
     pub(super) fn write(&self, spool: &Spool, lengths: &[usize], mut table: ImageTable) -> Result<usize> {
         for &camera in &self.cameras {
@@ -244,8 +306,14 @@ impl<'a> Rendering<'a> {
     }
 }
 
+/// Compiles the model of a demonstration. That takes seconds, so demonstrations that differ only in box sizes share a model.
+pub(super) fn compile(library: &Library, mjcf: &str) -> Result<Model> {
+    let text = with_assets(mjcf, &simulators::assets_folder())?;
+    Model::compile(library, &text).context("its model_file does not compile")
+}
+
 /// Renders a demonstration and stores its images in the spool. Stores nothing if it is interrupted.
-fn render_demo(
+pub(super) fn render_demo(
     job: &Job,
     model: &Model,
     renderer: &mut Option<Renderer>,
@@ -255,9 +323,9 @@ fn render_demo(
 ) -> Result<()> {
     let (nq, nv) = (model.nq(), model.nv());
     ensure!(
-        job.states.columns == 1 + nq + nv,
+        job.columns == 1 + nq + nv,
         "its states have {} numbers, but its model_file needs {}: the time, {nq} coordinates and {nv} velocities",
-        job.states.columns,
+        job.columns,
         1 + nq + nv;
         "use the model_file that belongs to these states"
     );
@@ -273,8 +341,8 @@ fn render_demo(
     let model = model.with_boxes(job.boxes.iter().map(|(name, size)| (name.as_str(), *size)))?;
     let mut data = Data::new(&model)?;
     let mut pixels = vec![0; 3 * SIDE * SIDE];
-    let mut images = vec![Vec::with_capacity(job.states.rows()); cameras.len()];
-    for state in job.states.values.chunks_exact(job.states.columns) {
+    let mut images = vec![Vec::with_capacity(job.states.len() / job.columns); cameras.len()];
+    for state in job.states.chunks_exact(job.columns) {
         if interrupt.requested() {
             return Ok(());
         }
@@ -291,24 +359,25 @@ fn render_demo(
     Ok(())
 }
 
-/// Starts threads that render demonstrations of a model, each with its own renderer.
+/// Starts threads that render demonstrations of a model: one in this process, and the others with a helper each.
 fn start_pool<'scope>(
     scope: &'scope Scope<'scope, '_>,
     appearance: String,
-    model: &Model,
+    scene: Scene,
     threads: usize,
-    work: &'scope (impl Fn(&Job, &Model, &mut Option<Renderer>) + Sync),
+    work: &'scope (impl Fn(&Job, &Scene, &mut Place) + Sync),
 ) -> RenderPool<'scope> {
-    let threads = pool_size(model, threads);
+    let threads = pool_size(&scene.model, threads);
+    let scene = Arc::new(scene);
     let (jobs, queue) = sync_channel(threads);
     let queue = Arc::new(Mutex::new(queue));
     let threads = (0..threads)
         .map(|_| {
-            let (queue, model) = (Arc::clone(&queue), model.clone());
+            let (queue, scene) = (Arc::clone(&queue), Arc::clone(&scene));
             scope.spawn(move || {
-                let mut renderer = None;
+                let mut place = Place::Nowhere;
                 while let Some(job) = next(&queue) {
-                    work(&job, &model, &mut renderer);
+                    work(&job, &scene, &mut place);
                 }
             })
         })

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use re4_artifact::Key;
 use re4_fault::fault;
+use serde::{Deserialize, Serialize};
 
 /// Folder of all spools, below the artifacts folder.
 const FOLDER: &str = "spool";
@@ -19,7 +20,8 @@ const FOLDER: &str = "spool";
 const HASH: usize = 32;
 
 /// A folder of finished images.
-pub(super) struct Spool {
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Spool {
     folder: PathBuf,
     key: Key,
 }

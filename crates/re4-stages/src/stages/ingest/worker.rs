@@ -21,6 +21,7 @@ use re4_ingest::robomimic::SourcesIdentity;
 use serde::{Deserialize, Serialize};
 use tracing::info;
 
+use super::helper::Setup;
 use crate::interrupt::Interrupt;
 use crate::pipeline::Pipeline;
 
@@ -49,7 +50,8 @@ const MESA_THREADS: &str = "LP_NUM_THREADS";
 /// Memory limit of a worker without rendering, in bytes. A limit is needed because a damaged file can claim any size.
 const MEMORY: u64 = 4 << 30;
 
-/// Additional memory limit per rendering thread, in bytes. MuJoCo reserves far more for a simulation than it uses.
+/// Additional memory limit per rendering thread, in bytes. MuJoCo reserves far more for a simulation than it uses. Helpers inherit the
+/// limit of the worker.
 const RENDERING: u64 = 2 << 30;
 
 /// Memory limit (`RLIMIT_DATA`) of the worker of this request, in bytes.
@@ -65,7 +67,17 @@ pub(super) fn memory(request: &Request) -> u64 {
 /// Maximum number of bytes that are kept of a worker's standard error.
 const STDERR_KEPT: u64 = 1 << 16;
 
-/// The task of a worker, sent to it as one line of JSON.
+/// What the process of the hidden subcommand does, sent to it as one line of JSON.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Work {
+    /// A worker makes an artifact.
+    Ingest(Box<Request>),
+    /// A helper of a worker renders demonstrations, which follow as one line of JSON each.
+    Render(Setup),
+}
+
+/// The task of a worker.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Request {
     /// The pipeline, overrides applied.
@@ -204,7 +216,7 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
     }
     if let Some(gl) = &request.gl {
         command.env("RE4_GL", gl);
-        // Every rendering thread has its own context, so additional threads in Mesa would only compete with them.
+        // Every rendering thread has its own process, so additional threads in Mesa would only compete with them.
         if std::env::var_os(MESA_THREADS).is_none() {
             command.env(MESA_THREADS, "0");
         }
@@ -217,7 +229,7 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
         .or_fault(|| fault!("cannot start a worker process to read HDF5"; "end other programs and run again"))?;
     info!(process = child.id(), source = %request.source.display(), cautious = request.cautious, "worker started to read HDF5");
     interrupt.set_worker(Some(child.id()));
-    let mut line = serde_json::to_vec(request)?;
+    let mut line = serde_json::to_vec(&Work::Ingest(Box::new(request.clone())))?;
     line.push(b'\n');
     let mut stdin = child.stdin.take();
     if let Some(stdin) = &mut stdin {
