@@ -10,22 +10,21 @@ use insta::{assert_snapshot, with_settings};
 use re4_artifact::{Artifact, ArtifactSummary, Columns, Recipe, Row as _, Stage, Store, col_f64, col_u32};
 use re4_ingest::{FrameRow, SpatialColumns};
 
-const SETTINGS: &str = r#"
-[pose]
-source = "encoder"
-[pose.encoder]
+/// Settings of short trainings, by preset.
+const PAPER: &str = r#"
+preset = "paper"
 width = 4
-epochs = 3
-steps = 12
-batch = 32
 learning_rate = 2e-3
-held_out = 0.2
 losses = { translation = 300.0 }
 "#;
+const RE4: &str = r#"
+preset = "re4"
+"#;
 
-fn pipeline(source: &Path) -> String {
+fn pipeline(source: &Path, settings: &str) -> String {
     format!(
-        "task = \"lift\"\nvariant = \"image\"\n[ingest]\nsource = \"{}\"\ncameras = [\"agentview\"]\n[segment]\n{SETTINGS}",
+        "task = \"lift\"\nvariant = \"image\"\n[ingest]\nsource = \"{}\"\ncameras = [\"agentview\"]\n[segment]\n\
+         [pose]\nsource = \"encoder\"\n[pose.encoder]\nepochs = 3\nsteps = 12\nbatch = 32\nheld_out = 0.2\n{settings}",
         source.display()
     )
 }
@@ -41,16 +40,33 @@ fn train(place: &Place, arguments: &str) -> Answer {
 }
 
 /// A folder with a pipeline file on Lift's five demonstrations with images.
-fn lift() -> Option<Place> {
+fn lift(settings: &str) -> Option<Place> {
     let data = scripted()?;
     let place = Place::empty();
-    place.write("lift.toml", pipeline(&data.join("lift/image_5.hdf5")));
+    place.write("lift.toml", pipeline(&data.join("lift/image_5.hdf5"), settings));
     Some(place)
 }
 
 #[test]
 fn training_gives_a_consistent_artifact_for_any_number_of_threads() {
-    let Some(place) = lift() else { return };
+    check_artifact(PAPER, &["encoder.safetensors", "model_card.md", "training.svg"]);
+}
+
+#[test]
+fn keypoints_give_a_consistent_artifact_for_any_number_of_threads() {
+    check_artifact(
+        RE4,
+        &[
+            "confidence.json",
+            "encoder.safetensors",
+            "model_card.md",
+            "training.svg",
+        ],
+    );
+}
+
+fn check_artifact(settings: &str, expected: &[&str]) {
+    let Some(place) = lift(settings) else { return };
     train(&place, "--jobs 1 --artifacts one").done();
     train(&place, "--jobs 2 --artifacts two").done();
     assert_same_bytes(
@@ -60,7 +76,7 @@ fn training_gives_a_consistent_artifact_for_any_number_of_threads() {
     let poses = only(&place, "one", Stage::TrainPose);
     re4_artifact::verify(poses.path(), &re4_stages::tables::described).unwrap();
     let files: Vec<&str> = poses.manifest().files.keys().map(String::as_str).collect();
-    assert_eq!(files, ["encoder.safetensors", "model_card.md", "training.svg"]);
+    assert_eq!(files, expected);
     let frames = only(&place, "one", Stage::Ingest)
         .table(FrameRow::<SpatialColumns>::table())
         .unwrap()
@@ -130,7 +146,12 @@ fn forge(original: &Artifact, store: &Path) {
 
 #[test]
 fn training_and_estimates_do_not_depend_on_recorded_object_poses() {
-    let Some(place) = lift() else { return };
+    check_independence(PAPER);
+    check_independence(RE4);
+}
+
+fn check_independence(settings: &str) {
+    let Some(place) = lift(settings) else { return };
     train(&place, "--artifacts true").done();
     forge(&only(&place, "true", Stage::Ingest), &place.path().join("false"));
     train(&place, "--artifacts false").done();
@@ -156,11 +177,13 @@ fn training_and_estimates_do_not_depend_on_recorded_object_poses() {
 
 #[test]
 fn unusable_settings_and_data() {
-    let Some(place) = lift() else { return };
+    let Some(place) = lift(PAPER) else { return };
     let data = scripted().unwrap();
+    place.write("re4.toml", pipeline(&data.join("lift/image_5.hdf5"), RE4));
     place.write(
         "states.toml",
-        pipeline(&data.join("lift/low_dim.hdf5")).replace("cameras = [\"agentview\"]\n", "select = { first = 2 }\n"),
+        pipeline(&data.join("lift/low_dim.hdf5"), PAPER)
+            .replace("cameras = [\"agentview\"]\n", "select = { first = 2 }\n"),
     );
     place.write("weights.bin", "not weights");
     let mut errors = String::new();
@@ -176,6 +199,12 @@ fn unusable_settings_and_data() {
         "lift.toml --set pose.encoder.width=0",
         "lift.toml --set pose.encoder.held_out=1.0",
         "lift.toml --set pose.encoder.losses.absolute=-1.0",
+        "lift.toml --set pose.encoder.losses.rotation=-1.0",
+        "lift.toml --set pose.encoder.held_images=3",
+        "lift.toml --set pose.encoder.crops=6",
+        "re4.toml --set pose.encoder.preset=best",
+        "re4.toml --set pose.encoder.width=20",
+        "re4.toml --set pose.encoder.weights=weights.bin",
         "lift.toml --set variant=state",
         "lift.toml --set pose.source=recorded",
         "lift.toml --set pose.source=log_polar",

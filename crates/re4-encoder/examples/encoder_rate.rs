@@ -1,11 +1,12 @@
-//! Measures the training rate of the encoder: forward pass, loss, backward pass and an `AdamW` step on constant 76 x 76 images.
+//! Measures the training rate of the encoder: complete training steps on random images, with loading, cropping, losses,
+//! gradients and `AdamW`.
 //!
 //! ```text
-//! encoder_rate [--width 64] [--batch 64] [--steps 5] [--threads 2] [--backend flex]
+//! encoder_rate [--network keypoints] [--width 16] [--batch 64] [--steps 20] [--threads 2] [--backend flex]
 //! ```
 //!
-//! Prints one JSON object with the seconds of every step after one warm-up step. `benches/encoder_rate.py` runs it alternately
-//! with `PyTorch`. The backends are those of a pipeline file.
+//! Prints one JSON object with the seconds of every step after five warm-up steps. `benches/encoder_rate.py` runs it alternately
+//! with `PyTorch`. Networks and backends are those of a pipeline file.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -15,74 +16,107 @@
 use std::process::ExitCode;
 use std::time::Instant;
 
-use burn::optim::{AdamWConfig, GradientsParams};
-use burn::tensor::{Distribution, Tensor};
-use re4_encoder::Backend;
-use re4_encoder::resnet::Encoder;
+use nalgebra::{Isometry3, Vector3};
+use re4_encoder::batches::{Sampler, TrainingDemo};
+use re4_encoder::checkpoint::Checkpoints;
+use re4_encoder::images::ImageFile;
+use re4_encoder::loss::Alternatives;
+use re4_encoder::train::{Task, train};
+use re4_encoder::{EncoderConfig, EncoderError, IMAGE_BYTES, Network, Preset};
 
-struct Arguments {
-    width: usize,
-    batch: usize,
-    steps: usize,
-    threads: usize,
-    backend: Backend,
-}
+/// Steps that are not measured.
+const WARM_UP: usize = 5;
 
-fn arguments() -> Option<Arguments> {
-    let mut arguments = Arguments {
-        width: 64,
-        batch: 64,
-        steps: 5,
-        threads: 2,
-        backend: Backend::Flex,
-    };
+/// Demonstrations, and frames of each: half of them before the grasp.
+const DEMOS: u64 = 32;
+const FRAMES: u32 = 16;
+
+fn arguments() -> Option<(EncoderConfig, usize)> {
+    let mut config = EncoderConfig::preset(Preset::Re4);
+    let (mut steps, mut threads, mut width) = (20, 2, None);
     let mut words = std::env::args().skip(1);
     while let Some(name) = words.next() {
         let value = words.next()?;
         match name.as_str() {
-            "--width" => arguments.width = value.parse().ok()?,
-            "--batch" => arguments.batch = value.parse().ok()?,
-            "--steps" => arguments.steps = value.parse().ok()?,
-            "--threads" => arguments.threads = value.parse().ok()?,
-            "--backend" => arguments.backend = serde_json::from_value(value.into()).ok()?,
+            "--network" => {
+                let network: Network = serde_json::from_value(value.into()).ok()?;
+                config = EncoderConfig {
+                    backend: config.backend,
+                    batch: config.batch,
+                    ..EncoderConfig::preset(match network {
+                        Network::Resnet18 => Preset::Paper,
+                        Network::Keypoints => Preset::Re4,
+                    })
+                };
+            }
+            "--width" => width = Some(value.parse().ok()?),
+            "--batch" => config.batch = value.parse().ok()?,
+            "--steps" => steps = value.parse().ok()?,
+            "--threads" => threads = value.parse().ok()?,
+            "--backend" => config.backend = serde_json::from_value(value.into()).ok()?,
             _ => return None,
         }
     }
-    Some(arguments)
+    config.width = width.unwrap_or(config.width);
+    config.epochs = 1;
+    config.steps = Some((WARM_UP + steps) as u32);
+    Some((config, threads))
 }
 
-fn rate(arguments: &Arguments) -> Result<Vec<f64>, String> {
-    let Arguments {
-        width,
-        batch,
-        steps,
-        threads,
-        backend,
-    } = *arguments;
-    backend.set_threads(threads).map_err(|error| error.to_string())?;
-    let device = backend.device().map_err(|error| error.to_string())?.autodiff();
-    let mut encoder = Encoder::new(width, &device);
-    let mut optimiser = AdamWConfig::new().with_weight_decay(1e-4).init();
-    let images = Tensor::<4>::random([batch, 3, 76, 76], Distribution::Normal(0.0, 1.0), &device);
-    let mut seconds = Vec::with_capacity(steps + 1);
-    for _ in 0..=steps {
-        let start = Instant::now();
-        let (_, poses) = encoder.forward(images.clone());
-        let loss = poses.powf_scalar(2.0).mean();
-        let gradients = GradientsParams::from_grads(loss.backward(), &encoder);
-        encoder = optimiser.step(3e-4, encoder, gradients);
-        device.sync().map_err(|error| format!("{error:?}"))?;
-        seconds.push(start.elapsed().as_secs_f64());
-    }
-    Ok(seconds.split_off(1))
+fn rate(config: &EncoderConfig, threads: usize) -> Result<Vec<f64>, EncoderError> {
+    config.backend.set_threads(threads)?;
+    let folder = tempfile::tempdir().map_err(EncoderError::ScratchRead)?;
+    let count = DEMOS * u64::from(FRAMES);
+    let mut state = 1_u32;
+    let image = |_| {
+        let mut byte = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8
+        };
+        Ok::<_, EncoderError>((0..IMAGE_BYTES).map(|_| byte()).collect())
+    };
+    let images = ImageFile::write(folder.path(), (0..count).map(image))?;
+    let demo = |number: u64| {
+        let anchor = Isometry3::new(
+            Vector3::new(0.01 * number as f64, 0.0, 0.8),
+            Vector3::x() * std::f64::consts::PI,
+        );
+        TrainingDemo {
+            first: number * u64::from(FRAMES),
+            before: (0..FRAMES / 2).collect(),
+            held: (FRAMES / 2..FRAMES).collect(),
+            anchor,
+            eef: vec![anchor; FRAMES as usize],
+        }
+    };
+    let sampler = Sampler::new((0..DEMOS).map(demo).collect(), config, Alternatives::NONE);
+    let task = Task {
+        config,
+        sampler: &sampler,
+        images: &images,
+        held_out: &[],
+        weights: None,
+        symmetry: Alternatives::NONE,
+    };
+    let (mut last, mut seconds) = (Instant::now(), Vec::new());
+    let checkpoints = Checkpoints::open(&folder.path().join("checkpoints"), [0; 32])?;
+    train(&task, &checkpoints, |_| {
+        seconds.push(last.elapsed().as_secs_f64());
+        last = Instant::now();
+        Ok::<_, EncoderError>(())
+    })?;
+    Ok(seconds.split_off(WARM_UP))
 }
 
 fn main() -> ExitCode {
-    let Some(arguments) = arguments() else {
-        eprintln!("encoder_rate [--width 64] [--batch 64] [--steps 5] [--threads 2] [--backend flex|torch|cuda]");
+    let Some((config, threads)) = arguments() else {
+        eprintln!(
+            "encoder_rate [--network keypoints|resnet18] [--width 16] [--batch 64] [--steps 20] [--threads 2] \
+             [--backend flex|torch|cuda]"
+        );
         return ExitCode::from(2);
     };
-    match rate(&arguments) {
+    match rate(&config, threads) {
         Ok(seconds) => {
             println!("{}", serde_json::json!({ "seconds": seconds }));
             ExitCode::SUCCESS

@@ -10,9 +10,9 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng as _;
 
+use crate::config::EncoderConfig;
 use crate::images::MIDDLE;
 use crate::loss::{Alternatives, GROUP, PER_DEMO};
-use crate::config::EncoderConfig;
 use crate::{CROP, SIDE};
 
 /// Maximum angle between two anchors that L_cross treats as the same pose, in rad; beyond it, the gripper holds the object
@@ -93,7 +93,10 @@ fn angle(a: &Isometry3<f64>, b: &Isometry3<f64>, symmetry: Alternatives) -> f64 
     match symmetry {
         Alternatives::Axis => (a.rotation * Vector3::z()).angle(&(b.rotation * Vector3::z())),
         Alternatives::Fold(_) => {
-            let of = |turn| a.rotation.angle_to(&(b.rotation * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn)));
+            let of = |turn| {
+                a.rotation
+                    .angle_to(&(b.rotation * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn)))
+            };
             symmetry.angles().map(of).fold(f64::INFINITY, f64::min)
         }
     }

@@ -160,6 +160,7 @@ impl EncoderConfig {
             weight_decay: 0.1,
             anchor: AnchorFrame::Settled,
             symmetry: true,
+            crops: 5,
             losses: LossConfig::robust(),
             ..Self::paper()
         }
@@ -224,11 +225,11 @@ impl LossConfig {
 
     fn robust() -> Self {
         Self {
-            relative: 1.0,
+            relative: 2.0,
             cross: 0.0,
             distance: PoseDistance::Robust,
             translation: 100.0,
-            rotation: 2.0,
+            rotation: 1.0,
             ..Self::paper()
         }
     }

@@ -163,14 +163,7 @@ pub(crate) fn convolve<S: Simd>(simd: S, conv: &Conv, runs: &[Run], weights: &[f
 }
 
 #[inline(always)]
-fn rows<S: Simd, const P: usize>(
-    simd: S,
-    conv: &Conv,
-    runs: &[Run],
-    weights: &[f32],
-    input: &[f32],
-    out: &mut [f32],
-) {
+fn rows<S: Simd, const P: usize>(simd: S, conv: &Conv, runs: &[Run], weights: &[f32], input: &[f32], out: &mut [f32]) {
     let (side, step) = (conv.out_side(), conv.stride * conv.inputs);
     let row = conv.input().row();
     let blocks = conv.outputs / S::F32_LANES;

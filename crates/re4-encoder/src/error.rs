@@ -77,6 +77,10 @@ pub enum EncoderError {
         /// Which checkpoint is kept.
         kept: String,
     },
+    /// All pixels of an image are equal.
+    #[error("all pixels of the image have the same colour")]
+    #[remedy("check that the camera works and that images are rendered")]
+    Blank,
     /// An image has the wrong size.
     #[error("an image has {0} bytes, but an RGB image of 84 x 84 pixels has 21168")]
     #[remedy("use RGB images of 84 x 84 pixels")]

@@ -82,19 +82,22 @@ pub(crate) fn is_valid_width(width: usize) -> bool {
 pub(crate) fn shape(width: usize) -> Shape {
     let mut side = CROP;
     let mut inputs = 3;
-    let convs = CONVOLUTIONS.iter().enumerate().map(|(layer, &[kernel, stride, dilation])| {
-        let last = layer + 1 == CONVOLUTIONS.len();
-        let conv = Conv {
-            kernel,
-            stride,
-            dilation,
-            inputs,
-            outputs: if last { MAPS_PER_CHANNEL * width } else { width },
-            side,
-        };
-        (side, inputs) = (conv.out_side(), conv.outputs);
-        conv
-    });
+    let convs = CONVOLUTIONS
+        .iter()
+        .enumerate()
+        .map(|(layer, &[kernel, stride, dilation])| {
+            let last = layer + 1 == CONVOLUTIONS.len();
+            let conv = Conv {
+                kernel,
+                stride,
+                dilation,
+                inputs,
+                outputs: if last { MAPS_PER_CHANNEL * width } else { width },
+                side,
+            };
+            (side, inputs) = (conv.out_side(), conv.outputs);
+            conv
+        });
     Shape { convs: convs.collect() }
 }
 
@@ -217,7 +220,9 @@ impl KeypointNetwork {
         }
         for norm in &self.norms {
             for (part, list) in [(&norm.gamma, &mut weights.scales), (&norm.beta, &mut weights.shifts)] {
-                let part = part.as_ref().ok_or_else(|| EncoderError::Device("no scales".to_owned()))?;
+                let part = part
+                    .as_ref()
+                    .ok_or_else(|| EncoderError::Device("no scales".to_owned()))?;
                 list.push(read(part.val().into_data())?);
             }
         }
@@ -254,11 +259,18 @@ impl KeypointNetwork {
         }
         for (layer, norm) in self.norms.iter_mut().enumerate() {
             for (name, part) in [("weight", &mut norm.gamma), ("bias", &mut norm.beta)] {
-                slots.extend(part.as_mut().map(|part| (format!("keypoints.norm{layer}.{name}"), Slot::Vector(part))));
+                slots.extend(
+                    part.as_mut()
+                        .map(|part| (format!("keypoints.norm{layer}.{name}"), Slot::Vector(part))),
+                );
             }
         }
         for (part, head) in [("translation", &mut self.translation), ("rotation", &mut self.rotation)] {
-            let layers = [("hidden", &mut head.hidden), ("output", &mut head.output), ("skip", &mut head.skip)];
+            let layers = [
+                ("hidden", &mut head.hidden),
+                ("output", &mut head.output),
+                ("skip", &mut head.skip),
+            ];
             for (name, linear) in layers {
                 let name = format!("keypoints.{part}.{name}");
                 slots.push((format!("{name}.weight"), Slot::Matrix(&mut linear.weight)));

@@ -1,4 +1,4 @@
-//! The learned pose encoder for robosuite's tasks: a ResNet-18 in burn, its losses, training, checkpoints and weights.
+//! The learned pose encoder for robosuite's tasks: its networks in burn, losses, training, checkpoints and weights.
 //!
 //! Training uses images, end-effector poses, gripper widths and modes. No type in this crate contains a recorded object pose, so
 //! ground truth cannot reach the training.
@@ -6,6 +6,7 @@
 mod backend;
 pub mod batches;
 pub mod checkpoint;
+mod confidence;
 pub mod config;
 mod conv;
 mod error;
@@ -19,9 +20,10 @@ pub mod train;
 mod trunk;
 pub mod weights;
 
+pub use confidence::Calibration;
 pub use config::{AnchorFrame, Backend, EncoderConfig, LossConfig, Network, PoseDistance, Preset};
 pub use error::EncoderError;
-pub use predict::{IMAGE_BYTES, Prediction, Predictor, SIDE};
+pub use predict::{IMAGE_BYTES, Prediction, Predictor, SIDE, is_blank};
 pub use weights::to_bytes;
 
 /// Side of the crop that is the encoder's input, in pixels.

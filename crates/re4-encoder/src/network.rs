@@ -139,7 +139,11 @@ impl Encoder {
                 }
             }
             Self::Keypoints(network) => {
-                let offsets: Vec<f32> = crops.crops.iter().flat_map(|crop| keypoints::offset(crop.corner)).collect();
+                let offsets: Vec<f32> = crops
+                    .crops
+                    .iter()
+                    .flat_map(|crop| keypoints::offset(crop.corner))
+                    .collect();
                 let offsets = Tensor::from_data(TensorData::new(offsets, [crops.crops.len(), 2]), &device);
                 let found = network.keypoints(images, &offsets);
                 Estimates {
@@ -148,6 +152,14 @@ impl Encoder {
                     spread: Some(found.spread.into_data().iter::<f32>().collect()),
                 }
             }
+        }
+    }
+
+    /// The ResNet-18, if it is one.
+    pub fn resnet(&self) -> Option<&ResNet> {
+        match self {
+            Self::ResNet(network) => Some(network),
+            Self::Keypoints(_) => None,
         }
     }
 
@@ -248,5 +260,142 @@ pub(crate) fn estimate(encoder: &Encoder, kernels: Option<&Kernels>, crops: Crop
         poses: Poses::from_raw(&network.head(&positions), SCALE),
         embedding: positions,
         spread: Some(found.spread),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::module::{ModuleMapper, Param};
+    use burn::optim::GradientsParams;
+
+    use crate::IMAGE_BYTES;
+
+    /// Sets all weights to different values of the usual magnitude.
+    struct Fill(u32);
+
+    impl Fill {
+        fn next(&mut self) -> f32 {
+            self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (self.0 >> 8) as f32 / (1 << 24) as f32 - 0.5
+        }
+    }
+
+    impl ModuleMapper for Fill {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            param.map(|tensor| {
+                let dims = tensor.dims();
+                let centre = if D == 1 { 0.7 } else { 0.0 };
+                let values: Vec<f32> = (0..dims.iter().product()).map(|_| centre + 0.6 * self.next()).collect();
+                let filled = Tensor::from_data(TensorData::new(values, dims), &tensor.device());
+                if tensor.is_require_grad() {
+                    filled.require_grad()
+                } else {
+                    filled
+                }
+            })
+        }
+    }
+
+    fn network() -> Encoder {
+        let device = Device::flex().autodiff();
+        Encoder::new(Network::Keypoints, 32, &device).map(&mut Fill(7))
+    }
+
+    fn images() -> (Vec<Vec<u8>>, Vec<Crop>) {
+        let mut values = Fill(3);
+        let image = |_| {
+            (0..IMAGE_BYTES)
+                .map(|_| ((values.next() + 0.5) * 255.0) as u8)
+                .collect()
+        };
+        let crops = [[0, 0], [8, 3], [4, 4], [1, 8], [7, 0]].map(|corner| Crop {
+            corner,
+            light: [1.1, -0.05],
+        });
+        ((0..5).map(image).collect(), crops.to_vec())
+    }
+
+    fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
+        tensor.clone().into_data().iter::<f32>().collect()
+    }
+
+    fn close(fast: &[f32], slow: &[f32], tolerance: f32, what: &str) {
+        assert_eq!(fast.len(), slow.len(), "{what}");
+        let scale = slow.iter().fold(1e-6_f32, |largest, x| largest.max(x.abs()));
+        for (i, (fast, slow)) in fast.iter().zip(slow).enumerate() {
+            assert!(
+                (fast - slow).abs() <= tolerance * scale,
+                "{what}, number {i}: {fast} and {slow}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_kernels_compute_what_burn_computes() {
+        let encoder = network();
+        let (images, crops) = images();
+        let images: Vec<&[u8]> = images.iter().map(Vec::as_slice).collect();
+        let crops = Crops {
+            images: &images,
+            crops: &crops,
+        };
+        let slow = encoder.estimate(crops);
+        let kernels = Kernels::of(&encoder, Backend::Flex).unwrap().unwrap();
+        let fast = estimate(&encoder, Some(&kernels), crops);
+        close(&numbers(&fast.embedding), &numbers(&slow.embedding), 1e-5, "keypoints");
+        close(&fast.spread.unwrap(), &slow.spread.unwrap(), 1e-4, "spread");
+        close(
+            &numbers(&fast.poses.translation),
+            &numbers(&slow.poses.translation),
+            1e-5,
+            "translation",
+        );
+        assert!(Kernels::of(&encoder, Backend::Torch).unwrap().is_none());
+    }
+
+    #[test]
+    fn the_gradients_of_the_kernels_are_those_of_burn() {
+        let encoder = network();
+        let own = encoder.keypoints().unwrap();
+        let (images, crops) = images();
+        let images: Vec<&[u8]> = images.iter().map(Vec::as_slice).collect();
+        let crops = Crops {
+            images: &images,
+            crops: &crops,
+        };
+        // Any function of the keypoints whose gradient differs from one to the other.
+        let loss = |positions: Tensor<2>| {
+            let [batch, length] = positions.dims();
+            let factors: Vec<f32> = (0..batch * length).map(|i| (i % 7) as f32 - 3.0).collect();
+            let factors = Tensor::from_data(TensorData::new(factors, [batch, length]), &positions.device());
+            (positions.clone() * factors + positions.powf_scalar(2.0)).sum()
+        };
+        let slow = GradientsParams::from_grads(loss(encoder.estimate(crops).embedding).backward(), &encoder);
+
+        let kernels = Kernels::of(&encoder, Backend::Flex).unwrap().unwrap();
+        let mut tapes = Tapes::default();
+        let found = kernels.forward(crops, &mut tapes);
+        let dims = [images.len(), found.positions.len() / images.len()];
+        let positions =
+            Tensor::<2>::from_data(TensorData::new(found.positions, dims), &encoder.device()).require_grad();
+        let gradients = loss(positions.clone()).backward();
+        let of_positions = numbers(&positions.grad(&gradients).unwrap());
+        let of_trunk = kernels.trunk().backward(&tapes, &of_positions);
+        let mut fast = GradientsParams::from_grads(gradients, &encoder);
+        own.register(&of_trunk, &mut fast);
+        for (name, slot) in encoder.clone().slots() {
+            if name.contains("conv") || name.contains("norm") {
+                let (fast, slow) = match slot {
+                    crate::resnet::Slot::Kernel(param) => (fast.get::<4>(param.id), slow.get::<4>(param.id)),
+                    crate::resnet::Slot::Vector(param) => {
+                        let of = |gradients: &GradientsParams| gradients.get::<1>(param.id).map(|g| g.unsqueeze::<4>());
+                        (of(&fast), of(&slow))
+                    }
+                    _ => continue,
+                };
+                close(&numbers(&fast.unwrap()), &numbers(&slow.unwrap()), 2e-4, &name);
+            }
+        }
     }
 }

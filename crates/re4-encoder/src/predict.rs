@@ -47,6 +47,11 @@ fn corners(count: usize) -> Vec<[u8; 2]> {
     all.into_iter().take(count.max(1)).collect()
 }
 
+/// Whether all pixels of an image are equal, as if the camera did not work.
+pub fn is_blank(image: &[u8]) -> bool {
+    image.chunks_exact(3).all(|pixel| pixel == &image[..3])
+}
+
 impl Predictor {
     /// Reads the weights file of a trained encoder.
     ///
@@ -136,7 +141,11 @@ fn combine(of_crops: &[Outputs], image: usize) -> Prediction {
         translation += pose.translation.vector / count;
         // A quaternion and its negative are the same rotation.
         let own = pose.rotation.coords;
-        rotation += if own.dot(&first.rotation.coords) < 0.0 { -own } else { own };
+        rotation += if own.dot(&first.rotation.coords) < 0.0 {
+            -own
+        } else {
+            own
+        };
     }
     let apart = |outputs: &Outputs| (outputs.poses[image].translation.vector - translation).norm();
     let middle = &of_crops[0];

@@ -7,7 +7,6 @@ use burn::nn::{BatchNorm, BatchNormConfig, Initializer, Linear, LinearConfig, Pa
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 
-
 /// Length of the embedding.
 pub const EMBEDDING: usize = 256;
 

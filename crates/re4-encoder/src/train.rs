@@ -296,8 +296,7 @@ impl Learner<'_> {
             (Some(kernels), Some(network)) => {
                 let found = kernels.forward(crops, &mut self.tapes);
                 let dims = [samples.len(), found.positions.len() / samples.len()];
-                let positions =
-                    Tensor::<2>::from_data(TensorData::new(found.positions, dims), &device).require_grad();
+                let positions = Tensor::<2>::from_data(TensorData::new(found.positions, dims), &device).require_grad();
                 let poses = Poses::from_raw(&network.head(&positions), SCALE);
                 let losses = losses(&poses, &targets, &near, setting);
                 let values = values(&losses);
@@ -316,7 +315,10 @@ impl Learner<'_> {
                 let poses = self.encoder.estimate(crops).poses;
                 let losses = losses(&poses, &targets, &near, setting);
                 let values = values(&losses);
-                (values, GradientsParams::from_grads(losses.sum.backward(), &self.encoder))
+                (
+                    values,
+                    GradientsParams::from_grads(losses.sum.backward(), &self.encoder),
+                )
             }
         };
         if values.iter().all(|value| value.is_finite()) {
@@ -341,7 +343,14 @@ fn held_out(encoder: &Encoder, task: &Task) -> Result<Option<f64>, EncoderError>
         let images = load(task.images, chunk)?;
         let images: Vec<&[u8]> = images.chunks_exact(IMAGE_BYTES).collect();
         let crops = crops(chunk);
-        let estimates = estimate(&encoder, kernels.as_ref(), Crops { images: &images, crops: &crops });
+        let estimates = estimate(
+            &encoder,
+            kernels.as_ref(),
+            Crops {
+                images: &images,
+                crops: &crops,
+            },
+        );
         let losses = estimates
             .poses
             .metric(&targets(chunk, &device), &task.config.losses, task.symmetry.of_label());

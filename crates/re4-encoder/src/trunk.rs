@@ -199,10 +199,23 @@ impl WithSimd for Forward<'_> {
         } = self;
         for (layer, conv) in shape.convs.iter().enumerate() {
             let output = &mut tape.outputs[layer];
-            convolve(simd, conv, &conv.runs(), &weights.kernels[layer], &tape.inputs[layer], output);
+            convolve(
+                simd,
+                conv,
+                &conv.runs(),
+                &weights.kernels[layer],
+                &tape.inputs[layer],
+                output,
+            );
             if let Some(next) = shape.convs.get(layer + 1) {
                 let affine = [&weights.scales[layer], &weights.shifts[layer]].map(Vec::as_slice);
-                normalise(output, affine, &mut tape.statistics[layer], &mut tape.inputs[layer + 1], next.input());
+                normalise(
+                    output,
+                    affine,
+                    &mut tape.statistics[layer],
+                    &mut tape.inputs[layer + 1],
+                    next.input(),
+                );
             } else {
                 soften(output, conv.outputs);
                 locate(output, conv.outputs, positions, &mut tape.keypoints);
@@ -219,9 +232,7 @@ fn lanes(pixel: &[f32], block: usize) -> &[f32; CHANNELS] {
 
 /// Sums over the pixels of an image for each channel of a block: of the values that `value` returns.
 #[inline(always)]
-fn sums<const N: usize>(
-    pixels: impl Iterator<Item = [[f32; CHANNELS]; N]>,
-) -> [[f32; CHANNELS]; N] {
+fn sums<const N: usize>(pixels: impl Iterator<Item = [[f32; CHANNELS]; N]>) -> [[f32; CHANNELS]; N] {
     let mut sums = [[0.0; CHANNELS]; N];
     for values in pixels {
         for n in 0..N {
@@ -235,13 +246,7 @@ fn sums<const N: usize>(
 
 /// Group normalisation and ReLU, written to the padded input of the next convolution.
 #[inline(always)]
-fn normalise(
-    raw: &[f32],
-    [scales, shifts]: [&[f32]; 2],
-    statistics: &mut [[f32; 2]],
-    out: &mut [f32],
-    layout: Layout,
-) {
+fn normalise(raw: &[f32], [scales, shifts]: [&[f32]; 2], statistics: &mut [[f32; 2]], out: &mut [f32], layout: Layout) {
     let channels = layout.channels;
     let count = (layout.side * layout.side * GROUP_CHANNELS) as f32;
     for block in 0..channels / CHANNELS {
@@ -293,7 +298,14 @@ fn exponential(x: f32) -> f32 {
     let shifted = x * std::f32::consts::LOG2_E + 12_582_912.0;
     let n = shifted - 12_582_912.0;
     let r = (x - n * 0.693_359_4) + n * 2.121_944_4e-4;
-    let polynomial = [1.987_569_1e-4, 1.398_199_9e-3, 8.333_452e-3, 4.166_579_6e-2, 1.666_666_5e-1, 0.5];
+    let polynomial = [
+        1.987_569_1e-4,
+        1.398_199_9e-3,
+        8.333_452e-3,
+        4.166_579_6e-2,
+        1.666_666_5e-1,
+        0.5,
+    ];
     let mut sum = polynomial[0];
     for factor in &polynomial[1..] {
         sum = sum * r + factor;
@@ -379,8 +391,13 @@ impl Scratch {
     fn new(shape: &Shape) -> Self {
         let layouts = shape.convs.iter().enumerate();
         Self {
-            gradients: layouts.map(|(layer, conv)| vec![0.0; gradient_layout(layer, conv).len()]).collect(),
-            inputs: shape.convs[1..].iter().map(|conv| vec![0.0; conv.side * conv.side * conv.inputs]).collect(),
+            gradients: layouts
+                .map(|(layer, conv)| vec![0.0; gradient_layout(layer, conv).len()])
+                .collect(),
+            inputs: shape.convs[1..]
+                .iter()
+                .map(|conv| vec![0.0; conv.side * conv.side * conv.inputs])
+                .collect(),
         }
     }
 }
@@ -445,14 +462,7 @@ impl WithSimd for Backward<'_> {
 
 /// The gradient of the maps before their softmax, given that of the keypoints.
 #[inline(always)]
-fn scatter(
-    maps: &[f32],
-    positions: &[f32],
-    keypoints: &[f32],
-    gradient: &[f32],
-    into: &mut [f32],
-    layout: Layout,
-) {
+fn scatter(maps: &[f32], positions: &[f32], keypoints: &[f32], gradient: &[f32], into: &mut [f32], layout: Layout) {
     let (channels, side) = (layout.channels, layout.side);
     for block in 0..channels / CHANNELS {
         let mut means = [[0.0; CHANNELS]; 2];
@@ -511,7 +521,9 @@ fn denormalise(
         let mut totals = [[0.0_f32; CHANNELS]; 2];
         for y in 0..side {
             let active = layer.active[layer.active_layout.line(y)].chunks_exact(channels);
-            let pixels = after[line(y)].chunks_exact(channels).zip(layer.raw[line(y)].chunks_exact(channels));
+            let pixels = after[line(y)]
+                .chunks_exact(channels)
+                .zip(layer.raw[line(y)].chunks_exact(channels));
             for ((after, raw), active) in pixels.zip(active) {
                 let (after, raw, active) = (lanes(after, block), lanes(raw, block), lanes(active, block));
                 for lane in 0..CHANNELS {
@@ -535,7 +547,9 @@ fn denormalise(
         }
         for y in 0..side {
             let active = layer.active[layer.active_layout.line(y)].chunks_exact(channels);
-            let pixels = after[line(y)].chunks_exact(channels).zip(layer.raw[line(y)].chunks_exact(channels));
+            let pixels = after[line(y)]
+                .chunks_exact(channels)
+                .zip(layer.raw[line(y)].chunks_exact(channels));
             let into = into[layout.line(y)].chunks_exact_mut(channels);
             for (((after, raw), active), into) in pixels.zip(active).zip(into) {
                 let (after, raw, active) = (lanes(after, block), lanes(raw, block), lanes(active, block));

@@ -4,8 +4,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use re4_encoder::LossConfig;
-use re4_encoder::loss::{GROUP, Poses, losses};
+use re4_encoder::loss::{Alternatives, GROUP, Poses, Setting, losses};
+use re4_encoder::{EncoderConfig, LossConfig, Preset};
 
 /// Number of head outputs per pose.
 const NUMBERS: usize = 9;
@@ -103,20 +103,29 @@ fn batch() -> impl Strategy<Value = (Vec<f64>, Vec<f64>, Vec<bool>)> {
     })
 }
 
+/// Two images of each demonstration that hold the object, and no symmetry.
+fn setting(config: &LossConfig) -> Setting<'_> {
+    Setting {
+        config,
+        symmetry: Alternatives::NONE,
+        held: 2,
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
     fn losses_equal_those_of_the_reference((raw, wanted, near) in batch()) {
         let device = Device::flex();
-        let config = LossConfig::default();
+        let config = EncoderConfig::preset(Preset::Paper).losses;
         let poses: Vec<_> = raw.chunks_exact(NUMBERS).map(pose).collect();
         let targets: Vec<_> = wanted.chunks_exact(NUMBERS).map(pose).collect();
         let fast = losses(
             &Poses::from_raw(&tensor(&raw, &device), 0.1),
             &Poses::from_known(&targets, &device),
             &near_tensor(&near, &device),
-            &config,
+            setting(&config),
         );
         let slow = reference(&poses, &targets, &near, &config);
         for (fast, slow) in [fast.sum, fast.absolute, fast.relative, fast.cross].into_iter().zip(slow) {
@@ -128,14 +137,14 @@ proptest! {
     #[test]
     fn gradients_equal_finite_differences((raw, wanted, near) in batch()) {
         let device = Device::flex().autodiff();
-        let config = LossConfig::default();
+        let config = EncoderConfig::preset(Preset::Paper).losses;
         let targets: Vec<_> = wanted.chunks_exact(NUMBERS).map(pose).collect();
         let leaf = tensor(&raw, &device).require_grad();
         let sum = losses(
             &Poses::from_raw(&leaf, 0.1),
             &Poses::from_known(&targets, &device),
             &near_tensor(&near, &device),
-            &config,
+            setting(&config),
         ).sum;
         let gradient: Vec<f32> = leaf.grad(&sum.backward()).unwrap().into_data().iter::<f32>().collect();
         let value = |raw: &[f64]| {
@@ -204,4 +213,53 @@ fn zero_vectors_give_finite_poses() {
         number(sum).is_finite() && gradient.iter().all(|x| x.is_finite()),
         "{gradient:?}"
     );
+}
+
+/// The robust distance, computed with rotation matrices: the smallest over the rotations of the second pose about its own z axis.
+fn robust(a: &Isometry3<f64>, b: &Isometry3<f64>, angles: &[f64], c: &LossConfig) -> f64 {
+    let distance = (a.translation.vector - b.translation.vector).norm();
+    let chordal = |angle: &f64| {
+        let rotated = b.rotation * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), *angle);
+        let difference = a.rotation.to_rotation_matrix().matrix() - rotated.to_rotation_matrix().matrix();
+        difference.norm_squared()
+    };
+    let rotation = angles.iter().map(chordal).fold(f64::INFINITY, f64::min);
+    c.translation * ((distance * distance + 1e-6).sqrt() - 1e-3) + c.rotation * rotation
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn the_robust_distance_is_that_of_the_nearest_alternative((raw, wanted, _) in batch(), n in 1_u32..6) {
+        let device = Device::flex();
+        let config = EncoderConfig::preset(Preset::Re4).losses;
+        let poses: Vec<_> = raw.chunks_exact(NUMBERS).map(pose).collect();
+        let targets: Vec<_> = wanted.chunks_exact(NUMBERS).map(pose).collect();
+        let metric = |alternatives| -> Vec<f32> {
+            let of = (Poses::from_raw(&tensor(&raw, &device), 0.1), Poses::from_known(&targets, &device));
+            of.0.metric(&of.1, &config, alternatives).into_data().iter::<f32>().collect()
+        };
+        let fold = metric(Alternatives::Fold(n));
+        let angles: Vec<f64> = (0..n).map(|k| std::f64::consts::TAU * f64::from(k) / f64::from(n)).collect();
+        for ((fast, a), b) in fold.iter().zip(&poses).zip(&targets) {
+            let slow = robust(a, b, &angles, &config);
+            prop_assert!((f64::from(*fast) - slow).abs() < 1e-4 * (1.0 + slow), "{fast} and {slow}");
+        }
+        // Only the direction of the axis matters.
+        for ((fast, a), b) in metric(Alternatives::Axis).iter().zip(&poses).zip(&targets) {
+            let apart = (a.rotation * Vector3::z() - b.rotation * Vector3::z()).norm_squared();
+            let distance = (a.translation.vector - b.translation.vector).norm();
+            let slow = config.translation * ((distance * distance + 1e-6).sqrt() - 1e-3) + config.rotation * apart;
+            prop_assert!((f64::from(*fast) - slow).abs() < 1e-4 * (1.0 + slow), "{fast} and {slow}");
+        }
+    }
+}
+
+#[test]
+fn a_label_is_known_up_to_a_rotation_of_the_gripper_by_pi() {
+    assert_eq!(Alternatives::NONE.of_label(), Alternatives::Fold(2));
+    assert_eq!(Alternatives::Fold(3).of_label(), Alternatives::Fold(6));
+    assert_eq!(Alternatives::Fold(4).of_label(), Alternatives::Fold(4));
+    assert_eq!(Alternatives::Axis.of_label(), Alternatives::Axis);
 }

@@ -7,9 +7,10 @@ use std::path::Path;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
 use re4_encoder::checkpoint::Checkpoints;
-use re4_encoder::images::{ImageFile, MIDDLE};
+use re4_encoder::images::ImageFile;
+use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Task, Trained, train};
-use re4_encoder::{EncoderConfig, EncoderError, IMAGE_BYTES, Predictor, SIDE};
+use re4_encoder::{EncoderConfig, EncoderError, IMAGE_BYTES, Network, Predictor, Preset, SIDE};
 use re4_fault::Remedy as _;
 
 /// Number of frames before the grasp, and of frames that hold the object.
@@ -88,6 +89,7 @@ fn scenes(count: usize) -> Scenes {
 }
 
 fn config() -> EncoderConfig {
+    let paper = EncoderConfig::preset(Preset::Paper);
     EncoderConfig {
         width: 4,
         epochs: 5,
@@ -97,9 +99,19 @@ fn config() -> EncoderConfig {
         cosine: true,
         losses: re4_encoder::LossConfig {
             translation: 300.0,
-            ..re4_encoder::LossConfig::default()
+            ..paper.losses
         },
-        ..EncoderConfig::default()
+        ..paper
+    }
+}
+
+/// Settings of the preset `re4` for a few seconds.
+fn keypoints() -> EncoderConfig {
+    EncoderConfig {
+        epochs: 5,
+        steps: Some(40),
+        batch: 32,
+        ..EncoderConfig::preset(Preset::Re4)
     }
 }
 
@@ -118,21 +130,20 @@ fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Op
         .into_iter()
         .flat_map(|demo| {
             let demo = &scenes.demos[demo];
-            demo.before.iter().map(|&frame| Sample {
-                image: demo.first + u64::from(frame),
-                crop: MIDDLE,
-                target: demo.anchor,
-            })
+            demo.before
+                .iter()
+                .map(|&frame| Sample::plain(demo.first + u64::from(frame), demo.anchor))
         })
         .collect();
     let training = training.into_iter().map(|demo| scenes.demos[demo].clone()).collect();
-    let sampler = Sampler::new(training, config.radius, config.seed, config.batch);
+    let sampler = Sampler::new(training, config, Alternatives::NONE);
     let task = Task {
         config,
         sampler: &sampler,
         images: &scenes.images,
         held_out: &held_out,
         weights: None,
+        symmetry: Alternatives::NONE,
     };
     let done = Cell::new(0);
     train(&task, &Checkpoints::open(folder, [7; 32]).unwrap(), |_| {
@@ -144,15 +155,25 @@ fn fit(scenes: &Scenes, config: &EncoderConfig, folder: &Path, steps: u64) -> Op
 
 #[test]
 fn the_loss_decreases_and_held_out_positions_are_estimated() {
+    // The fraction of the error of the mean pose, which is some 10 cm.
+    check_training(&config(), 0.3);
+}
+
+#[test]
+fn keypoints_estimate_held_out_positions_within_millimetres() {
+    check_training(&keypoints(), 0.06);
+}
+
+fn check_training(config: &EncoderConfig, fraction: f64) {
     let scenes = scenes(60);
     let folder = tempfile::tempdir().unwrap();
-    let trained = fit(&scenes, &config(), folder.path(), u64::MAX).unwrap();
+    let trained = fit(&scenes, config, folder.path(), u64::MAX).unwrap();
     let losses: Vec<f64> = trained.epochs.iter().map(|epoch| epoch.losses[0]).collect();
     assert!(losses[4] < 0.25 * losses[0], "{losses:?}");
     let held_out: Vec<f64> = trained.epochs.iter().filter_map(|epoch| epoch.held_out).collect();
     assert!(held_out[4] < 0.5 * held_out[0], "{held_out:?}");
 
-    let predictor = Predictor::new(trained.encoder);
+    let predictor = Predictor::new(trained.encoder, config).unwrap();
     let training: Vec<usize> = (0..60).filter(|demo| demo % 5 != 0).collect();
     let mean = training
         .iter()
@@ -164,7 +185,12 @@ fn the_loss_decreases_and_held_out_positions_are_estimated() {
         let mut image = vec![0; IMAGE_BYTES];
         scenes.images.read(demo.first + 1, &mut image).unwrap();
         let found = &predictor.predict(&[&image]).unwrap()[0];
-        assert_eq!(found.embedding.len(), 256);
+        let length = if config.network == Network::Resnet18 {
+            256
+        } else {
+            4 * config.width
+        };
+        assert_eq!(found.embedding.len(), length);
         errors.push((found.pose.translation.vector - demo.anchor.translation.vector).norm());
         of_mean.push((mean - demo.anchor.translation.vector).norm());
     }
@@ -172,18 +198,23 @@ fn the_loss_decreases_and_held_out_positions_are_estimated() {
     of_mean.sort_by(f64::total_cmp);
     let (error, baseline) = (errors[errors.len() / 2], of_mean[of_mean.len() / 2]);
     assert!(
-        error < 0.3 * baseline,
+        error < fraction * baseline,
         "the median error is {error:.4} m, that of the mean pose {baseline:.4} m"
     );
 }
 
 #[test]
 fn an_interrupted_training_resumes_bit_exactly() {
+    check_resumption(config());
+    check_resumption(keypoints());
+}
+
+fn check_resumption(config: EncoderConfig) {
     let scenes = scenes(20);
     let config = EncoderConfig {
         epochs: 3,
         steps: Some(6),
-        ..config()
+        ..config
     };
     let whole = tempfile::tempdir().unwrap();
     let whole = fit(&scenes, &config, whole.path(), u64::MAX).unwrap();
@@ -227,13 +258,14 @@ fn foreign_or_damaged_checkpoints_are_not_used() {
         assert_eq!(again.resumed, 0);
         assert_eq!(again.epochs, whole.epochs);
     }
-    let sampler = Sampler::new(scenes.demos.clone(), 0.02, 0, 32);
+    let sampler = Sampler::new(scenes.demos.clone(), &config(), Alternatives::NONE);
     let task = Task {
         config: &config,
         sampler: &sampler,
         images: &scenes.images,
         held_out: &[],
         weights: None,
+        symmetry: Alternatives::NONE,
     };
     let foreign = Checkpoints::open(folder.path(), [8; 32]).unwrap();
     let Err(error) = train(&task, &foreign, |_| Ok::<_, EncoderError>(())) else {
@@ -262,13 +294,14 @@ fn a_loss_that_is_not_finite_stops_the_training_and_keeps_the_last_checkpoint() 
         cosine: false,
         ..good
     };
-    let sampler = Sampler::new(scenes.demos.clone(), 0.02, 0, 32);
+    let sampler = Sampler::new(scenes.demos.clone(), &config(), Alternatives::NONE);
     let task = Task {
         config: &bad,
         sampler: &sampler,
         images: &scenes.images,
         held_out: &[],
         weights: None,
+        symmetry: Alternatives::NONE,
     };
     let checkpoints = Checkpoints::open(folder.path(), [7; 32]).unwrap();
     let Err(error) = train(&task, &checkpoints, |_| Ok::<_, EncoderError>(())) else {
@@ -286,7 +319,13 @@ fn a_loss_that_is_not_finite_stops_the_training_and_keeps_the_last_checkpoint() 
 #[test]
 fn batches_depend_on_seed_epoch_and_step_and_pair_near_anchors() {
     let scenes = scenes(40);
-    let sampler = Sampler::new(scenes.demos.clone(), 0.05, 3, 64);
+    let settings = EncoderConfig {
+        radius: 0.05,
+        seed: 3,
+        batch: 64,
+        ..config()
+    };
+    let sampler = Sampler::new(scenes.demos.clone(), &settings, Alternatives::NONE);
     let batch = sampler.batch(2, 5);
     assert_eq!(batch.samples.len(), 64);
     assert_eq!(batch.samples, sampler.batch(2, 5).samples);

@@ -14,7 +14,8 @@ use std::process::Command;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use re4_encoder::resnet::Encoder;
+use re4_encoder::Network;
+use re4_encoder::network::Encoder;
 use re4_encoder::weights::{load, load_torchvision, save};
 use re4_fault::Remedy as _;
 use safetensors::tensor::TensorView;
@@ -112,7 +113,13 @@ fn difference(encoder: &Encoder, reference: &Value) -> f64 {
         .map(|value| 2.0 * value)
         .collect();
     let images = Tensor::from_data(TensorData::new(images, [count, 3, side, side]), &Device::flex());
-    let features: Vec<f32> = encoder.features(images).into_data().try_into_vec().unwrap();
+    let features: Vec<f32> = encoder
+        .resnet()
+        .unwrap()
+        .features(images)
+        .into_data()
+        .try_into_vec()
+        .unwrap();
     let expected = expected.concat();
     assert_eq!(features.len(), expected.len());
     let largest = expected
@@ -132,7 +139,11 @@ fn difference(encoder: &Encoder, reference: &Value) -> f64 {
 const TOLERANCE: f64 = 3e-6;
 
 fn narrow() -> Encoder {
-    load_torchvision(Encoder::new(2, &Device::flex()), &data("narrow18.pth")).unwrap()
+    load_torchvision(
+        Encoder::new(Network::Resnet18, 2, &Device::flex()),
+        &data("narrow18.pth"),
+    )
+    .unwrap()
 }
 
 fn refusal<T>(result: Result<T, re4_encoder::EncoderError>, folder: &Path) -> String {
@@ -148,7 +159,7 @@ fn features_equal_those_of_torchvision() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("resnet18.safetensors");
     write_safetensors(&path, &computed());
-    let encoder = load_torchvision(Encoder::new(64, &Device::flex()), &path).unwrap();
+    let encoder = load_torchvision(Encoder::new(Network::Resnet18, 64, &Device::flex()), &path).unwrap();
     let error = difference(&encoder, &json("resnet18.json"));
     assert!(error < TOLERANCE, "{error}");
     // The comparison detects a change of a single running statistic.
@@ -163,7 +174,7 @@ fn features_equal_those_of_torchvision() {
 #[test]
 fn torch_files_are_read() {
     for file in ["narrow18.pth", "narrow18_checkpoint.pth"] {
-        let encoder = load_torchvision(Encoder::new(2, &Device::flex()), &data(file)).unwrap();
+        let encoder = load_torchvision(Encoder::new(Network::Resnet18, 2, &Device::flex()), &data(file)).unwrap();
         let error = difference(&encoder, &json("narrow18.json"));
         assert!(error < TOLERANCE, "{file}: {error}");
     }
@@ -172,9 +183,13 @@ fn torch_files_are_read() {
     let path = folder.path().join("weights");
     fs::copy(data("narrow18.pth"), &path).unwrap();
     let device = Device::flex().autodiff();
-    let encoder = load_torchvision(Encoder::new(2, &device), &path).unwrap();
+    let encoder = load_torchvision(Encoder::new(Network::Resnet18, 2, &device), &path).unwrap();
     assert!(difference(&encoder.valid(), &json("narrow18.json")) < TOLERANCE);
-    let loss = encoder.features(Tensor::ones([2, 3, 76, 76], &device)).sum();
+    let loss = encoder
+        .resnet()
+        .unwrap()
+        .features(Tensor::ones([2, 3, 76, 76], &device))
+        .sum();
     let gradients = burn::optim::GradientsParams::from_grads(loss.backward(), &encoder);
     // All parameters except the running statistics, the embedding and the head.
     assert_eq!(gradients.len(), 60, "loaded weights must be trainable");
@@ -235,9 +250,12 @@ fn the_last_step_of_a_training_is_saved() {
         read_safetensors(&path)
     };
     let device = Device::flex().autodiff();
-    let encoder = load_torchvision(Encoder::new(2, &device), &data("narrow18.pth")).unwrap();
+    let encoder = load_torchvision(Encoder::new(Network::Resnet18, 2, &device), &data("narrow18.pth")).unwrap();
     let before = saved(&encoder, "before");
-    let _ = encoder.features(Tensor::ones([2, 3, 76, 76], &device));
+    let _ = encoder
+        .resnet()
+        .unwrap()
+        .features(Tensor::ones([2, 3, 76, 76], &device));
     let after = saved(&encoder, "after");
     assert!(before["bn1.running_var"] != after["bn1.running_var"]);
     assert!(before["bn1.weight"] == after["bn1.weight"]);
@@ -254,7 +272,7 @@ fn equal_weights_give_equal_bytes_in_every_process() {
     if let (Some(path), Ok(seed)) = (std::env::var_os(SAVE_TO), std::env::var(SEED)) {
         let device = Device::flex();
         device.seed(seed.parse().unwrap());
-        return save(&Encoder::new(2, &device), Path::new(&path)).unwrap();
+        return save(&Encoder::new(Network::Resnet18, 2, &device), Path::new(&path)).unwrap();
     }
     let folder = TempDir::new().unwrap();
     let saved = |name: &str, seed: &str| {
@@ -287,8 +305,12 @@ fn changed(folder: &Path, name: &str, change: impl FnOnce(&mut BTreeMap<String, 
 fn other_networks_are_refused() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    let start =
-        |width: usize, path: &Path| refusal(load_torchvision(Encoder::new(width, &Device::flex()), path), folder);
+    let start = |width: usize, path: &Path| {
+        refusal(
+            load_torchvision(Encoder::new(Network::Resnet18, width, &Device::flex()), path),
+            folder,
+        )
+    };
     let mut sentences = vec![
         start(1, &data("narrow34.pth")),
         start(1, &data("narrow50.pth")),
@@ -303,7 +325,7 @@ fn other_networks_are_refused() {
         .filter(|(name, _)| !name.starts_with("embedding.") && !name.starts_with("head."))
         .collect();
     write_safetensors(&good, &tensors);
-    load_torchvision(Encoder::new(2, &Device::flex()), &good).unwrap();
+    load_torchvision(Encoder::new(Network::Resnet18, 2, &Device::flex()), &good).unwrap();
 
     let set = |tensors: &mut BTreeMap<String, Stored>, name: &str, value: f32| {
         tensors.get_mut(name).unwrap().1[4..8].copy_from_slice(&value.to_le_bytes());
@@ -386,7 +408,12 @@ fn invalid_weights_files_are_refused() {
     ];
     let sentences: Vec<String> = paths
         .iter()
-        .map(|path| refusal(load_torchvision(Encoder::new(2, &Device::flex()), path), folder))
+        .map(|path| {
+            refusal(
+                load_torchvision(Encoder::new(Network::Resnet18, 2, &Device::flex()), path),
+                folder,
+            )
+        })
         .collect();
     insta::assert_snapshot!(sentences.join("\n"));
     for path in &paths {
@@ -400,7 +427,7 @@ fn damaged_files_are_refused_wherever_the_damage_is() {
     let folder = folder.path();
     let path = folder.join("damaged.pth");
     let torch = fs::read(data("narrow18.pth")).unwrap();
-    let encoder = Encoder::new(2, &Device::flex());
+    let encoder = Encoder::new(Network::Resnet18, 2, &Device::flex());
     for length in (0..torch.len()).step_by(263).chain(torch.len() - 40..torch.len()) {
         fs::write(&path, &torch[..length]).unwrap();
         refusal(load_torchvision(encoder.clone(), &path), folder);

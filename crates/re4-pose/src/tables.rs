@@ -9,7 +9,7 @@ use crate::spatial::{FrameError, GraspPhase};
 table! {
     /// One row per frame of every demonstration: the object's pose as estimated from the frame's image only, and its reliability.
     /// Recorded object poses are not used. Sorted by episode and frame.
-    #[table("poses", version = 2, formerly = "spatial_poses")]
+    #[table("poses", version = 3, formerly = "spatial_poses")]
     pub struct PoseRow<E> {
         /// Number of the demonstration in this artifact, from 0.
         pub episode: u32,
@@ -30,7 +30,13 @@ columns! {
         /// Estimated pose of the object.
         #[frame = "world"]
         pub object: Isometry3<f64>,
-        /// The encoder's embedding of the image, 256 numbers.
+        /// The fraction of held-out frames with a similar disagreement of the image's crops whose estimates agree with their
+        /// demonstration's anchor, 0 to 1; null if the encoder uses one crop or there are no held-out demonstrations.
+        pub confidence: Option<f64>,
+        /// Whether the confidence is below 0.5; null if it is.
+        pub unsure: Option<bool>,
+        /// The encoder's embedding of the image: 256 numbers of a ResNet-18, or the x and y of every keypoint in units of half an
+        /// image side from the image's centre.
         pub embedding: Vec<f32>,
     }
 }

@@ -33,3 +33,6 @@ pub(crate) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<
 pub(crate) fn outline() -> Outline {
     Outline::new(&tee_rectangles(), OUTLINE_RADIUS)
 }
+
+/// File name of the calibration of an encoder's confidence.
+pub(crate) const CONFIDENCE: &str = "confidence.json";

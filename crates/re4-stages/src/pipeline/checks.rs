@@ -1,8 +1,8 @@
 //! Checks settings for values that have the right type but are out of range or contradict each other.
 
 use anyhow::Result;
-use re4_encoder::{EncoderConfig, KEYPOINT_CHANNELS, Network};
 use re4_encoder::loss::GROUP;
+use re4_encoder::{EncoderConfig, KEYPOINT_CHANNELS, Network};
 use re4_fault::{Fault, bail, ensure};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_scenes::ScenesConfig;

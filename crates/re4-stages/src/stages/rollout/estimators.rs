@@ -1,11 +1,18 @@
 //! Pose estimators that observe the object for a policy from images.
 
+use std::io::ErrorKind;
+use std::path::Path;
 use std::sync::Arc;
 
-use re4_encoder::Predictor;
+use anyhow::Result;
+use nalgebra::Isometry3;
+use re4_encoder::{Calibration, EncoderError, Predictor, is_blank};
+use re4_fault::{OrFault as _, Remedy as _, fault};
 use re4_geometry::Pose2;
 use re4_pose::{Flag, LogPolarEstimator, PushtImage};
 use re4_rollout::{Estimator, Image, ObservedPose, Plane, PolicyError, Space};
+
+use crate::inputs::estimators::CONFIDENCE;
 
 /// The log-polar estimator for one episode of Push-T. If an estimate is not [`Flag::Clear`], the policy gets the last clear one
 /// instead.
@@ -44,19 +51,62 @@ impl Estimator<Plane> for LogPolar {
     }
 }
 
-/// The trained encoder of a robosuite task.
-pub(super) struct Encoder(pub(super) Predictor);
+/// The trained encoder of a robosuite task, for one episode. If an estimate is unsure, the policy gets the last one that was not:
+/// the object hardly moves between two looks, unless it was held.
+pub(super) struct Encoder {
+    predictor: Predictor,
+    calibration: Option<Arc<Calibration>>,
+    last_clear: Option<Isometry3<f64>>,
+}
+
+impl Encoder {
+    pub(super) fn new(predictor: &Predictor, calibration: Option<&Arc<Calibration>>) -> Self {
+        Self {
+            predictor: predictor.clone(),
+            calibration: calibration.cloned(),
+            last_clear: None,
+        }
+    }
+}
+
+/// Reads the calibration of an encoder's confidence; `None` if it has none.
+///
+/// # Errors
+/// If the file cannot be read or is not a calibration.
+pub(super) fn read_calibration(poses: &Path) -> Result<Option<Arc<Calibration>>> {
+    let path = poses.join(CONFIDENCE);
+    let text = match std::fs::read(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        read => read.or_fault(|| fault!("cannot read {}", path.display(); "train the encoder again"))?,
+    };
+    let calibration = serde_json::from_slice(&text)
+        .or_fault(|| fault!("{} is not a calibration", path.display(); "train the encoder again"))?;
+    Ok(Some(Arc::new(calibration)))
+}
 
 impl Estimator<Space> for Encoder {
     fn estimate(&mut self, image: &Image) -> Result<ObservedPose<Space>, PolicyError> {
-        let mut predictions = self.0.predict(&[&image.pixels]).map_err(PolicyError::unobservable)?;
+        if is_blank(&image.pixels) {
+            return Err(PolicyError::unobservable(EncoderError::Blank.sentence()));
+        }
+        let mut predictions = self
+            .predictor
+            .predict(&[&image.pixels])
+            .map_err(PolicyError::unobservable)?;
         let prediction = predictions.pop();
         let prediction =
             prediction.ok_or_else(|| PolicyError::unobservable("the encoder returned no pose for an image"))?;
+        let scored = self.calibration.as_ref().zip(prediction.disagreement);
+        let confidence = scored.map(|(calibration, score)| calibration.confidence(score));
+        let unsure = confidence.is_some_and(Calibration::is_unsure);
+        if !unsure {
+            self.last_clear = Some(prediction.pose);
+        }
         Ok(ObservedPose {
-            pose: prediction.pose,
-            confidence: None,
-            flag: None,
+            // Without a clear estimate, an unsure one is still better than none.
+            pose: self.last_clear.unwrap_or(prediction.pose),
+            confidence,
+            flag: confidence.map(|_| if unsure { "unsure" } else { Flag::Clear.as_str() }),
         })
     }
 }

@@ -13,7 +13,7 @@ use re4_sim::robosuite::{Placement, RobosuiteModel, simulation_steps};
 use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
-use super::estimators::Encoder;
+use super::estimators::{Encoder, read_calibration};
 use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup};
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
@@ -74,7 +74,10 @@ impl Runner {
         let config = self.pipeline.pose()?.encoder().into_owned();
         let open = || -> Result<Box<MakeEstimator>> {
             let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), &config)?;
-            Ok(Box::new(move || Box::new(Encoder(predictor.clone()))))
+            let calibration = read_calibration(poses.artifact.path())?;
+            Ok(Box::new(move || {
+                Box::new(Encoder::new(&predictor, calibration.as_ref()))
+            }))
         };
         let observer = ImageObserver {
             open: &open,

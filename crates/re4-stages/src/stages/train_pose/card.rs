@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use re4_artifact::{Key, Writer};
-use re4_encoder::{EncoderConfig, Network};
 use re4_encoder::train::Epoch;
+use re4_encoder::{EncoderConfig, Network};
 use re4_report::training_plot;
 use serde_json::Value;
 

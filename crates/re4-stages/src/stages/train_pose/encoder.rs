@@ -15,19 +15,20 @@ use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{AnchorFrame, Backend, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor};
+use re4_encoder::{AnchorFrame, Backend, Calibration, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor};
 use re4_episode::Mode;
 use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_geometry::spatial::Symmetry;
 use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
 use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
+use re4_stats::upper_median;
 use serde_json::{Value, json};
 use tracing::info;
 
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
-use crate::inputs::estimators::WEIGHTS;
+use crate::inputs::estimators::{CONFIDENCE, WEIGHTS};
 use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
@@ -42,6 +43,12 @@ const BATCH: usize = 64;
 
 /// Fingers that move less than this in a control step are at rest, in metres.
 const STILL: f64 = 5e-4;
+
+/// An anchor contradicts the images if it is this many times as far from the estimates as the median demonstration's.
+const CONTRADICTS: f64 = 5.0;
+
+/// The same, at least, in metres: about the width of a gripper's finger.
+const MINIMUM_CONTRADICTION: f64 = 0.03;
 
 /// The stride of held-out demonstrations: every n-th demonstration, starting with the first, is held out. `None` for no held-out
 /// demonstrations.
@@ -251,7 +258,23 @@ impl Runner {
         write_training(&trained.epochs, writer)?;
         card::write_plot(&trained.epochs, writer)?;
         let predictor = Predictor::new(trained.encoder.clone(), config)?;
-        let poses = self.estimate(&predictor, &demos, &images, writer)?;
+        let calibration = calibrate(&predictor, &held_out, &images)?;
+        if let Some(calibration) = &calibration {
+            writer.file(CONFIDENCE, &serde_json::to_vec_pretty(calibration)?)?;
+        }
+        let poses = self.estimate(&predictor, calibration.as_ref(), &demos, &images, writer)?;
+        warnings.extend(contradictions(config, &demos, &poses).map(|(demo, distance)| {
+            json!({
+                "code": "anchor_contradicts_images",
+                "demo_name": names.of(demo.episode),
+                "message": format!(
+                    "the grasp of {} is {:.0} mm from where its images show the object, far more than in the other demonstrations; \
+                     check that its images and its actions belong together, and that the camera did not move",
+                    names.of(demo.episode),
+                    1e3 * distance,
+                ),
+            })
+        }));
         // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
         let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
@@ -348,6 +371,7 @@ impl Runner {
     fn estimate(
         &self,
         predictor: &Predictor,
+        calibration: Option<&Calibration>,
         demos: &[Demo],
         images: &ImageFile,
         writer: &Writer,
@@ -369,12 +393,17 @@ impl Runner {
                     .collect::<Result<Vec<_>, EncoderError>>()?;
                 let chunk: Vec<&[u8]> = chunk.iter().map(Vec::as_slice).collect();
                 for prediction in predictor.predict(&chunk)? {
+                    let confidence = calibration
+                        .zip(prediction.disagreement)
+                        .map(|(calibration, score)| calibration.confidence(score));
                     table.push(&PoseRow {
                         episode: demo.episode,
                         frame: poses.len() as u32,
                         estimate: SpatialEstimate {
                             trained_on: demo.trained_on,
                             object: prediction.pose,
+                            confidence,
+                            unsure: confidence.map(Calibration::is_unsure),
                             embedding: prediction.embedding,
                         },
                     })?;
@@ -388,6 +417,47 @@ impl Runner {
         bar.finish_and_clear();
         Ok(all)
     }
+}
+
+/// Calibrates the confidence on the frames before the grasp of held-out demonstrations. `None` if there are none, or the encoder
+/// uses one crop.
+fn calibrate(predictor: &Predictor, held_out: &[Sample], images: &ImageFile) -> Result<Option<Calibration>> {
+    let mut frames = Vec::with_capacity(held_out.len());
+    for chunk in held_out.chunks(BATCH) {
+        let read = |sample: &Sample| {
+            let mut image = vec![0; IMAGE_BYTES];
+            images.read(sample.image, &mut image).map(|()| image)
+        };
+        let images = chunk.iter().map(read).collect::<Result<Vec<_>, EncoderError>>()?;
+        let images: Vec<&[u8]> = images.iter().map(Vec::as_slice).collect();
+        for (prediction, sample) in predictor.predict(&images)?.iter().zip(chunk) {
+            let distance = (prediction.pose.translation.vector - sample.target.translation.vector).norm();
+            frames.extend(prediction.disagreement.map(|score| [score, distance]));
+        }
+    }
+    Ok(Calibration::fit(&frames))
+}
+
+/// The demonstrations whose anchor is far from their estimates before the grasp, with the distance in metres: much farther than in
+/// the other demonstrations, and farther than demonstrators' grasps differ.
+fn contradictions<'a>(
+    config: &EncoderConfig,
+    demos: &'a [Demo],
+    poses: &'a [Vec<Isometry3<f64>>],
+) -> impl Iterator<Item = (&'a Demo, f64)> {
+    let distances: Vec<(&Demo, f64)> = demos
+        .iter()
+        .zip(poses)
+        .filter_map(|(demo, poses)| {
+            let training = demo.training(config.anchor)?;
+            let distance =
+                |&frame: &u32| (poses[frame as usize].translation.vector - training.anchor.translation.vector).norm();
+            Some((demo, upper_median(training.before.iter().map(distance))?))
+        })
+        .collect();
+    let typical = upper_median(distances.iter().map(|(_, distance)| *distance)).unwrap_or_default();
+    let limit = (CONTRADICTS * typical).max(MINIMUM_CONTRADICTION);
+    distances.into_iter().filter(move |(_, distance)| *distance > limit)
 }
 
 columns! {
@@ -429,7 +499,16 @@ fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> 
     );
     let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
-    for (row, (EefOf { episode, eef, fingers, .. }, ModeOf { mode, .. })) in frames.into_iter().zip(modes_of).enumerate() {
+    for (
+        row,
+        (
+            EefOf {
+                episode, eef, fingers, ..
+            },
+            ModeOf { mode, .. },
+        ),
+    ) in frames.into_iter().zip(modes_of).enumerate()
+    {
         // Recorded quaternions are stored bit for bit and may not have unit length exactly.
         let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
         let eef = Isometry3::from_parts(eef.translation, rotation);
