@@ -49,7 +49,7 @@ fn lift(settings: &str) -> Option<Place> {
 
 #[test]
 fn training_gives_a_consistent_artifact_for_any_number_of_threads() {
-    check_artifact(PAPER, &["encoder.safetensors", "model_card.md", "training.svg"]);
+    check_artifact(PAPER, &["encoder.safetensors", "model_card.md", "training.svg"], 0.7);
 }
 
 #[test]
@@ -62,10 +62,12 @@ fn keypoints_give_a_consistent_artifact_for_any_number_of_threads() {
             "model_card.md",
             "training.svg",
         ],
+        0.85,
     );
 }
 
-fn check_artifact(settings: &str, expected: &[&str]) {
+/// `fraction` is that of the first epoch's loss that remains after the third.
+fn check_artifact(settings: &str, expected: &[&str], fraction: f64) {
     let Some(place) = lift(settings) else { return };
     train(&place, "--jobs 1 --artifacts one").done();
     train(&place, "--jobs 2 --artifacts two").done();
@@ -88,7 +90,7 @@ fn check_artifact(settings: &str, expected: &[&str]) {
     let course = poses.table(re4_pose::TrainingRow::table()).unwrap().read_all().unwrap();
     let losses = col_f64(&course, "loss").unwrap();
     assert_eq!(col_u32(&course, "steps").unwrap(), [12, 24, 36]);
-    assert!(losses[2] < 0.7 * losses[0], "{losses:?}");
+    assert!(losses[2] < fraction * losses[0], "{losses:?}");
     // One demonstration in five is held out and marked.
     assert_eq!(poses.manifest().summary["trained_on"], 4);
     // The checkpoints are removed.

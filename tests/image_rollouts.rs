@@ -89,6 +89,8 @@ pub(crate) fn write_poses(artifacts: &Path, episodes: &Artifact, name: &str, row
         .u32("episode", rows.iter().map(|row| row.0).collect())
         .u32("frame", rows.iter().map(|row| row.1).collect())
         .bool("trained_on", vec![true; rows.len()])
+        .f64_or_null("confidence", vec![None; rows.len()])
+        .bool_or_null("unsure", vec![None; rows.len()])
         .f32_rows("embedding", vec![0.0; rows.len()], 1);
     for (k, part) in POSE.into_iter().enumerate() {
         columns = columns.f64(&format!("object_{part}"), rows.iter().map(|row| row.2[k]).collect());

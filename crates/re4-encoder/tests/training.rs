@@ -258,7 +258,7 @@ fn foreign_or_damaged_checkpoints_are_not_used() {
         assert_eq!(again.resumed, 0);
         assert_eq!(again.epochs, whole.epochs);
     }
-    let sampler = Sampler::new(scenes.demos.clone(), &config(), Alternatives::NONE);
+    let sampler = Sampler::new(scenes.demos.clone(), &config, Alternatives::NONE);
     let task = Task {
         config: &config,
         sampler: &sampler,

@@ -227,7 +227,10 @@ fn saved_weights_are_loaded_bit_exactly_with_torchvision_names() {
     assert_eq!(stored["head.weight"].0, [9, 256]);
 
     // PyTorch's layout: the head output is weight x embedding + bias.
-    let (embedding, pose) = encoder.forward(Tensor::ones([1, 3, 76, 76], &Device::flex()));
+    let (embedding, pose) = encoder
+        .resnet()
+        .unwrap()
+        .forward(Tensor::ones([1, 3, 76, 76], &Device::flex()));
     let embedding: Vec<f32> = embedding.into_data().try_into_vec().unwrap();
     let pose: Vec<f32> = pose.into_data().try_into_vec().unwrap();
     let floats = |name: &str| -> Vec<f32> {

@@ -30,7 +30,7 @@ use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 4;
+const CODE_VERSION: u32 = 5;
 
 /// Every `CALIBRATION_STRIDE`-th frame of a demonstration, starting with the first, is used to find the goal. The goal does not
 /// move, so more frames would add little.
