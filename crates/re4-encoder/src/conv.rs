@@ -6,6 +6,14 @@
 //! burn's pure-Rust backend computes a convolution by copying windows to a matrix (im2col), and the gradient of its weights by a
 //! convolution whose kernel is as large as the image. Both move far more memory than they compute with the few channels of this
 //! network. Here, one image with all its activations stays in the processor's cache.
+#![allow(
+    clippy::inline_always,
+    reason = "the loops must be inlined into the function that is compiled for the processor's vectors"
+)]
+#![allow(
+    clippy::needless_range_loop,
+    reason = "loops over the lanes of several arrays, which the compiler turns into vectors"
+)]
 
 use std::array::from_fn;
 
@@ -180,7 +188,7 @@ fn rows<S: Simd, const P: usize>(simd: S, conv: &Conv, runs: &[Run], weights: &[
                 for &(offset, length) in runs {
                     let from = base + start * step + offset;
                     let windows: [&[f32]; P] = from_fn(|j| &input[from + j * step..][..length]);
-                    let own = &weights[first..][..(length - 1) * blocks + 1];
+                    let own = &weights[first..][..=(length - 1) * blocks];
                     first += length * blocks;
                     for i in 0..length {
                         let weight = own[i * blocks];

@@ -21,7 +21,6 @@ pub const SCALE: f64 = 0.1;
 
 /// A network.
 #[derive(Module, Debug)]
-#[expect(clippy::large_enum_variant, reason = "there is one network in a program")]
 pub enum Encoder {
     /// ResNet-18 (preset `paper`).
     ResNet(ResNet),
@@ -389,7 +388,7 @@ mod tests {
                 let (fast, slow) = match slot {
                     crate::resnet::Slot::Kernel(param) => (fast.get::<4>(param.id), slow.get::<4>(param.id)),
                     crate::resnet::Slot::Vector(param) => {
-                        let of = |gradients: &GradientsParams| gradients.get::<1>(param.id).map(|g| g.unsqueeze::<4>());
+                        let of = |gradients: &GradientsParams| gradients.get::<1>(param.id).map(Tensor::unsqueeze::<4>);
                         (of(&fast), of(&slow))
                     }
                     _ => continue,

@@ -292,34 +292,31 @@ impl Learner<'_> {
         };
         let targets = targets(samples, &device);
         let kernels = Kernels::of(&self.encoder, config.backend)?;
-        let (values, gradients) = match (&kernels, self.encoder.keypoints()) {
-            (Some(kernels), Some(network)) => {
-                let found = kernels.forward(crops, &mut self.tapes);
-                let dims = [samples.len(), found.positions.len() / samples.len()];
-                let positions = Tensor::<2>::from_data(TensorData::new(found.positions, dims), &device).require_grad();
-                let poses = Poses::from_raw(&network.head(&positions), SCALE);
-                let losses = losses(&poses, &targets, &near, setting);
-                let values = values(&losses);
-                let gradients = losses.sum.backward();
-                let of_positions = positions.grad(&gradients);
-                let of_positions: Vec<f32> = of_positions
-                    .into_iter()
-                    .flat_map(|gradient| gradient.into_data().iter::<f32>().collect::<Vec<_>>())
-                    .collect();
-                let of_trunk = kernels.trunk().backward(&self.tapes, &of_positions);
-                let mut gradients = GradientsParams::from_grads(gradients, &self.encoder);
-                network.register(&of_trunk, &mut gradients);
-                (values, gradients)
-            }
-            _ => {
-                let poses = self.encoder.estimate(crops).poses;
-                let losses = losses(&poses, &targets, &near, setting);
-                let values = values(&losses);
-                (
-                    values,
-                    GradientsParams::from_grads(losses.sum.backward(), &self.encoder),
-                )
-            }
+        let (values, gradients) = if let (Some(kernels), Some(network)) = (&kernels, self.encoder.keypoints()) {
+            let found = kernels.forward(crops, &mut self.tapes);
+            let dims = [samples.len(), found.positions.len() / samples.len()];
+            let positions = Tensor::<2>::from_data(TensorData::new(found.positions, dims), &device).require_grad();
+            let poses = Poses::from_raw(&network.head(&positions), SCALE);
+            let losses = losses(&poses, &targets, &near, setting);
+            let values = values(&losses);
+            let gradients = losses.sum.backward();
+            let of_positions = positions.grad(&gradients);
+            let of_positions: Vec<f32> = of_positions
+                .into_iter()
+                .flat_map(|gradient| gradient.into_data().iter::<f32>().collect::<Vec<_>>())
+                .collect();
+            let of_trunk = kernels.trunk().backward(&self.tapes, &of_positions);
+            let mut gradients = GradientsParams::from_grads(gradients, &self.encoder);
+            network.register(&of_trunk, &mut gradients);
+            (values, gradients)
+        } else {
+            let poses = self.encoder.estimate(crops).poses;
+            let losses = losses(&poses, &targets, &near, setting);
+            let values = values(&losses);
+            (
+                values,
+                GradientsParams::from_grads(losses.sum.backward(), &self.encoder),
+            )
         };
         if values.iter().all(|value| value.is_finite()) {
             self.encoder = self.optimizer.step(learning_rate, self.encoder.clone(), gradients);

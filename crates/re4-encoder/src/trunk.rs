@@ -3,6 +3,14 @@
 //! It computes the same as [`crate::keypoints`] does with burn's layers, image by image and in parallel. Group normalisation
 //! needs no other image, so an image stays in the processor's cache from its pixels to its keypoints. Gradients are summed over
 //! images in a fixed order, so the bytes do not depend on the number of threads.
+#![allow(
+    clippy::inline_always,
+    reason = "the loops must be inlined into the function that is compiled for the processor's vectors"
+)]
+#![allow(
+    clippy::needless_range_loop,
+    reason = "loops over the lanes of several arrays, which the compiler turns into vectors"
+)]
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -12,7 +20,7 @@ use crate::conv::{CHANNELS, Conv, Layout, add_weight_gradient, convolve};
 /// Images whose gradients are summed by one thread.
 const IMAGES_PER_SUM: usize = 4;
 
-/// Added to variances, as burn's and PyTorch's group normalisation do.
+/// Added to variances, as burn's and `PyTorch`'s group normalisation do.
 pub(crate) const EPSILON: f32 = 1e-5;
 
 /// Channels of a group of the normalisation.
@@ -21,7 +29,7 @@ pub(crate) const GROUP_CHANNELS: usize = 4;
 /// Numbers per keypoint: x and y, and the standard deviation of its map.
 pub(crate) const PER_KEYPOINT: usize = 3;
 
-/// Shape of the trunk: convolutions with normalisation and ReLU, and a last one whose outputs are the keypoints' maps.
+/// Shape of the trunk: convolutions with normalisation and `ReLU`, and a last one whose outputs are the keypoints' maps.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Shape {
     pub(crate) convs: Vec<Conv>,
@@ -244,7 +252,7 @@ fn sums<const N: usize>(pixels: impl Iterator<Item = [[f32; CHANNELS]; N]>) -> [
     sums
 }
 
-/// Group normalisation and ReLU, written to the padded input of the next convolution.
+/// Group normalisation and `ReLU`, written to the padded input of the next convolution.
 #[inline(always)]
 fn normalise(raw: &[f32], [scales, shifts]: [&[f32]; 2], statistics: &mut [[f32; 2]], out: &mut [f32], layout: Layout) {
     let channels = layout.channels;
@@ -499,7 +507,7 @@ struct Normalised<'a> {
     scales: &'a [f32],
 }
 
-/// The gradient of a convolution's output, given that after normalisation and ReLU. Adds the gradients of scales and shifts.
+/// The gradient of a convolution's output, given that after normalisation and `ReLU`. Adds the gradients of scales and shifts.
 #[inline(always)]
 fn denormalise(
     layer: &Normalised<'_>,
