@@ -93,9 +93,9 @@ fn angle(a: &Isometry3<f64>, b: &Isometry3<f64>, symmetry: Alternatives) -> f64 
     match symmetry {
         Alternatives::Axis => (a.rotation * Vector3::z()).angle(&(b.rotation * Vector3::z())),
         Alternatives::Fold(_) => {
-            let of = |turn| {
+            let of = |by| {
                 a.rotation
-                    .angle_to(&(b.rotation * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn)))
+                    .angle_to(&(b.rotation * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), by)))
             };
             symmetry.angles().map(of).fold(f64::INFINITY, f64::min)
         }
