@@ -234,7 +234,7 @@ impl Policy<Plane> for Re4 {
     type Decision = Decision;
 
     fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
-        let (eef, object) = (senses.proprio(), senses.object()?);
+        let (eef, object) = (senses.proprio(), senses.object()?.pose);
         // The velocity of the pusher is not observed. The model of the controller predicts it from the last command.
         let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
         let pusher = PusherState {

@@ -17,6 +17,7 @@ fn act(policy: &mut Re4, agent: Point2, block: Pose2) -> Act<Plane, Decision> {
     let mut shown = Shown {
         proprio: agent,
         observes_object: true,
+        flag: None,
         object: &mut || Ok(block),
     };
     policy.act(&mut shown).unwrap()

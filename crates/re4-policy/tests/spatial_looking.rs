@@ -9,7 +9,7 @@ use std::sync::Arc;
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{Symmetry, pose_distance};
-use re4_policy::spatial::{ObjectEstimate, SpatialDecisionKind, SpatialPolicyConfig, SpatialRe4};
+use re4_policy::spatial::{ObjectEstimate, SpatialDecisionKind, SpatialPolicyConfig, SpatialRe4, WhileHeld};
 use re4_rollout::{ArmState, Policy as _, PolicyError};
 use shown::Shown;
 use toy::{SpatialAct, World, block, demonstrations, episode, knowledge};
@@ -19,9 +19,19 @@ fn act_on_request(
     proprio: ArmState,
     object: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
 ) -> Result<SpatialAct, PolicyError> {
+    act_on_flagged(policy, proprio, None, object)
+}
+
+fn act_on_flagged(
+    policy: &mut SpatialRe4,
+    proprio: ArmState,
+    flag: Option<&'static str>,
+    object: &mut dyn FnMut() -> Result<Isometry3<f64>, PolicyError>,
+) -> Result<SpatialAct, PolicyError> {
     policy.act(&mut Shown {
         proprio,
         observes_object: false,
+        flag,
         object,
     })
 }
@@ -115,6 +125,59 @@ fn poses_between_decisions_change_nothing() {
         let decisions = |acts: &[SpatialAct]| acts.iter().filter_map(|act| act.decision.clone()).collect::<Vec<_>>();
         assert_eq!(decisions(&run.acts), decisions(&observed.acts));
     }
+}
+
+#[test]
+fn after_a_doubtful_estimate_the_policy_looks_again_and_keeps_a_clear_one() {
+    let mut config = SpatialPolicyConfig::re4();
+    config.reframe.look_again = Some(3);
+    config.reframe.held = WhileHeld::Carried;
+    let (placed, wrong) = (block(-0.05, -0.1, 0.1), block(0.1, 0.1, 0.0));
+    // For each step: the flag of an estimate that is requested then, and the estimate.
+    let run = |doubtful: &dyn Fn(usize) -> bool| {
+        let mut world = World::new(placed);
+        let known = knowledge(demonstrations(8, 0.6, 1), &config, Symmetry::None);
+        let mut policy = SpatialRe4::new(config.clone(), known, world.eef);
+        let (mut requested_at, mut believed) = (Vec::new(), Vec::new());
+        while believed.len() < 400 && !world.success() {
+            let step = believed.len();
+            let (flag, seen) = if doubtful(step) {
+                ("unsure", wrong)
+            } else {
+                ("clear", world.object)
+            };
+            let mut requested = false;
+            let act = act_on_flagged(&mut policy, world.arm_state(), Some(flag), &mut || {
+                requested = true;
+                Ok(seen)
+            })
+            .unwrap();
+            if requested {
+                requested_at.push(step);
+            }
+            believed.push(act.object.unwrap());
+            world.step(&act.action);
+        }
+        (world.success(), requested_at, believed)
+    };
+    let distance = |a: &Isometry3<f64>, b: &Isometry3<f64>| pose_distance(a, b).0;
+
+    // Doubtful until step 10: there is no clear estimate yet, so the doubtful one is used, and the policy looks every third step.
+    let (success, requested_at, believed) = run(&|step| step < 10);
+    assert!(success);
+    assert_eq!(requested_at[..5], [0, 3, 6, 9, 12]);
+    assert!(distance(&believed[3], &wrong) < 1e-9 && distance(&believed[12], &placed) < 1e-9);
+
+    // Clear at the first step only: while the object is untouched, the clear estimate stays in use.
+    let (success, requested_at, believed) = run(&|step| step > 0);
+    assert!(success, "the clear estimate is enough for the grasp");
+    assert!(requested_at.len() > 3);
+    assert!(distance(&believed[requested_at[1]], &placed) < 1e-9);
+
+    // Without the setting, the policy does not look between decisions.
+    config.reframe.look_again = None;
+    let quiet = run_on_request(&config, 8, placed, |object| *object, |_| {});
+    assert!(quiet.success && quiet.requested_at.get(1).is_none_or(|step| *step > 8));
 }
 
 #[test]

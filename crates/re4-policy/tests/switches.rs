@@ -243,6 +243,7 @@ fn demonstrations_that_cannot_be_followed_are_rejected() {
         let mut seen = Shown::<Plane> {
             proprio: Point2::new(100.0, 100.0),
             observes_object: true,
+            flag: None,
             object: &mut || Ok(Pose2::new(250.0, 250.0, 0.5)),
         };
         match Re4::new(base(name), knowledge, 1).act(&mut seen) {

@@ -28,7 +28,7 @@ pub use policy::{Act, Phase, Policy, PolicyError, PolicyFactory};
 pub use record::{Batch, Explained, Explanation, Named, Opened, RecordError, Recording};
 pub use rollout::{Harness, MakeEnv, MakeSource, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
 pub use scene_renderer::{SceneCamera, SceneRenderer, drop_renderer, set_state};
-pub use senses::{Asked, Errors, Estimator, ObservedPose, Senses, Source};
+pub use senses::{Asked, CLEAR, Errors, Estimator, ObservedPose, Senses, Source};
 pub use tables::{
     DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, Recorded, ResultCore, SpaceDecisionRow,
     SpaceResultRow, SpaceStepRow, StepCore, tables,

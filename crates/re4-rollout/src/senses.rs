@@ -17,14 +17,14 @@ pub trait Senses<D: Domain> {
     fn observes_object(&self) -> bool;
 
     /// Returns the observed object pose in the world frame: the true pose, the true pose with simulated errors, or the estimate
-    /// from an image, depending on the pipeline.
+    /// from an image, depending on the pipeline. The estimate states whether it is doubtful.
     ///
     /// The source of the poses defines which body frame of the object the pose refers to. Demonstrations are indexed with poses
     /// from the same source.
     ///
     /// # Errors
     /// If the object cannot be observed, for example because the image cannot be rendered.
-    fn object(&mut self) -> Result<D::Pose, PolicyError>;
+    fn object(&mut self) -> Result<ObservedPose<D>, PolicyError>;
 
     /// Returns the image of a camera in the current state.
     ///
@@ -44,6 +44,25 @@ pub struct ObservedPose<D: Domain> {
     /// Flag that the estimator assigned to the image, such as `occluded`. `None` if the pose does not come from an estimator, or
     /// if the estimator has no flags.
     pub flag: Option<&'static str>,
+}
+
+/// The flag of an estimate that is not doubtful.
+pub const CLEAR: &str = "clear";
+
+impl<D: Domain> ObservedPose<D> {
+    /// A pose that does not come from an estimator.
+    pub fn known(pose: D::Pose) -> Self {
+        Self {
+            pose,
+            confidence: None,
+            flag: None,
+        }
+    }
+
+    /// Whether the estimator flagged the image.
+    pub fn is_doubtful(&self) -> bool {
+        self.flag.is_some_and(|flag| flag != CLEAR)
+    }
 }
 
 /// Estimates the object pose from images and has no other input.
@@ -149,25 +168,20 @@ impl<D: Domain> Senses<D> for Sensing<'_, D> {
         !matches!(self.source, Source::Image { .. })
     }
 
-    fn object(&mut self) -> Result<D::Pose, PolicyError> {
-        if let Some(observed) = &self.asked.object {
-            return Ok(observed.pose);
+    fn object(&mut self) -> Result<ObservedPose<D>, PolicyError> {
+        if let Some(observed) = self.asked.object {
+            return Ok(observed);
         }
-        let recorded = |pose| ObservedPose {
-            pose,
-            confidence: None,
-            flag: None,
-        };
         let observed = match &mut self.source {
-            Source::Recorded => recorded(self.env.object()),
-            Source::Noisy(perturb) => recorded(perturb(&self.env.object())),
+            Source::Recorded => ObservedPose::known(self.env.object()),
+            Source::Noisy(perturb) => ObservedPose::known(perturb(&self.env.object())),
             Source::Image { camera, estimator } => {
                 let image = current_image(&mut self.images, camera, self.env, &mut self.asked.images)?;
                 estimator.estimate(image)?
             }
         };
         self.asked.object = Some(observed);
-        Ok(observed.pose)
+        Ok(observed)
     }
 
     fn image(&mut self, camera: &str) -> Result<&Image, PolicyError> {

@@ -184,7 +184,7 @@ impl<D: Domain, S: States<D>> Policy<D> for Nearest<D, S> {
     fn act(&mut self, senses: &mut dyn Senses<D>) -> Result<Act<D, NearestDecision<D>>, PolicyError> {
         let mut decision = None;
         if self.chunk.is_empty() {
-            let (proprio, object) = (senses.proprio(), senses.object()?);
+            let (proprio, object) = (senses.proprio(), senses.object()?.pose);
             let (found, actions) = self.states.nearest(&proprio, &object, self.closed, self.horizon)?;
             self.chunk.extend(actions);
             decision = Some(NearestDecision {

@@ -96,6 +96,10 @@ pub struct SpatialReframeConfig {
     /// Object pose to use while the gripper holds the object. Applies only to poses from images.
     #[serde(default, skip_serializing_if = "WhileHeld::is_default")]
     pub held: WhileHeld,
+    /// Number of control steps after which the policy looks at the object again if the estimate is doubtful and the gripper is open.
+    /// If absent, the policy looks only at decisions. Applies only to poses from images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub look_again: Option<u32>,
 }
 
 /// The object pose that a policy with poses from images uses while the gripper holds the object.
@@ -260,6 +264,7 @@ impl SpatialPolicyConfig {
                 transfer: TransferReplay::Verbatim,
                 measure: Measuring::Decision,
                 held: WhileHeld::Seen,
+                look_again: None,
             },
             replan: SpatialReplanConfig {
                 enabled: true,
@@ -348,6 +353,13 @@ impl SpatialPolicyConfig {
         SettingError::unless(repeats >= 2, "recovery.ban.repeats", repeats, "give 2 or more")?;
         count("filter.samples", filter.map_or(1, |f| f.samples))?;
         positive("filter.gate", filter.map_or(1.0, |f| f.gate))?;
+        count("reframe.look_again", self.reframe.look_again.unwrap_or(1))?;
+        SettingError::unless(
+            images || self.reframe.look_again.is_none(),
+            "reframe.look_again",
+            "a setting that is only available with variant = \"image\"",
+            "leave it out",
+        )?;
         SettingError::unless(
             images || self.reframe.held == WhileHeld::Seen,
             "reframe.held",

@@ -36,6 +36,10 @@ pub struct SpatialRe4 {
     home: Isometry3<f64>,
     bans: Bans,
     estimate: ObjectEstimate,
+    /// Whether the estimate is from an observation that was not doubtful, and the object was not touched since.
+    is_clear: bool,
+    /// Number of control steps until the policy looks at the object again. `None` if it does not before the next decision.
+    look_in: Option<u32>,
     /// Last gripper command.
     gripper: f64,
     /// Number of control steps since the gripper command last changed between closing and not closing.
@@ -104,22 +108,6 @@ impl Observation {
         (self.fingers[0] - self.fingers[1]).abs()
     }
 
-    /// Requests the object pose, unless it is already known at this step, and updates the estimate.
-    fn observe_object(
-        &mut self,
-        observer: &mut PoseObserver<'_>,
-        estimate: &mut ObjectEstimate,
-    ) -> Result<(), PolicyError> {
-        if let Some(senses) = observer.take() {
-            let object = senses.object()?;
-            if !is_valid_pose(&object) {
-                return Err(not_finite());
-            }
-            self.object = estimate.observe(self.mode, &self.eef, &object);
-        }
-        Ok(())
-    }
-
     fn query(&self) -> SpatialQuery {
         SpatialQuery {
             mode: self.mode,
@@ -144,6 +132,8 @@ impl SpatialRe4 {
             knowledge,
             home,
             gripper: OPEN,
+            is_clear: false,
+            look_in: None,
             // The fingers do not count as settling before the first command.
             since_change: MAX_SETTLE_STEPS,
             separation: None,
@@ -188,7 +178,7 @@ impl Policy<Space> for SpatialRe4 {
     /// Returns the action for the next control step.
     ///
     /// If the object pose is available without rendering, the policy observes it at every step. Otherwise it requests the pose
-    /// only when it selects what to do next, at most once per step.
+    /// when it selects what to do next, and when `reframe.look_again` is due, at most once per step.
     fn act(&mut self, senses: &mut dyn Senses<Space>) -> Result<Act<Space, SpatialDecision>, PolicyError> {
         let arm = senses.proprio();
         if !is_valid_pose(&arm.eef) || arm.fingers.iter().any(|f| !f.is_finite()) {
@@ -201,9 +191,11 @@ impl Policy<Space> for SpatialRe4 {
             object: Isometry3::identity(),
             fingers: arm.fingers,
         };
-        let mut observe_now = senses.observes_object();
+        self.look_in = self.look_in.map(|steps| steps.saturating_sub(1));
+        let look_now = mode == Mode::Transit && self.look_in == Some(0);
+        let mut observe_now = senses.observes_object() || look_now;
         let mut observer: PoseObserver<'_> = Some(senses);
-        if !observe_now {
+        if !observe_now || look_now {
             match self.estimate.carry(mode, &arm.eef) {
                 Some(carried) => {
                     observed.object = carried;
@@ -216,7 +208,7 @@ impl Policy<Space> for SpatialRe4 {
             }
         }
         if observe_now {
-            observed.observe_object(&mut observer, &mut self.estimate)?;
+            self.observe_object(&mut observed, &mut observer)?;
         }
         self.step(observed, observer)
     }
@@ -229,6 +221,30 @@ impl SpatialRe4 {
         } else {
             Mode::Transit
         }
+    }
+
+    /// Requests the object pose, unless it is already known at this step, and updates the estimate. A doubtful pose is not used if
+    /// there is a clear one of the untouched object; the policy then looks again after some steps, when the arm hides less or
+    /// something else of the scene.
+    fn observe_object(
+        &mut self,
+        observed: &mut Observation,
+        observer: &mut PoseObserver<'_>,
+    ) -> Result<(), PolicyError> {
+        let Some(senses) = observer.take() else {
+            return Ok(());
+        };
+        let seen = senses.object()?;
+        if !is_valid_pose(&seen.pose) {
+            return Err(not_finite());
+        }
+        let doubtful = seen.is_doubtful();
+        if !(doubtful && self.is_clear) {
+            observed.object = self.estimate.observe(observed.mode, &observed.eef, &seen.pose);
+        }
+        self.is_clear |= !doubtful;
+        self.look_in = self.config.reframe.look_again.filter(|_| doubtful);
+        Ok(())
     }
 
     /// Executes one control step.
@@ -263,6 +279,8 @@ impl SpatialRe4 {
             }
         };
         let changed = (action.gripper > 0.0) != (self.gripper > 0.0);
+        // The fingers may move the object when they close, and it falls when they open.
+        self.is_clear &= !changed;
         self.since_change = if changed {
             1
         } else {
@@ -449,7 +467,7 @@ impl SpatialRe4 {
             }
         }
         // Everything that follows depends on the object pose. Returning home does not, so it needs no observation.
-        observed.observe_object(observer, &mut self.estimate)?;
+        self.observe_object(observed, observer)?;
         let observed = &*observed;
         let (kind, demo, frame, distances) = loop {
             let (kind, demo, frame, distances) = self.retrieve(observed)?;

@@ -1,13 +1,15 @@
 //! Observations that a test gives a policy at one step.
 #![allow(dead_code, reason = "each test file uses only some of these items")]
 
-use re4_rollout::{Domain, Image, PolicyError, Senses};
+use re4_rollout::{Domain, Image, ObservedPose, PolicyError, Senses};
 
 pub(crate) struct Shown<'a, D: Domain> {
     pub(crate) proprio: D::Proprio,
     /// Whether the pose is available at every step without rendering.
     pub(crate) observes_object: bool,
     pub(crate) object: &'a mut dyn FnMut() -> Result<D::Pose, PolicyError>,
+    /// The flag of the estimate.
+    pub(crate) flag: Option<&'static str>,
 }
 
 impl<D: Domain> Senses<D> for Shown<'_, D> {
@@ -19,8 +21,12 @@ impl<D: Domain> Senses<D> for Shown<'_, D> {
         self.observes_object
     }
 
-    fn object(&mut self) -> Result<D::Pose, PolicyError> {
-        (self.object)()
+    fn object(&mut self) -> Result<ObservedPose<D>, PolicyError> {
+        let pose = (self.object)()?;
+        Ok(ObservedPose {
+            flag: self.flag,
+            ..ObservedPose::known(pose)
+        })
     }
 
     fn image(&mut self, camera: &str) -> Result<&Image, PolicyError> {

@@ -247,6 +247,7 @@ pub(crate) fn observe_and_act(
     policy.act(&mut Shown {
         proprio,
         observes_object: true,
+        flag: None,
         object: &mut || Ok(object),
     })
 }

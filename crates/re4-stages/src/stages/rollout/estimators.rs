@@ -5,12 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Result;
-use nalgebra::Isometry3;
 use re4_encoder::{Calibration, EncoderError, Predictor, is_blank};
 use re4_fault::{OrFault as _, Remedy as _, fault};
 use re4_geometry::Pose2;
 use re4_pose::{Flag, LogPolarEstimator, PushtImage};
-use re4_rollout::{Estimator, Image, ObservedPose, Plane, PolicyError, Space};
+use re4_rollout::{CLEAR, Estimator, Image, ObservedPose, Plane, PolicyError, Space};
 
 use crate::inputs::estimators::CONFIDENCE;
 
@@ -51,12 +50,11 @@ impl Estimator<Plane> for LogPolar {
     }
 }
 
-/// The trained encoder of a robosuite task, for one episode. If an estimate is unsure, the policy gets the last one that was not:
-/// the object hardly moves between two looks, unless it was held.
+/// The trained encoder of a robosuite task. An estimate with a low confidence is flagged; the policy knows whether an earlier one
+/// is still valid.
 pub(super) struct Encoder {
     predictor: Predictor,
     calibration: Option<Arc<Calibration>>,
-    last_clear: Option<Isometry3<f64>>,
 }
 
 impl Encoder {
@@ -64,7 +62,6 @@ impl Encoder {
         Self {
             predictor: predictor.clone(),
             calibration: calibration.cloned(),
-            last_clear: None,
         }
     }
 }
@@ -98,15 +95,10 @@ impl Estimator<Space> for Encoder {
             prediction.ok_or_else(|| PolicyError::unobservable("the encoder returned no pose for an image"))?;
         let scored = self.calibration.as_ref().zip(prediction.disagreement);
         let confidence = scored.map(|(calibration, score)| calibration.confidence(score));
-        let unsure = confidence.is_some_and(Calibration::is_unsure);
-        if !unsure {
-            self.last_clear = Some(prediction.pose);
-        }
         Ok(ObservedPose {
-            // Without a clear estimate, an unsure one is still better than none.
-            pose: self.last_clear.unwrap_or(prediction.pose),
+            pose: prediction.pose,
             confidence,
-            flag: confidence.map(|_| if unsure { "unsure" } else { Flag::Clear.as_str() }),
+            flag: confidence.map(|own| if Calibration::is_unsure(own) { "unsure" } else { CLEAR }),
         })
     }
 }
