@@ -2,13 +2,16 @@
 //! demonstrations of Lift. They need the datasets in the folder that `RE4_DATA` names, or in ../shared/data.
 
 use std::fmt::Write as _;
+use std::io::Cursor;
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, scripted};
-use arrow_array::RecordBatch;
+use arrow_array::{BinaryArray, RecordBatch};
+use image::RgbImage;
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, ArtifactSummary, Columns, Recipe, Row as _, Stage, Store, col_f64, col_u32};
-use re4_ingest::{FrameRow, SpatialColumns};
+use re4_artifact::{Artifact, ArtifactSummary, Columns, Recipe, Row as _, Stage, Store, col_binary, col_f64, col_u32};
+use re4_ingest::{FrameRow, ImageRow, SpatialColumns};
 
 /// Settings of short trainings, by preset.
 const PAPER: &str = r#"
@@ -101,7 +104,11 @@ fn check_artifact(settings: &str, expected: &[&str], fraction: f64) {
 }
 
 /// Moves the recorded object by a metre and rotates it. Everything else is unchanged.
-fn disturbed(batch: &RecordBatch) -> RecordBatch {
+fn disturbed(table: &str, batch: RecordBatch) -> RecordBatch {
+    if table != FrameRow::<SpatialColumns>::table().name {
+        return batch;
+    }
+    let batch = &batch;
     let mut columns = Columns::new(FrameRow::<SpatialColumns>::table());
     for spec in FrameRow::<SpatialColumns>::table().columns {
         let array = batch.column_by_name(spec.name).unwrap();
@@ -119,8 +126,8 @@ fn disturbed(batch: &RecordBatch) -> RecordBatch {
     columns.finish().unwrap()
 }
 
-/// Copies an artifact to another store, under the same key, with different recorded object poses.
-fn forge(original: &Artifact, store: &Path) {
+/// Copies an artifact to another store, under the same key, with other rows: `edit` returns the rows of a table, given its name.
+fn forge(original: &Artifact, store: &Path, edit: impl Fn(&str, RecordBatch) -> RecordBatch) {
     let manifest = original.manifest();
     let recipe = Recipe::new(Stage::Ingest, manifest.code_version)
         .config(&manifest.config)
@@ -132,9 +139,7 @@ fn forge(original: &Artifact, store: &Path) {
         let spec = re4_stages::tables::described(original, name).unwrap();
         let mut out = writer.table_in_groups(spec, summary.row_group_rows as usize).unwrap();
         for batch in original.table(spec).unwrap().batches().unwrap() {
-            let batch = batch.unwrap();
-            let frames = spec.name == FrameRow::<SpatialColumns>::table().name;
-            out.write(if frames { disturbed(&batch) } else { batch }).unwrap();
+            out.write(edit(spec.name, batch.unwrap())).unwrap();
         }
         out.finish().unwrap();
     }
@@ -155,7 +160,11 @@ fn training_and_estimates_do_not_depend_on_recorded_object_poses() {
 fn check_independence(settings: &str) {
     let Some(place) = lift(settings) else { return };
     train(&place, "--artifacts true").done();
-    forge(&only(&place, "true", Stage::Ingest), &place.path().join("false"));
+    forge(
+        &only(&place, "true", Stage::Ingest),
+        &place.path().join("false"),
+        disturbed,
+    );
     train(&place, "--artifacts false").done();
     let (real, fake) = (
         only(&place, "true", Stage::TrainPose),
@@ -175,6 +184,147 @@ fn check_independence(settings: &str) {
     }
     // The evaluation reads the recorded poses and differs, so the recorded poses really were changed.
     assert!(bytes(&real, "pose_errors.parquet") != bytes(&fake, "pose_errors.parquet"));
+}
+
+/// The rows of table `images` with other images. `edit` changes the image of a demonstration.
+fn with_images(table: &str, batch: RecordBatch, edit: impl Fn(u32, &mut RgbImage)) -> RecordBatch {
+    if table != ImageRow::table().name {
+        return batch;
+    }
+    let (episodes, images) = (
+        col_u32(&batch, "episode").unwrap(),
+        col_binary(&batch, "image").unwrap(),
+    );
+    let mut files = Vec::new();
+    for row in 0..batch.num_rows() {
+        let mut image = image::load_from_memory(images.value(row)).unwrap().into_rgb8();
+        edit(episodes[row], &mut image);
+        let mut file = Cursor::new(Vec::new());
+        image.write_to(&mut file, image::ImageFormat::Png).unwrap();
+        files.push(file.into_inner());
+    }
+    let mut columns = Columns::new(ImageRow::table());
+    for spec in ImageRow::table().columns {
+        columns = match spec.name {
+            "image" => columns.array("image", Arc::new(files.iter().map(Some).collect::<BinaryArray>())),
+            name => columns.array(name, batch.column_by_name(name).unwrap().clone()),
+        };
+    }
+    columns.finish().unwrap()
+}
+
+/// Code of every warning of the training, with the demonstration that it names.
+fn warnings(place: &Place, artifacts: &str) -> Vec<(String, Option<String>)> {
+    let poses = only(place, artifacts, Stage::TrainPose);
+    let text = |warning: &serde_json::Value, name: &str| warning[name].as_str().map(str::to_owned);
+    poses
+        .manifest()
+        .warnings
+        .iter()
+        .map(|warning| (text(warning, "code").unwrap(), text(warning, "demo_name")))
+        .collect()
+}
+
+#[test]
+fn images_and_grasps_that_cannot_be_learned_from_are_reported() {
+    let Some(place) = lift(RE4) else { return };
+    train(&place, "--artifacts plain").done();
+    let known = warnings(&place, "plain");
+    // Four demonstrations are too few to learn from.
+    assert_eq!(known, [("no_better_than_mean".to_owned(), None)]);
+    let plain = only(&place, "plain", Stage::Ingest);
+    let named = |code: &str, demo: &str| (code.to_owned(), Some(demo.to_owned()));
+
+    // A camera that did not work in one demonstration.
+    let black = |demos: std::ops::Range<u32>| {
+        move |table: &str, batch| {
+            with_images(table, batch, |demo, image| {
+                if demos.contains(&demo) {
+                    image.fill(0);
+                }
+            })
+        }
+    };
+    forge(&plain, &place.path().join("black"), black(3..4));
+    train(&place, "--artifacts black").done();
+    assert!(warnings(&place, "black").contains(&named("blank_images", "demo_3")));
+    forge(&plain, &place.path().join("night"), black(0..5));
+    let refused = train(&place, "--artifacts night").refused();
+    assert!(
+        refused.contains("have a single color; record or render the images again"),
+        "{refused}"
+    );
+
+    // The gripper never closes in one demonstration, or in all.
+    let open = |demos: std::ops::Range<u32>| {
+        move |table: &str, batch: RecordBatch| {
+            if table != FrameRow::<SpatialColumns>::table().name {
+                return batch;
+            }
+            let episodes = col_u32(&batch, "episode").unwrap();
+            let gripper = col_f64(&batch, "gripper").unwrap();
+            let gripper = episodes
+                .iter()
+                .zip(gripper)
+                .map(|(demo, own)| if demos.contains(demo) { -1.0 } else { *own });
+            let gripper: Vec<f64> = gripper.collect();
+            let mut columns = Columns::new(FrameRow::<SpatialColumns>::table());
+            for spec in FrameRow::<SpatialColumns>::table().columns {
+                columns = match spec.name {
+                    "gripper" => columns.f64("gripper", gripper.clone()),
+                    name => columns.array(name, batch.column_by_name(name).unwrap().clone()),
+                };
+            }
+            columns.finish().unwrap()
+        }
+    };
+    forge(&plain, &place.path().join("open"), open(1..2));
+    train(&place, "--artifacts open").done();
+    assert!(warnings(&place, "open").contains(&named("no_grasp", "demo_1")));
+    forge(&plain, &place.path().join("never"), open(0..5));
+    let refused = train(&place, "--artifacts never").refused();
+    assert!(
+        refused.contains("no training demonstration has a transfer frame after a transit frame"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn the_page_of_a_training_shows_errors_and_images() {
+    let Some(place) = lift(RE4) else { return };
+    train(&place, "--artifacts artifacts").done();
+    let poses = only(&place, "artifacts", Stage::TrainPose);
+    let folder = poses.path().strip_prefix(place.path()).unwrap().display().to_string();
+    place.run(&format!("report {folder} --output training.html")).done();
+    let page = std::fs::read_to_string(place.path().join("training.html")).unwrap();
+    for expected in [
+        "<h1>Lift</h1>",
+        "36 steps",
+        "4 demonstrations",
+        "1 demonstration was held out",
+        "L_abs, held out",
+        "demo_0, frame ",
+        "data:image/png;base64,",
+        "class=\"estimated x\"",
+        "class=\"anchored\"",
+    ] {
+        assert!(page.contains(expected), "{expected}");
+    }
+    // One image before the grasp and one that holds the object, of the only held-out demonstration.
+    assert_eq!(page.matches("<figure").count(), 2);
+    place.run(&format!("report {folder} --output again.html")).done();
+    assert!(page == std::fs::read_to_string(place.path().join("again.html")).unwrap());
+
+    let refused = place
+        .run(&format!("report {folder} --images 2 --output no.html"))
+        .refused();
+    assert!(refused.contains("it has poses, not rollouts"), "{refused}");
+    // Without the episodes there are no images, which is said.
+    std::fs::rename(place.path().join("artifacts/episodes"), place.path().join("elsewhere")).unwrap();
+    let answer = place.run(&format!("report {folder} --output bare.html"));
+    assert!(answer.done().stderr.contains("the page shows no images"));
+    let bare = std::fs::read_to_string(place.path().join("bare.html")).unwrap();
+    assert!(!bare.contains("data:image/png") && bare.contains("Errors by phase"));
 }
 
 #[test]

@@ -48,10 +48,10 @@ pub enum Network {
     Keypoints,
 }
 
-/// The frame whose end-effector pose is the anchor of a demonstration.
+/// A frame of a grasp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum AnchorFrame {
+pub enum GraspFrame {
     /// The grasp frame: the first frame after the command that closes the gripper.
     Command,
     /// The first frame after that in which the fingers have come to rest on the object.
@@ -93,8 +93,11 @@ pub struct EncoderConfig {
     pub cosine: bool,
     /// Weight decay of AdamW.
     pub weight_decay: f64,
-    /// The frame whose end-effector pose is the anchor.
-    pub anchor: AnchorFrame,
+    /// The frame whose end-effector pose is the anchor. When the fingers have closed, they have pushed the object, so the
+    /// pose in that frame is not where the images before the grasp show it.
+    pub anchor: GraspFrame,
+    /// The first frame that is trained on as holding the object. After the command, the fingers do not hold it yet.
+    pub held_from: GraspFrame,
     /// Whether the losses know the object's symmetry, from the task's record, and that a two-finger gripper is the same after a
     /// rotation by 180 degrees.
     pub symmetry: bool,
@@ -136,7 +139,8 @@ impl EncoderConfig {
             learning_rate: 3e-4,
             cosine: false,
             weight_decay: 1e-4,
-            anchor: AnchorFrame::Command,
+            anchor: GraspFrame::Command,
+            held_from: GraspFrame::Command,
             symmetry: false,
             brightness: 0.0,
             crops: 1,
@@ -158,7 +162,7 @@ impl EncoderConfig {
             learning_rate: 5e-3,
             cosine: true,
             weight_decay: 0.1,
-            anchor: AnchorFrame::Settled,
+            held_from: GraspFrame::Settled,
             symmetry: true,
             crops: 5,
             losses: LossConfig::robust(),

@@ -21,7 +21,7 @@ mod trunk;
 pub mod weights;
 
 pub use confidence::Calibration;
-pub use config::{AnchorFrame, Backend, EncoderConfig, LossConfig, Network, PoseDistance, Preset};
+pub use config::{Backend, EncoderConfig, GraspFrame, LossConfig, Network, PoseDistance, Preset};
 pub use error::EncoderError;
 pub use predict::{IMAGE_BYTES, Prediction, Predictor, SIDE, is_blank};
 pub use weights::to_bytes;

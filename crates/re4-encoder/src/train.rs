@@ -14,6 +14,7 @@ use crate::batches::{Sample, Sampler, normal, uniform};
 use crate::checkpoint::Checkpoints;
 use crate::config::{EncoderConfig, Network};
 use crate::images::{Crop, ImageFile, Loaded, batches, load};
+use crate::keypoints;
 use crate::loss::{Alternatives, Losses, Poses, Setting, losses};
 use crate::network::{Crops, Encoder, Kernels, SCALE, estimate};
 use crate::trunk::Tapes;
@@ -212,11 +213,11 @@ impl ModuleMapper for WeightInitializer {
                 // Convolutions as in torchvision: He initialisation, normal, with the fan-out. The keypoint network's have few
                 // inputs in the first layer, so its fan-in is used.
                 [out, inside, height, width] => {
-                    let fan = match self.network {
-                        Network::Resnet18 => out,
-                        Network::Keypoints => inside,
+                    let (fan, gain) = match self.network {
+                        Network::Resnet18 => (out, 1.0),
+                        Network::Keypoints => (inside, keypoints::initial_gain(*out, *inside)),
                     };
-                    let deviation = (2.0 / (fan * height * width) as f64).sqrt();
+                    let deviation = gain * (2.0 / (fan * height * width) as f64).sqrt();
                     (0..count).map(|_| (normal(&mut self.rng) * deviation) as f32).collect()
                 }
                 // Linear layers as in PyTorch: uniform, bounded by one over the square root of the number of inputs.

@@ -272,7 +272,8 @@ pub(crate) struct InspectArguments {
 /// Arguments of `report`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ReportArguments {
-    /// Folders of `rollouts` artifacts, in the order in which the page shows them
+    /// Folders of `rollouts` artifacts, in the order in which the page shows them; or the folder of one `poses` artifact, to show
+    /// the training of its encoder
     #[arg(value_name = "ARTIFACT", required = true)]
     pub(crate) paths: Vec<PathBuf>,
     /// HTML file to write

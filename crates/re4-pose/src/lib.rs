@@ -23,4 +23,4 @@ pub use estimator::{Estimate, Flag, LogPolarEstimator};
 pub use image::{ImageError, PushtImage, SIDE};
 pub use outline::Outline;
 pub use smooth::{between_clear, by_mode};
-pub use tables::{AnchorRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
+pub use tables::{AnchorRow, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};

@@ -57,6 +57,23 @@ table! {
 }
 
 table! {
+    /// One row per demonstration with a grasp: the pose that the encoder's training takes as the object's before the grasp, for all
+    /// of the demonstration's frames. Sorted by episode.
+    #[table("labels", version = 1)]
+    pub struct LabelRow {
+        /// Number of the demonstration in this artifact, from 0.
+        pub episode: u32,
+        /// Whether images of this demonstration were in the training set.
+        pub trained_on: bool,
+        /// The frame whose end-effector pose is the anchor.
+        pub frame: u32,
+        /// The anchor: the end effector's pose at the grasp.
+        #[frame = "world"]
+        pub anchor: Isometry3<f64>,
+    }
+}
+
+table! {
     /// One row per epoch of the encoder's training: the training losses (means over the epoch's steps), and the loss on held-out
     /// demonstrations, which does not influence the training.
     #[table("training", version = 1)]

@@ -10,6 +10,7 @@ pub use sources::findings::Findings;
 pub use sources::plane::{planar_rollout, planar_videos};
 pub use sources::report::{AddImages, LARGE_PAGE, ReportPage, open_rollouts, report_page};
 pub use sources::space::{scene_rollout, spatial_rollouts};
+pub use sources::training::training_page;
 pub use sources::{find_input, is_spatial, stated};
 pub use svg::{ImageError, divergence_plot, rollout_image, training_plot};
 pub use video::{

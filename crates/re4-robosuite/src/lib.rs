@@ -9,12 +9,14 @@
 //! * [`actions`]: converts delta actions of the operational-space controller to absolute actions and back.
 //! * [`conventions`]: detects the layout of the object vector, frames, quaternion orders, the kind of action and the gripper
 //!   sign, each with the evidence for it.
+//! * [`cameras`]: projects points to the images of a model's fixed cameras.
 //! * [`models`]: rewrites the paths of meshes and textures in a `model_file` to the paths on this machine.
 //!
 //! Units are metres, radians and seconds. The world frame is robosuite's, with z up. Rotations are active: `pose * point`
 //! converts the coordinates of a point in the frame `pose` to world coordinates.
 
 pub mod actions;
+pub mod cameras;
 pub mod conventions;
 pub mod env_args;
 pub mod kinematics;

@@ -7,7 +7,7 @@ use re4_ingest::{
     Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
 };
 use re4_policy::{Chunk, kinds};
-use re4_pose::{AnchorRow, Estimate, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
+use re4_pose::{AnchorRow, Estimate, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
 use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 
@@ -65,6 +65,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             PoseRow::<SpatialEstimate>::table(),
             AnchorRow::table(),
             TrainingRow::table(),
+            LabelRow::table(),
             PoseErrorRow::table(),
         ],
     }

@@ -1,10 +1,10 @@
-//! `re4-pipe report`: writes one self-contained HTML page about `rollouts` artifacts.
+//! `re4-pipe report`: writes one self-contained HTML page about `rollouts` artifacts, or about the training of an encoder.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
-use re4_artifact::Artifact;
-use re4_report::{ReportPage, open_rollouts, report_page};
+use anyhow::{Result, ensure};
+use re4_artifact::{Artifact, Stage};
+use re4_report::{ReportPage, open_rollouts, report_page, training_page};
 use re4_stages::{Seeds, add_images};
 use serde_json::json;
 
@@ -55,6 +55,12 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let seeds = arguments.seeds.as_deref().map(str::parse).transpose()?;
     let output = Output::at(&arguments.output, "report")?;
+    if let [path] = arguments.paths.as_slice() {
+        let artifact = Artifact::open(path)?;
+        if artifact.manifest().artifact == Stage::TrainPose.artifact() {
+            return report_training(&artifact, arguments, &output, console);
+        }
+    }
     let shown = Shown {
         seeds: seeds.as_ref(),
         images: arguments.images,
@@ -73,6 +79,38 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
         "report {}  {}",
         arguments.output.display(),
         written.headline()
+    ))?;
+    Ok(Outcome::Done)
+}
+
+/// Writes the page of a training.
+fn report_training(
+    artifact: &Artifact,
+    arguments: &ReportArguments,
+    output: &Output,
+    console: Console,
+) -> Result<Outcome> {
+    ensure!(
+        arguments.seeds.is_none() && arguments.images.is_none(),
+        "cannot show rollouts of {}: it has poses, not rollouts; leave --seeds and --images out",
+        artifact.path().display()
+    );
+    artifact.verify_bytes()?;
+    let (html, warnings) = training_page(artifact, &arguments.common.artifacts)?;
+    output.write(&html)?;
+    for warning in &warnings {
+        console.note(&format!("warning: {warning}"));
+    }
+    console.answer(&json!({
+        "report": arguments.output,
+        "bytes": html.len(),
+        "artifacts": [{ "path": artifact.path(), "key": artifact.key() }],
+        "warnings": warnings,
+    }))?;
+    console.say(&format!(
+        "report {}  training of an encoder, {:.1} MB",
+        arguments.output.display(),
+        html.len() as f64 / 1e6
     ))?;
     Ok(Outcome::Done)
 }

@@ -1,4 +1,4 @@
-//! Self-contained HTML pages of planar and spatial rollouts, and of audits.
+//! Self-contained HTML pages of planar and spatial rollouts, of audits, and of trainings.
 //!
 //! All pages have the same shell. A page loads nothing: it contains its style, script and data, and a content security policy
 //! forbids everything else. The bytes of a page depend only on the data that it shows.
@@ -7,3 +7,4 @@ pub mod audit;
 mod pack;
 pub mod rollouts;
 mod shell;
+pub mod training;

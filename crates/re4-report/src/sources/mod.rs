@@ -5,6 +5,7 @@ pub(crate) mod findings;
 pub(crate) mod plane;
 pub(crate) mod report;
 pub(crate) mod space;
+pub(crate) mod training;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -37,15 +38,15 @@ pub fn is_spatial(artifact: &Artifact) -> bool {
     artifact.manifest().tables.contains_key(SpaceResultRow::FORMERLY) || domain().as_deref() == Some("space")
 }
 
-/// Finds an artifact that rollouts were made from, in the folder of artifacts that contains the rollouts, or in `store`. `None`
+/// Finds an artifact that another one was made from, in the folder of artifacts that contains the latter, or in `store`. `None`
 /// if it is in neither.
 ///
 /// # Errors
-/// If the manifest of the rollouts does not name the input, or if the artifact that was found is another one or damaged.
-pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Option<Artifact>> {
-    let key = input_key(rollouts, stage)?;
+/// If the manifest does not name the input, or if the artifact that was found is another one or damaged.
+pub fn find_input(made: &Artifact, stage: Stage, store: &Path) -> Result<Option<Artifact>> {
+    let key = input_key(made, stage)?;
     // An artifact is at ROOT/STAGE/KEY, so its second ancestor is the folder of artifacts.
-    let own_root = std::fs::canonicalize(rollouts.path())
+    let own_root = std::fs::canonicalize(made.path())
         .ok()
         .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
     let folders = own_root.into_iter().chain([store.to_path_buf()]);
@@ -56,11 +57,11 @@ pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Opt
         let input = Artifact::open(&folder)?;
         ensure!(
             input.key() == key,
-            "cannot read {}: it is the {} artifact {}, but the rollouts in {} were made from {key}; move the folder away and run the pipeline again",
+            "cannot read {}: it is the {} artifact {}, but {} was made from {key}; move the folder away and run the pipeline again",
             folder.display(),
             stage.artifact(),
             input.key(),
-            rollouts.path().display()
+            made.path().display()
         );
         input.verify_bytes()?;
         return Ok(Some(input));
@@ -68,11 +69,11 @@ pub fn find_input(rollouts: &Artifact, stage: Stage, store: &Path) -> Result<Opt
     Ok(None)
 }
 
-fn input_key(rollouts: &Artifact, stage: Stage) -> Result<&Key> {
-    rollouts.manifest().inputs.get(stage.artifact()).with_context(|| {
+fn input_key(made: &Artifact, stage: Stage) -> Result<&Key> {
+    made.manifest().inputs.get(stage.artifact()).with_context(|| {
         format!(
-            "cannot read the rollouts in {}: their manifest names no {} artifact; run the rollout again",
-            rollouts.path().display(),
+            "cannot read {}: its manifest names no {} artifact; delete it and run the pipeline again",
+            made.path().display(),
             stage.artifact()
         )
     })

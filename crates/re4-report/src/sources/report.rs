@@ -42,7 +42,7 @@ pub fn open_rollouts(paths: &[PathBuf]) -> Result<Vec<Artifact>> {
         let kind = &artifact.manifest().artifact;
         ensure!(
             *kind == Stage::Rollout.artifact(),
-            "cannot report on {}: it is an artifact of kind {kind}, but a report needs rollouts; name a folder below {}",
+            "cannot report on {}: it is an artifact of kind {kind}, but a report needs rollouts, or one poses artifact alone; name a folder below {}",
             path.display(),
             Path::new("artifacts").join(Stage::Rollout.artifact()).display()
         );

@@ -3,9 +3,11 @@
 //! Until the poses are written, only the columns of [`EefOf`], modes and images are read, so no recorded object pose affects the
 //! training. The evaluation reads object poses afterwards, and no stage reads its results.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use anyhow::{Context as _, Result};
 use image::ImageFormat;
-use nalgebra::{Isometry3, UnitQuaternion};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use re4_artifact::{
     Artifact, ArtifactSummary, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns,
@@ -15,12 +17,12 @@ use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{AnchorFrame, Backend, Calibration, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor};
+use re4_encoder::{Backend, Calibration, EncoderConfig, EncoderError, GraspFrame, IMAGE_BYTES, Predictor, is_blank};
 use re4_episode::Mode;
 use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_geometry::spatial::Symmetry;
 use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
-use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
+use re4_pose::{LabelRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_segment::{ModeRow, SpatialEvidence};
 use re4_stats::upper_median;
 use serde_json::{Value, json};
@@ -33,7 +35,7 @@ use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 4;
+const CODE_VERSION: u32 = 5;
 
 /// Folder of checkpoints, below the artifacts folder.
 const CHECKPOINTS: &str = "checkpoints";
@@ -49,6 +51,9 @@ const CONTRADICTS: f64 = 5.0;
 
 /// The same, at least, in metres: about the width of a gripper's finger.
 const MINIMUM_CONTRADICTION: f64 = 0.03;
+
+/// Estimates are no better than the mean anchor if their median distance is more than this fraction of the mean's.
+const NO_BETTER: f64 = 0.9;
 
 /// The stride of held-out demonstrations: every n-th demonstration, starting with the first, is held out. `None` for no held-out
 /// demonstrations.
@@ -105,19 +110,24 @@ impl Demo {
         rest.unwrap_or(held.end - 1)
     }
 
-    fn training(&self, anchor: AnchorFrame) -> Option<TrainingDemo> {
+    /// What is trained on, and the frame of its anchor. `None` if the object is never held.
+    fn training(&self, config: &EncoderConfig) -> Option<(usize, TrainingDemo)> {
         let phases = self.phases()?;
-        let start = match anchor {
-            AnchorFrame::Command => phases.held.start,
-            AnchorFrame::Settled => self.settled(&phases.held),
+        let frame = |of: GraspFrame| match of {
+            GraspFrame::Command => phases.held.start,
+            GraspFrame::Settled => self.settled(&phases.held),
         };
-        Some(TrainingDemo {
+        let anchor = frame(config.anchor);
+        let training = TrainingDemo {
             first: self.first,
-            before: phases.before.map(|frame| frame as u32).collect(),
-            anchor: self.eef[start],
-            held: (start..phases.held.end).map(|frame| frame as u32).collect(),
+            before: phases.before.clone().map(|frame| frame as u32).collect(),
+            anchor: self.eef[anchor],
+            held: (frame(config.held_from)..phases.held.end)
+                .map(|frame| frame as u32)
+                .collect(),
             eef: self.eef.clone(),
-        })
+        };
+        Some((anchor, training))
     }
 }
 
@@ -189,9 +199,9 @@ impl Runner {
         let demos = read_demos(config, episodes, modes)?;
         let names = demo_names(episodes)?;
         let mut warnings = Vec::new();
-        let (mut training_demos, mut held_out) = (Vec::new(), Vec::new());
+        let (mut training_demos, mut held_out, mut labels) = (Vec::new(), Vec::new(), Vec::new());
         for demo in &demos {
-            let Some(training) = demo.training(config.anchor) else {
+            let Some((anchor, training)) = demo.training(config) else {
                 warnings.push(json!({
                     "code": "no_grasp",
                     "demo_name": names.of(demo.episode),
@@ -202,12 +212,23 @@ impl Runner {
                 }));
                 continue;
             };
+            labels.push(LabelRow {
+                episode: demo.episode,
+                trained_on: demo.trained_on,
+                frame: anchor as u32,
+                anchor: training.anchor,
+            });
             if demo.trained_on {
-                training_demos.push(training);
+                training_demos.push((demo.episode, training));
             } else {
                 let first = training.first;
-                let samples = training.before.iter().map(|&frame| first + u64::from(frame));
-                held_out.extend(samples.map(|image| Sample::plain(image, training.anchor)));
+                let sample = |frame| Sample::plain(first + u64::from(frame), training.anchor);
+                held_out.extend(
+                    training
+                        .before
+                        .iter()
+                        .map(|&frame| (demo.episode, frame, sample(frame))),
+                );
             }
         }
         ensure!(
@@ -222,7 +243,35 @@ impl Runner {
         if config.backend != Backend::Flex {
             config.backend.set_threads(rayon::current_num_threads())?;
         }
-        let images = self.unpack(config, episodes, &demos, writer)?;
+        let (images, blank) = self.unpack(config, episodes, &demos, writer)?;
+        for (demo, own) in demos.iter().filter_map(|demo| Some((demo, blank.get(&demo.episode)?))) {
+            warnings.push(json!({
+                "code": "blank_images",
+                "demo_name": names.of(demo.episode),
+                "message": format!(
+                    "{} of the {} images of {} have a single color, as of a camera that does not work; they are not trained on",
+                    own.len(),
+                    demo.eef.len(),
+                    names.of(demo.episode),
+                ),
+            }));
+        }
+        for (episode, training) in &mut training_demos {
+            if let Some(blank) = blank.get(episode) {
+                training.before.retain(|frame| !blank.contains(frame));
+                training.held.retain(|frame| !blank.contains(frame));
+            }
+        }
+        training_demos.retain(|(_, training)| !training.before.is_empty() && !training.held.is_empty());
+        held_out.retain(|(episode, frame, _)| !blank.get(episode).is_some_and(|blank| blank.contains(frame)));
+        ensure!(
+            !training_demos.is_empty(),
+            "cannot train on {}: all training images before a grasp, or all that hold the object, have a single color",
+            episodes.path().display();
+            "record or render the images again"
+        );
+        let training_demos = training_demos.into_iter().map(|(_, training)| training).collect();
+        let held_out: Vec<Sample> = held_out.into_iter().map(|(_, _, sample)| sample).collect();
         let symmetry = match (config.symmetry, self.pipeline.task.symmetry()) {
             (false, _) | (true, Symmetry::None) => Alternatives::NONE,
             (true, Symmetry::Fold { n, .. }) => Alternatives::Fold(n),
@@ -256,6 +305,7 @@ impl Runner {
         bar.finish_and_clear();
         writer.file(WEIGHTS, &re4_encoder::to_bytes(&trained.encoder)?)?;
         write_training(&trained.epochs, writer)?;
+        writer.write_rows(labels)?;
         card::write_plot(&trained.epochs, writer)?;
         let predictor = Predictor::new(trained.encoder.clone(), config)?;
         let calibration = calibrate(&predictor, &held_out, &images)?;
@@ -275,6 +325,19 @@ impl Runner {
                 ),
             })
         }));
+        warnings.extend(no_better_than_mean(config, &demos, &poses).map(|(own, mean)| {
+            json!({
+                "code": "no_better_than_mean",
+                "message": format!(
+                    "the estimates of held-out demonstrations are as far from their anchors as the mean anchor is ({:.0} and {:.0} mm in the \
+                     median): the encoder has not learned where the object is; train for longer, and check that the images are those of \
+                     camera {:?}, show the object, and belong to the actions",
+                    1e3 * own,
+                    1e3 * mean,
+                    config.camera,
+                ),
+            })
+        }));
         // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
         let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
@@ -290,20 +353,22 @@ impl Runner {
     }
 
     /// Decodes the images of the encoder's camera, in the order of the frames, into a scratch file: training reads images in
-    /// random order, which row groups of PNG files would make slow.
+    /// random order, which row groups of PNG files would make slow. Also returns the frames by demonstration whose images have a
+    /// single color.
     fn unpack(
         &self,
         config: &EncoderConfig,
         episodes: &Artifact,
         demos: &[Demo],
         writer: &Writer,
-    ) -> Result<ImageFile> {
+    ) -> Result<(ImageFile, BTreeMap<u32, BTreeSet<u32>>)> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
         let table = episodes.table(ImageRow::table())?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "images");
-        let mut cameras = std::collections::BTreeSet::new();
+        let mut cameras = BTreeSet::new();
+        let mut blank: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
         let decoded = table.batches()?.flat_map(|batch| {
             let decode = || -> Result<Vec<Result<Vec<u8>>>> {
                 self.interrupt.check("train-pose")?;
@@ -315,7 +380,7 @@ impl Runner {
                     .filter(|&row| camera[row] == Some(config.camera.as_str()))
                     .collect();
                 bar.inc(own.len() as u64);
-                Ok(own
+                let images: Vec<Result<Vec<u8>>> = own
                     .par_iter()
                     .map(|&row| {
                         let place = || {
@@ -339,7 +404,13 @@ impl Runner {
                         );
                         Ok(image.into_raw())
                     })
-                    .collect())
+                    .collect();
+                for (&row, image) in own.iter().zip(&images) {
+                    if image.as_ref().is_ok_and(|image| is_blank(image)) {
+                        blank.entry(episode[row]).or_default().insert(frame[row]);
+                    }
+                }
+                Ok(images)
             };
             match decode() {
                 Ok(images) => images,
@@ -364,7 +435,7 @@ impl Runner {
             config.camera;
             "delete the artifact and ingest again"
         );
-        Ok(images)
+        Ok((images, blank))
     }
 
     /// Estimates the poses of all frames and writes table `poses`. Returns the poses by demonstration and frame, world frame.
@@ -449,7 +520,7 @@ fn contradictions<'a>(
         .iter()
         .zip(poses)
         .filter_map(|(demo, poses)| {
-            let training = demo.training(config.anchor)?;
+            let (_, training) = demo.training(config)?;
             let distance =
                 |&frame: &u32| (poses[frame as usize].translation.vector - training.anchor.translation.vector).norm();
             Some((demo, upper_median(training.before.iter().map(distance))?))
@@ -458,6 +529,36 @@ fn contradictions<'a>(
     let typical = upper_median(distances.iter().map(|(_, distance)| *distance)).unwrap_or_default();
     let limit = (CONTRADICTS * typical).max(MINIMUM_CONTRADICTION);
     distances.into_iter().filter(move |(_, distance)| *distance > limit)
+}
+
+/// The median distance of the estimates before the grasp from the anchor of their held-out demonstration, and that of the mean
+/// anchor of the training set, if the former is not clearly smaller.
+fn no_better_than_mean(config: &EncoderConfig, demos: &[Demo], poses: &[Vec<Isometry3<f64>>]) -> Option<(f64, f64)> {
+    let (mut mean, mut count) = (Vector3::zeros(), 0.0);
+    let mut held_out = Vec::new();
+    for (demo, poses) in demos.iter().zip(poses) {
+        match demo.training(config) {
+            Some((_, training)) if demo.trained_on => {
+                mean += training.anchor.translation.vector;
+                count += 1.0;
+            }
+            Some((_, training)) => held_out.push((training, poses)),
+            None => {}
+        }
+    }
+    let mean = mean / count;
+    let median = |of: &dyn Fn(&TrainingDemo, &Isometry3<f64>) -> f64| {
+        let frames = held_out.iter().flat_map(|(training, poses)| {
+            training
+                .before
+                .iter()
+                .map(move |&frame| of(training, &poses[frame as usize]))
+        });
+        upper_median(frames)
+    };
+    let own = median(&|training, pose| (pose.translation.vector - training.anchor.translation.vector).norm())?;
+    let of_mean = median(&|training, _| (mean - training.anchor.translation.vector).norm())?;
+    (own > NO_BETTER * of_mean).then_some((own, of_mean))
 }
 
 columns! {
@@ -572,4 +673,67 @@ fn summary(
         "loss": last.map(|epoch| epoch.losses[0]),
         "evaluation": evaluation,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three frames before the grasp, the command, and fingers that come to rest in the third frame that holds the object. The
+    /// end effector moves by 1 mm in every step.
+    fn demo(episode: u32, x: f64, trained_on: bool) -> Demo {
+        let modes = [[Mode::Transit; 3], [Mode::Transfer; 3]].concat();
+        Demo {
+            episode,
+            first: 0,
+            eef: (0..6)
+                .map(|frame| Isometry3::translation(x, 1e-3 * f64::from(frame), 0.0))
+                .collect(),
+            separation: vec![0.08, 0.08, 0.08, 0.08, 0.04, 0.04],
+            modes,
+            trained_on,
+        }
+    }
+
+    #[test]
+    fn the_anchor_is_the_pose_at_the_command_and_frames_that_hold_the_object_begin_later() {
+        let mut config = EncoderConfig::default();
+        let (frame, training) = demo(0, 0.0, true).training(&config).unwrap();
+        assert_eq!((frame, training.anchor.translation.y), (3, 3e-3));
+        assert_eq!((training.before, training.held), (vec![0, 1, 2], vec![5]));
+        config.anchor = GraspFrame::Settled;
+        let (frame, training) = demo(0, 0.0, true).training(&config).unwrap();
+        assert_eq!((frame, training.anchor.translation.y), (5, 5e-3));
+        let paper = EncoderConfig::preset(re4_encoder::Preset::Paper);
+        let (frame, training) = demo(0, 0.0, true).training(&paper).unwrap();
+        assert_eq!((frame, training.held), (3, vec![3, 4, 5]));
+        let mut open = demo(0, 0.0, true);
+        open.modes.fill(Mode::Transit);
+        assert!(open.training(&config).is_none());
+    }
+
+    #[test]
+    fn estimates_that_are_not_nearer_than_the_mean_anchor_are_reported() {
+        let config = EncoderConfig::default();
+        let demos = [demo(0, 0.1, false), demo(1, -0.1, true), demo(2, 0.1, true)];
+        let estimates = |x: f64| vec![vec![Isometry3::translation(x, 3e-3, 0.0); 6]; 3];
+        // The mean anchor is at 0, and the held-out one at 0.1.
+        assert_eq!(no_better_than_mean(&config, &demos, &estimates(0.09)), None);
+        let (own, mean) = no_better_than_mean(&config, &demos, &estimates(0.005)).unwrap();
+        assert!((own - 0.095).abs() < 1e-9 && (mean - 0.1).abs() < 1e-9);
+        assert_eq!(no_better_than_mean(&config, &demos[1..], &estimates(0.0)[1..]), None);
+    }
+
+    #[test]
+    fn an_anchor_far_from_the_estimates_is_a_contradiction() {
+        let config = EncoderConfig::default();
+        let demos = [demo(0, 0.1, false), demo(1, -0.1, true), demo(2, 0.2, true)];
+        let poses: Vec<_> = [0.11, -0.1, 0.3]
+            .map(|x| vec![Isometry3::translation(x, 3e-3, 0.0); 6])
+            .into();
+        let found: Vec<u32> = contradictions(&config, &demos, &poses)
+            .map(|(demo, _)| demo.episode)
+            .collect();
+        assert_eq!(found, [2]);
+    }
 }
