@@ -491,6 +491,7 @@ fn inspect_shows_every_artifact() {
     let others = [
         "conventions",
         "grasps",
+        "labels",
         "left_out",
         "models",
         "pose_errors",

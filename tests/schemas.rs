@@ -98,6 +98,7 @@ fn the_schemas_match_the_written_columns() {
             "models",
             "poses-space",
             "training",
+            "labels-space",
             "pose_errors",
             "results-space",
             "steps-space",

@@ -79,13 +79,6 @@ impl Head {
     }
 }
 
-/// Keypoints of a batch: the positions `[batch, 2 keypoints]`, in units of half an image side from its centre, x and y of each
-/// keypoint in turn; and the standard deviations of the maps `[batch, keypoints]`, in the same unit.
-pub(crate) struct Keypoints {
-    pub(crate) positions: Tensor<2>,
-    pub(crate) spread: Tensor<2>,
-}
-
 /// Whether this number of channels is supported.
 pub(crate) fn is_valid_width(width: usize) -> bool {
     width > 0 && width.is_multiple_of(CHANNELS)
@@ -176,8 +169,9 @@ impl KeypointNetwork {
         [&mut self.translation.output, &mut self.rotation.output]
     }
 
-    /// Keypoints of normalised crops `[batch, 3, height, width]`, with `offsets` `[batch, 2]` of [`offset`].
-    pub(crate) fn keypoints(&self, images: Tensor<4>, offsets: &Tensor<2>) -> Keypoints {
+    /// Keypoints of normalised crops `[batch, 3, height, width]`, with `offsets` `[batch, 2]` of [`offset`]: their positions
+    /// `[batch, 2 keypoints]` in units of half an image side from its centre, x and y of each keypoint in turn.
+    pub(crate) fn keypoints(&self, images: Tensor<4>, offsets: &Tensor<2>) -> Tensor<2> {
         let mut x = images;
         for (conv, norm) in self.convs.iter().zip(&self.norms) {
             x = relu(norm.forward(conv.forward(x)));
@@ -196,13 +190,8 @@ impl KeypointNetwork {
         let (xs, ys) = (grid(&|i| positions[i % width]), grid(&|i| positions[i / width]));
         let mean = |grid: &Tensor<2>| (weights.clone() * grid.clone()).sum_dim(1);
         let (x, y) = (mean(&xs), mean(&ys));
-        let squares = mean(&(xs.clone() * xs + ys.clone() * ys));
-        let variance = squares - x.clone() * x.clone() - y.clone() * y.clone();
         let positions = Tensor::cat(vec![x, y], 1).reshape([batch, maps, 2]) + offsets.clone().reshape([batch, 1, 2]);
-        Keypoints {
-            positions: positions.reshape([batch, 2 * maps]),
-            spread: variance.clamp_min(0.0).sqrt().reshape([batch, maps]),
-        }
+        positions.reshape([batch, 2 * maps])
     }
 
     /// Nine numbers per pose, as [`crate::loss::Poses::from_raw`] expects them, from the positions of the keypoints.

@@ -43,8 +43,6 @@ pub(crate) struct Estimates {
     pub(crate) embedding: Tensor<2>,
     /// Poses in the world frame.
     pub(crate) poses: Poses,
-    /// Standard deviations of the keypoints' maps, in units of half an image side.
-    pub(crate) spread: Option<Vec<f32>>,
 }
 
 impl Encoder {
@@ -134,7 +132,6 @@ impl Encoder {
                 Estimates {
                     embedding,
                     poses: Poses::from_raw(&raw, SCALE),
-                    spread: None,
                 }
             }
             Self::Keypoints(network) => {
@@ -144,11 +141,10 @@ impl Encoder {
                     .flat_map(|crop| keypoints::offset(crop.corner))
                     .collect();
                 let offsets = Tensor::from_data(TensorData::new(offsets, [crops.crops.len(), 2]), &device);
-                let found = network.keypoints(images, &offsets);
+                let positions = network.keypoints(images, &offsets);
                 Estimates {
-                    poses: Poses::from_raw(&network.head(&found.positions), SCALE),
-                    embedding: found.positions,
-                    spread: Some(found.spread.into_data().iter::<f32>().collect()),
+                    poses: Poses::from_raw(&network.head(&positions), SCALE),
+                    embedding: positions,
                 }
             }
         }
@@ -195,14 +191,6 @@ pub(crate) struct Kernels {
     trunk: Arc<Trunk>,
 }
 
-/// The keypoints that [`Kernels::forward`] found.
-pub(crate) struct Found {
-    /// x and y of every keypoint, as in [`keypoints::Keypoints`].
-    pub(crate) positions: Vec<f32>,
-    /// Standard deviation of every map.
-    pub(crate) spread: Vec<f32>,
-}
-
 impl Kernels {
     /// The kernels for a network on this backend; `None` if burn's layers compute it.
     ///
@@ -221,24 +209,24 @@ impl Kernels {
         })
     }
 
-    /// The keypoints of crops. The tapes keep what the gradient needs.
-    pub(crate) fn forward(&self, crops: Crops<'_>, tapes: &mut Tapes) -> Found {
+    /// The keypoints of crops, x and y of each in turn, as [`KeypointNetwork::keypoints`] returns them. The tapes keep what the
+    /// gradient needs.
+    pub(crate) fn forward(&self, crops: Crops<'_>, tapes: &mut Tapes) -> Vec<f32> {
         let fill = |image: usize, into: &mut [f32], layout| {
             debug_assert_eq!(crops.images[image].len(), IMAGE_BYTES);
             crop_into(crops.images[image], crops.crops[image], into, layout);
         };
-        let found = self.trunk.forward(tapes, crops.images.len(), fill);
-        let mut positions = Vec::with_capacity(found.len() / PER_KEYPOINT * 2);
-        let mut spread = Vec::with_capacity(found.len() / PER_KEYPOINT);
-        let per_image = found.len() / crops.images.len().max(1);
-        for (crop, numbers) in crops.crops.iter().zip(found.chunks_exact(per_image.max(1))) {
-            let [x, y] = keypoints::offset(crop.corner);
-            for keypoint in numbers.chunks_exact(PER_KEYPOINT) {
-                positions.extend([keypoint[0] + x, keypoint[1] + y]);
-                spread.push(keypoint[2]);
+        let mut positions = self.trunk.forward(tapes, crops.images.len(), fill);
+        let per_image = positions.len() / crops.images.len().max(1);
+        for (crop, own) in crops.crops.iter().zip(positions.chunks_exact_mut(per_image.max(1))) {
+            let offset = keypoints::offset(crop.corner);
+            for keypoint in own.chunks_exact_mut(PER_KEYPOINT) {
+                for (number, offset) in keypoint.iter_mut().zip(offset) {
+                    *number += offset;
+                }
             }
         }
-        Found { positions, spread }
+        positions
     }
 
     /// The trunk.
@@ -252,13 +240,12 @@ pub(crate) fn estimate(encoder: &Encoder, kernels: Option<&Kernels>, crops: Crop
     let (Some(kernels), Some(network)) = (kernels, encoder.keypoints()) else {
         return encoder.estimate(crops);
     };
-    let found = kernels.forward(crops, &mut Tapes::default());
-    let dims = [crops.images.len(), found.positions.len() / crops.images.len().max(1)];
-    let positions = Tensor::from_data(TensorData::new(found.positions, dims), &encoder.device());
+    let positions = kernels.forward(crops, &mut Tapes::default());
+    let dims = [crops.images.len(), positions.len() / crops.images.len().max(1)];
+    let positions = Tensor::from_data(TensorData::new(positions, dims), &encoder.device());
     Estimates {
         poses: Poses::from_raw(&network.head(&positions), SCALE),
         embedding: positions,
-        spread: Some(found.spread),
     }
 }
 
@@ -343,7 +330,6 @@ mod tests {
         let kernels = Kernels::of(&encoder, Backend::Flex).unwrap().unwrap();
         let fast = estimate(&encoder, Some(&kernels), crops);
         close(&numbers(&fast.embedding), &numbers(&slow.embedding), 1e-5, "keypoints");
-        close(&fast.spread.unwrap(), &slow.spread.unwrap(), 1e-4, "spread");
         close(
             &numbers(&fast.poses.translation),
             &numbers(&slow.poses.translation),
@@ -375,9 +361,8 @@ mod tests {
         let kernels = Kernels::of(&encoder, Backend::Flex).unwrap().unwrap();
         let mut tapes = Tapes::default();
         let found = kernels.forward(crops, &mut tapes);
-        let dims = [images.len(), found.positions.len() / images.len()];
-        let positions =
-            Tensor::<2>::from_data(TensorData::new(found.positions, dims), &encoder.device()).require_grad();
+        let dims = [images.len(), found.len() / images.len()];
+        let positions = Tensor::<2>::from_data(TensorData::new(found, dims), &encoder.device()).require_grad();
         let gradients = loss(positions.clone()).backward();
         let of_positions = numbers(&positions.grad(&gradients).unwrap());
         let of_trunk = kernels.trunk().backward(&tapes, &of_positions);

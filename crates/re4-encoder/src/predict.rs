@@ -27,8 +27,6 @@ pub struct Prediction {
     pub embedding: Vec<f32>,
     /// How much the estimates of the image's crops differ: their mean distance from their mean, in metres. `None` for one crop.
     pub disagreement: Option<f64>,
-    /// Mean standard deviation of the keypoints' maps, in pixels. `None` for a network without keypoints.
-    pub spread: Option<f64>,
 }
 
 /// A trained encoder. Clones share the weights. An estimate does not depend on the other images of the same call.
@@ -104,7 +102,6 @@ impl Predictor {
 struct Outputs {
     poses: Vec<Isometry3<f64>>,
     embeddings: Vec<f32>,
-    spread: Option<Vec<f32>>,
 }
 
 impl Outputs {
@@ -122,13 +119,9 @@ impl Outputs {
         Self {
             poses: poses.collect(),
             embeddings: numbers(estimates.embedding),
-            spread: estimates.spread,
         }
     }
 }
-
-/// Half an image side, in pixels: the unit of keypoints.
-const HALF: f64 = SIDE as f64 / 2.0;
 
 /// Averages the poses of an image's crops.
 fn combine(of_crops: &[Outputs], image: usize) -> Prediction {
@@ -153,7 +146,6 @@ fn combine(of_crops: &[Outputs], image: usize) -> Prediction {
         let length = values.len() / middle.poses.len();
         values[image * length..(image + 1) * length].to_vec()
     };
-    let mean = |values: &[f32]| values.iter().map(|x| f64::from(*x)).sum::<f64>() / values.len().max(1) as f64;
     Prediction {
         pose: Isometry3::from_parts(
             translation.into(),
@@ -161,6 +153,5 @@ fn combine(of_crops: &[Outputs], image: usize) -> Prediction {
         ),
         embedding: part(&middle.embeddings),
         disagreement: (of_crops.len() > 1).then(|| of_crops.iter().map(apart).sum::<f64>() / count),
-        spread: middle.spread.as_ref().map(|spread| HALF * mean(&part(spread))),
     }
 }

@@ -295,8 +295,8 @@ impl Learner<'_> {
         let kernels = Kernels::of(&self.encoder, config.backend)?;
         let (values, gradients) = if let (Some(kernels), Some(network)) = (&kernels, self.encoder.keypoints()) {
             let found = kernels.forward(crops, &mut self.tapes);
-            let dims = [samples.len(), found.positions.len() / samples.len()];
-            let positions = Tensor::<2>::from_data(TensorData::new(found.positions, dims), &device).require_grad();
+            let dims = [samples.len(), found.len() / samples.len()];
+            let positions = Tensor::<2>::from_data(TensorData::new(found, dims), &device).require_grad();
             let poses = Poses::from_raw(&network.head(&positions), SCALE);
             let losses = losses(&poses, &targets, &near, setting);
             let values = values(&losses);

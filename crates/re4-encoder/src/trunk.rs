@@ -26,8 +26,8 @@ pub(crate) const EPSILON: f32 = 1e-5;
 /// Channels of a group of the normalisation.
 pub(crate) const GROUP_CHANNELS: usize = 4;
 
-/// Numbers per keypoint: x and y, and the standard deviation of its map.
-pub(crate) const PER_KEYPOINT: usize = 3;
+/// Numbers per keypoint: x and y.
+pub(crate) const PER_KEYPOINT: usize = 2;
 
 /// Shape of the trunk: convolutions with normalisation and `ReLU`, and a last one whose outputs are the keypoints' maps.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,7 +85,7 @@ struct Tape {
     outputs: Vec<Vec<f32>>,
     /// Mean and reciprocal of the standard deviation of every group, by normalised convolution.
     statistics: Vec<Vec<[f32; 2]>>,
-    /// x, y and standard deviation of every keypoint.
+    /// x and y of every keypoint.
     keypoints: Vec<f32>,
 }
 
@@ -142,7 +142,7 @@ impl Trunk {
 
     /// The gradient of the weights, given that of the keypoints' x and y, two numbers each, after [`Self::forward`].
     pub(crate) fn backward(&self, tapes: &Tapes, gradients: &[f32]) -> Weights {
-        let per_image = 2 * self.shape.keypoints();
+        let per_image = PER_KEYPOINT * self.shape.keypoints();
         let count = gradients.len() / per_image;
         let (arch, shape, positions) = (self.arch, &self.shape, self.positions.as_slice());
         let sums: Vec<Weights> = tapes.0[..count]
@@ -353,27 +353,24 @@ fn soften(maps: &mut [f32], channels: usize) {
     }
 }
 
-/// The mean position of every map, and its standard deviation.
+/// The mean position of every map.
 #[inline(always)]
 fn locate(maps: &[f32], channels: usize, positions: &[f32], keypoints: &mut [f32]) {
     let side = positions.len();
     for block in 0..channels / CHANNELS {
-        let [xs, ys, squares] = sums(maps.chunks_exact(channels).enumerate().map(|(number, pixel)| {
+        let [xs, ys] = sums(maps.chunks_exact(channels).enumerate().map(|(number, pixel)| {
             let (x, y) = (positions[number % side], positions[number / side]);
             let values = lanes(pixel, block);
-            let mut weighted = [[0.0; CHANNELS]; 3];
+            let mut weighted = [[0.0; CHANNELS]; 2];
             for lane in 0..CHANNELS {
                 weighted[0][lane] = values[lane] * x;
                 weighted[1][lane] = values[lane] * y;
-                weighted[2][lane] = values[lane] * (x * x + y * y);
             }
             weighted
         }));
         let own = &mut keypoints[PER_KEYPOINT * CHANNELS * block..];
         for (lane, keypoint) in own.chunks_exact_mut(PER_KEYPOINT).take(CHANNELS).enumerate() {
-            let (x, y) = (xs[lane], ys[lane]);
-            let variance = squares[lane] - x * x - y * y;
-            keypoint.copy_from_slice(&[x, y, variance.max(0.0).sqrt()]);
+            keypoint.copy_from_slice(&[xs[lane], ys[lane]]);
         }
     }
 }
@@ -479,7 +476,7 @@ fn scatter(maps: &[f32], positions: &[f32], keypoints: &[f32], gradient: &[f32],
             let keypoint = block * CHANNELS + lane;
             for axis in 0..2 {
                 means[axis][lane] = keypoints[PER_KEYPOINT * keypoint + axis];
-                factors[axis][lane] = gradient[2 * keypoint + axis];
+                factors[axis][lane] = gradient[PER_KEYPOINT * keypoint + axis];
             }
         }
         for y in 0..side {

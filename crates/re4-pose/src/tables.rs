@@ -86,7 +86,7 @@ table! {
         pub learning_rate: f64,
         /// Weighted sum of the losses.
         pub loss: f64,
-        /// L_abs, before its weight: squared translation distance in m^2, times 10 by default, plus angle in rad.
+        /// L_abs, before its weight: the distance of two poses as `losses.distance` and its weights define it.
         pub absolute: f64,
         /// L_rel, in the same unit.
         pub relative: f64,

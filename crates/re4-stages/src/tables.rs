@@ -186,6 +186,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 41);
+        assert_eq!(names.len(), 42);
     }
 }

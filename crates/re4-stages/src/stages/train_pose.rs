@@ -2,6 +2,7 @@
 //! goal pose; the encoder of robosuite tasks is trained (module `encoder`).
 
 mod card;
+mod demos;
 mod encoder;
 mod evaluate;
 

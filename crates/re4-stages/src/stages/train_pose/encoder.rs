@@ -1,33 +1,29 @@
 //! The stage `train-pose` for robosuite tasks: trains an encoder on `episodes` and `modes`, and writes its estimates to `poses`.
 //!
-//! Until the poses are written, only the columns of [`EefOf`], modes and images are read, so no recorded object pose affects the
+//! Until the poses are written, only the columns of `EefOf` (module `demos`), modes and images are read, so no recorded object pose affects the
 //! training. The evaluation reads object poses afterwards, and no stage reads its results.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context as _, Result};
 use image::ImageFormat;
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::Isometry3;
 use rayon::prelude::*;
-use re4_artifact::{
-    Artifact, ArtifactSummary, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32, columns,
-};
-use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
+use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32};
+use re4_encoder::batches::{Sample, Sampler};
 use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{Backend, Calibration, EncoderConfig, EncoderError, GraspFrame, IMAGE_BYTES, Predictor, is_blank};
-use re4_episode::Mode;
+use re4_encoder::{Backend, Calibration, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor, is_blank};
 use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_geometry::spatial::Symmetry;
-use re4_ingest::{FrameRow, ImageRow, SourceFile, SpatialColumns};
+use re4_ingest::{ImageRow, SourceFile};
 use re4_pose::{LabelRow, PoseRow, SpatialEstimate, TrainingRow};
-use re4_segment::{ModeRow, SpatialEvidence};
-use re4_stats::upper_median;
 use serde_json::{Value, json};
 use tracing::info;
 
+use super::demos::{Demo, contradictions, no_better_than_mean, read_demos};
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::{CONFIDENCE, WEIGHTS};
@@ -42,94 +38,6 @@ const CHECKPOINTS: &str = "checkpoints";
 
 /// Batch size of estimation, in images.
 const BATCH: usize = 64;
-
-/// Fingers that move less than this in a control step are at rest, in metres.
-const STILL: f64 = 5e-4;
-
-/// An anchor contradicts the images if it is this many times as far from the estimates as the median demonstration's.
-const CONTRADICTS: f64 = 5.0;
-
-/// The same, at least, in metres: about the width of a gripper's finger.
-const MINIMUM_CONTRADICTION: f64 = 0.03;
-
-/// Estimates are no better than the mean anchor if their median distance is more than this fraction of the mean's.
-const NO_BETTER: f64 = 0.9;
-
-/// The stride of held-out demonstrations: every n-th demonstration, starting with the first, is held out. `None` for no held-out
-/// demonstrations.
-fn held_out_every(fraction: f64) -> Option<usize> {
-    (fraction > 0.0).then(|| (1.0 / fraction).round().max(2.0) as usize)
-}
-
-/// The data of a demonstration that training reads. `first` is the index of its first image.
-struct Demo {
-    episode: u32,
-    first: u64,
-    eef: Vec<Isometry3<f64>>,
-    /// Distance between the fingers, in metres.
-    separation: Vec<f64>,
-    modes: Vec<Mode>,
-    trained_on: bool,
-}
-
-/// Frames of a demonstration that are trained on: those before the grasp, and those while the object is held.
-struct Phases {
-    before: std::ops::Range<usize>,
-    held: std::ops::Range<usize>,
-}
-
-impl Demo {
-    /// The longest run of transfer frames and the transit frames before it. In a demonstration with one grasp, the run starts at
-    /// the paper's g(d). In a demonstration that missed and tried again, the first transfer frame has no object in the gripper;
-    /// the longest run is the one that carried the object.
-    fn phases(&self) -> Option<Phases> {
-        let mut best: Option<Phases> = None;
-        let (mut start, mut before) = (0, 0);
-        for run in self.modes.chunk_by(|a, b| a == b) {
-            let end = start + run.len();
-            if run[0] == Mode::Transfer {
-                if start > before && best.as_ref().is_none_or(|best| run.len() > best.held.len()) {
-                    best = Some(Phases {
-                        before: before..start,
-                        held: start..end,
-                    });
-                }
-                before = end;
-            }
-            start = end;
-        }
-        best
-    }
-
-    /// The first frame of a run that holds the object in which the fingers have come to rest: they have closed, and move less
-    /// than [`STILL`] in a step. The last frame of the run if they never do.
-    fn settled(&self, held: &std::ops::Range<usize>) -> usize {
-        let moved = |frame: usize| (self.separation[frame] - self.separation[frame - 1]).abs();
-        let closing = (held.start + 1..held.end).find(|&frame| moved(frame) > STILL);
-        let rest = closing.and_then(|start| (start + 1..held.end).find(|&frame| moved(frame) <= STILL));
-        rest.unwrap_or(held.end - 1)
-    }
-
-    /// What is trained on, and the frame of its anchor. `None` if the object is never held.
-    fn training(&self, config: &EncoderConfig) -> Option<(usize, TrainingDemo)> {
-        let phases = self.phases()?;
-        let frame = |of: GraspFrame| match of {
-            GraspFrame::Command => phases.held.start,
-            GraspFrame::Settled => self.settled(&phases.held),
-        };
-        let anchor = frame(config.anchor);
-        let training = TrainingDemo {
-            first: self.first,
-            before: phases.before.clone().map(|frame| frame as u32).collect(),
-            anchor: self.eef[anchor],
-            held: (frame(config.held_from)..phases.held.end)
-                .map(|frame| frame as u32)
-                .collect(),
-            eef: self.eef.clone(),
-        };
-        Some((anchor, training))
-    }
-}
 
 impl Runner {
     /// Trains the encoder and makes the `poses` artifact of a robosuite task, or returns the existing one.
@@ -509,130 +417,6 @@ fn calibrate(predictor: &Predictor, held_out: &[Sample], images: &ImageFile) -> 
     Ok(Calibration::fit(&frames))
 }
 
-/// The demonstrations whose anchor is far from their estimates before the grasp, with the distance in metres: much farther than in
-/// the other demonstrations, and farther than demonstrators' grasps differ.
-fn contradictions<'a>(
-    config: &EncoderConfig,
-    demos: &'a [Demo],
-    poses: &'a [Vec<Isometry3<f64>>],
-) -> impl Iterator<Item = (&'a Demo, f64)> {
-    let distances: Vec<(&Demo, f64)> = demos
-        .iter()
-        .zip(poses)
-        .filter_map(|(demo, poses)| {
-            let (_, training) = demo.training(config)?;
-            let distance =
-                |&frame: &u32| (poses[frame as usize].translation.vector - training.anchor.translation.vector).norm();
-            Some((demo, upper_median(training.before.iter().map(distance))?))
-        })
-        .collect();
-    let typical = upper_median(distances.iter().map(|(_, distance)| *distance)).unwrap_or_default();
-    let limit = (CONTRADICTS * typical).max(MINIMUM_CONTRADICTION);
-    distances.into_iter().filter(move |(_, distance)| *distance > limit)
-}
-
-/// The median distance of the estimates before the grasp from the anchor of their held-out demonstration, and that of the mean
-/// anchor of the training set, if the former is not clearly smaller.
-fn no_better_than_mean(config: &EncoderConfig, demos: &[Demo], poses: &[Vec<Isometry3<f64>>]) -> Option<(f64, f64)> {
-    let (mut mean, mut count) = (Vector3::zeros(), 0.0);
-    let mut held_out = Vec::new();
-    for (demo, poses) in demos.iter().zip(poses) {
-        match demo.training(config) {
-            Some((_, training)) if demo.trained_on => {
-                mean += training.anchor.translation.vector;
-                count += 1.0;
-            }
-            Some((_, training)) => held_out.push((training, poses)),
-            None => {}
-        }
-    }
-    let mean = mean / count;
-    let median = |of: &dyn Fn(&TrainingDemo, &Isometry3<f64>) -> f64| {
-        let frames = held_out.iter().flat_map(|(training, poses)| {
-            training
-                .before
-                .iter()
-                .map(move |&frame| of(training, &poses[frame as usize]))
-        });
-        upper_median(frames)
-    };
-    let own = median(&|training, pose| (pose.translation.vector - training.anchor.translation.vector).norm())?;
-    let of_mean = median(&|training, _| (mean - training.anchor.translation.vector).norm())?;
-    (own > NO_BETTER * of_mean).then_some((own, of_mean))
-}
-
-columns! {
-    /// The only columns of table `frames` that are read before the poses are written.
-    pub struct EefOf {
-        /// Demonstration.
-        pub episode: u32,
-        /// Frame.
-        pub frame: u32,
-        /// Pose of the end effector, world frame.
-        pub eef: Isometry3<f64>,
-        /// Joint positions of the fingers, in metres.
-        #[prefix = "finger"]
-        pub fingers: [f64; 2],
-    }
-}
-
-columns! {
-    /// The columns of table `modes` that are read.
-    pub struct ModeOf {
-        /// Demonstration.
-        pub episode: u32,
-        /// Frame.
-        pub frame: u32,
-        /// Mode.
-        pub mode: Mode,
-    }
-}
-
-/// Reads end-effector poses and modes.
-fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Artifact) -> Result<Vec<Demo>> {
-    let frames: Vec<EefOf> = episodes.table(FrameRow::<SpatialColumns>::table())?.read()?;
-    let modes_of: Vec<ModeOf> = modes.table(ModeRow::<SpatialEvidence>::table())?.read()?;
-    let ids = frames.iter().map(|row| (row.episode, row.frame));
-    ensure!(
-        ids.eq(modes_of.iter().map(|row| (row.episode, row.frame))),
-        "cannot train: {} and {} have different frames", episodes.path().display(), modes.path().display();
-        "delete the modes artifact and segment again"
-    );
-    let every = held_out_every(config.held_out);
-    let mut demos: Vec<Demo> = Vec::new();
-    for (
-        row,
-        (
-            EefOf {
-                episode, eef, fingers, ..
-            },
-            ModeOf { mode, .. },
-        ),
-    ) in frames.into_iter().zip(modes_of).enumerate()
-    {
-        // Recorded quaternions are stored bit for bit and may not have unit length exactly.
-        let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
-        let eef = Isometry3::from_parts(eef.translation, rotation);
-        if demos.last().is_none_or(|demo| demo.episode != episode) {
-            let number = demos.len();
-            demos.push(Demo {
-                episode,
-                first: row as u64,
-                eef: Vec::new(),
-                separation: Vec::new(),
-                modes: Vec::new(),
-                trained_on: every.is_none_or(|every| !number.is_multiple_of(every)),
-            });
-        }
-        if let Some(demo) = demos.last_mut() {
-            demo.eef.push(eef);
-            demo.separation.push((fingers[0] - fingers[1]).abs());
-            demo.modes.push(mode);
-        }
-    }
-    Ok(demos)
-}
-
 fn write_training(epochs: &[Epoch], writer: &Writer) -> Result<()> {
     writer.write_rows(epochs.iter().map(|epoch| {
         let [loss, absolute, relative, cross] = epoch.losses;
@@ -673,67 +457,4 @@ fn summary(
         "loss": last.map(|epoch| epoch.losses[0]),
         "evaluation": evaluation,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Three frames before the grasp, the command, and fingers that come to rest in the third frame that holds the object. The
-    /// end effector moves by 1 mm in every step.
-    fn demo(episode: u32, x: f64, trained_on: bool) -> Demo {
-        let modes = [[Mode::Transit; 3], [Mode::Transfer; 3]].concat();
-        Demo {
-            episode,
-            first: 0,
-            eef: (0..6)
-                .map(|frame| Isometry3::translation(x, 1e-3 * f64::from(frame), 0.0))
-                .collect(),
-            separation: vec![0.08, 0.08, 0.08, 0.08, 0.04, 0.04],
-            modes,
-            trained_on,
-        }
-    }
-
-    #[test]
-    fn the_anchor_is_the_pose_at_the_command_and_frames_that_hold_the_object_begin_later() {
-        let mut config = EncoderConfig::default();
-        let (frame, training) = demo(0, 0.0, true).training(&config).unwrap();
-        assert_eq!((frame, training.anchor.translation.y), (3, 3e-3));
-        assert_eq!((training.before, training.held), (vec![0, 1, 2], vec![5]));
-        config.anchor = GraspFrame::Settled;
-        let (frame, training) = demo(0, 0.0, true).training(&config).unwrap();
-        assert_eq!((frame, training.anchor.translation.y), (5, 5e-3));
-        let paper = EncoderConfig::preset(re4_encoder::Preset::Paper);
-        let (frame, training) = demo(0, 0.0, true).training(&paper).unwrap();
-        assert_eq!((frame, training.held), (3, vec![3, 4, 5]));
-        let mut open = demo(0, 0.0, true);
-        open.modes.fill(Mode::Transit);
-        assert!(open.training(&config).is_none());
-    }
-
-    #[test]
-    fn estimates_that_are_not_nearer_than_the_mean_anchor_are_reported() {
-        let config = EncoderConfig::default();
-        let demos = [demo(0, 0.1, false), demo(1, -0.1, true), demo(2, 0.1, true)];
-        let estimates = |x: f64| vec![vec![Isometry3::translation(x, 3e-3, 0.0); 6]; 3];
-        // The mean anchor is at 0, and the held-out one at 0.1.
-        assert_eq!(no_better_than_mean(&config, &demos, &estimates(0.09)), None);
-        let (own, mean) = no_better_than_mean(&config, &demos, &estimates(0.005)).unwrap();
-        assert!((own - 0.095).abs() < 1e-9 && (mean - 0.1).abs() < 1e-9);
-        assert_eq!(no_better_than_mean(&config, &demos[1..], &estimates(0.0)[1..]), None);
-    }
-
-    #[test]
-    fn an_anchor_far_from_the_estimates_is_a_contradiction() {
-        let config = EncoderConfig::default();
-        let demos = [demo(0, 0.1, false), demo(1, -0.1, true), demo(2, 0.2, true)];
-        let poses: Vec<_> = [0.11, -0.1, 0.3]
-            .map(|x| vec![Isometry3::translation(x, 3e-3, 0.0); 6])
-            .into();
-        let found: Vec<u32> = contradictions(&config, &demos, &poses)
-            .map(|(demo, _)| demo.episode)
-            .collect();
-        assert_eq!(found, [2]);
-    }
 }
