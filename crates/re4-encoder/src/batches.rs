@@ -83,7 +83,7 @@ pub struct Sampler {
 }
 
 /// A uniform integer below `bound`, which must be at least 1.
-fn below(rng: &mut Pcg64, bound: usize) -> usize {
+pub(crate) fn below(rng: &mut Pcg64, bound: usize) -> usize {
     // The upper half of the product with a 64-bit number: uniform up to a bias of bound / 2^64.
     ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
 }
@@ -183,6 +183,11 @@ impl Sampler {
             }
         }
         Batch { samples, near }
+    }
+
+    /// The demonstrations.
+    pub(crate) fn demos(&self) -> &[TrainingDemo] {
+        &self.demos
     }
 
     /// The anchors of the demonstrations, around which the initial estimates are distributed.

@@ -101,6 +101,10 @@ pub struct EncoderConfig {
     /// Whether the losses know the object's symmetry, from the task's record, and that a two-finger gripper is the same after a
     /// rotation by 180 degrees.
     pub symmetry: bool,
+    /// Whether an object without a symmetry by 180 degrees gets one orientation: after the training, the alternative of every
+    /// demonstration is chosen so that similar images have similar rotations, and the rotation is trained again. Otherwise the
+    /// estimate can change by 180 degrees where demonstrators changed sides. Applies to `keypoints` with `symmetry`.
+    pub one_orientation: bool,
     /// Standard deviation of the random changes of an image's brightness and contrast in training, as a fraction.
     pub brightness: f64,
     /// Crops per image when a pose is estimated: 1, the centre crop, or 5, also those of the corners.
@@ -142,6 +146,7 @@ impl EncoderConfig {
             anchor: GraspFrame::Command,
             held_from: GraspFrame::Command,
             symmetry: false,
+            one_orientation: false,
             brightness: 0.0,
             crops: 1,
             losses: LossConfig::paper(),
@@ -164,6 +169,7 @@ impl EncoderConfig {
             weight_decay: 0.1,
             held_from: GraspFrame::Settled,
             symmetry: true,
+            one_orientation: true,
             crops: 5,
             losses: LossConfig::robust(),
             ..Self::paper()

@@ -4,13 +4,14 @@
 //! Keypoints are in the coordinates of the whole image: the offset of the crop is added. A random crop is therefore only an
 //! augmentation, and does not hide where the object is.
 
-use burn::module::Module;
+use burn::module::{Module, ModuleMapper};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::{GroupNorm, GroupNormConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
 use burn::tensor::activation::{relu, softmax};
 use burn::tensor::{Device, Tensor, TensorData};
 
 use crate::conv::{CHANNELS, Conv};
+use crate::loss::Poses;
 use crate::resnet::{Named, Slot};
 use crate::trunk::{EPSILON, GROUP_CHANNELS, Shape, Weights};
 use crate::{CROP, EncoderError, SIDE};
@@ -159,6 +160,13 @@ impl KeypointNetwork {
         self.convs[0].weight.lazy_shape()[0]
     }
 
+    /// The network with new initial weights of the rotation's head.
+    pub(crate) fn with_new_rotation(mut self, initializer: &mut impl ModuleMapper) -> Self {
+        let head = Head::new(2 * shape(self.width()).keypoints(), ROTATION_HIDDEN, 6, &self.device());
+        self.rotation = head.map(initializer);
+        self
+    }
+
     /// The device of the weights.
     pub(crate) fn device(&self) -> Device {
         self.rotation.output.weight.val().device()
@@ -200,6 +208,15 @@ impl KeypointNetwork {
             vec![self.translation.forward(positions), self.rotation.forward(positions)],
             1,
         )
+    }
+
+    /// Poses with the estimated rotations and without a translation, from the positions of the keypoints. Nothing but the
+    /// rotation's head has a gradient, so that an optimiser with weight decay changes nothing else.
+    pub(crate) fn rotations(&self, positions: &Tensor<2>) -> Poses {
+        let rotation = self.rotation.forward(positions);
+        let [count, _] = rotation.dims();
+        let translation = Tensor::zeros([count, 3], &rotation.device());
+        Poses::from_raw(&Tensor::cat(vec![translation, rotation], 1), 1.0)
     }
 
     /// The weights of the convolutions and their normalisation, for [`crate::trunk::Trunk`].

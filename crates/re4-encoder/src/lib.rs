@@ -14,6 +14,7 @@ pub mod images;
 mod keypoints;
 pub mod loss;
 pub mod network;
+mod orientation;
 mod predict;
 pub mod resnet;
 pub mod train;

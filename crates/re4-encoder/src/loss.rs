@@ -173,7 +173,7 @@ impl Poses {
     }
 
     /// Squared chordal distance of the rotations: the sum of the squared differences of their matrices.
-    fn chordal(&self, other: &Self, alternatives: Alternatives) -> Tensor<2> {
+    pub(crate) fn chordal(&self, other: &Self, alternatives: Alternatives) -> Tensor<2> {
         let [a, b] = [&self.columns, &other.columns];
         let axes = dot(&a[2], &b[2]);
         if alternatives == Alternatives::Axis {

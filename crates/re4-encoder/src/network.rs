@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use burn::module::{Module, Param};
+use burn::module::{Module, ModuleMapper, Param};
 use burn::nn::Linear;
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Isometry3, Vector3};
@@ -112,6 +112,14 @@ impl Encoder {
             });
         }
         self
+    }
+
+    /// The network with new initial weights of the rotation's head, if it has one of its own.
+    pub(crate) fn with_new_rotation(self, initializer: &mut impl ModuleMapper) -> Self {
+        match self {
+            Self::ResNet(network) => Self::ResNet(network),
+            Self::Keypoints(network) => Self::Keypoints(network.with_new_rotation(initializer)),
+        }
     }
 
     /// The device of the weights.
@@ -252,7 +260,6 @@ pub(crate) fn estimate(encoder: &Encoder, kernels: Option<&Kernels>, crops: Crop
 #[cfg(test)]
 mod tests {
     use super::*;
-    use burn::module::{ModuleMapper, Param};
     use burn::optim::GradientsParams;
 
     use crate::IMAGE_BYTES;

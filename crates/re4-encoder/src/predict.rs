@@ -39,7 +39,7 @@ pub struct Predictor {
 }
 
 /// The corners of the crops of an image whose estimates are averaged: the centre crop first.
-fn corners(count: usize) -> Vec<[u8; 2]> {
+pub(crate) fn corners(count: usize) -> Vec<[u8; 2]> {
     let last = (SIDE - CROP) as u8;
     let all = [MIDDLE, [0, 0], [0, last], [last, 0], [last, last]];
     all.into_iter().take(count.max(1)).collect()

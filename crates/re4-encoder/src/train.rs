@@ -17,6 +17,7 @@ use crate::images::{Crop, ImageFile, Loaded, batches, load};
 use crate::keypoints;
 use crate::loss::{Alternatives, Losses, Poses, Setting, losses};
 use crate::network::{Crops, Encoder, Kernels, SCALE, estimate};
+use crate::orientation;
 use crate::trunk::Tapes;
 use crate::{EncoderError, IMAGE_BYTES};
 
@@ -163,9 +164,10 @@ pub fn train<E: From<EncoderError>>(
         });
         checkpoints.keep(&learner.encoder, &learner.optimizer, &epochs)?;
     }
+    let rate_of_process = (sampled > 0).then(|| sampled as f64 / clock.elapsed().as_secs_f64());
     Ok(Trained {
-        encoder: learner.encoder.valid(),
-        rate: (sampled > 0).then(|| sampled as f64 / clock.elapsed().as_secs_f64()),
+        encoder: orientation::settle(learner.encoder, task)?.valid(),
+        rate: rate_of_process,
         epochs,
         resumed,
     })
@@ -175,21 +177,23 @@ fn learning_rate(config: &EncoderConfig, step: u64, steps: u32) -> f64 {
     if !config.cosine {
         return config.learning_rate;
     }
-    let all = f64::from(config.epochs) * f64::from(steps);
+    learning_rate_at(config.learning_rate, step, f64::from(config.epochs) * f64::from(steps))
+}
+
+/// The learning rate of a step of `all`, from 0, that decays along half a cosine period.
+pub(crate) fn learning_rate_at(highest: f64, step: u64, all: f64) -> f64 {
     let fraction = step as f64 / all;
     // Linear warm-up over the first twentieth, because the gradients of the first steps are unreliable.
     let warm_up = (fraction * 20.0).min(1.0).max(1.0 / all);
-    config.learning_rate * warm_up * 0.5 * (1.0 + (std::f64::consts::PI * fraction).cos())
+    highest * warm_up * 0.5 * (1.0 + (std::f64::consts::PI * fraction).cos())
 }
 
 /// The encoder before the first step.
 fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
     let encoder = Encoder::new(task.config.network, task.config.width, device);
-    let mut initializer = WeightInitializer {
-        // Another stream than that of the batches, so that the two sequences are independent for the same seed.
-        rng: Pcg64::new(u128::from(task.config.seed), 0x5851_f42d_4c95_7f2d_1405_7b7e_f767_814f),
-        network: task.config.network,
-    };
+    // Another stream than that of the batches, so that the two sequences are independent for the same seed.
+    let rng = Pcg64::new(u128::from(task.config.seed), 0x5851_f42d_4c95_7f2d_1405_7b7e_f767_814f);
+    let mut initializer = WeightInitializer::new(rng, task.config.network);
     let encoder = encoder.map(&mut initializer).centred_on(&task.sampler.anchors());
     match task.weights {
         Some(path) => crate::weights::load_torchvision(encoder, path),
@@ -199,9 +203,15 @@ fn start(task: &Task, device: &Device) -> Result<Encoder, EncoderError> {
 
 /// Samples initial weights with its own generator. burn's initializers use global state, so they depend on other computations
 /// of the process.
-struct WeightInitializer {
+pub(crate) struct WeightInitializer {
     rng: Pcg64,
     network: Network,
+}
+
+impl WeightInitializer {
+    pub(crate) fn new(rng: Pcg64, network: Network) -> Self {
+        Self { rng, network }
+    }
 }
 
 impl ModuleMapper for WeightInitializer {

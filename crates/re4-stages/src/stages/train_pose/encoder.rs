@@ -31,7 +31,7 @@ use crate::inputs::sources::find_weights;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 5;
+const CODE_VERSION: u32 = 6;
 
 /// Folder of checkpoints, below the artifacts folder.
 const CHECKPOINTS: &str = "checkpoints";
