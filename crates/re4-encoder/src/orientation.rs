@@ -9,6 +9,7 @@
 //! have similar rotations: a synchronisation over {0, π}, by the sign of the first eigenvector of the graph of nearest neighbours.
 //! Then it trains the head of the rotation again, on the keypoints of the trained network and the chosen alternatives.
 
+use burn::module::Module as _;
 use burn::optim::{AdamWConfig, GradientsParams};
 use burn::tensor::{Tensor, TensorData};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -59,6 +60,8 @@ pub(crate) fn settle(encoder: Encoder, task: &Task) -> Result<Encoder, EncoderEr
     if !task.config.one_orientation || has_symmetry || encoder.keypoints().is_none() {
         return Ok(encoder);
     }
+    // Without gradients: burn keeps the graph of every forward pass that no backward pass follows.
+    let frozen = encoder.valid();
     let demos = task.sampler.demos();
     let corners = corners(task.config.crops);
     let (mut before, mut held) = (Vec::new(), Vec::new());
@@ -67,14 +70,14 @@ pub(crate) fn settle(encoder: Encoder, task: &Task) -> Result<Encoder, EncoderEr
         let frames = spread_over(&demo.before);
         let first = before.len();
         for &corner in &corners {
-            let examples = keypoints(&encoder, task, (number, demo.first), &frames, corner, |_| demo.anchor)?;
+            let examples = keypoints(&frozen, task, (number, demo.first), &frames, corner, |_| demo.anchor)?;
             before.extend(examples);
         }
         means.push(mean(&before[first..first + frames.len()]));
         let frames = spread_over(&demo.held);
         let target = |frame: u32| demo.eef[frame as usize];
         held.extend(keypoints(
-            &encoder,
+            &frozen,
             task,
             (number, demo.first),
             &frames,
@@ -262,8 +265,6 @@ fn train_rotation(
 mod tests {
     use super::*;
     use std::f64::consts::{FRAC_PI_2, PI, TAU};
-
-    use burn::module::Module as _;
 
     use crate::EncoderConfig;
     use crate::batches::Sampler;
