@@ -174,9 +174,9 @@ fn choose(keypoints: &[Vec<f64>], rotations: &[UnitQuaternion<f64>]) -> Vec<bool
     };
     let mut edges: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
     for i in 0..count {
-        let mut others: Vec<usize> = (0..count).filter(|&j| j != i).collect();
-        others.sort_by(|&a, &b| distance(i, a).total_cmp(&distance(i, b)).then(a.cmp(&b)));
-        for &j in others.iter().take(NEIGHBOURS) {
+        let mut others: Vec<(f64, usize)> = (0..count).filter(|&j| j != i).map(|j| (distance(i, j), j)).collect();
+        others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for &(_, j) in others.iter().take(NEIGHBOURS) {
             let own = weight(i, j);
             edges[i].push((j, own));
             edges[j].push((i, own));
