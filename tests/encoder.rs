@@ -195,14 +195,14 @@ fn with_images(table: &str, batch: RecordBatch, edit: impl Fn(u32, &mut RgbImage
         col_u32(&batch, "episode").unwrap(),
         col_binary(&batch, "image").unwrap(),
     );
-    let mut files = Vec::new();
-    for row in 0..batch.num_rows() {
+    let edited = episodes.iter().enumerate().map(|(row, &episode)| {
         let mut image = image::load_from_memory(images.value(row)).unwrap().into_rgb8();
-        edit(episodes[row], &mut image);
+        edit(episode, &mut image);
         let mut file = Cursor::new(Vec::new());
         image.write_to(&mut file, image::ImageFormat::Png).unwrap();
-        files.push(file.into_inner());
-    }
+        file.into_inner()
+    });
+    let files: Vec<Vec<u8>> = edited.collect();
     let mut columns = Columns::new(ImageRow::table());
     for spec in ImageRow::table().columns {
         columns = match spec.name {

@@ -170,7 +170,7 @@ fn choose(keypoints: &[Vec<f64>], rotations: &[UnitQuaternion<f64>]) -> Vec<bool
     // Weight of an edge: 1 if the rotations are equal, -1 if they differ by π, and 0 if they tell nothing.
     let weight = |i: usize, j: usize| -> f64 {
         let [a, b] = [i, j].map(|k| rotations[k].to_rotation_matrix().into_inner());
-        (a.column(0).dot(&b.column(0)) + a.column(1).dot(&b.column(1))) / 2.0
+        f64::midpoint(a.column(0).dot(&b.column(0)), a.column(1).dot(&b.column(1)))
     };
     let mut edges: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
     for i in 0..count {

@@ -66,35 +66,7 @@ pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<Stri
         .iter()
         .flat_map(|(_, rows)| rows.iter().map(|row| (row.episode, row.frame)))
         .collect();
-    let mut estimates = BTreeMap::new();
-    let (mut unsure, mut estimated) = (0, 0);
-    let of_errors: BTreeMap<(u32, u32), (bool, GraspPhase)> = errors
-        .iter()
-        .map(|row| ((row.episode, row.frame), (row.trained_on, row.phase)))
-        .collect();
-    for row in poses
-        .table(PoseRow::<SpatialEstimate>::table())?
-        .stream::<EstimateOf>()?
-    {
-        let row = row?;
-        let place = (row.episode, row.frame);
-        if of_errors.get(&place) == Some(&(false, GraspPhase::BeforeGrasp)) {
-            estimated += 1;
-            unsure += usize::from(row.unsure == Some(true));
-        }
-        if wanted.contains(&place) {
-            estimates.insert(place, row);
-        }
-    }
-    let labels: BTreeMap<u32, Isometry3<f64>> = if poses.has::<LabelRow>() {
-        poses
-            .read::<LabelRow>()?
-            .into_iter()
-            .map(|row| (row.episode, row.anchor))
-            .collect()
-    } else {
-        BTreeMap::new()
-    };
+    let estimates = Estimates::read(poses, &errors, &wanted)?;
     let found = episodes
         .as_ref()
         .map(|episodes| Found::read(episodes, &camera, &wanted, &demos))
@@ -105,38 +77,16 @@ pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<Stri
         )),
         _ => None,
     };
-    let worst = chosen.into_iter().map(|(title, rows)| {
-        let frames = rows.into_iter().map(|row| {
-            let place = (row.episode, row.frame);
-            let view = found.as_ref().and_then(|found| found.cameras.get(&row.episode));
-            let estimate = estimates.get(&place);
-            let anchor = match row.phase {
-                GraspPhase::Held => found.as_ref().and_then(|found| found.eef.get(&place)),
-                _ => labels.get(&row.episode),
-            };
-            WorstFrame {
-                demo: demos
-                    .iter()
-                    .find(|demo| demo.episode == row.episode)
-                    .map_or_else(|| format!("episode {}", row.episode), |demo| demo.demo.clone()),
-                frame: row.frame,
-                translation: 1e3 * row.error.translation_at_grasp,
-                rotation: row.error.rotation.to_degrees(),
-                confidence: estimate.and_then(|estimate| estimate.confidence),
-                png: found.as_ref().and_then(|found| found.images.get(&place).cloned()),
-                estimated: project(view, estimate.map(|estimate| &estimate.object)),
-                anchored: project(view, anchor),
-            }
-        });
-        Group {
-            title: title.to_owned(),
-            frames: frames.collect(),
-        }
+    let worst = chosen.into_iter().map(|(title, rows)| Group {
+        title: title.to_owned(),
+        frames: rows
+            .into_iter()
+            .map(|row| worst_frame(row, &estimates, found.as_ref(), &demos))
+            .collect(),
     });
     let task: Option<Task> = episodes
         .as_ref()
         .and_then(|episodes| serde_json::from_value(episodes.manifest().config["task"].clone()).ok());
-    let curve = |value: fn(&TrainingRow) -> Option<f64>| epochs.iter().map(value).collect::<Vec<_>>();
     let demonstrations = |trained_on: bool| {
         let own = errors.iter().filter(|row| row.trained_on == trained_on);
         own.map(|row| row.episode).collect::<BTreeSet<_>>().len()
@@ -151,28 +101,88 @@ pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<Stri
             .collect(),
         demonstrations: [demonstrations(true), demonstrations(false)],
         steps: epochs.last().map_or(0, |epoch| epoch.steps),
-        curves: training_plot(&[
-            ("L_abs", curve(|epoch| Some(epoch.absolute))),
-            ("L_rel", curve(|epoch| Some(epoch.relative))),
-            ("L_cross", curve(|epoch| Some(epoch.cross))),
-            ("L_abs, held out", curve(|epoch| epoch.held_out_absolute)),
-        ])?,
-        confidence: calibration(poses)?.map(|calibration| Confidence {
-            steps: calibration
-                .scores
-                .iter()
-                .zip(&calibration.confidences)
-                .map(|(score, own)| [1e3 * score, *own])
-                .collect(),
-            agrees_within: 1e3 * calibration.agrees_within,
-            unsure: [unsure, estimated],
-        }),
+        curves: curves(&epochs)?,
+        confidence: calibration(poses)?.map(|calibration| calibration.shown(estimates.unsure)),
         errors: by_phase(&errors),
         worst: worst.collect(),
         without_frames,
         settings: config.clone(),
     };
     Ok((page(&training), warnings))
+}
+
+/// The curves of the losses, as SVG.
+fn curves(epochs: &[TrainingRow]) -> Result<String> {
+    let curve = |value: fn(&TrainingRow) -> Option<f64>| epochs.iter().map(value).collect::<Vec<_>>();
+    Ok(training_plot(&[
+        ("L_abs", curve(|epoch| Some(epoch.absolute))),
+        ("L_rel", curve(|epoch| Some(epoch.relative))),
+        ("L_cross", curve(|epoch| Some(epoch.cross))),
+        ("L_abs, held out", curve(|epoch| epoch.held_out_absolute)),
+    ])?)
+}
+
+/// An image of the page, from its row in table `pose_errors`.
+fn worst_frame(row: &PoseErrorRow, estimates: &Estimates, found: Option<&Found>, demos: &[DemoRow]) -> WorstFrame {
+    let place = (row.episode, row.frame);
+    let view = found.and_then(|found| found.cameras.get(&row.episode));
+    let estimate = estimates.wanted.get(&place);
+    let anchor = match row.phase {
+        GraspPhase::Held => found.and_then(|found| found.eef.get(&place)),
+        _ => estimates.anchors.get(&row.episode),
+    };
+    let demo = demos.iter().find(|demo| demo.episode == row.episode);
+    WorstFrame {
+        demo: demo.map_or_else(|| format!("episode {}", row.episode), |demo| demo.demo.clone()),
+        frame: row.frame,
+        translation: 1e3 * row.error.translation_at_grasp,
+        rotation: row.error.rotation.to_degrees(),
+        confidence: estimate.and_then(|estimate| estimate.confidence),
+        png: found.and_then(|found| found.images.get(&place).cloned()),
+        estimated: project(view, estimate.map(|estimate| &estimate.object)),
+        anchored: project(view, anchor),
+    }
+}
+
+/// What the page needs of a `poses` artifact besides the errors.
+struct Estimates {
+    /// The estimates of the images on the page.
+    wanted: BTreeMap<(u32, u32), EstimateOf>,
+    /// Numbers of unsure estimates and of all estimates, before the grasp of held-out demonstrations.
+    unsure: [usize; 2],
+    /// The anchors by demonstration; none in artifacts of older versions.
+    anchors: BTreeMap<u32, Isometry3<f64>>,
+}
+
+impl Estimates {
+    fn read(poses: &Artifact, errors: &[PoseErrorRow], wanted: &BTreeSet<(u32, u32)>) -> Result<Self> {
+        let held_out: BTreeSet<(u32, u32)> = errors
+            .iter()
+            .filter(|row| !row.trained_on && row.phase == GraspPhase::BeforeGrasp)
+            .map(|row| (row.episode, row.frame))
+            .collect();
+        let mut estimates = Self {
+            wanted: BTreeMap::new(),
+            unsure: [0, held_out.len()],
+            anchors: BTreeMap::new(),
+        };
+        let table = poses.table(PoseRow::<SpatialEstimate>::table())?;
+        for row in table.stream::<EstimateOf>()? {
+            let row = row?;
+            let place = (row.episode, row.frame);
+            if held_out.contains(&place) {
+                estimates.unsure[0] += usize::from(row.unsure == Some(true));
+            }
+            if wanted.contains(&place) {
+                estimates.wanted.insert(place, row);
+            }
+        }
+        if poses.has::<LabelRow>() {
+            let labels = poses.read::<LabelRow>()?.into_iter();
+            estimates.anchors = labels.map(|row| (row.episode, row.anchor)).collect();
+        }
+        Ok(estimates)
+    }
 }
 
 columns! {
@@ -209,6 +219,17 @@ struct Calibration {
     scores: Vec<f64>,
     confidences: Vec<f64>,
     agrees_within: f64,
+}
+
+impl Calibration {
+    fn shown(&self, unsure: [usize; 2]) -> Confidence {
+        let steps = self.scores.iter().zip(&self.confidences);
+        Confidence {
+            steps: steps.map(|(score, own)| [1e3 * score, *own]).collect(),
+            agrees_within: 1e3 * self.agrees_within,
+            unsure,
+        }
+    }
 }
 
 /// Name of the file with the calibration.

@@ -1,16 +1,21 @@
 //! What the encoder's training reads of the demonstrations: frames, anchors, and checks of the estimates against the anchors. No
 //! recorded object pose is read.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use anyhow::Result;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use re4_artifact::{Artifact, Row as _, columns};
-use re4_encoder::batches::TrainingDemo;
+use re4_encoder::batches::{Sample, TrainingDemo};
 use re4_encoder::{EncoderConfig, GraspFrame};
 use re4_episode::Mode;
 use re4_fault::ensure;
 use re4_ingest::{FrameRow, SpatialColumns};
+use re4_policy::DemoNames;
+use re4_pose::LabelRow;
 use re4_segment::{ModeRow, SpatialEvidence};
 use re4_stats::upper_median;
+use serde_json::{Value, json};
 
 /// Fingers that move less than this in a control step are at rest, in metres.
 const STILL: f64 = 5e-4;
@@ -100,9 +105,131 @@ impl Demo {
     }
 }
 
+/// Frames by demonstration.
+pub(super) type Frames = BTreeMap<u32, BTreeSet<u32>>;
+
+/// What is trained on, and what is held out.
+#[derive(Default)]
+pub(super) struct TrainingData {
+    /// Demonstrations of the training set, with their numbers.
+    pub(super) training: Vec<(u32, TrainingDemo)>,
+    /// Frames before the grasp of held-out demonstrations: demonstration, frame, and sample.
+    held_out: Vec<(u32, u32, Sample)>,
+    /// The anchors of all demonstrations.
+    pub(super) labels: Vec<LabelRow>,
+    /// Warnings for the user.
+    pub(super) warnings: Vec<Value>,
+}
+
+impl TrainingData {
+    pub(super) fn of(demos: &[Demo], config: &EncoderConfig, names: &DemoNames) -> Self {
+        let mut data = Self::default();
+        for demo in demos {
+            let Some((anchor, training)) = demo.training(config) else {
+                data.warnings.push(json!({
+                    "code": "no_grasp",
+                    "demo_name": names.of(demo.episode),
+                    "message": format!(
+                        "{} is not trained on: it has no transfer frame after a transit frame, so its object poses are unknown",
+                        names.of(demo.episode),
+                    ),
+                }));
+                continue;
+            };
+            data.labels.push(LabelRow {
+                episode: demo.episode,
+                trained_on: demo.trained_on,
+                frame: anchor as u32,
+                anchor: training.anchor,
+            });
+            if demo.trained_on {
+                data.training.push((demo.episode, training));
+            } else {
+                let first = training.first;
+                let sample = |frame| Sample::plain(first + u64::from(frame), training.anchor);
+                let before = training.before.iter();
+                data.held_out
+                    .extend(before.map(|&frame| (demo.episode, frame, sample(frame))));
+            }
+        }
+        data
+    }
+
+    /// Leaves out frames whose images have a single color.
+    pub(super) fn leave_out(&mut self, blank: &Frames, demos: &[Demo], names: &DemoNames) {
+        for (demo, own) in demos.iter().filter_map(|demo| Some((demo, blank.get(&demo.episode)?))) {
+            self.warnings.push(json!({
+                "code": "blank_images",
+                "demo_name": names.of(demo.episode),
+                "message": format!(
+                    "{} of the {} images of {} have a single color, as of a camera that does not work; they are not trained on",
+                    own.len(),
+                    demo.eef.len(),
+                    names.of(demo.episode),
+                ),
+            }));
+        }
+        for (episode, training) in &mut self.training {
+            if let Some(blank) = blank.get(episode) {
+                training.before.retain(|frame| !blank.contains(frame));
+                training.held.retain(|frame| !blank.contains(frame));
+            }
+        }
+        self.training
+            .retain(|(_, training)| !training.before.is_empty() && !training.held.is_empty());
+        self.held_out
+            .retain(|(episode, frame, _)| !blank.get(episode).is_some_and(|blank| blank.contains(frame)));
+    }
+
+    /// Takes the training set and the held-out samples.
+    pub(super) fn split(&mut self) -> (Vec<TrainingDemo>, Vec<Sample>) {
+        let training = std::mem::take(&mut self.training).into_iter();
+        let held_out = std::mem::take(&mut self.held_out).into_iter();
+        (
+            training.map(|(_, training)| training).collect(),
+            held_out.map(|(_, _, sample)| sample).collect(),
+        )
+    }
+}
+
+/// Warnings of estimates that do not agree with the anchors.
+pub(super) fn warnings(
+    config: &EncoderConfig,
+    demos: &[Demo],
+    poses: &[Vec<Isometry3<f64>>],
+    names: &DemoNames,
+) -> Vec<Value> {
+    let contradictions = contradictions(config, demos, poses).map(|(demo, distance)| {
+        json!({
+            "code": "anchor_contradicts_images",
+            "demo_name": names.of(demo.episode),
+            "message": format!(
+                "the grasp of {} is {:.0} mm from where its images show the object, far more than in the other demonstrations; \
+                 check that its images and its actions belong together, and that the camera did not move",
+                names.of(demo.episode),
+                1e3 * distance,
+            ),
+        })
+    });
+    let no_better = no_better_than_mean(config, demos, poses).map(|(own, mean)| {
+        json!({
+            "code": "no_better_than_mean",
+            "message": format!(
+                "the estimates of held-out demonstrations are as far from their anchors as the mean anchor is ({:.0} and {:.0} mm in the \
+                 median): the encoder has not learned where the object is; train for longer, and check that the images are those of \
+                 camera {:?}, show the object, and belong to the actions",
+                1e3 * own,
+                1e3 * mean,
+                config.camera,
+            ),
+        })
+    });
+    contradictions.chain(no_better).collect()
+}
+
 /// The demonstrations whose anchor is far from their estimates before the grasp, with the distance in metres: much farther than in
 /// the other demonstrations, and farther than demonstrators' grasps differ.
-pub(super) fn contradictions<'a>(
+fn contradictions<'a>(
     config: &EncoderConfig,
     demos: &'a [Demo],
     poses: &'a [Vec<Isometry3<f64>>],
@@ -124,11 +251,7 @@ pub(super) fn contradictions<'a>(
 
 /// The median distance of the estimates before the grasp from the anchor of their held-out demonstration, and that of the mean
 /// anchor of the training set, if the former is not clearly smaller.
-pub(super) fn no_better_than_mean(
-    config: &EncoderConfig,
-    demos: &[Demo],
-    poses: &[Vec<Isometry3<f64>>],
-) -> Option<(f64, f64)> {
+fn no_better_than_mean(config: &EncoderConfig, demos: &[Demo], poses: &[Vec<Isometry3<f64>>]) -> Option<(f64, f64)> {
     let (mut mean, mut count) = (Vector3::zeros(), 0.0);
     let mut held_out = Vec::new();
     for (demo, poses) in demos.iter().zip(poses) {

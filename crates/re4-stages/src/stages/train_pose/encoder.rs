@@ -3,7 +3,7 @@
 //! Until the poses are written, only the columns of `EefOf` (module `demos`), modes and images are read, so no recorded object pose affects the
 //! training. The evaluation reads object poses afterwards, and no stage reads its results.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use anyhow::{Context as _, Result};
 use image::ImageFormat;
@@ -19,11 +19,11 @@ use re4_encoder::{Backend, Calibration, EncoderConfig, EncoderError, IMAGE_BYTES
 use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_geometry::spatial::Symmetry;
 use re4_ingest::{ImageRow, SourceFile};
-use re4_pose::{LabelRow, PoseRow, SpatialEstimate, TrainingRow};
+use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use serde_json::{Value, json};
 use tracing::info;
 
-use super::demos::{Demo, contradictions, no_better_than_mean, read_demos};
+use super::demos::{Demo, Frames, TrainingData, read_demos, warnings};
 use super::{card, evaluate};
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::{CONFIDENCE, WEIGHTS};
@@ -106,41 +106,9 @@ impl Runner {
     ) -> Result<(ArtifactSummary, Option<f64>)> {
         let demos = read_demos(config, episodes, modes)?;
         let names = demo_names(episodes)?;
-        let mut warnings = Vec::new();
-        let (mut training_demos, mut held_out, mut labels) = (Vec::new(), Vec::new(), Vec::new());
-        for demo in &demos {
-            let Some((anchor, training)) = demo.training(config) else {
-                warnings.push(json!({
-                    "code": "no_grasp",
-                    "demo_name": names.of(demo.episode),
-                    "message": format!(
-                        "{} is not trained on: it has no transfer frame after a transit frame, so its object poses are unknown",
-                        names.of(demo.episode),
-                    ),
-                }));
-                continue;
-            };
-            labels.push(LabelRow {
-                episode: demo.episode,
-                trained_on: demo.trained_on,
-                frame: anchor as u32,
-                anchor: training.anchor,
-            });
-            if demo.trained_on {
-                training_demos.push((demo.episode, training));
-            } else {
-                let first = training.first;
-                let sample = |frame| Sample::plain(first + u64::from(frame), training.anchor);
-                held_out.extend(
-                    training
-                        .before
-                        .iter()
-                        .map(|&frame| (demo.episode, frame, sample(frame))),
-                );
-            }
-        }
+        let mut data = TrainingData::of(&demos, config, &names);
         ensure!(
-            !training_demos.is_empty(),
+            !data.training.is_empty(),
             "cannot train on {}: no training demonstration has a transfer frame after a transit frame",
             episodes.path().display();
             "inspect its modes with re4-pipe audit"
@@ -152,40 +120,20 @@ impl Runner {
             config.backend.set_threads(rayon::current_num_threads())?;
         }
         let (images, blank) = self.unpack(config, episodes, &demos, writer)?;
-        for (demo, own) in demos.iter().filter_map(|demo| Some((demo, blank.get(&demo.episode)?))) {
-            warnings.push(json!({
-                "code": "blank_images",
-                "demo_name": names.of(demo.episode),
-                "message": format!(
-                    "{} of the {} images of {} have a single color, as of a camera that does not work; they are not trained on",
-                    own.len(),
-                    demo.eef.len(),
-                    names.of(demo.episode),
-                ),
-            }));
-        }
-        for (episode, training) in &mut training_demos {
-            if let Some(blank) = blank.get(episode) {
-                training.before.retain(|frame| !blank.contains(frame));
-                training.held.retain(|frame| !blank.contains(frame));
-            }
-        }
-        training_demos.retain(|(_, training)| !training.before.is_empty() && !training.held.is_empty());
-        held_out.retain(|(episode, frame, _)| !blank.get(episode).is_some_and(|blank| blank.contains(frame)));
+        data.leave_out(&blank, &demos, &names);
         ensure!(
-            !training_demos.is_empty(),
+            !data.training.is_empty(),
             "cannot train on {}: all training images before a grasp, or all that hold the object, have a single color",
             episodes.path().display();
             "record or render the images again"
         );
-        let training_demos = training_demos.into_iter().map(|(_, training)| training).collect();
-        let held_out: Vec<Sample> = held_out.into_iter().map(|(_, _, sample)| sample).collect();
+        let (training, held_out) = data.split();
         let symmetry = match (config.symmetry, self.pipeline.task.symmetry()) {
             (false, _) | (true, Symmetry::None) => Alternatives::NONE,
             (true, Symmetry::Fold { n, .. }) => Alternatives::Fold(n),
             (true, Symmetry::Full { .. }) => Alternatives::Axis,
         };
-        let sampler = Sampler::new(training_demos, config, symmetry);
+        let sampler = Sampler::new(training, config, symmetry);
         let task = Task {
             config,
             sampler: &sampler,
@@ -213,7 +161,7 @@ impl Runner {
         bar.finish_and_clear();
         writer.file(WEIGHTS, &re4_encoder::to_bytes(&trained.encoder)?)?;
         write_training(&trained.epochs, writer)?;
-        writer.write_rows(labels)?;
+        writer.write_rows(std::mem::take(&mut data.labels))?;
         card::write_plot(&trained.epochs, writer)?;
         let predictor = Predictor::new(trained.encoder.clone(), config)?;
         let calibration = calibrate(&predictor, &held_out, &images)?;
@@ -221,31 +169,7 @@ impl Runner {
             writer.file(CONFIDENCE, &serde_json::to_vec_pretty(calibration)?)?;
         }
         let poses = self.estimate(&predictor, calibration.as_ref(), &demos, &images, writer)?;
-        warnings.extend(contradictions(config, &demos, &poses).map(|(demo, distance)| {
-            json!({
-                "code": "anchor_contradicts_images",
-                "demo_name": names.of(demo.episode),
-                "message": format!(
-                    "the grasp of {} is {:.0} mm from where its images show the object, far more than in the other demonstrations; \
-                     check that its images and its actions belong together, and that the camera did not move",
-                    names.of(demo.episode),
-                    1e3 * distance,
-                ),
-            })
-        }));
-        warnings.extend(no_better_than_mean(config, &demos, &poses).map(|(own, mean)| {
-            json!({
-                "code": "no_better_than_mean",
-                "message": format!(
-                    "the estimates of held-out demonstrations are as far from their anchors as the mean anchor is ({:.0} and {:.0} mm in the \
-                     median): the encoder has not learned where the object is; train for longer, and check that the images are those of \
-                     camera {:?}, show the object, and belong to the actions",
-                    1e3 * own,
-                    1e3 * mean,
-                    config.camera,
-                ),
-            })
-        }));
+        data.warnings.extend(warnings(config, &demos, &poses, &names));
         // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
         let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
         let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
@@ -257,6 +181,7 @@ impl Runner {
             (episodes.key(), modes.key(), key),
             writer,
         )?;
+        let warnings = data.warnings;
         Ok((ArtifactSummary { summary, warnings }, trained.rate))
     }
 
@@ -269,14 +194,14 @@ impl Runner {
         episodes: &Artifact,
         demos: &[Demo],
         writer: &Writer,
-    ) -> Result<(ImageFile, BTreeMap<u32, BTreeSet<u32>>)> {
+    ) -> Result<(ImageFile, Frames)> {
         let path = episodes.path();
         let names = demo_names(episodes)?;
         let table = episodes.table(ImageRow::table())?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "images");
         let mut cameras = BTreeSet::new();
-        let mut blank: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+        let mut blank = Frames::new();
         let decoded = table.batches()?.flat_map(|batch| {
             let decode = || -> Result<Vec<Result<Vec<u8>>>> {
                 self.interrupt.check("train-pose")?;
