@@ -22,7 +22,7 @@ pub use plane::read_rollouts;
 pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 7;
+const CODE_VERSION: u32 = 8;
 
 /// Number of rollouts whose rows are held in memory before they are written.
 const BATCH: usize = 128;
