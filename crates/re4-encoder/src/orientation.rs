@@ -62,6 +62,8 @@ pub(crate) fn settle(encoder: Encoder, task: &Task) -> Result<Encoder, EncoderEr
     }
     // Without gradients: burn keeps the graph of every forward pass that no backward pass follows.
     let frozen = encoder.valid();
+    let kernels = Kernels::of(&frozen, task.config.backend)?;
+    let network = (&frozen, kernels.as_ref());
     let demos = task.sampler.demos();
     let corners = corners(task.config.crops);
     let (mut before, mut held) = (Vec::new(), Vec::new());
@@ -70,14 +72,14 @@ pub(crate) fn settle(encoder: Encoder, task: &Task) -> Result<Encoder, EncoderEr
         let frames = spread_over(&demo.before);
         let first = before.len();
         for &corner in &corners {
-            let examples = keypoints(&frozen, task, (number, demo.first), &frames, corner, |_| demo.anchor)?;
+            let examples = keypoints(network, task, (number, demo.first), &frames, corner, |_| demo.anchor)?;
             before.extend(examples);
         }
         means.push(mean(&before[first..first + frames.len()]));
         let frames = spread_over(&demo.held);
         let target = |frame: u32| demo.eef[frame as usize];
         held.extend(keypoints(
-            &frozen,
+            network,
             task,
             (number, demo.first),
             &frames,
@@ -107,14 +109,13 @@ fn spread_over(frames: &[u32]) -> Vec<u32> {
 
 /// The keypoints of frames of a demonstration, of which the number and that of its first image are given.
 fn keypoints(
-    encoder: &Encoder,
+    (encoder, kernels): (&Encoder, Option<&Kernels>),
     task: &Task,
     (demo, first): (usize, u64),
     frames: &[u32],
     corner: [u8; 2],
     target: impl Fn(u32) -> Isometry3<f64>,
 ) -> Result<Vec<Example>, EncoderError> {
-    let kernels = Kernels::of(encoder, task.config.backend)?;
     let mut examples = Vec::with_capacity(frames.len());
     for chunk in frames.chunks(FORWARD) {
         let samples: Vec<Sample> = chunk
@@ -134,7 +135,7 @@ fn keypoints(
             images: &images,
             crops: &crops,
         };
-        let found = estimate(encoder, kernels.as_ref(), crops).embedding;
+        let found = estimate(encoder, kernels, crops).embedding;
         let numbers: Vec<f32> = found.into_data().iter::<f32>().collect();
         let each = numbers.len() / images.len().max(1);
         for (sample, keypoints) in samples.iter().zip(numbers.chunks_exact(each.max(1))) {

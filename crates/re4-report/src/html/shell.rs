@@ -115,7 +115,7 @@ pub(super) fn table(name: &str, frame: &str, class: &str, columns: &[Column<'_>]
     }
 }
 
-/// The header: the kind of page, its title and its introduction. `without_script` is shown if JavaScript is off.
+/// The header: the kind of page, its title and its introduction. `without_script`, if it is not empty, is shown if JavaScript is off.
 pub(super) fn header(kind: &str, title: &str, lead: &Markup, without_script: &str, more: &Markup) -> Markup {
     html! {
         header.page {
@@ -123,7 +123,7 @@ pub(super) fn header(kind: &str, title: &str, lead: &Markup, without_script: &st
             h1 { (title) }
             p.lead { (lead) }
             (more)
-            noscript { p.notice { (without_script) } }
+            @if !without_script.is_empty() { noscript { p.notice { (without_script) } } }
         }
     }
 }

@@ -15,7 +15,8 @@ use re4_task::Task;
 use serde::Deserialize;
 
 use super::{find_input, stated};
-use crate::html::training::{Confidence, FrameInImage, Group, HELD_OUT, PhaseErrors, SIDE, Training, WorstFrame, page};
+use crate::html::rollouts::space::FrameInImage;
+use crate::html::training::{Confidence, Group, HELD_OUT, PhaseErrors, SIDE, Training, WorstFrame, page};
 use crate::svg::training_plot;
 
 /// Number of images per phase.

@@ -8,6 +8,7 @@ use base64::prelude::BASE64_STANDARD;
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
+use super::rollouts::space::FrameInImage;
 use super::shell::{self, Document, exact, plural, table};
 
 /// The content of the page.
@@ -91,10 +92,6 @@ pub struct WorstFrame {
     /// The frame that the training takes as the truth, in pixels.
     pub anchored: FrameInImage,
 }
-
-/// The origin and the ends of the three axes of a frame in an image, in pixels from its top left corner; `None` for points that
-/// cannot be projected.
-pub type FrameInImage = [Option<[f64; 2]>; 4];
 
 /// Side of the images, in pixels.
 pub const SIDE: u32 = 84;
