@@ -18,11 +18,11 @@ use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
 use re4_encoder::batches::{Sampler, TrainingDemo};
-use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Task, train};
 use re4_encoder::{EncoderConfig, EncoderError, IMAGE_BYTES, Network, Preset};
+use re4_train::Checkpoints;
 
 /// Steps that are not measured.
 const WARM_UP: usize = 5;
@@ -64,7 +64,7 @@ fn arguments() -> Option<(EncoderConfig, usize)> {
 }
 
 fn rate(config: &EncoderConfig, threads: usize) -> Result<Vec<f64>, EncoderError> {
-    config.backend.set_threads(threads)?;
+    config.backend.set_threads(threads, re4_encoder::train::BACKEND)?;
     let folder = tempfile::tempdir().map_err(EncoderError::ScratchRead)?;
     let count = DEMOS * u64::from(FRAMES);
     let mut state = 1_u32;

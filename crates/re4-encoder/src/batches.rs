@@ -8,7 +8,7 @@
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rand_pcg::Pcg64;
-use rand_pcg::rand_core::Rng as _;
+use re4_train::{below, normal};
 
 use crate::config::EncoderConfig;
 use crate::images::MIDDLE;
@@ -82,12 +82,6 @@ pub struct Sampler {
     brightness: f64,
 }
 
-/// A uniform integer below `bound`, which must be at least 1.
-pub(crate) fn below(rng: &mut Pcg64, bound: usize) -> usize {
-    // The upper half of the product with a 64-bit number: uniform up to a bias of bound / 2^64.
-    ((u128::from(rng.next_u64()) * bound as u128) >> 64) as usize
-}
-
 /// The angle between the rotations of two anchors, up to the alternatives.
 fn angle(a: &Isometry3<f64>, b: &Isometry3<f64>, symmetry: Alternatives) -> f64 {
     match symmetry {
@@ -100,18 +94,6 @@ fn angle(a: &Isometry3<f64>, b: &Isometry3<f64>, symmetry: Alternatives) -> f64 
             symmetry.angles().map(of).fold(f64::INFINITY, f64::min)
         }
     }
-}
-
-/// A standard normal number, by the Box-Muller transform.
-pub(crate) fn normal(rng: &mut Pcg64) -> f64 {
-    // 1 - u is in (0, 1], so its logarithm is finite.
-    let (log, angle) = ((1.0 - uniform(rng)).ln(), uniform(rng));
-    (-2.0 * log).sqrt() * (std::f64::consts::TAU * angle).cos()
-}
-
-/// A uniform number in [0, 1).
-pub(crate) fn uniform(rng: &mut Pcg64) -> f64 {
-    (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 impl Sampler {

@@ -2,31 +2,9 @@
 
 use std::path::PathBuf;
 
+use re4_train::Backend;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-/// The backend that runs the network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Backend {
-    /// Pure Rust on the CPU; always available, with bit-identical results for any number of threads.
-    Flex,
-    /// `LibTorch` on the CPU; requires a build with `--features torch`.
-    Torch,
-    /// `LibTorch` on an NVIDIA GPU; requires a build with `--features torch`.
-    Cuda,
-}
-
-impl Backend {
-    /// The backend's name in pipeline files.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Flex => "flex",
-            Self::Torch => "torch",
-            Self::Cuda => "cuda",
-        }
-    }
-}
 
 /// Settings that the others start from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

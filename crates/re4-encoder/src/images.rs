@@ -1,4 +1,4 @@
-//! Images on disk, and a thread that loads batches in advance.
+//! Images on disk.
 //!
 //! Training reads images in random order. They are therefore unpacked once, sequentially, to a file next to the artifact that is
 //! being built, and read from there one by one, so that memory does not grow with the dataset.
@@ -7,19 +7,14 @@ use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::Scope;
 
-use crate::batches::{Batch, Sample, Sampler};
+use crate::batches::{Batch, Sample};
 use crate::conv::Layout;
 use crate::{CROP, EncoderError, IMAGE_BYTES, SIDE};
 
 /// Means and standard deviations of ImageNet's channels (red, green, blue), for which ResNet's weights are trained.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
-
-/// Number of batches that are loaded in advance.
-const PREFETCH: usize = 3;
 
 /// A file of unpacked images.
 #[derive(Debug)]
@@ -129,7 +124,7 @@ pub const MIDDLE: [u8; 2] = [((SIDE - CROP) / 2) as u8; 2];
 pub const INPUTS: usize = 3 * CROP * CROP;
 
 /// A batch with its images.
-pub(crate) struct Loaded {
+pub struct Loaded {
     /// The samples of the batch.
     pub(crate) batch: Batch,
     /// The images, of [`IMAGE_BYTES`] bytes each.
@@ -143,30 +138,4 @@ pub(crate) fn load(images: &ImageFile, samples: &[Sample]) -> Result<Vec<u8>, En
         images.read(sample.image, into)?;
     }
     Ok(bytes)
-}
-
-/// The batches of an epoch in order, loaded in advance by a thread that ends when the receiver is dropped.
-pub(crate) fn batches<'scope, 'env>(
-    scope: &'scope Scope<'scope, 'env>,
-    images: &'env ImageFile,
-    sampler: &'env Sampler,
-    epoch: u32,
-    steps: u32,
-) -> Receiver<Result<Loaded, EncoderError>> {
-    let (sender, receiver) = sync_channel(PREFETCH);
-    scope.spawn(move || {
-        for step in 0..steps {
-            if !send(&sender, images, sampler.batch(epoch, step)) {
-                return;
-            }
-        }
-    });
-    receiver
-}
-
-/// Loads and sends a batch, or the error. Returns whether the next batch is wanted.
-fn send(sender: &SyncSender<Result<Loaded, EncoderError>>, images: &ImageFile, batch: Batch) -> bool {
-    let loaded = load(images, &batch.samples).map(|images| Loaded { batch, images });
-    let good = loaded.is_ok();
-    sender.send(loaded).is_ok() && good
 }

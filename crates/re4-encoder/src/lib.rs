@@ -3,9 +3,7 @@
 //! Training uses images, end-effector poses, gripper widths and modes. No type in this crate contains a recorded object pose, so
 //! ground truth cannot reach the training.
 
-mod backend;
 pub mod batches;
-pub mod checkpoint;
 mod confidence;
 pub mod config;
 mod conv;
@@ -22,7 +20,7 @@ mod trunk;
 pub mod weights;
 
 pub use confidence::Calibration;
-pub use config::{Backend, EncoderConfig, GraspFrame, LossConfig, Network, PoseDistance, Preset};
+pub use config::{EncoderConfig, GraspFrame, LossConfig, Network, PoseDistance, Preset};
 pub use error::EncoderError;
 pub use predict::{IMAGE_BYTES, Prediction, Predictor, SIDE, is_blank};
 pub use weights::to_bytes;

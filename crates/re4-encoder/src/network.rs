@@ -7,13 +7,14 @@ use burn::nn::Linear;
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Isometry3, Vector3};
 
-use crate::config::{Backend, Network};
+use crate::config::Network;
 use crate::images::{Crop, INPUTS, crop_and_normalise, crop_into};
 use crate::keypoints::{self, KeypointNetwork};
 use crate::loss::Poses;
 use crate::resnet::{Named, ResNet};
 use crate::trunk::{PER_KEYPOINT, Tapes, Trunk};
 use crate::{CROP, EncoderError, IMAGE_BYTES};
+use re4_train::Backend;
 
 /// Metres per unit of a network's translation output. With this scale, the outputs have the magnitude that the initial weights
 /// give, and an optimiser step changes the estimate by millimetres.

@@ -14,13 +14,14 @@ use burn::optim::{AdamWConfig, GradientsParams};
 use burn::tensor::{Tensor, TensorData};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rand_pcg::Pcg64;
+use re4_train::{below, uniform};
 
-use crate::batches::{AS_RECORDED, Sample, below, uniform};
+use crate::batches::{AS_RECORDED, Sample};
 use crate::images::{Crop, load};
 use crate::loss::Poses;
 use crate::network::{Crops, Encoder, Kernels, estimate};
 use crate::predict::corners;
-use crate::train::{Task, WeightInitializer, learning_rate_at};
+use crate::train::{BACKEND, Task, WeightInitializer, cosine};
 use crate::{EncoderError, IMAGE_BYTES};
 
 /// Number of neighbours of a demonstration.
@@ -224,7 +225,7 @@ fn train_rotation(
     before: &[Example],
     held: &[Example],
 ) -> Result<Encoder, EncoderError> {
-    let device = task.config.backend.device()?.autodiff();
+    let device = task.config.backend.device(BACKEND)?.autodiff();
     // Two streams, so that weights and batches are independent.
     let stream = |number: u128| Pcg64::new(u128::from(task.config.seed), 0x726f_7461_7469_6f6e + number);
     let mut initializer = WeightInitializer::new(stream(0), encoder.network());
@@ -256,7 +257,7 @@ fn train_rotation(
         let Some(network) = encoder.keypoints() else { break };
         let loss = network.rotations(&inputs).chordal(&targets, task.symmetry).mean();
         let gradients = GradientsParams::from_grads(loss.backward(), &encoder);
-        let rate = learning_rate_at(LEARNING_RATE, u64::from(step), f64::from(STEPS));
+        let rate = cosine(LEARNING_RATE).rate(u64::from(step), u64::from(STEPS));
         encoder = optimizer.step(rate, encoder, gradients);
     }
     Ok(encoder)
@@ -307,7 +308,7 @@ mod tests {
             weights: None,
             symmetry: Alternatives::NONE,
         };
-        let device = config.backend.device().unwrap().autodiff();
+        let device = config.backend.device(BACKEND).unwrap().autodiff();
         let encoder = Encoder::new(config.network, config.width, &device);
         let encoder = encoder.map(&mut WeightInitializer::new(Pcg64::new(1, 1), config.network));
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);

@@ -56,7 +56,7 @@ impl Predictor {
     /// # Errors
     /// If the file cannot be read or is not an encoder's, or this program was built without the backend.
     pub fn open(weights: &Path, config: &EncoderConfig) -> Result<Self, EncoderError> {
-        let device = config.backend.device()?;
+        let device = config.backend.device(crate::train::BACKEND)?;
         Self::new(crate::weights::load(weights, &device)?, config)
     }
 

@@ -1,19 +1,18 @@
 //! Training of the encoder.
 
 use std::path::Path;
-use std::time::Instant;
 
 use burn::module::{Module as _, ModuleMapper, Param};
 use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::store::ModuleRecord;
+use burn::tensor::{Bytes, Device, Tensor, TensorData};
 use nalgebra::Isometry3;
 use rand_pcg::Pcg64;
-use serde::{Deserialize, Serialize};
+use re4_train::{Checkpoints, Epoch, Learner, Plan, Progress, Schedule, TrainError, WarmUp, fit, normal, uniform};
 
-use crate::batches::{Sample, Sampler, normal, uniform};
-use crate::checkpoint::Checkpoints;
+use crate::batches::{Sample, Sampler};
 use crate::config::{EncoderConfig, Network};
-use crate::images::{Crop, ImageFile, Loaded, batches, load};
+use crate::images::{Crop, ImageFile, Loaded, load};
 use crate::keypoints;
 use crate::loss::{Alternatives, Losses, Poses, Setting, losses};
 use crate::network::{Crops, Encoder, Kernels, SCALE, estimate};
@@ -43,39 +42,11 @@ pub struct Task<'a> {
     pub symmetry: Alternatives,
 }
 
-/// The progress of a training.
-#[derive(Debug, Clone, Copy)]
-pub struct Progress {
-    /// Current epoch, from 1.
-    pub epoch: u32,
-    /// Total number of finished steps.
-    pub steps: u64,
-    /// Images per second since the start of this process.
-    pub rate: f64,
-    /// Mean losses of the epoch so far: sum, absolute, relative, cross.
-    pub losses: [f64; 4],
-}
-
-/// The results of a finished epoch.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Epoch {
-    /// Number of the epoch, from 1.
-    pub epoch: u32,
-    /// Total number of steps up to the end of the epoch.
-    pub steps: u32,
-    /// Learning rate of the epoch's last step.
-    pub learning_rate: f64,
-    /// Mean losses over the epoch's steps: sum, absolute, relative, cross.
-    pub losses: [f64; 4],
-    /// L_abs over frames of the held-out set; `None` if there are none.
-    pub held_out: Option<f64>,
-}
-
 /// The result of a training.
 pub struct Trained {
     /// The trained network.
     pub encoder: Encoder,
-    /// One entry per epoch.
+    /// One entry per epoch. [`parts`] names its losses.
     pub epochs: Vec<Epoch>,
     /// Number of epochs that were restored from a checkpoint.
     pub resumed: u32,
@@ -101,91 +72,78 @@ pub fn train<E: From<EncoderError>>(
     mut on_step: impl FnMut(&Progress) -> Result<(), E>,
 ) -> Result<Trained, E> {
     let config = task.config;
-    let device = config.backend.device()?.autodiff();
-    let mut encoder = start(task, &device)?;
-    let mut optimizer = AdamWConfig::new()
-        .with_weight_decay(config.weight_decay as f32)
-        // PyTorch's default, because the paper gives none; burn's default is larger.
-        .with_epsilon(1e-8)
-        .init();
-    let mut epochs: Vec<Epoch> = Vec::new();
-    if let Some(last) = checkpoints.last()? {
-        (encoder, optimizer, epochs) = last.restore(encoder, optimizer)?;
-    }
-    let mut learner = Learner {
+    let device = config.backend.device(BACKEND).map_err(EncoderError::from)?.autodiff();
+    let mut learner = Encoding {
         task,
-        encoder,
-        optimizer,
+        encoder: start(task, &device)?,
+        optimizer: AdamWConfig::new()
+            .with_weight_decay(config.weight_decay as f32)
+            // PyTorch's default, because the paper gives none; burn's default is larger.
+            .with_epsilon(1e-8)
+            .init(),
         tapes: Tapes::default(),
     };
-    let resumed = epochs.len() as u32;
-    let steps = steps_of(config, task.sampler);
-    let clock = Instant::now();
-    let mut sampled = 0_u64;
-    for epoch in resumed..config.epochs {
-        let mut sums = [0.0; 4];
-        let mut rate_of_step = config.learning_rate;
-        std::thread::scope(|scope| -> Result<(), E> {
-            let receiver = batches(scope, task.images, task.sampler, epoch, steps);
-            for step in 0..steps {
-                let Ok(loaded) = receiver.recv() else {
-                    return Err(EncoderError::Loader.into());
-                };
-                let loaded = loaded?;
-                rate_of_step = learning_rate(config, u64::from(epoch) * u64::from(steps) + u64::from(step), steps);
-                let values = learner.advance(&loaded, rate_of_step)?;
-                if values.iter().any(|value| !value.is_finite()) {
-                    return Err(EncoderError::NotFinite {
-                        epoch: epoch + 1,
-                        step: step + 1,
-                        kept: checkpoints.describe(epoch),
-                    }
-                    .into());
-                }
-                sampled += loaded.batch.samples.len() as u64;
-                for (sum, value) in sums.iter_mut().zip(values) {
-                    *sum += value;
-                }
-                on_step(&Progress {
-                    epoch: epoch + 1,
-                    steps: u64::from(epoch) * u64::from(steps) + u64::from(step) + 1,
-                    rate: sampled as f64 / clock.elapsed().as_secs_f64(),
-                    losses: sums.map(|sum| sum / f64::from(step + 1)),
-                })?;
-            }
-            Ok(())
-        })?;
-        epochs.push(Epoch {
-            epoch: epoch + 1,
-            steps: (epoch + 1) * steps,
-            learning_rate: rate_of_step,
-            losses: sums.map(|sum| sum / f64::from(steps)),
-            held_out: held_out(&learner.encoder, task)?,
-        });
-        checkpoints.keep(&learner.encoder, &learner.optimizer, &epochs)?;
-    }
-    let rate_of_process = (sampled > 0).then(|| sampled as f64 / clock.elapsed().as_secs_f64());
+    let plan = Plan {
+        epochs: config.epochs,
+        steps: steps_of(config, task.sampler),
+        schedule: if config.cosine {
+            cosine(config.learning_rate)
+        } else {
+            Schedule::Constant(config.learning_rate)
+        },
+        setting: "pose.encoder.learning_rate",
+    };
+    let load = |epoch, step| {
+        let batch = task.sampler.batch(epoch, step);
+        load(task.images, &batch.samples).map(|images| Loaded { batch, images })
+    };
+    let fitted = fit(&mut learner, &plan, &load, checkpoints, |progress| {
+        on_step(progress).map_err(Stopped::Caller)
+    });
+    let fitted = fitted.map_err(|stopped| match stopped {
+        Stopped::Caller(error) => error,
+        Stopped::Encoder(error) => error.into(),
+    })?;
     Ok(Trained {
         encoder: orientation::settle(learner.encoder, task)?.valid(),
-        rate: rate_of_process,
-        epochs,
-        resumed,
+        epochs: fitted.epochs,
+        resumed: fitted.resumed,
+        rate: fitted.rate.map(|rate| rate * config.batch as f64),
     })
 }
 
-fn learning_rate(config: &EncoderConfig, step: u64, steps: u32) -> f64 {
-    if !config.cosine {
-        return config.learning_rate;
-    }
-    learning_rate_at(config.learning_rate, step, f64::from(config.epochs) * f64::from(steps))
+/// Why the training loop stopped.
+enum Stopped<E> {
+    Caller(E),
+    Encoder(EncoderError),
 }
 
-/// The learning rate of a step of `all`, from 0, that decays along half a cosine period.
-pub(crate) fn learning_rate_at(highest: f64, step: u64, all: f64) -> f64 {
-    let fraction = step as f64 / all;
-    // Linear warm-up over the first twentieth, because the gradients of the first steps are unreliable.
-    let warm_up = (fraction * 20.0).min(1.0).max(1.0 / all);
-    highest * warm_up * 0.5 * (1.0 + (std::f64::consts::PI * fraction).cos())
+impl<E> From<EncoderError> for Stopped<E> {
+    fn from(error: EncoderError) -> Self {
+        Self::Encoder(error)
+    }
+}
+
+impl<E> From<TrainError> for Stopped<E> {
+    fn from(error: TrainError) -> Self {
+        Self::Encoder(error.into())
+    }
+}
+
+/// The setting that names the backend.
+pub const BACKEND: &str = "pose.encoder.backend";
+
+/// The losses of an epoch or of a step: their sum, L_abs, L_rel and L_cross.
+pub fn parts(losses: &[f64]) -> [f64; 4] {
+    std::array::from_fn(|part| losses.get(part).copied().unwrap_or(f64::NAN))
+}
+
+/// Half a cosine period after a warm-up over the first twentieth, because the gradients of the first steps are unreliable.
+pub(crate) fn cosine(highest: f64) -> Schedule {
+    Schedule::Cosine {
+        highest,
+        warm_up: WarmUp::Part(20),
+    }
 }
 
 /// The encoder before the first step.
@@ -273,16 +231,16 @@ fn values(losses: &Losses) -> [f64; 4] {
 }
 
 /// A network in training.
-struct Learner<'a> {
+struct Encoding<'a> {
     task: &'a Task<'a>,
     encoder: Encoder,
     optimizer: ModuleOptimizer,
     tapes: Tapes,
 }
 
-impl Learner<'_> {
+impl Encoding<'_> {
     /// One step of the optimiser; returns the losses before the step. If a loss is not finite, the weights stay unchanged.
-    fn advance(&mut self, loaded: &Loaded, learning_rate: f64) -> Result<[f64; 4], EncoderError> {
+    fn step(&mut self, loaded: &Loaded, learning_rate: f64) -> Result<[f64; 4], EncoderError> {
         let config = self.task.config;
         let device = self.encoder.device();
         let samples = &loaded.batch.samples;
@@ -333,6 +291,37 @@ impl Learner<'_> {
             self.encoder = self.optimizer.step(learning_rate, self.encoder.clone(), gradients);
         }
         Ok(values)
+    }
+}
+
+impl Learner for Encoding<'_> {
+    type Batch = Loaded;
+    type Error = EncoderError;
+
+    fn advance(&mut self, loaded: &Loaded, learning_rate: f64) -> Result<Vec<f64>, EncoderError> {
+        self.step(loaded, learning_rate).map(Vec::from)
+    }
+
+    fn held_out(&self) -> Result<Option<f64>, EncoderError> {
+        held_out(&self.encoder, self.task)
+    }
+
+    fn save(&self) -> Result<Vec<Vec<u8>>, String> {
+        // The inference copy of the module has the statistics of batch normalisation after the last step.
+        let encoder = self.encoder.valid().into_record().into_bytes();
+        let encoder = encoder.map_err(|error| error.to_string())?.to_vec();
+        let optimizer = self.optimizer.into_bytes().map_err(|error| error.to_string())?.to_vec();
+        Ok(vec![encoder, optimizer])
+    }
+
+    fn restore(&mut self, parts: Vec<Vec<u8>>) -> Result<(), String> {
+        let [encoder, optimizer]: [Vec<u8>; 2] = parts.try_into().map_err(|_| "it has other parts".to_owned())?;
+        let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(encoder)).map_err(|error| error.to_string())?;
+        let restored = self.encoder.clone().try_load_record(record);
+        self.encoder = restored.map_err(|error| error.to_string())?;
+        let restored = self.optimizer.clone().from_bytes(Bytes::from_bytes_vec(optimizer));
+        self.optimizer = restored.map_err(|error| error.to_string())?;
+        Ok(())
     }
 }
 

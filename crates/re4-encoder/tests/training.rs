@@ -6,12 +6,12 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_encoder::batches::{Sample, Sampler, TrainingDemo};
-use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{Task, Trained, train};
 use re4_encoder::{EncoderConfig, EncoderError, IMAGE_BYTES, Network, Predictor, Preset, SIDE};
 use re4_fault::Remedy as _;
+use re4_train::Checkpoints;
 
 /// Number of frames before the grasp, and of frames that hold the object.
 const BEFORE: usize = 6;

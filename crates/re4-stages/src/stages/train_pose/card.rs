@@ -4,9 +4,10 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use re4_artifact::{Key, Writer};
-use re4_encoder::train::Epoch;
+use re4_encoder::train::parts;
 use re4_encoder::{EncoderConfig, Network};
 use re4_report::training_plot;
+use re4_train::Epoch;
 use serde_json::Value;
 
 /// File name of the plot.
@@ -77,7 +78,7 @@ pub(super) fn write(
     )?;
     text.push_str("## Training\n\n| epoch | learning rate | loss | L_abs | L_rel | L_cross | L_abs held out |\n|---|---|---|---|---|---|---|\n");
     for epoch in epochs {
-        let [sum, absolute, relative, cross] = epoch.losses;
+        let [sum, absolute, relative, cross] = parts(&epoch.losses);
         let held_out = epoch.held_out.map_or_else(String::new, |loss| format!("{loss:.4}"));
         writeln!(
             text,

@@ -11,15 +11,15 @@ use nalgebra::Isometry3;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32};
 use re4_encoder::batches::{Sample, Sampler};
-use re4_encoder::checkpoint::Checkpoints;
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
-use re4_encoder::train::{Epoch, Progress, Task, Trained, steps_of, train};
-use re4_encoder::{Backend, Calibration, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor, is_blank};
+use re4_encoder::train::{BACKEND, Task, Trained, parts, steps_of, train};
+use re4_encoder::{Calibration, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor, is_blank};
 use re4_fault::{OrFault as _, bail, ensure, fault};
 use re4_geometry::spatial::Symmetry;
 use re4_ingest::{ImageRow, SourceFile};
 use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
+use re4_train::{Backend, Checkpoints, Epoch, Progress};
 use serde_json::{Value, json};
 use tracing::info;
 
@@ -115,9 +115,9 @@ impl Runner {
         );
         // Checked before the images are unpacked, so that a missing backend is reported at once. Flex, the pure Rust backend,
         // runs in the program's own thread pool and needs no setting.
-        config.backend.device()?;
+        config.backend.device(BACKEND)?;
         if config.backend != Backend::Flex {
-            config.backend.set_threads(rayon::current_num_threads())?;
+            config.backend.set_threads(rayon::current_num_threads(), BACKEND)?;
         }
         let (images, blank) = self.unpack(config, episodes, &demos, writer)?;
         data.leave_out(&blank, &demos, &names);
@@ -151,10 +151,12 @@ impl Runner {
                 file.unchanged().map_err(|error| error.fault).context("cannot train")?;
             }
             bar.set_position(progress.steps);
-            let [sum, absolute, relative, cross] = progress.losses;
+            let [sum, absolute, relative, cross] = parts(&progress.losses);
             bar.set_message(format!(
                 "train-pose, epoch {} of {}: {:.0} images/s, loss {sum:.4} (absolute {absolute:.4}, relative {relative:.4}, cross {cross:.4})",
-                progress.epoch, config.epochs, progress.rate
+                progress.epoch,
+                config.epochs,
+                progress.rate * config.batch as f64
             ));
             self.interrupt.check("train-pose")
         })?;
@@ -344,7 +346,7 @@ fn calibrate(predictor: &Predictor, held_out: &[Sample], images: &ImageFile) -> 
 
 fn write_training(epochs: &[Epoch], writer: &Writer) -> Result<()> {
     writer.write_rows(epochs.iter().map(|epoch| {
-        let [loss, absolute, relative, cross] = epoch.losses;
+        let [loss, absolute, relative, cross] = parts(&epoch.losses);
         TrainingRow {
             epoch: epoch.epoch,
             steps: epoch.steps,

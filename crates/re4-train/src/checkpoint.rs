@@ -1,23 +1,17 @@
 //! Checkpoints, from which an interrupted training resumes.
 //!
-//! A checkpoint is one file that is written atomically. It contains the weights, the optimiser's state and the results of the
-//! epochs so far. It begins with the key of the artifact that is being built and a hash over key and contents, so that neither a
+//! A checkpoint is one file that is written atomically. It contains what a [`Learner`](crate::Learner) saves (the weights and the
+//! optimiser's state) and the results of the epochs so far. It begins with the key of the artifact that is being built and a hash over key and contents, so that neither a
 //! checkpoint of other data nor an incomplete one is used.
 
 use std::fs;
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
-use burn::module::Module as _;
-use burn::optim::ModuleOptimizer;
-use burn::store::ModuleRecord;
-
-use crate::EncoderError;
-use crate::network::Encoder;
-use crate::train::Epoch;
+use crate::{Epoch, TrainError};
 
 /// First bytes of a checkpoint file.
-const MAGIC: &[u8; 16] = b"re4 checkpoint 1";
+const MAGIC: &[u8; 16] = b"re4 checkpoint 2";
 
 /// The checkpoint folder of an artifact.
 #[derive(Debug)]
@@ -27,11 +21,14 @@ pub struct Checkpoints {
 }
 
 /// The contents of a checkpoint file.
-pub(crate) struct Checkpoint {
-    path: PathBuf,
-    encoder: Vec<u8>,
-    optimizer: Vec<u8>,
-    epochs: Vec<Epoch>,
+#[derive(Debug)]
+pub struct Checkpoint {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// What the learner saved.
+    pub parts: Vec<Vec<u8>>,
+    /// The results of the epochs so far.
+    pub epochs: Vec<Epoch>,
 }
 
 fn name(epochs: usize) -> String {
@@ -43,8 +40,8 @@ impl Checkpoints {
     ///
     /// # Errors
     /// If the folder cannot be created.
-    pub fn open(folder: &Path, key: [u8; 32]) -> Result<Self, EncoderError> {
-        fs::create_dir_all(folder).map_err(|source| EncoderError::Checkpoint {
+    pub fn open(folder: &Path, key: [u8; 32]) -> Result<Self, TrainError> {
+        fs::create_dir_all(folder).map_err(|source| TrainError::Checkpoint {
             path: folder.to_path_buf(),
             source,
         })?;
@@ -72,29 +69,28 @@ impl Checkpoints {
         *hasher.finalize().as_bytes()
     }
 
+    /// An error about the checkpoint after this number of epochs.
+    pub(crate) fn cannot_write(&self, epochs: usize, why: String) -> TrainError {
+        TrainError::Checkpoint {
+            path: self.folder.join(name(epochs)),
+            source: std::io::Error::other(why),
+        }
+    }
+
     /// Writes the checkpoint of the last of these epochs, and removes older ones.
-    pub(crate) fn keep(
-        &self,
-        encoder: &Encoder,
-        optimizer: &ModuleOptimizer,
-        epochs: &[Epoch],
-    ) -> Result<(), EncoderError> {
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn keep(&self, parts: &[Vec<u8>], epochs: &[Epoch]) -> Result<(), TrainError> {
         let path = self.folder.join(name(epochs.len()));
-        let failed = |source| EncoderError::Checkpoint {
+        let failed = |source| TrainError::Checkpoint {
             path: path.clone(),
             source,
         };
-        let other = |error: &dyn std::fmt::Display| failed(std::io::Error::other(error.to_string()));
-        let epoch_results = serde_json::to_vec(epochs).map_err(|error| other(&error))?;
-        // The inference copy of the module has the statistics of batch normalisation after the last step.
-        let encoder = encoder
-            .valid()
-            .into_record()
-            .into_bytes()
-            .map_err(|error| other(&error))?;
-        let optimizer = optimizer.into_bytes().map_err(|error| other(&error))?;
-        let mut contents = Vec::with_capacity(encoder.len() + optimizer.len() + epoch_results.len() + 24);
-        for part in [epoch_results.as_slice(), &encoder, &optimizer] {
+        let results = serde_json::to_vec(epochs).map_err(|error| failed(std::io::Error::other(error)))?;
+        let all = || std::iter::once(&results).chain(parts);
+        let mut contents = Vec::with_capacity(all().map(|part| part.len() + 8).sum());
+        for part in all() {
             contents.extend((part.len() as u64).to_le_bytes());
             contents.extend_from_slice(part);
         }
@@ -116,8 +112,8 @@ impl Checkpoints {
     }
 
     /// Paths of the files with the name of a checkpoint, sorted by epoch.
-    fn found(&self) -> Result<Vec<(usize, PathBuf)>, EncoderError> {
-        let failed = |source| EncoderError::Checkpoint {
+    fn found(&self) -> Result<Vec<(usize, PathBuf)>, TrainError> {
+        let failed = |source| TrainError::Checkpoint {
             path: self.folder.clone(),
             source,
         };
@@ -138,11 +134,11 @@ impl Checkpoints {
     ///
     /// # Errors
     /// If a file cannot be read, or belongs to another artifact.
-    pub(crate) fn last(&self) -> Result<Option<Checkpoint>, EncoderError> {
+    pub fn last(&self) -> Result<Option<Checkpoint>, TrainError> {
         for (_, path) in self.found()?.into_iter().rev() {
             let bytes = match fs::read(&path) {
                 Err(error) if error.kind() == ErrorKind::NotFound => continue,
-                read => read.map_err(|source| EncoderError::Checkpoint {
+                read => read.map_err(|source| TrainError::Checkpoint {
                     path: path.clone(),
                     source,
                 })?,
@@ -154,7 +150,7 @@ impl Checkpoints {
                 continue;
             };
             if *key != self.key {
-                return Err(EncoderError::ForeignCheckpoint { path });
+                return Err(TrainError::ForeignCheckpoint { path });
             }
             let Some((hash, contents)) = rest.split_first_chunk::<32>() else {
                 continue;
@@ -162,15 +158,10 @@ impl Checkpoints {
             if *hash != self.hash(contents) {
                 continue;
             }
-            if let Some([epoch_results, encoder, optimizer]) = parts(contents)
-                && let Ok(epochs) = serde_json::from_slice(epoch_results)
+            if let Some((results, parts)) = parts(contents)
+                && let Ok(epochs) = serde_json::from_slice(results)
             {
-                return Ok(Some(Checkpoint {
-                    path,
-                    encoder: encoder.to_vec(),
-                    optimizer: optimizer.to_vec(),
-                    epochs,
-                }));
+                return Ok(Some(Checkpoint { path, parts, epochs }));
             }
         }
         Ok(None)
@@ -180,11 +171,11 @@ impl Checkpoints {
     ///
     /// # Errors
     /// If the folder cannot be removed.
-    pub fn remove(self) -> Result<(), EncoderError> {
+    pub fn remove(self) -> Result<(), TrainError> {
         match fs::remove_dir_all(&self.folder) {
             // Another run of the same artifact has already removed it.
             Err(error) if error.kind() == ErrorKind::NotFound => {}
-            removed => removed.map_err(|source| EncoderError::Checkpoint {
+            removed => removed.map_err(|source| TrainError::Checkpoint {
                 path: self.folder.clone(),
                 source,
             })?,
@@ -197,34 +188,15 @@ impl Checkpoints {
     }
 }
 
-fn parts(mut contents: &[u8]) -> Option<[&[u8]; 3]> {
-    let mut next = || {
+/// Splits the contents of a file into the results of the epochs and what the learner saved.
+fn parts(mut contents: &[u8]) -> Option<(&[u8], Vec<Vec<u8>>)> {
+    let mut all = Vec::new();
+    while !contents.is_empty() {
         let (length, rest) = contents.split_first_chunk::<8>()?;
         let (part, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
         contents = rest;
-        Some(part)
-    };
-    Some([next()?, next()?, next()?])
-}
-
-impl Checkpoint {
-    /// Loads the checkpoint into a new encoder and optimiser.
-    pub(crate) fn restore(
-        self,
-        encoder: Encoder,
-        optimizer: ModuleOptimizer,
-    ) -> Result<(Encoder, ModuleOptimizer, Vec<Epoch>), EncoderError> {
-        let path = self.path;
-        let failed = |error: &dyn std::fmt::Display| EncoderError::Checkpoint {
-            path: path.clone(),
-            source: std::io::Error::other(error.to_string()),
-        };
-        let record = ModuleRecord::from_bytes(burn::tensor::Bytes::from_bytes_vec(self.encoder))
-            .map_err(|error| failed(&error))?;
-        let encoder = encoder.try_load_record(record).map_err(|error| failed(&error))?;
-        let optimizer = optimizer
-            .from_bytes(burn::tensor::Bytes::from_bytes_vec(self.optimizer))
-            .map_err(|error| failed(&error))?;
-        Ok((encoder, optimizer, self.epochs))
+        all.push(part);
     }
+    let (first, rest) = all.split_first()?;
+    Some((first, rest.iter().map(|part| part.to_vec()).collect()))
 }
