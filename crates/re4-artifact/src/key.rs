@@ -23,6 +23,8 @@ pub enum Stage {
     TrainPose,
     /// Reads `episodes`, `modes` and, in image variants, `poses`, and produces `index`.
     Index,
+    /// Reads `episodes` and `index` and produces `policy`, the weights of a learned policy.
+    Train,
     /// Reads `episodes` and produces `scenes`.
     Scenes,
     /// Reads `index` and, if the pipeline has a table `[scenes]`, `scenes`, and produces `rollouts`.
@@ -33,12 +35,13 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ingest,
         Self::Segment,
         Self::Audit,
         Self::TrainPose,
         Self::Index,
+        Self::Train,
         Self::Scenes,
         Self::Rollout,
         Self::Replay,
@@ -52,6 +55,7 @@ impl Stage {
             Self::Audit => "audit",
             Self::TrainPose => "train-pose",
             Self::Index => "index",
+            Self::Train => "train",
             Self::Scenes => "scenes",
             Self::Rollout => "rollout",
             Self::Replay => "replay",
@@ -66,6 +70,7 @@ impl Stage {
             Self::Audit => "audit",
             Self::TrainPose => "poses",
             Self::Index => "index",
+            Self::Train => "policy",
             Self::Scenes => "scenes",
             Self::Rollout => "rollouts",
             Self::Replay => "replays",

@@ -3,6 +3,7 @@
 //! Both map a chunk, a time and a condition (the flattened observation history) to a chunk of the same shape.
 
 use burn::module::Module;
+use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
 use rand_pcg::Pcg64;
 use re4_train::uniform;
@@ -84,12 +85,12 @@ impl Network {
                 Slot::Matrix { param, .. } => {
                     let dims = param.val().dims();
                     let data = TensorData::new(fill(dims.iter().product()), dims);
-                    *param = param.clone().map(|_| Tensor::from_data(data, device).require_grad());
+                    *param = param.clone().map(|old| like(&old, Tensor::from_data(data, device)));
                 }
                 Slot::Vector(param) => {
                     let dims = param.val().dims();
                     let data = TensorData::new(fill(dims[0]), dims);
-                    *param = param.clone().map(|_| Tensor::from_data(data, device).require_grad());
+                    *param = param.clone().map(|old| like(&old, Tensor::from_data(data, device)));
                 }
             }
         }
@@ -113,6 +114,11 @@ impl Network {
             Self::Mlp(network) => network.forward(chunks, times, condition),
         }
     }
+}
+
+/// The new values of a parameter, which is trained if the old one is.
+fn like<const D: usize>(old: &Tensor<D>, new: Tensor<D>) -> Tensor<D> {
+    if old.is_require_grad() { new.require_grad() } else { new }
 }
 
 /// The embedding of a time.
@@ -334,32 +340,30 @@ impl Parameters for UNet {
     }
 }
 
-/// A residual block of the MLP: normalisation, FiLM, Mish and two linear layers.
+/// A residual block of the MLP: two linear layers with FiLM and `ReLU` between them.
 #[derive(Module, Debug)]
 struct MlpBlock {
-    norm: Norm,
     film: Dense,
     first: Dense,
     second: Dense,
 }
 
 impl MlpBlock {
-    fn forward(&self, x: Tensor<3>, condition: &Tensor<2>) -> Tensor<3> {
-        let film: Tensor<3> = self.film.forward(condition.clone()).unsqueeze_dim(1);
-        let scale = film.clone().narrow(2, 0, WIDTH) + 1.0;
-        let shift = film.narrow(2, WIDTH, WIDTH);
-        let hidden = self.norm.forward(x.clone()) * scale + shift;
-        x + self.second.forward(mish(self.first.forward(hidden)))
+    fn forward(&self, x: Tensor<2>, condition: &Tensor<2>) -> Tensor<2> {
+        let film = self.film.forward(condition.clone());
+        let scale = film.clone().narrow(1, 0, WIDTH) + 1.0;
+        let shift = film.narrow(1, WIDTH, WIDTH);
+        let hidden = relu(self.first.forward(x.clone()) * scale + shift);
+        x + self.second.forward(hidden)
     }
 }
 
-/// A residual MLP over the whole chunk.
+/// A residual MLP over the whole chunk. It has neither normalisation nor Mish, which take as long as its matrix products on a CPU.
 #[derive(Module, Debug)]
 pub struct Mlp {
     time: TimeEmbedding,
     input: Dense,
     blocks: Vec<MlpBlock>,
-    norm: Norm,
     output: Dense,
 }
 
@@ -369,7 +373,6 @@ impl Mlp {
         let condition = time + shape.condition;
         let numbers = shape.length * shape.channels;
         let block = || MlpBlock {
-            norm: Norm::new(WIDTH, device),
             film: Dense::new(condition, 2 * WIDTH, device),
             first: Dense::new(WIDTH, WIDTH, device),
             second: Dense::new(WIDTH, WIDTH, device),
@@ -378,7 +381,6 @@ impl Mlp {
             time: TimeEmbedding::new(time, device),
             input: Dense::new(numbers + shape.condition, WIDTH, device),
             blocks: (0..BLOCKS).map(|_| block()).collect(),
-            norm: Norm::new(WIDTH, device),
             output: Dense::new(WIDTH, numbers, device),
         }
     }
@@ -388,12 +390,11 @@ impl Mlp {
         let flat = chunks.reshape([batch, length * channels]);
         let input = Tensor::cat(vec![flat, condition.clone()], 1);
         let condition = mish(self.time.condition(times, condition));
-        let mut x: Tensor<3> = self.input.forward(input).unsqueeze_dim(1);
+        let mut x = self.input.forward(input);
         for block in &self.blocks {
             x = block.forward(x, &condition);
         }
-        let x = self.output.forward(mish(self.norm.forward(x)));
-        x.reshape([batch, length, channels])
+        self.output.forward(relu(x)).reshape([batch, length, channels])
     }
 }
 
@@ -402,12 +403,10 @@ impl Parameters for Mlp {
         self.time.parameters("time", into);
         self.input.parameters("input", into);
         for (number, block) in self.blocks.iter_mut().enumerate() {
-            block.norm.parameters(&format!("blocks.{number}.norm"), into);
             block.film.parameters(&format!("blocks.{number}.film"), into);
             block.first.parameters(&format!("blocks.{number}.first"), into);
             block.second.parameters(&format!("blocks.{number}.second"), into);
         }
-        self.norm.parameters("norm", into);
         self.output.parameters("output", into);
     }
 }

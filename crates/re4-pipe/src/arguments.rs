@@ -43,6 +43,8 @@ pub(crate) enum Command {
     TrainPose(StageArguments),
     /// Build the index from which the policy retrieves demonstrations; writes the `index` artifact
     Index(StageArguments),
+    /// Train the network of a learned policy; writes the `policy` artifact
+    Train(StageArguments),
     /// Push-T: choose start scenes far from the demonstrations; writes the `scenes` artifact
     Scenes(StageArguments),
     /// Roll the policy out in the simulator; writes the `rollouts` artifact
@@ -81,6 +83,7 @@ impl Command {
             Self::Ingest(stage)
             | Self::Segment(stage)
             | Self::TrainPose(stage)
+            | Self::Train(stage)
             | Self::Index(stage)
             | Self::Scenes(stage)
             | Self::Audit(AuditArguments { stage, .. })

@@ -37,6 +37,7 @@ fn main() -> ExitCode {
         Command::Segment(arguments) => commands::run::segment(&arguments),
         Command::Audit(arguments) => commands::audit::audit(&arguments),
         Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
+        Command::Train(arguments) => commands::run::train(&arguments),
         Command::Index(arguments) => commands::run::index(&arguments),
         Command::Scenes(arguments) => commands::run::scenes(&arguments),
         Command::Rollout(arguments) => commands::run::rollout(&arguments),

@@ -13,6 +13,9 @@
 //! The pipeline parser, the schema of the pipeline file, the list of tables and the rollout driver use these lists, so nothing
 //! else needs to change.
 
+mod diffusion;
+mod flow;
+mod generative;
 mod nearest;
 mod re4;
 
@@ -23,6 +26,7 @@ use std::path::PathBuf;
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
 use re4_episode::DemoNames;
 use re4_fault::Remedy;
+use re4_generative::GenerativeError;
 use re4_geometry::spatial::Symmetry;
 use re4_index::{IndexError, Normalization};
 use re4_rollout::{Opened, Plane, Recorded, Space};
@@ -34,6 +38,9 @@ use crate::LookupError;
 use crate::config::PolicyConfig;
 use crate::spatial::SpatialPolicyConfig;
 
+pub use diffusion::{DiffusionSampler, PlaneDiffusion, SpaceDiffusion};
+pub use flow::{PlaneFlow, SpaceFlow};
+pub use generative::{Codec, GenerativeRow, PlaneCodec, PolicyCard, SpaceCodec, Training};
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
 
@@ -109,6 +116,10 @@ kinds! {
         Re2(PolicyConfig) = "re2", PolicyConfig::re2(), re4::PlaneRe4Row;
         /// Replays the actions of the nearest frame.
         Nearest(PlaneNearest) = "nearest", PlaneNearest::default(), NearestRow;
+        /// Diffusion Policy.
+        Diffusion(PlaneDiffusion) = "diffusion", PlaneDiffusion::default(), GenerativeRow;
+        /// Streaming Flow Policy.
+        Flow(PlaneFlow) = "flow", PlaneFlow::default(), GenerativeRow;
     }
 }
 
@@ -123,6 +134,10 @@ kinds! {
         Re2(SpatialPolicyConfig) = "re2", SpatialPolicyConfig::re2(), re4::SpaceRe4Row;
         /// Replays the actions of the nearest frame.
         Nearest(SpaceNearest) = "nearest", SpaceNearest::default(), NearestRow;
+        /// Diffusion Policy.
+        Diffusion(SpaceDiffusion) = "diffusion", SpaceDiffusion::default(), GenerativeRow;
+        /// Streaming Flow Policy.
+        Flow(SpaceFlow) = "flow", SpaceFlow::default(), GenerativeRow;
     }
 }
 
@@ -143,6 +158,11 @@ pub trait Settings<D: Recorded> {
     /// rollout.
     fn inputs(&self) -> &'static [Stage] {
         &[Stage::Index]
+    }
+
+    /// What the stage `train` trains for the policy, or `None` if the policy needs no training.
+    fn training(&self) -> Option<Training<'_, D>> {
+        None
     }
 
     /// Checks all settings. `images` is true if the object pose is estimated from images.
@@ -275,6 +295,19 @@ pub enum OpenError {
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Lookup(#[from] LookupError),
+    /// The card of a trained policy cannot be read.
+    #[error("cannot read {}: {why}", path.display())]
+    #[remedy("delete the policy artifact and train again")]
+    Card {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        why: String,
+    },
+    /// The network cannot be loaded.
+    #[error(transparent)]
+    #[remedy(_0.remedy())]
+    Generative(#[from] GenerativeError),
     /// An error of the policy's own type.
     #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),

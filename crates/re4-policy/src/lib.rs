@@ -77,6 +77,10 @@ pub enum LookupError {
         /// The error of the tree library.
         reason: String,
     },
+    /// The network cannot be applied.
+    #[error(transparent)]
+    #[remedy(_0.remedy())]
+    Generative(#[from] re4_generative::GenerativeError),
     /// A decision produced no command.
     #[error("cannot act: the decision produced no command")]
     #[remedy("report this error together with the pipeline file")]

@@ -80,6 +80,12 @@ pub trait PolicyFactory<D: Domain>: Sync {
     /// The type of policy that the factory starts.
     type Policy: Policy<D>;
 
+    /// Number of rollouts to run at the same time if more than one thread is used, or `None` for one per thread. A policy that
+    /// computes the actions of several rollouts together returns more than the number of threads.
+    fn concurrent(&self) -> Option<usize> {
+        None
+    }
+
     /// Creates the policy for an episode. `first` is the proprioception after the reset. `seed` identifies the scene; a policy
     /// that uses random numbers must derive them from `seed` so that rollouts are reproducible.
     fn start(&self, seed: u32, first: &D::Proprio) -> Self::Policy;

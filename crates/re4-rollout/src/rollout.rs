@@ -180,7 +180,8 @@ pub struct Harness<'a, 'e, D: Domain> {
     pub progress: &'a (dyn Fn() -> bool + Sync),
 }
 
-/// Rolls out a policy from many starts on as many threads as the current rayon thread pool has. The results are in the order of
+/// Rolls out a policy from many starts on as many threads as the current rayon thread pool has, or as
+/// the factory asks for. The results are in the order of
 /// `starts` and do not depend on the number of threads.
 ///
 /// The rollouts run on separate threads instead of pool threads. A pool thread that waits for work of a shared estimator or
@@ -226,7 +227,12 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
         }
     };
     let mut done: Vec<_> = std::thread::scope(|scope| {
-        let threads = rayon::current_num_threads().min(starts.len());
+        let threads = match (rayon::current_num_threads(), factory.concurrent()) {
+            // With one thread, rollouts run one after another, so that the time of an action is that of one rollout.
+            (1, _) => 1,
+            (threads, concurrent) => concurrent.map_or(threads, |rollouts| rollouts.max(threads)),
+        };
+        let threads = threads.min(starts.len());
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         let joined = workers.into_iter().map(|worker| match worker.join() {
             Ok(done) => done,

@@ -12,7 +12,8 @@ use re4_scenes::SceneRow;
 use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 
 use crate::stages::{
-    BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay,
+    BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, PolicyTrainingRow, ReplayRow, SpatialDivergence,
+    SpatialReplay,
 };
 
 /// The tables that a stage's artifact may contain. An artifact may lack some of them, such as images if none were ingested.
@@ -47,6 +48,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             ScaleRow::table(),
             Chunk::table(),
         ],
+        Stage::Train => vec![PolicyTrainingRow::table()],
         Stage::Scenes => vec![SceneRow::table()],
         Stage::Rollout => [
             re4_rollout::tables().to_vec(),

@@ -89,6 +89,14 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     answer(console, &runner, &built)
 }
 
+/// `re4-pipe train`. Refuses pipelines whose policy needs no training.
+pub(crate) fn train(arguments: &StageArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner(&[])?;
+    let built = runner.train()?;
+    answer(console, &runner, &built)
+}
+
 /// `re4-pipe scenes`.
 pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);

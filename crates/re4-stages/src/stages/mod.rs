@@ -7,6 +7,7 @@ mod replay;
 mod rollout;
 mod scenes;
 mod segment;
+mod train;
 mod train_pose;
 
 pub(crate) use ingest::WorkerCrashed;
@@ -14,3 +15,4 @@ pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 pub use rollout::{BudgetRow, metrics, read_rollouts};
 pub(crate) use rollout::{ImageObserver, MakeEstimator, RolloutArtifacts, scene_renderer};
+pub(crate) use train::PolicyTrainingRow;

@@ -5,7 +5,7 @@ mod estimators;
 mod plane;
 mod space;
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 use re4_artifact::{Artifact, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
@@ -78,11 +78,16 @@ impl Runner {
         } else {
             self.train_spatial(&episodes, &modes)?
         };
-        let mut inputs = Vec::new();
+        let mut inputs: Vec<Built> = Vec::new();
         for stage in policy.inputs() {
             inputs.push(match stage {
                 Stage::Index if planar => self.index(&episodes, &modes, poses.as_ref())?,
                 Stage::Index => self.index_spatial(&episodes, &modes, poses.as_ref())?,
+                Stage::Train => {
+                    let index = inputs.iter().find(|built| built.stage == Stage::Index);
+                    let index = index.context("a policy that is trained opens the index first")?;
+                    self.train_policy(policy, &episodes, index)?
+                }
                 other => bail!(
                     "policies cannot be opened from the artifact of stage {}",
                     other.as_str()
@@ -112,9 +117,8 @@ impl Runner {
         writer: &Writer,
         add: &mut dyn FnMut(&Batch<D>),
     ) -> Result<()> {
-        let inputs: Vec<(Stage, &Artifact)> = artifacts
-            .inputs
-            .iter()
+        let inputs: Vec<(Stage, &Artifact)> = std::iter::once(artifacts.episodes)
+            .chain(artifacts.inputs)
             .map(|built| (built.stage, &built.artifact))
             .collect();
         let opened = setup.policy.open(&Inputs {
