@@ -38,5 +38,6 @@ mod schemas;
 mod source_changes;
 mod spatial_report;
 mod support;
+mod train;
 mod videos;
 mod words;

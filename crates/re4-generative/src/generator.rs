@@ -71,17 +71,32 @@ impl Generator {
     /// # Errors
     /// If the values cannot be read from the device.
     pub fn generate(&self, requests: &[Request], sampler: Sampler) -> Result<Vec<Vec<f32>>, GenerativeError> {
+        let mut generators: Vec<Pcg64> = requests.iter().map(|request| request.rng.clone()).collect();
+        self.generate_with(requests, sampler, |into, count| {
+            for rng in &mut generators {
+                into.extend((0..count).map(|_| normal(rng) as f32));
+            }
+        })
+    }
+
+    /// The same with other noise: `noise` appends this many numbers for every request.
+    ///
+    /// # Errors
+    /// As for [`Generator::generate`].
+    pub fn generate_with(
+        &self,
+        requests: &[Request],
+        sampler: Sampler,
+        mut noise: impl FnMut(&mut Vec<f32>, usize),
+    ) -> Result<Vec<Vec<f32>>, GenerativeError> {
         let count = requests.len();
         let histories = requests.iter().flat_map(|request| request.history.iter().copied());
         let data = TensorData::new(histories.collect::<Vec<f32>>(), [count, self.shape.condition]);
         let condition: Tensor<2> = Tensor::from_data(data, &self.device);
-        let mut generators: Vec<Pcg64> = requests.iter().map(|request| request.rng.clone()).collect();
         let numbers = self.shape.length * self.shape.channels;
         let mut sample = |into: &mut Vec<f32>, count: usize| {
             into.clear();
-            for rng in &mut generators {
-                into.extend((0..count).map(|_| normal(rng) as f32));
-            }
+            noise(into, count);
         };
         let mut values = Vec::new();
         match sampler {

@@ -25,17 +25,26 @@ pub enum Initial {
 
 /// A parameter of a network.
 pub enum Slot<'a> {
-    /// A matrix `[taps * inputs, outputs]`: a linear layer if there is one tap, otherwise a convolution.
+    /// A matrix.
     Matrix {
         /// The values.
         param: &'a mut Param<Tensor<2>>,
-        /// Number of taps of the convolution.
-        taps: usize,
-        /// Whether it is a transposed convolution, whose matrix is `[inputs, taps * outputs]`.
-        transposed: bool,
+        /// What its rows and columns are.
+        layout: Layout,
     },
     /// A vector.
     Vector(&'a mut Param<Tensor<1>>),
+}
+
+/// What the rows and columns of a matrix are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// A linear layer: `[inputs, outputs]`.
+    Linear,
+    /// A convolution with this number of taps: `[taps * inputs, outputs]`.
+    Conv(usize),
+    /// A transposed convolution with this number of taps: `[inputs, taps * outputs]`.
+    Transposed(usize),
 }
 
 /// A parameter with its name and its initial values.
@@ -61,19 +70,13 @@ fn zeros(inputs: usize, outputs: usize, device: &Device) -> Linear {
         .init(device)
 }
 
-fn push<'a>(
-    linear: &'a mut Linear,
-    (taps, transposed, fan_in): (usize, bool, usize),
-    prefix: &str,
-    into: &mut Vec<Named<'a>>,
-) {
+fn push<'a>(linear: &'a mut Linear, (layout, fan_in): (Layout, usize), prefix: &str, into: &mut Vec<Named<'a>>) {
     into.push(Named {
         name: format!("{prefix}.weight"),
         initial: Initial::Uniform(fan_in),
         slot: Slot::Matrix {
             param: &mut linear.weight,
-            taps,
-            transposed,
+            layout,
         },
     });
     if let Some(bias) = &mut linear.bias {
@@ -90,6 +93,8 @@ fn push<'a>(
 pub struct Dense {
     linear: Linear,
     inputs: usize,
+    /// Whether weights files store it as a convolution with one tap.
+    pointwise: bool,
 }
 
 impl Dense {
@@ -98,6 +103,15 @@ impl Dense {
         Self {
             linear: zeros(inputs, outputs, device),
             inputs,
+            pointwise: false,
+        }
+    }
+
+    /// A convolution with one tap and zero weights.
+    pub fn pointwise(inputs: usize, outputs: usize, device: &Device) -> Self {
+        Self {
+            pointwise: true,
+            ..Self::new(inputs, outputs, device)
         }
     }
 
@@ -109,7 +123,12 @@ impl Dense {
 
 impl Parameters for Dense {
     fn parameters<'a>(&'a mut self, prefix: &str, into: &mut Vec<Named<'a>>) {
-        push(&mut self.linear, (1, false, self.inputs), prefix, into);
+        let layout = if self.pointwise {
+            Layout::Conv(1)
+        } else {
+            Layout::Linear
+        };
+        push(&mut self.linear, (layout, self.inputs), prefix, into);
     }
 }
 
@@ -151,7 +170,7 @@ impl Conv {
 impl Parameters for Conv {
     fn parameters<'a>(&'a mut self, prefix: &str, into: &mut Vec<Named<'a>>) {
         let fan_in = KERNEL * self.inputs;
-        push(&mut self.linear, (self.taps, false, fan_in), prefix, into);
+        push(&mut self.linear, (Layout::Conv(self.taps), fan_in), prefix, into);
     }
 }
 
@@ -205,8 +224,8 @@ impl Down {
 
 impl Parameters for Down {
     fn parameters<'a>(&'a mut self, prefix: &str, into: &mut Vec<Named<'a>>) {
-        let taps = if self.flat { 1 } else { 3 };
-        push(&mut self.linear, (taps, false, self.inputs), prefix, into);
+        let layout = if self.flat { Layout::Linear } else { Layout::Conv(3) };
+        push(&mut self.linear, (layout, self.inputs), prefix, into);
     }
 }
 
@@ -270,8 +289,11 @@ impl Parameters for Up {
             initial: Initial::Uniform(fan_in),
             slot: Slot::Matrix {
                 param: &mut self.weight.weight,
-                taps: if self.flat { 1 } else { UP_TAPS },
-                transposed: !self.flat,
+                layout: if self.flat {
+                    Layout::Linear
+                } else {
+                    Layout::Transposed(UP_TAPS)
+                },
             },
         });
         into.push(Named {

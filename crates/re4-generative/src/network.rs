@@ -196,7 +196,7 @@ impl ResidualBlock {
             first: ConvBlock::new(inputs, outputs, length, device),
             second: ConvBlock::new(outputs, outputs, length, device),
             film: Dense::new(condition, 2 * outputs, device),
-            skip: (inputs != outputs).then(|| Dense::new(inputs, outputs, device)),
+            skip: (inputs != outputs).then(|| Dense::pointwise(inputs, outputs, device)),
             outputs,
         }
     }
@@ -276,7 +276,7 @@ impl UNet {
             up,
             upsamplers,
             last: ConvBlock::new(levels[0], levels[0], shape.length, device),
-            output: Dense::new(levels[0], shape.channels, device),
+            output: Dense::pointwise(levels[0], shape.channels, device),
         }
     }
 

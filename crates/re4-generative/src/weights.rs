@@ -8,38 +8,41 @@ use re4_fault::{Fault, fault};
 use re4_train::tensors;
 
 use crate::GenerativeError;
-use crate::layers::{Named, Slot};
+use crate::layers::{Layout, Named, Slot};
 use crate::network::{Network, Shape};
 
-/// The layout of a matrix: how its values are stored in a file.
-struct Layout {
+/// A matrix in a file.
+struct Stored {
     /// Rows and columns of the matrix.
     rows: usize,
     columns: usize,
-    taps: usize,
-    transposed: bool,
+    layout: Layout,
 }
 
-impl Layout {
+impl Stored {
     /// The shape in a file: `[out, in]`, `[out, in, taps]`, or `[in, out, taps]` for a transposed convolution.
     fn shape(&self) -> Vec<usize> {
-        match (self.taps, self.transposed) {
-            (1, _) => vec![self.columns, self.rows],
-            (taps, false) => vec![self.columns, self.rows / taps, taps],
-            (taps, true) => vec![self.rows, self.columns / taps, taps],
+        match self.layout {
+            Layout::Linear => vec![self.columns, self.rows],
+            Layout::Conv(taps) => vec![self.columns, self.rows / taps, taps],
+            Layout::Transposed(taps) => vec![self.rows, self.columns / taps, taps],
         }
     }
 
     /// Position in a file of the value at a row and a column.
     fn position(&self, row: usize, column: usize) -> usize {
-        if self.transposed {
-            let outputs = self.columns / self.taps;
-            let (tap, output) = (column / outputs, column % outputs);
-            (row * outputs + output) * self.taps + tap
-        } else {
-            let inputs = self.rows / self.taps;
-            let (tap, input) = (row / inputs, row % inputs);
-            (column * inputs + input) * self.taps + tap
+        match self.layout {
+            Layout::Linear => column * self.rows + row,
+            Layout::Conv(taps) => {
+                let inputs = self.rows / taps;
+                let (tap, input) = (row / inputs, row % inputs);
+                (column * inputs + input) * taps + tap
+            }
+            Layout::Transposed(taps) => {
+                let outputs = self.columns / taps;
+                let (tap, output) = (column / outputs, column % outputs);
+                (row * outputs + output) * taps + tap
+            }
         }
     }
 
@@ -63,24 +66,15 @@ pub fn to_bytes(network: &Network) -> Result<Vec<u8>, GenerativeError> {
     };
     for Named { name, slot, .. } in network.all() {
         let tensor = match slot {
-            Slot::Matrix {
-                param,
-                taps,
-                transposed,
-            } => {
+            Slot::Matrix { param, layout } => {
                 let [rows, columns] = param.val().dims();
-                let layout = Layout {
-                    rows,
-                    columns,
-                    taps,
-                    transposed,
-                };
-                let values = read(param.val().into_data())?;
-                let mut stored = vec![0.0; values.len()];
-                for (position, value) in layout.positions().zip(values) {
-                    stored[position] = value;
+                let stored = Stored { rows, columns, layout };
+                let own = read(param.val().into_data())?;
+                let mut values = vec![0.0; own.len()];
+                for (position, value) in stored.positions().zip(own) {
+                    values[position] = value;
                 }
-                (layout.shape(), stored)
+                (stored.shape(), values)
             }
             Slot::Vector(param) => {
                 let values = read(param.val().into_data())?;
@@ -101,10 +95,10 @@ pub fn to_bytes(network: &Network) -> Result<Vec<u8>, GenerativeError> {
 /// If the file cannot be read, or contains another network. The name, shape and values of every tensor are checked.
 pub fn load(path: &Path, shape: Shape, device: &Device) -> Result<Network, GenerativeError> {
     let read = || -> Result<Network, Fault> {
-        let mut stored = tensors::read(path)?;
+        let mut tensors = tensors::read(path)?;
         let mut network = Network::new(shape, device);
         for Named { name, slot, .. } in network.all() {
-            let (dims, values) = stored
+            let (dims, values) = tensors
                 .remove(&name)
                 .ok_or_else(|| fault!("it has no tensor {name}, so it is of another network"; "{RETRAIN}"))?;
             let check = |expected: &[usize]| {
@@ -114,20 +108,11 @@ pub fn load(path: &Path, shape: Shape, device: &Device) -> Result<Network, Gener
                 Err(fault!("{name} has the shape {dims:?}, but should have {expected:?}"; "{RETRAIN}"))
             };
             match slot {
-                Slot::Matrix {
-                    param,
-                    taps,
-                    transposed,
-                } => {
+                Slot::Matrix { param, layout } => {
                     let [rows, columns] = param.val().dims();
-                    let layout = Layout {
-                        rows,
-                        columns,
-                        taps,
-                        transposed,
-                    };
-                    check(&layout.shape())?;
-                    let own: Vec<f32> = layout.positions().map(|position| values[position]).collect();
+                    let stored = Stored { rows, columns, layout };
+                    check(&stored.shape())?;
+                    let own: Vec<f32> = stored.positions().map(|position| values[position]).collect();
                     let own = Tensor::from_data(TensorData::new(own, [rows, columns]), device);
                     *param = param.clone().map(|_| own);
                 }
@@ -139,7 +124,7 @@ pub fn load(path: &Path, shape: Shape, device: &Device) -> Result<Network, Gener
                 }
             }
         }
-        match stored.keys().next() {
+        match tensors.keys().next() {
             Some(name) => Err(fault!("it has a tensor {name}, so it is of another network"; "{RETRAIN}")),
             None => Ok(network),
         }

@@ -44,7 +44,7 @@ pub(crate) enum Command {
     /// Build the index from which the policy retrieves demonstrations; writes the `index` artifact
     Index(StageArguments),
     /// Train the network of a learned policy; writes the `policy` artifact
-    Train(StageArguments),
+    Train(TrainArguments),
     /// Push-T: choose start scenes far from the demonstrations; writes the `scenes` artifact
     Scenes(StageArguments),
     /// Roll the policy out in the simulator; writes the `rollouts` artifact
@@ -83,7 +83,7 @@ impl Command {
             Self::Ingest(stage)
             | Self::Segment(stage)
             | Self::TrainPose(stage)
-            | Self::Train(stage)
+            | Self::Train(TrainArguments { stage, .. })
             | Self::Index(stage)
             | Self::Scenes(stage)
             | Self::Audit(AuditArguments { stage, .. })
@@ -152,6 +152,17 @@ impl StageArguments {
             notes: Notes::new(self.common.quiet),
         })
     }
+}
+
+/// Arguments of `train`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct TrainArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// The policy to train; shorthand for --set policy.kind=NAME
+    #[arg(long, value_name = "NAME")]
+    pub(crate) policy: Option<String>,
 }
 
 /// Arguments of `audit`.

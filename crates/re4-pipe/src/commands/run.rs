@@ -16,7 +16,7 @@ use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
 use super::{Outcome, report};
-use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments};
+use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments, TrainArguments};
 use crate::console::Console;
 use crate::output::Output;
 use re4_stages::PoseSource;
@@ -90,9 +90,10 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
 }
 
 /// `re4-pipe train`. Refuses pipelines whose policy needs no training.
-pub(crate) fn train(arguments: &StageArguments) -> Result<Outcome> {
-    let console = Console::new(&arguments.common);
-    let runner = arguments.runner(&[])?;
+pub(crate) fn train(arguments: &TrainArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
+    let kind = arguments.policy.as_deref().map(kind_override);
+    let runner = arguments.stage.runner(kind.as_slice())?;
     let built = runner.train()?;
     answer(console, &runner, &built)
 }
@@ -141,21 +142,25 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     answer(console, &runner, &built)
 }
 
+/// A value of an override as a string, whatever it looks like.
+fn text(value: &str) -> String {
+    format!("\"{}\"", value.replace(['"', '\\'], ""))
+}
+
+/// The override that `--policy` stands for.
+fn kind_override(policy: &str) -> String {
+    format!("policy.kind={}", text(policy))
+}
+
 fn runner(arguments: &RolloutArguments) -> Result<Runner> {
     let mut overrides = Vec::new();
-    let text = |value: &String| format!("\"{}\"", value.replace(['"', '\\'], ""));
     overrides.extend(
         arguments
             .seeds
             .as_ref()
             .map(|seeds| format!("rollout.seeds={}", text(seeds))),
     );
-    overrides.extend(
-        arguments
-            .policy
-            .as_ref()
-            .map(|policy| format!("policy.kind={}", text(policy))),
-    );
+    overrides.extend(arguments.policy.as_deref().map(kind_override));
     overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
     arguments.stage.runner(&overrides)
 }
