@@ -21,6 +21,7 @@ mod reframe;
 mod replan;
 pub mod spatial;
 mod visibility;
+mod workspace;
 
 pub use artifact::read_scales;
 pub use config::{
@@ -34,6 +35,7 @@ pub use pusher::{PusherModel, PusherState};
 use re4_fault::Remedy;
 pub use reframe::{Reframed, reframe, without_reframe};
 pub use replan::{Obstacle, Plan, PlanKind, plan};
+pub use workspace::Workspace;
 
 pub use re4_episode::DemoNames;
 

@@ -9,7 +9,7 @@ use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
 use re4_rollout::{Act, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses};
-use re4_sim::{GOAL, coverage, depth_in_walls};
+use re4_sim::{GOAL, coverage};
 
 use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
@@ -18,7 +18,8 @@ use crate::outcome::{Body, Chunk, ChunkLibrary};
 use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
-use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
+use crate::replan::{Plan, PlanKind, plan, waypoints};
+use crate::workspace::Workspace;
 use re4_episode::DemoNames;
 
 /// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
@@ -47,7 +48,7 @@ pub struct Knowledge {
     pub chunks: Option<ChunkLibrary>,
 }
 
-/// The decision record of one retrieval. Positions and poses are in the world frame, in pixels and radians.
+/// The decision record of one retrieval. Positions and poses are in the frame of the observations, in pixels and radians.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
     /// Number of control steps taken before the decision.
@@ -91,6 +92,23 @@ pub struct Decision {
 }
 
 impl Decision {
+    /// Returns the same record with its positions and poses in the world frame.
+    #[must_use]
+    pub fn in_world(&self, world_from_observed: &Pose2) -> Self {
+        let point = |p: &Point2| world_from_observed.transform_point(*p);
+        let pose = |pose: Pose2| world_from_observed.compose(pose).normalized();
+        Self {
+            eef: point(&self.eef),
+            object: pose(self.object),
+            // The demonstration stays where it was recorded.
+            delta: world_from_observed.compose(self.delta),
+            set_point: point(&self.set_point),
+            plan_path: self.plan_path.iter().map(point).collect(),
+            predicted_object: pose(self.predicted_object),
+            ..self.clone()
+        }
+    }
+
     /// Returns the reason for the decision in words. `names` are the names of the demonstrations.
     pub fn reason(&self, names: &DemoNames) -> String {
         let chosen = format!("{} from frame {}", names.of(self.demo), self.demo_frame);
@@ -131,6 +149,7 @@ pub struct Re4 {
     random: Pcg64,
     model: PusherModel,
     body: Body,
+    workspace: Workspace,
     pusher: Option<PusherState>,
     queue: VecDeque<(Phase, Command)>,
     /// Object poses along the chunk that is being replayed, as the demonstration predicts them.
@@ -184,14 +203,14 @@ fn demo_frames(demos: &DemoSet<PlanarFrame>, demo: u32, frame: u32) -> Result<&[
 
 /// Returns whether the block stays clear of the walls if it moves from `block` as recorded in `chunk`. The demonstration does not
 /// predict what happens at a wall.
-fn stays_inside(frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
-    let limit = depth_in_walls(block) + WALL_TOLERANCE;
+fn stays_inside(workspace: Workspace, frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
+    let limit = workspace.depth_in_walls(block) + WALL_TOLERANCE;
     let carry = block.delta_from(frames[0].object);
     let length = (chunk.end - chunk.start) as usize;
     frames
         .iter()
         .take(length + 1)
-        .all(|frame| depth_in_walls(carry.compose(frame.object)) <= limit)
+        .all(|frame| workspace.depth_in_walls(carry.compose(frame.object)) <= limit)
 }
 
 impl Re4 {
@@ -203,6 +222,7 @@ impl Re4 {
             // The stream number is the ASCII code of "RE4ROLLOUT".
             random: Pcg64::new(u128::from(seed), 0x5245_3452_4f4c_4c4f_5554),
             model: PusherModel::default(),
+            workspace: Workspace::default(),
             pusher: None,
             queue: VecDeque::new(),
             body: Body::tee(),
@@ -234,6 +254,7 @@ impl Policy<Plane> for Re4 {
     type Decision = Decision;
 
     fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
+        self.workspace = Workspace::new(senses.observed_from_world());
         let (eef, object) = (senses.proprio(), senses.object()?.pose);
         // The velocity of the pusher is not observed. The model of the controller predicts it from the last command.
         let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
@@ -254,7 +275,7 @@ impl Policy<Plane> for Re4 {
             Command::Target(target) => target,
             Command::Follow { leg, left } => {
                 let target = self.model.first_target(pusher, leg.goal, leg.velocity, left);
-                Point2::new(target.x.clamp(0.0, WORKSPACE), target.y.clamp(0.0, WORKSPACE))
+                self.workspace.clamp(target)
             }
         };
         self.pusher = Some(self.model.predict(pusher, target));
@@ -396,7 +417,7 @@ impl Re4 {
         let mut planned = 0;
         for (cost, chunk) in ranked {
             let frames = demo_frames(&knowledge.demos, chunk.demo, chunk.start)?;
-            let possible = cost.is_finite() && stays_inside(frames, &chunk, block);
+            let possible = cost.is_finite() && stays_inside(self.workspace, frames, &chunk, block);
             if planned == plans || (!possible && first.is_some()) {
                 continue;
             }
@@ -425,6 +446,7 @@ impl Re4 {
         };
         let connection = plan(
             &self.config.replan,
+            self.workspace,
             block,
             pusher.position,
             reframed.near,
@@ -513,8 +535,7 @@ impl Re4 {
         let carry = block.delta_from(rest[0].object);
         let near = carry.transform_point(rest[0].eef);
         // Keep the path of the pusher at least 10 px inside the workspace.
-        let reachable =
-            |p: Point2| (10.0..=WORKSPACE - 10.0).contains(&p.x) && (10.0..=WORKSPACE - 10.0).contains(&p.y);
+        let reachable = |p: Point2| self.workspace.contains(p, 10.0);
         let length = (chunk.end - chunk.start) as usize;
         let inside = rest
             .iter()

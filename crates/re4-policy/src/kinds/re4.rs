@@ -135,6 +135,10 @@ impl Explained<Plane> for Decision {
             predicted_coverage: self.predicted_coverage,
         }
     }
+
+    fn detail_in_world(&self, seed: u32, decision: u32, world_from_observed: &Pose2) -> PlaneRe4Row {
+        self.in_world(world_from_observed).detail(seed, decision)
+    }
 }
 
 impl Explained<Space> for SpatialDecision {
