@@ -13,6 +13,7 @@ use re4_sim::{GOAL, coverage};
 
 use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
+use crate::decision::Decision;
 use crate::demos::DemoSet;
 use crate::outcome::{Body, Chunk, ChunkLibrary};
 use crate::path::{Leg, legs};
@@ -20,8 +21,6 @@ use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, plan, waypoints};
 use crate::workspace::Workspace;
-use re4_episode::DemoNames;
-
 /// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
 const MAX_PLANS: usize = 8;
 
@@ -48,90 +47,6 @@ pub struct Knowledge {
     pub chunks: Option<ChunkLibrary>,
 }
 
-/// The decision record of one retrieval. Positions and poses are in the frame of the observations, in pixels and radians.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Decision {
-    /// Number of control steps taken before the decision.
-    pub step: u32,
-    /// Mode of the query.
-    pub mode: Mode,
-    /// End-effector position of the query.
-    pub eef: Point2,
-    /// Object pose of the query.
-    pub object: Pose2,
-    /// Number of the retrieved demonstration in the index.
-    pub demo: u32,
-    /// Retrieved frame, which is the first frame of the chunk.
-    pub demo_frame: u32,
-    /// Last frame of the chunk, included.
-    pub demo_end: u32,
-    /// Distance over the full state in normalised coordinates; `None` for the outcome selector.
-    pub d_q: Option<f64>,
-    /// Distance over the object pose only in normalised coordinates; `None` for the outcome selector.
-    pub d_o: Option<f64>,
-    /// δ, the motion from the demonstration's object pose to the query's. The identity if Reframe is disabled.
-    pub delta: Pose2,
-    /// Set-point at which the chunk starts.
-    pub set_point: Point2,
-    /// How the path to the set-point was found.
-    pub plan_kind: PlanKind,
-    /// Number of commands of the path.
-    pub plan_steps: u32,
-    /// Number of nodes searched for the path.
-    pub plan_nodes: u32,
-    /// The path as a polyline.
-    pub plan_path: Vec<Point2>,
-    /// Number of commands of the chunk.
-    pub replay_steps: u32,
-    /// Object pose after the chunk as the demonstration predicts it.
-    pub predicted_object: Pose2,
-    /// Coverage of the goal at the predicted pose.
-    pub predicted_coverage: f64,
-    /// Number of chunks or demonstrations compared.
-    pub compared: u32,
-}
-
-impl Decision {
-    /// Returns the same record with its positions and poses in the world frame.
-    #[must_use]
-    pub fn in_world(&self, world_from_observed: &Pose2) -> Self {
-        let point = |p: &Point2| world_from_observed.transform_point(*p);
-        let pose = |pose: Pose2| world_from_observed.compose(pose).normalized();
-        Self {
-            eef: point(&self.eef),
-            object: pose(self.object),
-            // The demonstration stays where it was recorded.
-            delta: world_from_observed.compose(self.delta),
-            set_point: point(&self.set_point),
-            plan_path: self.plan_path.iter().map(point).collect(),
-            predicted_object: pose(self.predicted_object),
-            ..self.clone()
-        }
-    }
-
-    /// Returns the reason for the decision in words. `names` are the names of the demonstrations.
-    pub fn reason(&self, names: &DemoNames) -> String {
-        let chosen = format!("{} from frame {}", names.of(self.demo), self.demo_frame);
-        let why = match (self.d_q, self.d_o) {
-            (Some(d_q), Some(d_o)) => format!(
-                "nearest object pose (d_o {d_o:.4}) among the nearest states of {} demonstrations (d_q {d_q:.4})",
-                self.compared
-            ),
-            _ => format!(
-                "its push to frame {} is predicted to reach a coverage of {:.3}, at the lowest cost of {} chunks compared",
-                self.demo_end, self.predicted_coverage, self.compared
-            ),
-        };
-        let path = match self.plan_kind {
-            PlanKind::Direct => "the straight path to its start is free",
-            PlanKind::Planned => "the path to its start goes around the block",
-            PlanKind::Failed => "no free path to its start was found, so the straight path is used",
-            PlanKind::Off => "it is replayed from the current position of the pusher",
-        };
-        format!("{chosen}: {why}; {path}")
-    }
-}
-
 /// A command in the queue.
 #[derive(Debug, Clone, Copy)]
 enum Command {
@@ -150,7 +65,12 @@ pub struct Re4 {
     model: PusherModel,
     body: Body,
     workspace: Workspace,
+    /// Predicted state of the pusher at the next control step.
     pusher: Option<PusherState>,
+    /// The predicted velocity and the command of each of the last control steps that the observation does not show yet.
+    unseen: VecDeque<(Point2, Point2)>,
+    /// Number of control steps until an observation shows the effect of the last replayed command.
+    unsettled: usize,
     queue: VecDeque<(Phase, Command)>,
     /// Object poses along the chunk that is being replayed, as the demonstration predicts them.
     expected: Vec<Pose2>,
@@ -224,6 +144,8 @@ impl Re4 {
             model: PusherModel::default(),
             workspace: Workspace::default(),
             pusher: None,
+            unseen: VecDeque::new(),
+            unsettled: 0,
             queue: VecDeque::new(),
             body: Body::tee(),
             expected: Vec::new(),
@@ -256,14 +178,15 @@ impl Policy<Plane> for Re4 {
     fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
         self.workspace = Workspace::new(senses.observed_from_world());
         let (eef, object) = (senses.proprio(), senses.object()?.pose);
-        // The velocity of the pusher is not observed. The model of the controller predicts it from the last command.
-        let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
-        let pusher = PusherState {
-            position: eef,
-            velocity,
-        };
+        let latency = senses.latency() as usize;
+        let pusher = self.current_pusher(eef);
         if self.has_diverged(object) {
             self.queue.clear();
+        }
+        // A decision needs the pose of the object at rest. The pusher holds its position until the observation shows it.
+        if self.queue.is_empty() && self.unsettled > 0 {
+            self.unsettled -= 1;
+            return Ok(self.send(Phase::Replay, pusher, pusher.position, None, object, latency));
         }
         let decision = if self.queue.is_empty() {
             Some(self.decide(pusher, object)?)
@@ -278,18 +201,51 @@ impl Policy<Plane> for Re4 {
                 self.workspace.clamp(target)
             }
         };
-        self.pusher = Some(self.model.predict(pusher, target));
-        self.step += 1;
-        Ok(Act {
-            action: target,
-            phase,
-            decision,
-            object: Some(object),
-        })
+        if phase == Phase::Replay {
+            self.unsettled = latency;
+        }
+        Ok(self.send(phase, pusher, target, decision, object, latency))
     }
 }
 
 impl Re4 {
+    /// Returns the current state of the pusher: the observed one, moved on by the commands that the observation does not show yet.
+    ///
+    /// The velocity is not observed. The model of the controller predicts it from the earlier commands.
+    fn current_pusher(&self, observed: Point2) -> PusherState {
+        let predicted = self.pusher.map_or(Point2::zeros(), |pusher| pusher.velocity);
+        let seen = PusherState {
+            position: observed,
+            velocity: self.unseen.front().map_or(predicted, |(velocity, _)| *velocity),
+        };
+        let commands = self.unseen.iter().map(|(_, target)| *target);
+        commands.fold(seen, |pusher, target| self.model.predict(pusher, target))
+    }
+
+    /// Sends a target and predicts the pusher's state after it.
+    fn send(
+        &mut self,
+        phase: Phase,
+        pusher: PusherState,
+        target: Point2,
+        decision: Option<Decision>,
+        object: Pose2,
+        latency: usize,
+    ) -> Act<Plane, Decision> {
+        self.pusher = Some(self.model.predict(pusher, target));
+        self.unseen.push_back((pusher.velocity, target));
+        if self.unseen.len() > latency {
+            self.unseen.pop_front();
+        }
+        self.step += 1;
+        Act {
+            action: target,
+            phase,
+            decision,
+            object: Some(object),
+        }
+    }
+
     /// Returns whether the object has left the path along which the chunk should move it.
     fn has_diverged(&self, block: Pose2) -> bool {
         let (Some(limit), Some((Phase::Replay, _))) = (self.config.replay.divergence, self.queue.front()) else {

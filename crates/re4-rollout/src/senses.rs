@@ -26,6 +26,12 @@ pub trait Senses<D: Domain> {
         None
     }
 
+    /// Returns the age of the observations in control steps. In the first steps of an episode, the observations are those after the
+    /// reset, which are less old.
+    fn latency(&self) -> u32 {
+        0
+    }
+
     /// Returns the observed object pose: the true pose, the true pose with simulated errors, or the estimate
     /// from an image, depending on the pipeline. The estimate states whether it is doubtful.
     ///
@@ -261,6 +267,10 @@ impl<D: Domain> Senses<D> for Sensing<'_, D> {
 
     fn observed_from_world(&self) -> Option<D::Motion> {
         self.observed_from_world
+    }
+
+    fn latency(&self) -> u32 {
+        self.latency as u32
     }
 
     fn object(&mut self) -> Result<ObservedPose<D>, PolicyError> {

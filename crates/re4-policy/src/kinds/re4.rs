@@ -11,7 +11,8 @@ use re4_rollout::{ArmState, Explained, Explanation, Named, Opened, Plane, Space}
 use super::{Inputs, OpenError, SettingError, Settings};
 use crate::artifact::{open_index, open_spatial_index};
 use crate::config::PolicyConfig;
-use crate::policy::{Decision, Re4Factory};
+use crate::decision::Decision;
+use crate::policy::Re4Factory;
 use crate::spatial::{SpatialDecision, SpatialPolicyConfig, SpatialRe4Factory};
 
 table! {
