@@ -40,3 +40,4 @@ mod spatial_report;
 mod support;
 mod videos;
 mod words;
+mod worlds;

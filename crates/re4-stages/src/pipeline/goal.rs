@@ -28,10 +28,10 @@ impl Serialize for Goal {
 impl<'de> Deserialize<'de> for Goal {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = Value::deserialize(deserializer)?;
-        let numbers = value
+        let numbers: Option<Vec<f64>> = value
             .as_array()
-            .map(|numbers| numbers.iter().filter_map(Value::as_f64).collect());
-        match (value.as_str(), numbers.as_ref().map(Vec::as_slice)) {
+            .and_then(|numbers| numbers.iter().map(Value::as_f64).collect());
+        match (value.as_str(), numbers.as_deref()) {
             (Some("random"), _) => Ok(Self::Random),
             (_, Some([x, y, theta])) => Ok(Self::Fixed(Pose2::new(*x, *y, *theta))),
             _ => Err(serde::de::Error::custom(format!(
