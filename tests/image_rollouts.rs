@@ -24,7 +24,8 @@ use re4_policy::spatial::{
 use re4_robosuite::models::{split_appearance, with_assets};
 use re4_robosuite::physics::without_visuals;
 use re4_rollout::{
-    Estimator, Image, ObservedPose, PolicyError, RobosuiteEnv, Rollout, SceneRenderer, Source, Space, Start, rollout,
+    Conditions, Estimator, Image, ObservedPose, PolicyError, RobosuiteEnv, Rollout, SceneRenderer, Source, Space,
+    Start, rollout,
 };
 use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask};
 use re4_stages::testing::{Estimate, MockRun, images as rendered_images};
@@ -323,7 +324,7 @@ fn the_policy_observes_the_object_only_through_the_estimator() {
                 estimator: Box::new(Always(constant)),
             }
         };
-        rollout(&factory, &mut env, source, start, 30).unwrap()
+        rollout(&factory, &mut env, source, start, 30, &Conditions::default()).unwrap()
     };
     let (one, other) = (roll_out(&here, false), roll_out(&elsewhere, false));
     assert_ne!(one.first.observation.object, other.first.observation.object);

@@ -41,3 +41,4 @@ mod support;
 mod train;
 mod videos;
 mod words;
+mod worlds;

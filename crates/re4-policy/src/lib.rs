@@ -10,6 +10,7 @@
 
 mod artifact;
 mod config;
+mod decision;
 mod demos;
 pub mod kinds;
 mod open_loop;
@@ -21,19 +22,22 @@ mod reframe;
 mod replan;
 pub mod spatial;
 mod visibility;
+mod workspace;
 
 pub use artifact::read_scales;
 pub use config::{
     Planner, PolicyConfig, ReframeConfig, ReplanConfig, ReplayConfig, RetrieveConfig, Selector, Tracking,
 };
+pub use decision::Decision;
 pub use demos::DemoSet;
 pub use open_loop::{Divergence, OpenLoop, replay_open_loop};
 pub use outcome::{Body, Chunk, ChunkLibrary, collect_chunks};
-pub use policy::{Decision, Knowledge, Re4, Re4Factory};
+pub use policy::{Knowledge, Re4, Re4Factory};
 pub use pusher::{PusherModel, PusherState};
 use re4_fault::Remedy;
 pub use reframe::{Reframed, reframe, without_reframe};
 pub use replan::{Obstacle, Plan, PlanKind, plan};
+pub use workspace::Workspace;
 
 pub use re4_episode::DemoNames;
 

@@ -9,18 +9,18 @@ use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
 use re4_rollout::{Act, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses};
-use re4_sim::{GOAL, coverage, depth_in_walls};
+use re4_sim::{GOAL, coverage};
 
 use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
+use crate::decision::Decision;
 use crate::demos::DemoSet;
 use crate::outcome::{Body, Chunk, ChunkLibrary};
 use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
-use crate::replan::{Plan, PlanKind, WORKSPACE, plan, waypoints};
-use re4_episode::DemoNames;
-
+use crate::replan::{Plan, PlanKind, plan, waypoints};
+use crate::workspace::Workspace;
 /// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
 const MAX_PLANS: usize = 8;
 
@@ -47,73 +47,6 @@ pub struct Knowledge {
     pub chunks: Option<ChunkLibrary>,
 }
 
-/// The decision record of one retrieval. Positions and poses are in the world frame, in pixels and radians.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Decision {
-    /// Number of control steps taken before the decision.
-    pub step: u32,
-    /// Mode of the query.
-    pub mode: Mode,
-    /// End-effector position of the query.
-    pub eef: Point2,
-    /// Object pose of the query.
-    pub object: Pose2,
-    /// Number of the retrieved demonstration in the index.
-    pub demo: u32,
-    /// Retrieved frame, which is the first frame of the chunk.
-    pub demo_frame: u32,
-    /// Last frame of the chunk, included.
-    pub demo_end: u32,
-    /// Distance over the full state in normalised coordinates; `None` for the outcome selector.
-    pub d_q: Option<f64>,
-    /// Distance over the object pose only in normalised coordinates; `None` for the outcome selector.
-    pub d_o: Option<f64>,
-    /// δ, the motion from the demonstration's object pose to the query's. The identity if Reframe is disabled.
-    pub delta: Pose2,
-    /// Set-point at which the chunk starts.
-    pub set_point: Point2,
-    /// How the path to the set-point was found.
-    pub plan_kind: PlanKind,
-    /// Number of commands of the path.
-    pub plan_steps: u32,
-    /// Number of nodes searched for the path.
-    pub plan_nodes: u32,
-    /// The path as a polyline.
-    pub plan_path: Vec<Point2>,
-    /// Number of commands of the chunk.
-    pub replay_steps: u32,
-    /// Object pose after the chunk as the demonstration predicts it.
-    pub predicted_object: Pose2,
-    /// Coverage of the goal at the predicted pose.
-    pub predicted_coverage: f64,
-    /// Number of chunks or demonstrations compared.
-    pub compared: u32,
-}
-
-impl Decision {
-    /// Returns the reason for the decision in words. `names` are the names of the demonstrations.
-    pub fn reason(&self, names: &DemoNames) -> String {
-        let chosen = format!("{} from frame {}", names.of(self.demo), self.demo_frame);
-        let why = match (self.d_q, self.d_o) {
-            (Some(d_q), Some(d_o)) => format!(
-                "nearest object pose (d_o {d_o:.4}) among the nearest states of {} demonstrations (d_q {d_q:.4})",
-                self.compared
-            ),
-            _ => format!(
-                "its push to frame {} is predicted to reach a coverage of {:.3}, at the lowest cost of {} chunks compared",
-                self.demo_end, self.predicted_coverage, self.compared
-            ),
-        };
-        let path = match self.plan_kind {
-            PlanKind::Direct => "the straight path to its start is free",
-            PlanKind::Planned => "the path to its start goes around the block",
-            PlanKind::Failed => "no free path to its start was found, so the straight path is used",
-            PlanKind::Off => "it is replayed from the current position of the pusher",
-        };
-        format!("{chosen}: {why}; {path}")
-    }
-}
-
 /// A command in the queue.
 #[derive(Debug, Clone, Copy)]
 enum Command {
@@ -131,7 +64,13 @@ pub struct Re4 {
     random: Pcg64,
     model: PusherModel,
     body: Body,
+    workspace: Workspace,
+    /// Predicted state of the pusher at the next control step.
     pusher: Option<PusherState>,
+    /// The predicted velocity and the command of each of the last control steps that the observation does not show yet.
+    unseen: VecDeque<(Point2, Point2)>,
+    /// Number of control steps until an observation shows the effect of the last replayed command.
+    unsettled: usize,
     queue: VecDeque<(Phase, Command)>,
     /// Object poses along the chunk that is being replayed, as the demonstration predicts them.
     expected: Vec<Pose2>,
@@ -184,14 +123,14 @@ fn demo_frames(demos: &DemoSet<PlanarFrame>, demo: u32, frame: u32) -> Result<&[
 
 /// Returns whether the block stays clear of the walls if it moves from `block` as recorded in `chunk`. The demonstration does not
 /// predict what happens at a wall.
-fn stays_inside(frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
-    let limit = depth_in_walls(block) + WALL_TOLERANCE;
+fn stays_inside(workspace: Workspace, frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
+    let limit = workspace.depth_in_walls(block) + WALL_TOLERANCE;
     let carry = block.delta_from(frames[0].object);
     let length = (chunk.end - chunk.start) as usize;
     frames
         .iter()
         .take(length + 1)
-        .all(|frame| depth_in_walls(carry.compose(frame.object)) <= limit)
+        .all(|frame| workspace.depth_in_walls(carry.compose(frame.object)) <= limit)
 }
 
 impl Re4 {
@@ -203,7 +142,10 @@ impl Re4 {
             // The stream number is the ASCII code of "RE4ROLLOUT".
             random: Pcg64::new(u128::from(seed), 0x5245_3452_4f4c_4c4f_5554),
             model: PusherModel::default(),
+            workspace: Workspace::default(),
             pusher: None,
+            unseen: VecDeque::new(),
+            unsettled: 0,
             queue: VecDeque::new(),
             body: Body::tee(),
             expected: Vec::new(),
@@ -234,15 +176,17 @@ impl Policy<Plane> for Re4 {
     type Decision = Decision;
 
     fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
+        self.workspace = Workspace::new(senses.observed_from_world());
         let (eef, object) = (senses.proprio(), senses.object()?.pose);
-        // The velocity of the pusher is not observed. The model of the controller predicts it from the last command.
-        let velocity = self.pusher.map_or(Point2::zeros(), |p| p.velocity);
-        let pusher = PusherState {
-            position: eef,
-            velocity,
-        };
+        let latency = senses.latency() as usize;
+        let pusher = self.current_pusher(eef);
         if self.has_diverged(object) {
             self.queue.clear();
+        }
+        // A decision needs the pose of the object at rest. The pusher holds its position until the observation shows it.
+        if self.queue.is_empty() && self.unsettled > 0 {
+            self.unsettled -= 1;
+            return Ok(self.send(Phase::Replay, pusher, pusher.position, None, object, latency));
         }
         let decision = if self.queue.is_empty() {
             Some(self.decide(pusher, object)?)
@@ -254,21 +198,54 @@ impl Policy<Plane> for Re4 {
             Command::Target(target) => target,
             Command::Follow { leg, left } => {
                 let target = self.model.first_target(pusher, leg.goal, leg.velocity, left);
-                Point2::new(target.x.clamp(0.0, WORKSPACE), target.y.clamp(0.0, WORKSPACE))
+                self.workspace.clamp(target)
             }
         };
-        self.pusher = Some(self.model.predict(pusher, target));
-        self.step += 1;
-        Ok(Act {
-            action: target,
-            phase,
-            decision,
-            object: Some(object),
-        })
+        if phase == Phase::Replay {
+            self.unsettled = latency;
+        }
+        Ok(self.send(phase, pusher, target, decision, object, latency))
     }
 }
 
 impl Re4 {
+    /// Returns the current state of the pusher: the observed one, moved on by the commands that the observation does not show yet.
+    ///
+    /// The velocity is not observed. The model of the controller predicts it from the earlier commands.
+    fn current_pusher(&self, observed: Point2) -> PusherState {
+        let predicted = self.pusher.map_or(Point2::zeros(), |pusher| pusher.velocity);
+        let seen = PusherState {
+            position: observed,
+            velocity: self.unseen.front().map_or(predicted, |(velocity, _)| *velocity),
+        };
+        let commands = self.unseen.iter().map(|(_, target)| *target);
+        commands.fold(seen, |pusher, target| self.model.predict(pusher, target))
+    }
+
+    /// Sends a target and predicts the pusher's state after it.
+    fn send(
+        &mut self,
+        phase: Phase,
+        pusher: PusherState,
+        target: Point2,
+        decision: Option<Decision>,
+        object: Pose2,
+        latency: usize,
+    ) -> Act<Plane, Decision> {
+        self.pusher = Some(self.model.predict(pusher, target));
+        self.unseen.push_back((pusher.velocity, target));
+        if self.unseen.len() > latency {
+            self.unseen.pop_front();
+        }
+        self.step += 1;
+        Act {
+            action: target,
+            phase,
+            decision,
+            object: Some(object),
+        }
+    }
+
     /// Returns whether the object has left the path along which the chunk should move it.
     fn has_diverged(&self, block: Pose2) -> bool {
         let (Some(limit), Some((Phase::Replay, _))) = (self.config.replay.divergence, self.queue.front()) else {
@@ -396,7 +373,7 @@ impl Re4 {
         let mut planned = 0;
         for (cost, chunk) in ranked {
             let frames = demo_frames(&knowledge.demos, chunk.demo, chunk.start)?;
-            let possible = cost.is_finite() && stays_inside(frames, &chunk, block);
+            let possible = cost.is_finite() && stays_inside(self.workspace, frames, &chunk, block);
             if planned == plans || (!possible && first.is_some()) {
                 continue;
             }
@@ -425,6 +402,7 @@ impl Re4 {
         };
         let connection = plan(
             &self.config.replan,
+            self.workspace,
             block,
             pusher.position,
             reframed.near,
@@ -513,8 +491,7 @@ impl Re4 {
         let carry = block.delta_from(rest[0].object);
         let near = carry.transform_point(rest[0].eef);
         // Keep the path of the pusher at least 10 px inside the workspace.
-        let reachable =
-            |p: Point2| (10.0..=WORKSPACE - 10.0).contains(&p.x) && (10.0..=WORKSPACE - 10.0).contains(&p.y);
+        let reachable = |p: Point2| self.workspace.contains(p, 10.0);
         let length = (chunk.end - chunk.start) as usize;
         let inside = rest
             .iter()

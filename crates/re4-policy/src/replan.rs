@@ -6,9 +6,7 @@ use re4_geometry::{Point2, Pose2, distance_point_to_convex, distance_segment_to_
 use re4_sim::tee_rectangles;
 
 use crate::config::{Planner, ReplanConfig};
-
-/// Side of the square workspace in pixels.
-pub(crate) const WORKSPACE: f64 = 512.0;
+use crate::workspace::Workspace;
 
 /// How a path was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +38,7 @@ impl PlanKind {
 pub struct Plan {
     /// How the path was found.
     pub kind: PlanKind,
-    /// Polyline from the pusher's position to the set-point, both included, in the world frame, in pixels. Only the pusher's
+    /// Polyline from the pusher's position to the set-point, both included, in the frame of the observations, in pixels. Only the pusher's
     /// position if Replan is disabled.
     pub path: Vec<Point2>,
     /// Number of nodes of the searched tree or graph.
@@ -86,11 +84,18 @@ impl Obstacle {
     }
 }
 
-/// Plans a path from `start` to `goal` with the block fixed at `block`. World frame, pixels. Only the RRT planner uses `random`.
+/// Plans a path from `start` to `goal` with the block fixed at `block`. All in the frame of `workspace`, in pixels. Only the RRT planner uses `random`.
 ///
 /// If an end is inside the keep-out, as for a pusher in contact, the keep-out shrinks to the distance of that end from the block,
 /// so that the pusher can leave and make contact.
-pub fn plan(config: &ReplanConfig, block: Pose2, start: Point2, goal: Point2, random: &mut Pcg64) -> Plan {
+pub fn plan(
+    config: &ReplanConfig,
+    workspace: Workspace,
+    block: Pose2,
+    start: Point2,
+    goal: Point2,
+    random: &mut Pcg64,
+) -> Plan {
     let obstacle = Obstacle::at(block);
     if !config.enabled {
         return Plan {
@@ -100,12 +105,19 @@ pub fn plan(config: &ReplanConfig, block: Pose2, start: Point2, goal: Point2, ra
         };
     }
     match config.planner {
-        Planner::Rrt => rrt(config, &obstacle, start, goal, random),
-        Planner::Visibility => crate::visibility::shortest(config, &obstacle, block, start, goal),
+        Planner::Rrt => rrt(config, workspace, &obstacle, start, goal, random),
+        Planner::Visibility => crate::visibility::shortest(config, workspace, &obstacle, block, start, goal),
     }
 }
 
-fn rrt(config: &ReplanConfig, obstacle: &Obstacle, start: Point2, goal: Point2, random: &mut Pcg64) -> Plan {
+fn rrt(
+    config: &ReplanConfig,
+    workspace: Workspace,
+    obstacle: &Obstacle,
+    start: Point2,
+    goal: Point2,
+    random: &mut Pcg64,
+) -> Plan {
     // Slightly smaller, so that rounding does not make an end at exactly this distance collide.
     let keepout = config
         .keepout
@@ -126,7 +138,7 @@ fn rrt(config: &ReplanConfig, obstacle: &Obstacle, start: Point2, goal: Point2, 
         let sample = if unit(random) < config.goal_bias {
             goal
         } else {
-            Point2::new(unit(random) * WORKSPACE, unit(random) * WORKSPACE)
+            workspace.at(unit(random), unit(random))
         };
         let (nearest, from) =
             nodes

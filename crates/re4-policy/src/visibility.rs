@@ -4,7 +4,8 @@ use re4_geometry::{Point2, Pose2};
 use re4_sim::tee_rectangles;
 
 use crate::config::ReplanConfig;
-use crate::replan::{Obstacle, Plan, PlanKind, WORKSPACE};
+use crate::replan::{Obstacle, Plan, PlanKind};
+use crate::workspace::Workspace;
 
 /// Number of waypoints around each corner of the block.
 const DIRECTIONS: usize = 8;
@@ -15,7 +16,14 @@ const MARGIN: f64 = 0.5;
 /// Returns the shortest polyline from `start` to `goal` that keeps the configured distance from the block.
 ///
 /// An end inside the keep-out is connected to the nearest point outside by one straight move away from the block.
-pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2, start: Point2, goal: Point2) -> Plan {
+pub(crate) fn shortest(
+    config: &ReplanConfig,
+    workspace: Workspace,
+    obstacle: &Obstacle,
+    block: Pose2,
+    start: Point2,
+    goal: Point2,
+) -> Plan {
     let leave = escape(obstacle, start, config.keepout);
     let enter = escape(obstacle, goal, config.keepout);
     // Slightly smaller, so that rounding does not make points at exactly the keep-out distance collide.
@@ -56,8 +64,7 @@ pub(crate) fn shortest(config: &ReplanConfig, obstacle: &Obstacle, block: Pose2,
         for k in 0..DIRECTIONS {
             let angle = std::f64::consts::TAU * (k as f64 + 0.5) / DIRECTIONS as f64 + block.theta;
             let p = corner + Point2::new(angle.cos(), angle.sin()) * radius;
-            let inside = (0.0..=WORKSPACE).contains(&p.x) && (0.0..=WORKSPACE).contains(&p.y);
-            if inside && obstacle.distance(p) >= keepout {
+            if workspace.contains(p, 0.0) && obstacle.distance(p) >= keepout {
                 nodes.push(p);
             }
         }

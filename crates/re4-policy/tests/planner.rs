@@ -5,7 +5,7 @@ mod common;
 use common::{OUTLINE, Random, distance_to_tee};
 use rand_pcg::Pcg64;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::{Obstacle, Plan, PlanKind, Planner, PolicyConfig, ReplanConfig, plan};
+use re4_policy::{Obstacle, Plan, PlanKind, Planner, PolicyConfig, ReplanConfig, Workspace, plan};
 
 const SAMPLE: f64 = 0.25;
 
@@ -21,6 +21,7 @@ fn config(planner: Planner, keepout: f64) -> ReplanConfig {
 fn planned(planner: Planner, keepout: f64, seed: u64, block: Pose2, start: Point2, goal: Point2) -> Plan {
     plan(
         &config(planner, keepout),
+        Workspace::default(),
         block,
         start,
         goal,
@@ -277,6 +278,13 @@ fn the_disabled_planner_returns_the_start() {
     };
     let start = Point2::new(20.0, 30.0);
     let goal = Point2::new(400.0, 400.0);
-    let found = plan(&off, Pose2::new(250.0, 250.0, 1.0), start, goal, &mut Pcg64::new(1, 1));
+    let found = plan(
+        &off,
+        Workspace::default(),
+        Pose2::new(250.0, 250.0, 1.0),
+        start,
+        goal,
+        &mut Pcg64::new(1, 1),
+    );
     assert_eq!((found.kind, found.path.as_slice()), (PlanKind::Off, [start].as_slice()));
 }

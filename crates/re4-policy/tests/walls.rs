@@ -8,7 +8,7 @@ use re4_geometry::{Point2, Pose2};
 use re4_index::AngleMetric;
 use re4_policy::PolicyConfig;
 use re4_rollout::{Plane, PlaneScene, Start};
-use re4_sim::{ResetOrder, Scene, tee_vertices};
+use re4_sim::{GOAL, ResetOrder, Scene, tee_vertices};
 
 /// Samples scenes in which the block is close to two walls.
 fn cornered(count: u32) -> Vec<Start<Plane>> {
@@ -35,6 +35,7 @@ fn cornered(count: u32) -> Vec<Start<Plane>> {
                 scene: PlaneScene {
                     state: Scene { agent, block },
                     order: ResetOrder::PoseIsPose,
+                    goal: GOAL,
                 },
             });
         }

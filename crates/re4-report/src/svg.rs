@@ -65,7 +65,7 @@ pub fn rollout_image(rollout: &Rollout<Plane>) -> Result<String, ImageError> {
         let area = root.margin(MARGIN, MARGIN + LEGEND, MARGIN, MARGIN);
         let side = WORKSPACE as i32;
         area.draw(&Rectangle::new([(0, 0), (side, side)], BLACK.mix(0.2).stroke_width(1)))?;
-        tee(&area, re4_sim::GOAL, GOAL.filled())?;
+        tee(&area, rollout.goal(), GOAL.filled())?;
         let shown: Vec<usize> = decisions
             .iter()
             .map(|d| (d.core().step as usize).min(last))

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use nalgebra::Isometry3;
 use re4_geometry::{Point2, Pose2};
 use re4_sim::robosuite::{self, Placement, RobosuiteAction, RobosuiteObservation, RobosuiteStep};
-use re4_sim::{PushTObservation, ResetOrder, Scene, Step};
+use re4_sim::{GOAL, PushTObservation, ResetOrder, Scene, Shapes, Step, WINDOW};
 
 /// The types that a group of tasks shares.
 pub trait Domain: Debug + Clone + Copy + PartialEq + Send + Sync + 'static {
@@ -21,9 +21,30 @@ pub trait Domain: Debug + Clone + Copy + PartialEq + Send + Sync + 'static {
     type Scene: Debug + Clone + PartialEq + Send + Sync;
     /// State after the reset, as it is recorded in table `results`.
     type First: Debug + Clone + PartialEq + Send + Sync;
+    /// Rigid motion from one frame of reference to another.
+    type Motion: Debug + Clone + Copy + PartialEq + Send + Sync;
+    /// What an image of a state shows.
+    type View: Debug + Clone;
 
     /// Returns whether the task succeeded, which ends the episode.
     fn success(outcome: &Self::Outcome) -> bool;
+
+    /// Returns the motion from the world frame to the frame of a policy's observations and actions, or `None` if that is the
+    /// world frame. With another goal than that of the demonstrations, it is the motion that takes the goal of the episode to the
+    /// goal of the demonstrations.
+    fn observed_from_world(scene: &Self::Scene) -> Option<Self::Motion>;
+
+    /// Returns the inverse motion.
+    fn inverse(motion: &Self::Motion) -> Self::Motion;
+
+    /// Returns the proprioception in another frame.
+    fn proprio_in(motion: &Self::Motion, proprio: &Self::Proprio) -> Self::Proprio;
+
+    /// Returns the object pose in another frame.
+    fn pose_in(motion: &Self::Motion, pose: &Self::Pose) -> Self::Pose;
+
+    /// Returns the action of a policy in the world frame, limited to the actions that the task accepts.
+    fn action_in_world(world_from_observed: &Self::Motion, action: &Self::Action) -> Self::Action;
 }
 
 /// The domain of Push-T, in which a disc pushes a block in the plane. World frame, pixels and radians.
@@ -37,6 +58,8 @@ pub struct PlaneScene {
     pub state: Scene,
     /// Order in which the reset sets the position and the angle of the block.
     pub order: ResetOrder,
+    /// Goal pose of the block.
+    pub goal: Pose2,
 }
 
 impl Domain for Plane {
@@ -48,9 +71,34 @@ impl Domain for Plane {
     type Outcome = Step<PushTObservation>;
     type Scene = PlaneScene;
     type First = Step<PushTObservation>;
+    type Motion = Pose2;
+    type View = Shapes;
 
     fn success(outcome: &Self::Outcome) -> bool {
         outcome.success
+    }
+
+    fn observed_from_world(scene: &PlaneScene) -> Option<Pose2> {
+        (scene.goal != GOAL).then(|| GOAL.compose(scene.goal.inverse()))
+    }
+
+    fn inverse(motion: &Pose2) -> Pose2 {
+        motion.inverse()
+    }
+
+    fn proprio_in(motion: &Pose2, pusher: &Point2) -> Point2 {
+        motion.transform_point(*pusher)
+    }
+
+    fn pose_in(motion: &Pose2, block: &Pose2) -> Pose2 {
+        motion.compose(*block).normalized()
+    }
+
+    /// The target is limited to the window, as gym-pusht's space of actions is.
+    fn action_in_world(world_from_observed: &Pose2, target: &Point2) -> Point2 {
+        world_from_observed
+            .transform_point(*target)
+            .map(|at| at.clamp(0.0, WINDOW))
     }
 }
 
@@ -119,8 +167,38 @@ impl Domain for Space {
     type Outcome = RobosuiteStep;
     type Scene = Placement;
     type First = SpaceFirst;
+    type Motion = Isometry3<f64>;
+    /// Flattened MuJoCo state: time, qpos, qvel.
+    type View = Vec<f64>;
 
     fn success(outcome: &Self::Outcome) -> bool {
         outcome.success
+    }
+
+    /// The goals of robosuite's tasks are fixed.
+    fn observed_from_world(_: &Placement) -> Option<Isometry3<f64>> {
+        None
+    }
+
+    fn inverse(motion: &Isometry3<f64>) -> Isometry3<f64> {
+        motion.inverse()
+    }
+
+    fn proprio_in(motion: &Isometry3<f64>, arm: &ArmState) -> ArmState {
+        ArmState {
+            eef: motion * arm.eef,
+            ..*arm
+        }
+    }
+
+    fn pose_in(motion: &Isometry3<f64>, object: &Isometry3<f64>) -> Isometry3<f64> {
+        motion * object
+    }
+
+    fn action_in_world(world_from_observed: &Isometry3<f64>, action: &ArmAction) -> ArmAction {
+        ArmAction {
+            goal: world_from_observed * action.goal,
+            ..*action
+        }
     }
 }

@@ -3,10 +3,13 @@
 use nalgebra::Isometry3;
 use re4_geometry::{Point2, Pose2};
 use re4_sim::robosuite::{FirstTorques, Placement, Robosuite, RobosuiteModel, RobosuiteScene, RobosuiteStep};
-use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, SimError, Simulator as _, Step};
+use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, Shapes, SimError, Simulator as _, Step};
 
 use crate::scene_renderer::{SceneCamera, SceneRenderer};
-use crate::{ArmAction, ArmState, Domain, Plane, PlaneScene, PolicyError, Space, SpaceFirst, robosuite_action};
+use crate::{
+    ArmAction, ArmState, Displaced, Displacement, Domain, Plane, PlaneScene, PolicyError, Space, SpaceFirst,
+    robosuite_action,
+};
 
 /// An RGB image with 8 bits per channel, stored row by row from the top.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -42,11 +45,28 @@ pub trait Env<D: Domain> {
     /// Returns the true object pose in the world frame.
     fn object(&self) -> D::Pose;
 
-    /// Renders the current state into `into`, which is resized as needed.
+    /// Returns what an image of the current state shows, to render it at a later time.
+    fn view(&self) -> D::View;
+
+    /// Renders a view into `into`, which is resized as needed. With `observed_from_world`, the camera is moved: it sees the scene
+    /// as it appears in that frame.
     ///
     /// # Errors
     /// [`PolicyError::Unobservable`] if the camera does not exist or the image cannot be rendered.
-    fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError>;
+    fn render(
+        &mut self,
+        view: &D::View,
+        observed_from_world: Option<&D::Motion>,
+        camera: &str,
+        into: &mut Image,
+    ) -> Result<(), PolicyError>;
+
+    /// Moves the object or the pusher, which is at rest afterwards. Returns false and changes nothing if the result would not be a
+    /// valid scene.
+    ///
+    /// # Errors
+    /// If the simulator rejects the new state.
+    fn displace(&mut self, displacement: &Displacement) -> Result<bool, SimError>;
 }
 
 /// The Push-T simulation. Its only camera is `image`, which renders 96 x 96 pixels.
@@ -71,6 +91,7 @@ impl PushTEnv {
 
 impl Env<Plane> for PushTEnv {
     fn reset(&mut self, scene: &PlaneScene) -> Result<Step<PushTObservation>, SimError> {
+        self.simulator.set_goal(scene.goal);
         self.simulator.reset(&scene.state, scene.order)?;
         Ok(self.simulator.outcome())
     }
@@ -87,15 +108,36 @@ impl Env<Plane> for PushTEnv {
         self.simulator.observation().block
     }
 
-    fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError> {
+    fn view(&self) -> Shapes {
+        self.simulator.shapes()
+    }
+
+    fn render(
+        &mut self,
+        view: &Shapes,
+        observed_from_world: Option<&Pose2>,
+        camera: &str,
+        into: &mut Image,
+    ) -> Result<(), PolicyError> {
         if camera != "image" {
             return Err(PolicyError::no_camera(camera));
         }
         let canvas = self.canvas.get_or_insert_default();
-        self.simulator.render_into(canvas);
+        match observed_from_world {
+            Some(motion) => canvas.render_shapes(&view.clone().moved(*motion)),
+            None => canvas.render_shapes(view),
+        }
         canvas.observation_into(&mut into.pixels);
         (into.width, into.height) = (OBSERVATION_SIDE, OBSERVATION_SIDE);
         Ok(())
+    }
+
+    fn displace(&mut self, displacement: &Displacement) -> Result<bool, SimError> {
+        let motion = displacement.motion;
+        Ok(match displacement.what {
+            Displaced::Object => self.simulator.displace_block(motion),
+            Displaced::Pusher => self.simulator.displace_agent(motion.translation()),
+        })
     }
 }
 
@@ -159,12 +201,33 @@ impl Env<Space> for RobosuiteEnv<'_> {
         self.now.observation.object
     }
 
-    fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError> {
+    fn view(&self) -> Vec<f64> {
+        self.simulation.state()
+    }
+
+    fn render(
+        &mut self,
+        view: &Vec<f64>,
+        _: Option<&Isometry3<f64>>,
+        camera: &str,
+        into: &mut Image,
+    ) -> Result<(), PolicyError> {
         let scene_renderer = self.scene_renderer.ok_or_else(|| PolicyError::no_camera(camera))?;
         let scene_camera = match &mut self.scene_camera {
             Some(scene_camera) => scene_camera,
             none => none.insert(scene_renderer.scene_camera(self.scene.as_ref())?),
         };
-        scene_camera.render(camera, &self.simulation.state(), into)
+        scene_camera.render(camera, view, into)
+    }
+
+    fn displace(&mut self, displacement: &Displacement) -> Result<bool, SimError> {
+        if displacement.what == Displaced::Pusher {
+            return Ok(false);
+        }
+        let moved = self.simulation.displace_object(displacement.motion)?;
+        if moved {
+            self.now.observation = self.simulation.observation();
+        }
+        Ok(moved)
     }
 }

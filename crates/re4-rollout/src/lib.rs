@@ -11,6 +11,7 @@
 //! A new policy implements [`PolicyFactory`], [`Policy`], and [`Explained`] for its decision record. The settings, pipeline
 //! schema and tables are added in `re4-policy` (module `kinds`).
 
+mod conditions;
 mod domain;
 mod env;
 mod noise;
@@ -21,6 +22,7 @@ mod scene_renderer;
 mod senses;
 mod tables;
 
+pub use conditions::{AppliedDisturbance, Conditions, Displaced, Displacement, Disturbance, Disturbed};
 pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
 pub use env::{Env, Image, PushTEnv, RobosuiteEnv};
 pub use noise::PoseNoise;
@@ -30,6 +32,6 @@ pub use rollout::{Harness, MakeEnv, MakeSource, Rollout, RolloutError, Start, St
 pub use scene_renderer::{SceneCamera, SceneRenderer, drop_renderer, set_state};
 pub use senses::{Asked, CLEAR, Errors, Estimator, ObservedPose, Senses, Source};
 pub use tables::{
-    DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, Recorded, ResultCore, SpaceDecisionRow,
-    SpaceResultRow, SpaceStepRow, StepCore, tables,
+    DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, PlaneWorldRow, Recorded, ResultCore,
+    SpaceDecisionRow, SpaceResultRow, SpaceStepRow, SpaceWorldRow, StepCore, tables,
 };

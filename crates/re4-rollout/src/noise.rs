@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Isometry3, Vector3};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng as _;
+use re4_geometry::Pose2;
 use re4_geometry::spatial::rotation_from_vector;
 
 /// White Gaussian errors for object poses.
@@ -18,7 +19,7 @@ pub struct PoseNoise {
 }
 
 impl PoseNoise {
-    /// Creates a generator of errors with the standard deviations `translation`, in metres along each axis of the world frame,
+    /// Creates a generator of errors with the standard deviations `translation`, in metres (Push-T: px) along each axis of the world frame,
     /// and `rotation`, in rad for each component of a rotation vector in the world frame. The same seed gives the same errors.
     pub fn new(seed: u64, translation: f64, rotation: f64) -> Self {
         // The stream number is the ASCII code of "pose_noise", so that the errors are independent of other numbers of the seed.
@@ -38,6 +39,18 @@ impl PoseNoise {
             (pose.translation.vector + translation).into(),
             rotation_from_vector(rotation) * pose.rotation,
         )
+    }
+
+    /// The same in the plane, for Push-T: translations in px, one rotation in rad about the frame of the block. It always samples
+    /// three numbers.
+    pub fn perturb_planar(&mut self, pose: &Pose2) -> Pose2 {
+        let [x, y, theta] = [(); 3].map(|()| self.normal());
+        Pose2::new(
+            pose.x + self.translation * x,
+            pose.y + self.translation * y,
+            pose.theta + self.rotation * theta,
+        )
+        .normalized()
     }
 
     fn vector(&mut self) -> Vector3<f64> {

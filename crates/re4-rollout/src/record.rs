@@ -18,12 +18,18 @@ pub trait Explained<D: Domain> {
     /// Row type of the policy-specific table, `decisions_<policy>`.
     type Detail: Row;
 
-    /// Returns the columns that all policies share. `names` maps the number of a demonstration to its name.
+    /// Returns the columns that all policies share, with poses in the frame of the policy's observations. `names` maps the number of a demonstration to its name.
     fn explanation(&self, names: &DemoNames) -> Explanation<D>;
 
     /// Returns the row of the policy-specific table. `seed` and `decision` identify the rollout and the number of the decision in
     /// it.
     fn detail(&self, seed: u32, decision: u32) -> Self::Detail;
+
+    /// Returns the same row with its poses in the world frame, for a policy that observed another frame. Rows without poses do not
+    /// need it.
+    fn detail_in_world(&self, seed: u32, decision: u32, _world_from_observed: &D::Motion) -> Self::Detail {
+        self.detail(seed, decision)
+    }
 }
 
 /// The description of a decision that all policies share.
@@ -53,6 +59,8 @@ pub struct Batch<D: Recorded> {
     pub steps: Vec<D::StepRow>,
     /// Rows of table `decisions`.
     pub decisions: Vec<D::DecisionRow>,
+    /// Rows of table `worlds`.
+    pub worlds: Vec<D::WorldRow>,
 }
 
 /// An opened policy with its type erased.
@@ -134,6 +142,7 @@ where
             results: Vec::new(),
             steps: Vec::new(),
             decisions: Vec::new(),
+            worlds: Vec::new(),
         };
         for rollout in rollouts(&self.opened.factory, harness, starts)? {
             let seed = rollout.start.seed;
@@ -147,6 +156,8 @@ where
             };
             self.episodes += 1;
             batch.results.push(D::result_row(core, &rollout));
+            batch.worlds.push(D::world_row(&rollout));
+            let world = rollout.world_from_observed();
             batch.steps.extend((0..).zip(&rollout.steps).map(|(number, step)| {
                 let core = StepCore {
                     seed,
@@ -174,10 +185,16 @@ where
                         .and_then(|(demo, ..)| names.get(demo))
                         .map(str::to_owned),
                 };
-                batch
-                    .decisions
-                    .push(D::decision_row(core, &explanation.proprio, explanation.object));
-                self.details.push(&decision.detail(seed, number))?;
+                let (proprio, object, detail) = match &world {
+                    Some(motion) => (
+                        D::proprio_in(motion, &explanation.proprio),
+                        explanation.object.map(|pose| D::pose_in(motion, &pose)),
+                        decision.detail_in_world(seed, number, motion),
+                    ),
+                    None => (explanation.proprio, explanation.object, decision.detail(seed, number)),
+                };
+                batch.decisions.push(D::decision_row(core, &proprio, object));
+                self.details.push(&detail)?;
             }
         }
         Ok(batch)

@@ -3,11 +3,15 @@
 use re4_fault::Remedy;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use re4_sim::{PushTObservation, ResetOrder, SeedScheme, SimError, Step, scene_from_seed};
+use re4_sim::{GOAL, PushTObservation, ResetOrder, SeedScheme, SimError, Step, scene_from_seed};
 use thiserror::Error;
 
+use crate::conditions::Disturber;
 use crate::senses::Sensing;
-use crate::{Asked, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory, Senses as _, Source};
+use crate::{
+    AppliedDisturbance, Asked, Conditions, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory,
+    Senses as _, Source,
+};
 
 /// The start of a rollout. Scores over different sets of starts are not comparable.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,19 +23,20 @@ pub struct Start<D: Domain> {
 }
 
 impl Start<Plane> {
-    /// Creates the start of a seed.
+    /// Creates the start of a seed, with the goal of the task.
     pub fn from_seed(scheme: SeedScheme, order: ResetOrder, seed: u32) -> Self {
         Self {
             seed,
             scene: PlaneScene {
                 state: scene_from_seed(scheme, seed),
                 order,
+                goal: GOAL,
             },
         }
     }
 }
 
-/// One control step of a rollout.
+/// One control step of a rollout. Poses and actions are in the world frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepRecord<D: Domain> {
     /// The observations that the policy requested before the step.
@@ -58,14 +63,21 @@ pub struct Rollout<D: Domain, X> {
     pub first: D::First,
     /// Control steps. A rollout ends at the first success.
     pub steps: Vec<StepRecord<D>>,
-    /// Decision records in order.
+    /// Decision records in order, in the frame of the policy's observations.
     pub decisions: Vec<X>,
+    /// The disturbance, if there was one.
+    pub disturbance: Option<AppliedDisturbance>,
 }
 
 impl<D: Domain, X> Rollout<D, X> {
     /// Returns whether the task succeeded. Success ends the rollout, so only the last step is examined.
     pub fn success(&self) -> bool {
         self.steps.last().is_some_and(|step| D::success(&step.after))
+    }
+
+    /// Returns the motion from the frame of the policy's observations to the world frame, or `None` if they are the same.
+    pub fn world_from_observed(&self) -> Option<D::Motion> {
+        D::observed_from_world(&self.start.scene).map(|motion| D::inverse(&motion))
     }
 
     /// Returns the number of rendered images.
@@ -113,7 +125,7 @@ pub enum RolloutError {
 }
 
 /// Rolls out a policy from one start until success or until `max_steps` control steps are executed. The policy is started after
-/// the reset, so its factory receives the first proprioception.
+/// the reset, so its factory receives the first proprioception, in the frame of the policy's observations.
 ///
 /// # Errors
 /// If the simulator rejects the scene or an action, or the policy fails to return an action.
@@ -123,25 +135,42 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     source: Source<D>,
     start: Start<D>,
     max_steps: u32,
+    conditions: &Conditions,
 ) -> Result<RolloutOf<D, F>, RolloutError> {
     let scene = start.seed;
     let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
     let first = env.reset(&start.scene).map_err(refused(0))?;
-    let mut senses = Sensing::new(env, source);
+    let observed_from_world = D::observed_from_world(&start.scene);
+    let world_from_observed = observed_from_world.as_ref().map(D::inverse);
+    let mut senses = Sensing::new(env, source, observed_from_world, conditions.latency);
+    let mut disturber = conditions
+        .disturbance
+        .map(|disturbance| Disturber::new(disturbance, scene));
     let mut policy = factory.start(scene, &senses.proprio());
     let mut steps: Vec<StepRecord<D>> = Vec::new();
     let mut decisions = Vec::new();
     for step in 0..max_steps as usize {
+        if let Some(disturber) = &mut disturber {
+            disturber.before_step(step as u32, senses.env).map_err(refused(step))?;
+        }
+        senses.begin();
         let act = policy
             .act(&mut senses)
             .map_err(|source| RolloutError::Policy { scene, step, source })?;
         decisions.extend(act.decision);
-        let after = senses.env.step(&act.action).map_err(refused(step))?;
+        let (action, object) = match &world_from_observed {
+            Some(motion) => (
+                D::action_in_world(motion, &act.action),
+                act.object.map(|pose| D::pose_in(motion, &pose)),
+            ),
+            None => (act.action, act.object),
+        };
+        let after = senses.env.step(&action).map_err(refused(step))?;
         let asked = senses.finish();
         steps.push(StepRecord {
-            seen: asked.object.map(|observed| observed.pose).or(act.object),
+            seen: asked.object.map(|observed| observed.pose).or(object),
             asked,
-            action: act.action,
+            action,
             phase: act.phase,
             // The last decision so far. Steps before the first decision count to decision 0.
             decision: (decisions.len() as u32).saturating_sub(1),
@@ -156,6 +185,7 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
         first,
         steps,
         decisions,
+        disturbance: disturber.and_then(|disturber| disturber.applied()),
     })
 }
 
@@ -176,6 +206,8 @@ pub struct Harness<'a, 'e, D: Domain> {
     pub source: &'a MakeSource<'a, D>,
     /// Maximum number of control steps of an episode.
     pub max_steps: u32,
+    /// Conditions of all episodes.
+    pub conditions: Conditions,
     /// Called after every episode. Returns false to stop the rollouts.
     pub progress: &'a (dyn Fn() -> bool + Sync),
 }
@@ -202,7 +234,8 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
         };
         let mut env = (harness.env)(start).map_err(refused)?;
         let source = (harness.source)(start.seed);
-        let episode = rollout(factory, env.as_mut(), source, start.clone(), harness.max_steps)?;
+        let (steps, conditions) = (harness.max_steps, &harness.conditions);
+        let episode = rollout(factory, env.as_mut(), source, start.clone(), steps, conditions)?;
         if (harness.progress)() {
             Ok(episode)
         } else {

@@ -1,5 +1,7 @@
 //! Observations that a policy can request at a control step.
 
+use std::collections::VecDeque;
+
 use crate::{Domain, Env, Image, PolicyError};
 
 /// The observations of the current control step, each computed when the policy requests it.
@@ -16,7 +18,21 @@ pub trait Senses<D: Domain> {
     /// renders an image and runs an estimator, so a policy may request the pose less often.
     fn observes_object(&self) -> bool;
 
-    /// Returns the observed object pose in the world frame: the true pose, the true pose with simulated errors, or the estimate
+    /// Returns the motion from the world frame to the frame of the observations and actions, or `None` if that is the world
+    /// frame. If the goal of the episode is not that of the demonstrations, proprioception, object pose and images are those that
+    /// an observer at the demonstrations' place relative to the goal would have, and actions are in the same frame. A policy
+    /// needs the motion only if it uses something that does not move with the goal, such as the walls of Push-T.
+    fn observed_from_world(&self) -> Option<D::Motion> {
+        None
+    }
+
+    /// Returns the age of the observations in control steps. In the first steps of an episode, the observations are those after the
+    /// reset, which are less old.
+    fn latency(&self) -> u32 {
+        0
+    }
+
+    /// Returns the observed object pose: the true pose, the true pose with simulated errors, or the estimate
     /// from an image, depending on the pipeline. The estimate states whether it is doubtful.
     ///
     /// The source of the poses defines which body frame of the object the pose refers to. Demonstrations are indexed with poses
@@ -36,7 +52,7 @@ pub trait Senses<D: Domain> {
 /// An observation of the object pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObservedPose<D: Domain> {
-    /// The pose in the world frame.
+    /// The pose, in the frame of the observations ([`Senses::observed_from_world`]).
     pub pose: D::Pose,
     /// Confidence of the estimator from 0 to 1. `None` if the pose does not come from an estimator, or if the estimator reports
     /// no confidence.
@@ -97,28 +113,57 @@ pub enum Source<D: Domain> {
 /// The observations that a policy requested at one control step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Asked<D: Domain> {
-    /// The observed object pose, or `None` if the policy did not request it.
+    /// The observed object pose in the world frame, or `None` if the policy did not request it.
     pub object: Option<ObservedPose<D>>,
     /// Number of images rendered for the policy or for the estimator.
     pub images: u32,
+}
+
+/// What is observed of a state: enough to answer every request of a policy.
+struct Moment<D: Domain> {
+    proprio: D::Proprio,
+    object: D::Pose,
+    view: D::View,
+}
+
+/// An image of a camera. The buffer is reused from step to step.
+struct Shot {
+    camera: String,
+    /// Whether the camera is moved to the frame of the observations.
+    moved: bool,
+    image: Image,
+    /// Whether the image shows the observed state.
+    fresh: bool,
 }
 
 /// Implements [`Senses`] for an environment and records the requests.
 pub(crate) struct Sensing<'a, D: Domain> {
     pub(crate) env: &'a mut dyn Env<D>,
     source: Source<D>,
-    /// The images by camera name, with a flag that is true if the image shows the current state. The buffers are reused from step
-    /// to step.
-    images: Vec<(String, Image, bool)>,
+    observed_from_world: Option<D::Motion>,
+    latency: usize,
+    /// The last states, the oldest first, which is the one that is observed. Empty without latency: then the current state is
+    /// observed.
+    moments: VecDeque<Moment<D>>,
+    shots: Vec<Shot>,
     asked: Asked<D>,
 }
 
 impl<'a, D: Domain> Sensing<'a, D> {
-    pub(crate) fn new(env: &'a mut dyn Env<D>, source: Source<D>) -> Self {
+    /// Observations are `latency` control steps old.
+    pub(crate) fn new(
+        env: &'a mut dyn Env<D>,
+        source: Source<D>,
+        observed_from_world: Option<D::Motion>,
+        latency: u32,
+    ) -> Self {
         Self {
             env,
             source,
-            images: Vec::new(),
+            observed_from_world,
+            latency: latency as usize,
+            moments: VecDeque::new(),
+            shots: Vec::new(),
             asked: Asked {
                 object: None,
                 images: 0,
@@ -126,10 +171,26 @@ impl<'a, D: Domain> Sensing<'a, D> {
         }
     }
 
+    /// Called before every control step.
+    pub(crate) fn begin(&mut self) {
+        if self.latency == 0 {
+            return;
+        }
+        self.moments.push_back(Moment {
+            proprio: self.env.proprio(),
+            object: self.env.object(),
+            view: self.env.view(),
+        });
+        // In the first steps of an episode, the state after the reset is the oldest one.
+        if self.moments.len() > self.latency + 1 {
+            self.moments.pop_front();
+        }
+    }
+
     /// Returns the requests since the last call and invalidates the images, so that later requests observe the next state.
     pub(crate) fn finish(&mut self) -> Asked<D> {
-        for (_, _, fresh) in &mut self.images {
-            *fresh = false;
+        for shot in &mut self.shots {
+            shot.fresh = false;
         }
         let none = Asked {
             object: None,
@@ -137,54 +198,98 @@ impl<'a, D: Domain> Sensing<'a, D> {
         };
         std::mem::replace(&mut self.asked, none)
     }
-}
 
-/// Returns the image of a camera, which is rendered if it has not been rendered since the last step.
-fn current_image<'i, D: Domain>(
-    images: &'i mut Vec<(String, Image, bool)>,
-    camera: &str,
-    env: &mut dyn Env<D>,
-    count: &mut u32,
-) -> Result<&'i Image, PolicyError> {
-    let at = images.iter().position(|(name, ..)| name == camera).unwrap_or_else(|| {
-        images.push((camera.to_owned(), Image::default(), false));
-        images.len() - 1
-    });
-    let (_, image, fresh) = &mut images[at];
-    if !*fresh {
-        env.render(camera, image)?;
-        *count += 1;
-        *fresh = true;
+    /// Takes the image of a camera unless it shows the observed state already, and returns its index. `moved`: in the frame of the
+    /// observations.
+    fn shoot(&mut self, camera: &str, moved: bool) -> Result<usize, PolicyError> {
+        let moved = moved && self.observed_from_world.is_some();
+        let known = |shot: &Shot| shot.camera == camera && shot.moved == moved;
+        let at = self.shots.iter().position(known).unwrap_or_else(|| {
+            self.shots.push(Shot {
+                camera: camera.to_owned(),
+                moved,
+                image: Image::default(),
+                fresh: false,
+            });
+            self.shots.len() - 1
+        });
+        let shot = &mut self.shots[at];
+        if !shot.fresh {
+            let motion = self.observed_from_world.as_ref().filter(|_| moved);
+            match self.moments.front() {
+                Some(moment) => self.env.render(&moment.view, motion, camera, &mut shot.image)?,
+                None => {
+                    let view = self.env.view();
+                    self.env.render(&view, motion, camera, &mut shot.image)?;
+                }
+            }
+            self.asked.images += 1;
+            shot.fresh = true;
+        }
+        Ok(at)
     }
-    Ok(image)
+
+    /// Returns the observed object pose in the world frame.
+    fn observe(&mut self) -> Result<ObservedPose<D>, PolicyError> {
+        let camera = match &self.source {
+            Source::Image { camera, .. } => Some(camera.clone()),
+            _ => None,
+        };
+        // The estimator is calibrated for the camera of the demonstrations, which does not move.
+        let shot = camera.map(|camera| self.shoot(&camera, false)).transpose()?;
+        let object = self
+            .moments
+            .front()
+            .map_or_else(|| self.env.object(), |moment| moment.object);
+        match (&mut self.source, shot) {
+            (Source::Image { estimator, .. }, Some(at)) => estimator.estimate(&self.shots[at].image),
+            (Source::Noisy(perturb), _) => Ok(ObservedPose::known(perturb(&object))),
+            _ => Ok(ObservedPose::known(object)),
+        }
+    }
 }
 
 impl<D: Domain> Senses<D> for Sensing<'_, D> {
     fn proprio(&self) -> D::Proprio {
-        self.env.proprio()
+        let proprio = self
+            .moments
+            .front()
+            .map_or_else(|| self.env.proprio(), |moment| moment.proprio);
+        match &self.observed_from_world {
+            Some(motion) => D::proprio_in(motion, &proprio),
+            None => proprio,
+        }
     }
 
     fn observes_object(&self) -> bool {
         !matches!(self.source, Source::Image { .. })
     }
 
+    fn observed_from_world(&self) -> Option<D::Motion> {
+        self.observed_from_world
+    }
+
+    fn latency(&self) -> u32 {
+        self.latency as u32
+    }
+
     fn object(&mut self) -> Result<ObservedPose<D>, PolicyError> {
-        if let Some(observed) = self.asked.object {
-            return Ok(observed);
-        }
-        let observed = match &mut self.source {
-            Source::Recorded => ObservedPose::known(self.env.object()),
-            Source::Noisy(perturb) => ObservedPose::known(perturb(&self.env.object())),
-            Source::Image { camera, estimator } => {
-                let image = current_image(&mut self.images, camera, self.env, &mut self.asked.images)?;
-                estimator.estimate(image)?
-            }
+        let observed = match self.asked.object {
+            Some(observed) => observed,
+            None => self.observe()?,
         };
         self.asked.object = Some(observed);
-        Ok(observed)
+        Ok(match &self.observed_from_world {
+            Some(motion) => ObservedPose {
+                pose: D::pose_in(motion, &observed.pose),
+                ..observed
+            },
+            None => observed,
+        })
     }
 
     fn image(&mut self, camera: &str) -> Result<&Image, PolicyError> {
-        current_image(&mut self.images, camera, self.env, &mut self.asked.images)
+        let at = self.shoot(camera, true)?;
+        Ok(&self.shots[at].image)
     }
 }

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Vector3};
 use re4_artifact::{Label, Row, SixAxis, TableSpec, Word, columns, table};
 use re4_geometry::{Point2, Pose2};
 
-use crate::{ArmState, Domain, Phase, Plane, Rollout, Space, StepRecord};
+use crate::{ArmState, Displaced, Domain, Phase, Plane, Rollout, Space, StepRecord};
 
 impl Word for Phase {
     const ALL: &'static [Self] = &[Self::Plan, Self::Bridge, Self::Replay, Self::Home];
@@ -238,8 +238,50 @@ table! {
     }
 }
 
+table! {
+    /// One row per rollout of Push-T with a goal or a disturbance of its own: where the goal is, and what was disturbed. The table
+    /// exists only if the pipeline sets rollout.goal or rollout.disturbance. Sorted like table results.
+    #[table("worlds", version = 1)]
+    #[derive(Copy)]
+    pub struct PlaneWorldRow {
+        /// Seed of the scene, or its number in the table scenes.
+        pub seed: u32,
+        /// Goal pose of the block.
+        #[frame = "world"]
+        pub goal: Pose2,
+        /// Number of control steps taken before the disturbance. Null if there was none.
+        pub disturbance_step: Option<u32>,
+        /// What the disturbance moved: object or pusher.
+        pub disturbed: Option<Displaced>,
+        /// Translation of the block's centre of gravity or of the pusher, and rotation of the block about it.
+        #[frame = "world"]
+        pub displacement: Option<Pose2>,
+    }
+}
+
+table! {
+    /// One row per rollout of a robosuite task: what was disturbed. The table exists only if the pipeline sets
+    /// rollout.disturbance. Sorted like table results.
+    #[table("worlds", version = 1)]
+    #[derive(Copy)]
+    pub struct SpaceWorldRow {
+        /// Seed of the scene.
+        pub seed: u32,
+        /// Number of control steps taken before the disturbance. Null if there was none.
+        pub disturbance_step: Option<u32>,
+        /// What the disturbance moved: object.
+        pub disturbed: Option<Displaced>,
+        /// Translation of the object.
+        #[frame = "world"]
+        pub displacement: Option<Vector3<f64>>,
+        /// Rotation of the object about the vertical axis.
+        #[unit = "rad"]
+        pub rotation: Option<f64>,
+    }
+}
+
 /// Returns the tables that this module declares.
-pub fn tables() -> [&'static TableSpec; 6] {
+pub fn tables() -> [&'static TableSpec; 8] {
     [
         PlaneResultRow::table(),
         PlaneStepRow::table(),
@@ -247,6 +289,8 @@ pub fn tables() -> [&'static TableSpec; 6] {
         SpaceResultRow::table(),
         SpaceStepRow::table(),
         SpaceDecisionRow::table(),
+        PlaneWorldRow::table(),
+        SpaceWorldRow::table(),
     ]
 }
 
@@ -258,9 +302,14 @@ pub trait Recorded: Domain {
     type StepRow: Row;
     /// Row type of table `decisions`.
     type DecisionRow: Row;
+    /// Row type of table `worlds`.
+    type WorldRow: Row;
 
     /// Builds the row of a rollout.
     fn result_row<X>(core: ResultCore, rollout: &Rollout<Self, X>) -> Self::ResultRow;
+
+    /// Builds the row of table `worlds`.
+    fn world_row<X>(rollout: &Rollout<Self, X>) -> Self::WorldRow;
 
     /// Builds the row of a step.
     fn step_row(core: StepCore, step: &StepRecord<Self>) -> Self::StepRow;
@@ -273,6 +322,7 @@ impl Recorded for Plane {
     type ResultRow = PlaneResultRow;
     type StepRow = PlaneStepRow;
     type DecisionRow = PlaneDecisionRow;
+    type WorldRow = PlaneWorldRow;
 
     fn result_row<X>(core: ResultCore, rollout: &Rollout<Self, X>) -> PlaneResultRow {
         let first = &rollout.first;
@@ -285,6 +335,17 @@ impl Recorded for Plane {
             iou_max: rollout.maximum(|step| step.iou),
             score_max: rollout.maximum(|step| step.score),
             coverage_final: rollout.steps.last().map_or(first.coverage, |step| step.after.coverage),
+        }
+    }
+
+    fn world_row<X>(rollout: &Rollout<Self, X>) -> PlaneWorldRow {
+        let disturbance = rollout.disturbance;
+        PlaneWorldRow {
+            seed: rollout.start.seed,
+            goal: rollout.start.scene.goal,
+            disturbance_step: disturbance.map(|applied| applied.step),
+            disturbed: disturbance.map(|applied| applied.displacement.what),
+            displacement: disturbance.map(|applied| applied.displacement.motion),
         }
     }
 
@@ -318,6 +379,7 @@ impl Recorded for Space {
     type ResultRow = SpaceResultRow;
     type StepRow = SpaceStepRow;
     type DecisionRow = SpaceDecisionRow;
+    type WorldRow = SpaceWorldRow;
 
     fn result_row<X>(core: ResultCore, rollout: &Rollout<Self, X>) -> SpaceResultRow {
         SpaceResultRow {
@@ -325,6 +387,18 @@ impl Recorded for Space {
             eef: rollout.first.observation.grip_site.translation.vector,
             object: rollout.first.observation.object,
             state: rollout.first.state.clone(),
+        }
+    }
+
+    fn world_row<X>(rollout: &Rollout<Self, X>) -> SpaceWorldRow {
+        let disturbance = rollout.disturbance;
+        let motion = disturbance.map(|applied| applied.displacement.motion);
+        SpaceWorldRow {
+            seed: rollout.start.seed,
+            disturbance_step: disturbance.map(|applied| applied.step),
+            disturbed: disturbance.map(|applied| applied.displacement.what),
+            displacement: motion.map(|motion| Vector3::new(motion.x, motion.y, 0.0)),
+            rotation: motion.map(|motion| motion.theta),
         }
     }
 

@@ -91,7 +91,7 @@ pub enum SimError {
     #[error("cannot {operation} {task}: number {index} of the {what} is {value}")]
     #[remedy("give finite numbers")]
     NotFinite {
-        /// `reset` or `step`.
+        /// `reset`, `step` or `displace`.
         operation: &'static str,
         /// The task.
         task: &'static str,

@@ -6,6 +6,7 @@
 
 mod chipmunk;
 mod error;
+mod goal;
 mod pusht;
 mod random_state;
 mod render;
@@ -16,13 +17,14 @@ mod tee;
 
 pub use chipmunk::{WALL_FACES, chipmunk_version};
 pub use error::SimError;
+pub use goal::{GOAL_MARGIN, START_COVERAGE, random_goal};
 pub use pusht::{
     COORDINATE_LIMIT, DAMPING_GAIN, PROPORTIONAL_GAIN, PushT, PushTObservation, SUBSTEPS, Scene, TIME_STEP, WINDOW,
 };
-pub use render::{Canvas, OBSERVATION_SIDE, OUTLINE_RADIUS, render_state};
+pub use render::{Canvas, OBSERVATION_SIDE, OUTLINE_RADIUS, Shapes, render_state};
 pub use seed::{SeedScheme, scene_from_seed};
 pub use simulator::{ResetOrder, Simulator, Step};
 pub use tee::{
-    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, SUCCESS_COVERAGE, TEE_AREA, coverage, depth_in_walls, iou, tee_rectangles,
-    tee_vertices,
+    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, SUCCESS_COVERAGE, TEE_AREA, clearance_of_block, coverage, depth_in_walls,
+    iou, tee_rectangles, tee_vertices,
 };

@@ -4,11 +4,12 @@
 
 use re4_geometry::{Point2, Pose2, wrap_to_two_pi};
 
-use crate::chipmunk::{Drawing, World, chipmunk_version};
+use crate::chipmunk::{World, chipmunk_version};
+use crate::render::Shapes;
 use crate::tee::{coverage_of_area, iou_of_area, overlap_area};
 use crate::{
-    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, ResetOrder, SUCCESS_COVERAGE, SimError, Simulator, Step, tee_rectangles,
-    tee_vertices,
+    AGENT_RADIUS, CENTRE_OF_GRAVITY, GOAL, ResetOrder, SUCCESS_COVERAGE, SimError, Simulator, Step, WALL_FACES,
+    clearance_of_block, depth_in_walls, tee_rectangles, tee_vertices,
 };
 
 /// Stiffness of the controller that drives the agent to its target, in 1/s².
@@ -64,6 +65,18 @@ impl Scene {
             block: Pose2::new(requested.x, requested.y, block_recorded.theta),
         }
     }
+
+    /// The pose at which a reset in this order places the block, before the physics step that ends the reset.
+    pub fn arrival(&self, order: ResetOrder) -> Pose2 {
+        match order {
+            ResetOrder::PoseIsPose => self.block,
+            ResetOrder::Legacy => {
+                let rotated = Pose2::new(0.0, 0.0, self.block.theta).transform_point(CENTRE_OF_GRAVITY);
+                let origin = self.block.translation() + CENTRE_OF_GRAVITY - rotated;
+                Pose2::new(origin.x, origin.y, self.block.theta)
+            }
+        }
+    }
 }
 
 /// The part of a Push-T state that a policy observes, in pixels, pixels per second and radians.
@@ -83,6 +96,7 @@ pub struct PushTObservation {
 /// does, so that an episode does not depend on earlier ones.
 pub struct PushT {
     world: World,
+    goal: Pose2,
     goal_vertices: [[Point2; 4]; 2],
     contact_points: u32,
 }
@@ -109,6 +123,7 @@ impl PushT {
         }
         Ok(Self {
             world: new_world(),
+            goal: GOAL,
             goal_vertices: tee_vertices(GOAL),
             contact_points: 0,
         })
@@ -116,7 +131,45 @@ impl PushT {
 
     /// The goal pose of the block.
     pub fn goal(&self) -> Pose2 {
-        GOAL
+        self.goal
+    }
+
+    /// Sets another goal than [`GOAL`]. It stays over resets.
+    pub fn set_goal(&mut self, goal: Pose2) {
+        self.goal = goal;
+        self.goal_vertices = tee_vertices(goal);
+    }
+
+    /// Moves the block: rotates it about its centre of gravity by `motion.theta`, then translates it. It is at rest afterwards.
+    /// Returns false and leaves the state as it is if the block would reach into a wall or touch the agent.
+    pub fn displace_block(&mut self, motion: Pose2) -> bool {
+        let now = self.world.block_pose();
+        let turned = Pose2::new(now.x, now.y, now.theta + motion.theta);
+        let origin = turned.translation() + now.transform_point(CENTRE_OF_GRAVITY)
+            - turned.transform_point(CENTRE_OF_GRAVITY)
+            + motion.translation();
+        let moved = Pose2::new(origin.x, origin.y, turned.theta);
+        let valid =
+            depth_in_walls(moved) == 0.0 && clearance_of_block(moved, self.world.agent_position()) > AGENT_RADIUS;
+        if valid {
+            self.world.set_block_angle(moved.theta);
+            self.world.set_block_position(moved.translation());
+        }
+        valid
+    }
+
+    /// Moves the agent, which is at rest afterwards. Returns false and leaves the state as it is if the agent would reach into a
+    /// wall or touch the block.
+    pub fn displace_agent(&mut self, translation: Point2) -> bool {
+        let moved = self.world.agent_position() + translation;
+        let [low, high] = WALL_FACES;
+        let free = |at: f64| (low + AGENT_RADIUS..=high - AGENT_RADIUS).contains(&at);
+        let valid = free(moved.x) && free(moved.y) && clearance_of_block(self.world.block_pose(), moved) > AGENT_RADIUS;
+        if valid {
+            self.world.set_agent_position(moved);
+            self.world.set_agent_velocity(Point2::new(0.0, 0.0));
+        }
+        valid
     }
 
     /// The current state.
@@ -154,9 +207,9 @@ impl PushT {
         tee_vertices(self.world.block_pose())
     }
 
-    /// The shapes and the contact marks of the last physics step, as Chipmunk's debug drawing reports them.
-    pub(crate) fn drawing(&self) -> Drawing {
-        self.world.drawing()
+    /// What an image of the current state shows.
+    pub fn shapes(&self) -> Shapes {
+        Shapes::new(self.goal, self.world.drawing())
     }
 
     /// Checks the state after physics, so that no invalid number is returned or enters the next physics step.

@@ -3,7 +3,7 @@
 //! The constants are those of gym-pusht 0.1.8 (`envs/pusht.py`), which `diffusion_policy`'s `env/pusht/pusht_env.py` uses too.
 
 use crate::chipmunk::WALL_FACES;
-use re4_geometry::{Point2, Pose2, clip_convex, polygon_area};
+use re4_geometry::{Point2, Pose2, clip_convex, distance_point_to_convex, polygon_area};
 
 /// The goal pose of the block, in pixels and radians.
 pub const GOAL: Pose2 = Pose2::new(256.0, 256.0, std::f64::consts::FRAC_PI_4);
@@ -58,6 +58,14 @@ pub fn depth_in_walls(block: Pose2) -> f64 {
         .flatten()
         .flat_map(depths)
         .fold(0.0, f64::max)
+}
+
+/// The distance from a point to a block, in pixels; 0 inside the block.
+pub fn clearance_of_block(block: Pose2, point: Point2) -> f64 {
+    tee_vertices(block)
+        .iter()
+        .map(|rectangle| distance_point_to_convex(point, rectangle))
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// Fraction of the goal's area that the block covers, in `[0, 1]`.

@@ -8,6 +8,7 @@ use anyhow::{Context as _, Result};
 use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
 use re4_fault::{OrFault as _, Remedy as _, bail, ensure, fault};
+use re4_geometry::Pose2;
 use re4_mujoco::{Data, Model, Renderer, View};
 use re4_report::html::rollouts::space::{DecisionImage, FrameInImage, Space};
 use re4_report::html::rollouts::{Rollout, Rollouts};
@@ -129,7 +130,14 @@ fn again(artifact: &Artifact, model: &RobosuiteModel, rollout: &Rollout<Space>) 
     };
     simulation.reset(&RobosuiteScene::Placed(start.to_vec()), FirstTorques::AsRobosuite)?;
     let mut coordinates = vec![simulation.data().qpos().to_vec()];
+    let disturbance = rollout.world.as_ref().and_then(|world| {
+        let (moved, rotation) = (world.displacement?, world.rotation?);
+        Some((world.disturbance_step? as usize, Pose2::new(moved.x, moved.y, rotation)))
+    });
     for (number, step) in rollout.steps.iter().enumerate() {
+        if let Some((_, motion)) = disturbance.filter(|(at, _)| *at == number) {
+            simulation.displace_object(motion)?;
+        }
         let after = simulation.step(&RobosuiteAction {
             arm: ArmAction::Absolute(step.action.0),
             gripper: step.gripper,

@@ -188,6 +188,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 42);
+        assert_eq!(names.len(), 44);
     }
 }

@@ -10,7 +10,8 @@ use nalgebra::Isometry3;
 use re4_artifact::{Artifact, Stage};
 use re4_fault::Remedy as _;
 use re4_rollout::{
-    ArmAction, ArmState, Env, Estimator, Image, ObservedPose, PolicyError, Space, SpaceFirst, drop_renderer,
+    ArmAction, ArmState, Displacement, Env, Estimator, Image, ObservedPose, PolicyError, Space, SpaceFirst,
+    drop_renderer,
 };
 use re4_sim::SimError;
 use re4_sim::robosuite::{Placement, RobosuiteStep};
@@ -62,9 +63,23 @@ impl Env<Space> for RecordingEnv<'_> {
         self.0.object()
     }
 
-    fn render(&mut self, camera: &str, into: &mut Image) -> Result<(), PolicyError> {
+    fn view(&self) -> Vec<f64> {
+        self.0.view()
+    }
+
+    fn render(
+        &mut self,
+        view: &Vec<f64>,
+        observed_from_world: Option<&Isometry3<f64>>,
+        camera: &str,
+        into: &mut Image,
+    ) -> Result<(), PolicyError> {
         RENDERED.set(self.0.object());
-        self.0.render(camera, into)
+        self.0.render(view, observed_from_world, camera, into)
+    }
+
+    fn displace(&mut self, displacement: &Displacement) -> Result<bool, SimError> {
+        self.0.displace(displacement)
     }
 }
 

@@ -11,7 +11,8 @@ use re4_rollout::{ArmState, Explained, Explanation, Named, Opened, Plane, Space}
 use super::{Inputs, OpenError, SettingError, Settings};
 use crate::artifact::{open_index, open_spatial_index};
 use crate::config::PolicyConfig;
-use crate::policy::{Decision, Re4Factory};
+use crate::decision::Decision;
+use crate::policy::Re4Factory;
 use crate::spatial::{SpatialDecision, SpatialPolicyConfig, SpatialRe4Factory};
 
 table! {
@@ -134,6 +135,10 @@ impl Explained<Plane> for Decision {
             predicted_object: self.predicted_object,
             predicted_coverage: self.predicted_coverage,
         }
+    }
+
+    fn detail_in_world(&self, seed: u32, decision: u32, world_from_observed: &Pose2) -> PlaneRe4Row {
+        self.in_world(world_from_observed).detail(seed, decision)
     }
 }
 

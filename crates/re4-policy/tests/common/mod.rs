@@ -18,7 +18,7 @@ use re4_index::{AngleMetric, IndexedFrame, RetrievalIndex};
 use re4_ingest::Selection;
 use re4_ingest::pusht::PushtReader;
 use re4_policy::{ChunkLibrary, Decision, DemoSet, Knowledge, PolicyConfig, Re4Factory, collect_chunks};
-use re4_rollout::{Harness, Plane, PushTEnv, Rollout, RolloutError, Source, Start};
+use re4_rollout::{Conditions, Harness, Plane, PushTEnv, Rollout, RolloutError, Source, Start};
 use re4_sim::{PushT, ResetOrder, SeedScheme, Simulator as _, scene_from_seed};
 
 /// Maximum length of chunks in frames, as in the pipelines.
@@ -177,6 +177,7 @@ pub(crate) fn rollouts(
     let harness = Harness {
         env: &|_| Ok(Box::new(PushTEnv::new()?)),
         source: &|_| Source::Recorded,
+        conditions: Conditions::default(),
         max_steps,
         progress,
     };

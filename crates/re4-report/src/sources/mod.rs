@@ -128,7 +128,19 @@ fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
         .into_iter()
         .zip(details)
         .map(|(core, detail)| Decided { core, detail });
-    let traces = results.into_iter().map(|result| {
+    let worlds: Vec<Option<S::World>> = if artifact.has::<S::World>() {
+        artifact.read()?.into_iter().map(Some).collect()
+    } else {
+        vec![None; results.len()]
+    };
+    ensure!(
+        worlds.len() == results.len(),
+        "cannot report on {}: table worlds has {} rows, table results has {}; run the rollout again",
+        artifact.path().display(),
+        worlds.len(),
+        results.len()
+    );
+    let traces = results.into_iter().zip(worlds).map(|(result, world)| {
         let &core = S::result(&result);
         let (seed, name) = (core.seed, S::Step::NAME);
         let steps = of_seed(artifact, name, &mut steps, seed, core.steps, |step| S::step(step).seed)?;
@@ -139,6 +151,7 @@ fn traces<S: Scene>(artifact: &Artifact) -> Result<Vec<Rollout<S>>> {
             shown: true,
             steps,
             decisions,
+            world,
         })
     });
     traces.collect()

@@ -8,7 +8,7 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_index::{IndexRow, PlanarState};
 use re4_rollout::Phase;
-use re4_sim::{GOAL, coverage};
+use re4_sim::coverage;
 use serde_json::Value;
 
 use super::{Source, find_input, inclusive, stated, trace_of, traces};
@@ -96,6 +96,8 @@ pub fn planar_videos(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result
         let trace = trace_of(artifact, &traces, seed, "make a video of")?;
         Ok(VideoRollout {
             seed,
+            goal: trace.goal(),
+            disturbance: trace.disturbance(),
             states: states(trace),
             decisions: trace.decisions.iter().map(|d| decision(d, frames.as_deref())).collect(),
         })
@@ -106,7 +108,7 @@ pub fn planar_videos(artifact: &Artifact, seeds: &[u32], store: &Path) -> Result
 /// Returns the states of a rollout, each with the action that follows it; the last state has the action before it.
 fn states(trace: &Rollout<Plane>) -> Vec<VideoState> {
     let result = &trace.result;
-    let first = (result.eef, result.object, coverage(result.object, GOAL));
+    let first = (result.eef, result.object, coverage(result.object, trace.goal()));
     let after = trace.steps.iter().map(|step| (step.eef, step.object, step.coverage));
     let actions = trace.steps.iter().chain(trace.steps.last()).map(Some);
     let states = [first].into_iter().chain(after).zip(actions.chain([None]));

@@ -97,6 +97,7 @@ pub fn scene_rollout(rollout: &Rollout<Space>) -> SceneRollout {
     SceneRollout {
         seed: rollout.core().seed,
         success: rollout.core().success,
+        disturbance: rollout.disturbance().map(|(step, _)| step),
         states: states.collect(),
         names: names.collect(),
     }

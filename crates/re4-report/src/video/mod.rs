@@ -30,6 +30,9 @@ const INK: [u8; 3] = [51, 51, 51];
 const BAR: [u8; 3] = [226, 226, 226];
 const SUCCEEDED: [u8; 3] = [60, 150, 60];
 
+/// Number of states for which the text of a disturbance is shown.
+const ANNOUNCED: usize = 10;
+
 /// Half the width of overlaid lines, in pixels of the canvas.
 const LINE_RADIUS: f64 = 1.6;
 /// Minimum side of a tile with text, in pixels. The size of the letters is proportional to the side in multiples of it.
@@ -99,6 +102,10 @@ pub struct VideoDecision {
 pub struct VideoRollout {
     /// Seed of the scene.
     pub seed: u32,
+    /// Goal pose of the block.
+    pub goal: Pose2,
+    /// Number of control steps taken before the disturbance, and the disturbance in words; `None` if there is none.
+    pub disturbance: Option<(u32, String)>,
     /// States before each control step and after the last one; at least one state.
     pub states: Vec<VideoState>,
     /// Decisions, in order of time.
@@ -158,6 +165,13 @@ pub fn write_video(
     let mut painter = Painter::new(settings.size, palette);
     let mut paint = |number: usize, state: usize| Ok(painter.paint(&mut tiles[number], state).to_vec());
     reel.write(out, &colours, transparent, &mut paint, going)
+}
+
+/// Whether the text of a disturbance is shown in a state: in the first states after it.
+fn is_announced(step: u32, state: usize) -> bool {
+    state
+        .checked_sub(step as usize + 1)
+        .is_some_and(|after| after < ANNOUNCED)
 }
 
 fn text_scale(size: u32) -> u32 {
@@ -225,6 +239,10 @@ impl<'a> Tile<'a> {
             )
         });
         let colour = if state.replaying { REPLAY } else { PLAN };
+        let (second, colour) = match &self.rollout.disturbance {
+            Some((step, words)) if is_announced(*step, at) => (words.replace('°', " DEG").to_uppercase(), INK),
+            _ => (second, colour),
+        };
         let coverage = format!("COVERAGE {:.3}", state.coverage);
         ([first, coverage, second], colour)
     }
@@ -255,6 +273,7 @@ impl Painter {
     /// Paints a tile in a state, and returns its pixels as palette indices.
     fn paint(&mut self, tile: &mut Tile, at: usize) -> &[u8] {
         let shown = tile.rollout.states[at];
+        self.canvas.set_goal(tile.rollout.goal);
         self.canvas.render_state(shown.pusher, shown.block);
         self.image.clear();
         self.image.extend_from_slice(self.canvas.bytes());

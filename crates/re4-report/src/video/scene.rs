@@ -6,7 +6,9 @@ use std::io::Write;
 
 use super::paint::{Palette, median_cut};
 use super::reel::{Reel, check_settings};
-use super::{BAR, INK, PLAN, REPLAY, SUCCEEDED, VideoError, VideoSettings, VideoSummary, text, text_scale};
+use super::{
+    BAR, INK, PLAN, REPLAY, SUCCEEDED, VideoError, VideoSettings, VideoSummary, is_announced, text, text_scale,
+};
 use re4_rollout::Phase;
 
 /// Duration of a control step, in hundredths of a second.
@@ -36,6 +38,8 @@ pub struct SceneRollout {
     pub seed: u32,
     /// Whether the rollout succeeds.
     pub success: bool,
+    /// Number of control steps taken before the disturbance; `None` if there is none.
+    pub disturbance: Option<u32>,
     /// States before each control step and after the last one; at least one state.
     pub states: Vec<SceneState>,
     /// Names of demonstrations by number.
@@ -156,6 +160,7 @@ fn strip(pixels: &mut Vec<u8>, size: u32, rollout: &SceneRollout, at: usize, pal
     let (word, colour) = match (at == last, rollout.success) {
         (true, true) => ("SUCCESS", SUCCEEDED),
         (true, false) => ("FAILED", FAILED),
+        _ if rollout.disturbance.is_some_and(|step| is_announced(step, at)) => ("DISTURBED", FAILED),
         _ => phase_of(state.phase),
     };
     let right = side.saturating_sub(margin + text::width(word, scale));
@@ -194,6 +199,7 @@ mod tests {
         SceneRollout {
             seed: 200_000,
             success: true,
+            disturbance: None,
             states: (0..states).map(state).collect(),
             names: BTreeMap::from([(0, "demo_4".to_owned())]),
         }

@@ -17,6 +17,8 @@ fn rollout(seed: u32, steps: usize) -> VideoRollout {
     };
     VideoRollout {
         seed,
+        goal: re4_sim::GOAL,
+        disturbance: None,
         states: states.collect(),
         decisions: vec![decision(4), decision(9)],
     }

@@ -8,7 +8,7 @@ use super::ffi::{self, CpColor, CpDrawOptions, CpShape, CpVect};
 use super::{World, point};
 
 /// The moving shapes and the contact marks, in pixels, in the order in which Chipmunk reports them.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Drawing {
     /// Centres of round shapes: the agent's.
     pub(crate) circles: Vec<Point2>,

@@ -36,11 +36,44 @@ pub const OUTLINE_RADIUS: f64 = 2.0;
 /// An image of 512 x 512 pixels: 8-bit RGB, row by row from the top.
 ///
 /// Reusing a canvas, with [`PushT::render_into`] or [`Canvas::render_state`], saves an allocation of 768 KiB per frame.
-#[derive(Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq)]
 pub struct Canvas {
     pixels: Vec<[u8; 3]>,
+    goal: Pose2,
     /// White with the goal on it; every image starts from these pixels.
     background: Vec<[u8; 3]>,
+}
+
+/// What an image of a state shows: the goal, the walls, the block, the agent and the marks of contacts.
+#[derive(Debug, Clone)]
+pub struct Shapes {
+    goal: Pose2,
+    walls: [[Point2; 2]; 4],
+    drawing: Drawing,
+}
+
+impl Shapes {
+    pub(crate) fn new(goal: Pose2, drawing: Drawing) -> Self {
+        Self {
+            goal,
+            walls: WALLS,
+            drawing,
+        }
+    }
+
+    /// The same scene as seen by a camera that stands elsewhere: everything, the walls included, is moved by `motion`.
+    #[must_use]
+    pub fn moved(mut self, motion: Pose2) -> Self {
+        let drawing = &mut self.drawing;
+        let points = drawing.circles.iter_mut();
+        let points = points.chain(drawing.rectangles.iter_mut().flatten());
+        let points = points.chain(drawing.marks.iter_mut().flatten());
+        for point in points.chain(self.walls.iter_mut().flatten()) {
+            *point = motion.transform_point(*point);
+        }
+        self.goal = motion.compose(self.goal);
+        self
+    }
 }
 
 impl std::fmt::Debug for Canvas {
@@ -76,17 +109,31 @@ impl Canvas {
         WALL_COLOUR,
     ];
 
-    /// A canvas that shows only the goal.
+    /// A canvas that shows only the goal of the task.
     pub fn new() -> Self {
         let mut canvas = Self {
             pixels: vec![WHITE; SIDE * SIDE],
+            goal: GOAL,
             background: Vec::new(),
         };
-        for corners in tee_vertices(GOAL) {
-            canvas.fill(&pixels(&corners), GOAL_COLOUR);
-        }
-        canvas.background.clone_from(&canvas.pixels);
+        canvas.paint_background();
         canvas
+    }
+
+    /// Sets the goal of the images that are rendered from now on.
+    pub fn set_goal(&mut self, goal: Pose2) {
+        if goal != self.goal {
+            self.goal = goal;
+            self.paint_background();
+        }
+    }
+
+    fn paint_background(&mut self) {
+        self.pixels.fill(WHITE);
+        for corners in tee_vertices(self.goal) {
+            self.fill(&pixels(&corners), GOAL_COLOUR);
+        }
+        self.background.clone_from(&self.pixels);
     }
 
     /// The `512 * 512 * 3` bytes: red, green and blue of each pixel, row by row from the top.
@@ -108,12 +155,23 @@ impl Canvas {
         shrink::shrink(&self.pixels, observation);
     }
 
-    /// Renders a state and replaces the previous image: [`render_state`] without a new canvas.
+    /// Renders a state and replaces the previous image: [`render_state`] without a new canvas, with the goal of the canvas.
     pub fn render_state(&mut self, agent: Point2, block: Pose2) {
-        self.draw_scene(&[agent], &tee_vertices(block), &[]);
+        self.draw_scene(&[agent], &tee_vertices(block), &WALLS, &[]);
     }
 
-    fn draw_scene(&mut self, agents: &[Point2], block: &[[Point2; 4]], marks: &[[Point2; 2]]) {
+    /// Renders shapes and replaces the previous image and the goal.
+    pub fn render_shapes(&mut self, shapes: &Shapes) {
+        self.set_goal(shapes.goal);
+        let Drawing {
+            circles,
+            rectangles,
+            marks,
+        } = &shapes.drawing;
+        self.draw_scene(circles, rectangles, &shapes.walls, marks);
+    }
+
+    fn draw_scene(&mut self, agents: &[Point2], block: &[[Point2; 4]], walls: &[[Point2; 2]], marks: &[[Point2; 2]]) {
         self.pixels.copy_from_slice(&self.background);
         for corners in block {
             self.fill(&pixels(corners), BLOCK_COLOUR);
@@ -126,7 +184,7 @@ impl Canvas {
             self.disc(pixel(centre), AGENT_RADIUS as i64, AGENT_COLOUR);
             self.disc(pixel(centre), (AGENT_RADIUS - AGENT_RIM) as i64, AGENT_CORE);
         }
-        for [a, b] in WALLS {
+        for &[a, b] in walls {
             self.fat_line(pixel(a), pixel(b), WALL_RADIUS, WALL_COLOUR);
         }
         for &[a, b] in marks {
@@ -168,12 +226,7 @@ impl PushT {
 
     /// Renders to an existing canvas and replaces its image; see [`PushT::render`].
     pub fn render_into(&self, canvas: &mut Canvas) {
-        let Drawing {
-            circles,
-            rectangles,
-            marks,
-        } = self.drawing();
-        canvas.draw_scene(&circles, &rectangles, &marks);
+        canvas.render_shapes(&self.shapes());
     }
 }
 

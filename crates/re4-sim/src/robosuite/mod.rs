@@ -9,6 +9,7 @@
 //! after they were computed. Right after a reset they are exact.
 
 mod controller;
+mod displace;
 mod model;
 mod placement;
 mod profile;

@@ -23,6 +23,8 @@ pub(super) struct Robot {
     pub(super) grip_site: usize,
     pub(super) hand: usize,
     pub(super) object: usize,
+    /// First coordinate and first degree of freedom of the object's free joint.
+    pub(super) object_joint: (usize, usize),
     pub(super) landmarks: Vec<usize>,
 }
 
@@ -145,6 +147,7 @@ impl Robot {
             grip_site: model.id(Kind::Site, profile.grip_site()).map_err(lacks)?,
             hand: model.id(Kind::Body, "robot0_right_hand").map_err(lacks)?,
             object: model.id(Kind::Body, &task.body()).map_err(lacks)?,
+            object_joint: model.joint(&object_joint).map_err(lacks)?,
             landmarks: task
                 .landmarks
                 .iter()

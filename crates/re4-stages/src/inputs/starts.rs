@@ -4,7 +4,7 @@ use anyhow::Result;
 use re4_artifact::Artifact;
 use re4_rollout::{Plane, PlaneScene, Start};
 use re4_scenes::SceneRow;
-use re4_sim::{ResetOrder, Scene};
+use re4_sim::{GOAL, ResetOrder, Scene};
 
 /// The scenes of a `scenes` artifact. The number of a scene takes the place of a seed.
 pub(crate) fn read_starts(artifact: &Artifact) -> Result<Vec<Start<Plane>>> {
@@ -16,6 +16,7 @@ pub(crate) fn read_starts(artifact: &Artifact) -> Result<Vec<Start<Plane>>> {
                 block: row.chosen.block,
             },
             order: ResetOrder::PoseIsPose,
+            goal: GOAL,
         },
     });
     Ok(starts.collect())

@@ -5,11 +5,13 @@ use re4_encoder::loss::GROUP;
 use re4_encoder::{EncoderConfig, KEYPOINT_CHANNELS, Network};
 use re4_fault::{Fault, bail, ensure};
 use re4_robosuite::conventions::Settings as Conventions;
+use re4_rollout::Disturbed;
 use re4_scenes::ScenesConfig;
 use re4_segment::Rule;
+use re4_sim::{GOAL_MARGIN, WALL_FACES, depth_in_walls};
 use re4_task::RobosuiteTask;
 
-use super::{IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
+use super::{Goal, IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
 
 /// Refuses settings with which a stage could not work, such as zero steps or waypoints with no distance between them.
 ///
@@ -35,6 +37,7 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         return Ok(());
     };
     check_rollout(pipeline, rollout)?;
+    check_conditions(pipeline, rollout, "px", 100.0)?;
     match (&pipeline.scenes, &rollout.seeds) {
         (Some(scenes), None) => check_scenes(scenes),
         (None, Some(_)) => Ok(()),
@@ -94,19 +97,62 @@ fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
         "{}, or remove the table [rollout]",
         RobosuiteTask::known()
     );
+    check_rollout(pipeline, rollout)?;
+    ensure!(rollout.seeds.is_some(), "no start scenes are given"; "give rollout.seeds, such as \"500..600\"");
+    check_conditions(pipeline, rollout, "m", 1.0)
+}
+
+/// Checks the conditions of rollouts. Lengths are in `unit` and at most `longest`.
+fn check_conditions(pipeline: &Pipeline, rollout: &RolloutSection, unit: &str, longest: f64) -> Result<()> {
     ensure!(
         pipeline.variant != Some(Variant::Image) || rollout.noise.is_none(),
         "variant is \"image\", but rollout.noise adds errors to recorded poses only";
         "remove rollout.noise"
     );
-    check_rollout(pipeline, rollout)?;
-    ensure!(rollout.seeds.is_some(), "no start scenes are given"; "give rollout.seeds, such as \"500..600\"");
     if let Some(noise) = &rollout.noise {
-        standard_deviation("rollout.noise.translation", noise.translation, "m", 1.0)?;
+        standard_deviation("rollout.noise.translation", noise.translation, unit, longest)?;
         standard_deviation("rollout.noise.rotation", noise.rotation, "rad", std::f64::consts::PI)?;
+    }
+    between("rollout.latency", rollout.latency, 0, OLDEST)?;
+    if let Some(disturbance) = &rollout.disturbance {
+        let [first, last] = disturbance.steps;
+        ensure!(
+            first <= last && last < rollout.max_steps,
+            "rollout.disturbance.steps is [{first}, {last}], and an episode has the steps 0 to {}", rollout.max_steps - 1;
+            "give the first and the last of these steps before which the disturbance may happen"
+        );
+        padding(
+            "rollout.disturbance.translation",
+            disturbance.translation,
+            unit,
+            longest,
+        )?;
+        padding(
+            "rollout.disturbance.rotation",
+            disturbance.rotation,
+            "rad",
+            std::f64::consts::PI,
+        )?;
+        ensure!(
+            pipeline.task.is_planar() || disturbance.kind == Disturbed::Object,
+            "rollout.disturbance.kind disturbs a pusher, which only Push-T has";
+            "set it to \"object\""
+        );
+    }
+    if let Some(Goal::Fixed(goal)) = rollout.goal {
+        let depth = depth_in_walls(goal);
+        let [low, high] = WALL_FACES;
+        ensure!(
+            goal.x.is_finite() && goal.y.is_finite() && goal.theta.is_finite() && depth == 0.0,
+            "rollout.goal is [{}, {}, {}], where the block would reach {depth:.1} px into a wall", goal.x, goal.y, goal.theta;
+            "give a pose with the whole block between {low} and {high} px; random goals are {GOAL_MARGIN} px away from the walls"
+        );
     }
     Ok(())
 }
+
+/// Maximum age of observations in control steps.
+const OLDEST: u32 = 10;
 
 /// Checks the settings of rollouts that all tasks have.
 fn check_rollout(pipeline: &Pipeline, rollout: &RolloutSection) -> Result<()> {

@@ -1,6 +1,7 @@
 //! The pipeline file, which describes one experiment stage by stage.
 
 mod checks;
+mod goal;
 mod load;
 mod rollout;
 mod schema;
@@ -16,6 +17,7 @@ use re4_segment::SegmentConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub(crate) use goal::Goal;
 pub(crate) use load::parse;
 pub use load::read_pipeline;
 pub use re4_task::{Camera, Task};

@@ -3,12 +3,14 @@
 use re4_artifact::Stage;
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Kinds as _, PlanePolicy, SettingError, SpacePolicy};
+use re4_rollout::{Conditions, Disturbance};
 use re4_sim::robosuite::{Fidelity, RobosuiteTask};
 use re4_sim::{ResetOrder, SeedScheme};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Variant;
+use super::goal::Goal;
 use super::seeds::Seeds;
 
 /// The policy that is rolled out, with its settings.
@@ -79,10 +81,23 @@ pub struct RolloutSection {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("domain" = "space"))]
     pub symmetry: Option<Symmetry>,
-    /// robosuite tasks: random errors that are added to the object poses that the policy observes.
+    /// Random errors that are added to the object poses that the policy observes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("domain" = "space"))]
     pub noise: Option<NoiseSection>,
+    /// Push-T: the goal pose of the block. `"random"`: by the seed, at any angle and anywhere at a distance of at least 30 px from
+    /// the walls, but not where the block covers more than half of it at the start. `[x, y, theta]`: at this pose, in px and rad.
+    /// Default: the task's goal, `[256, 256, 0.785]`. Coverage, IoU, success and images are those of the episode's goal. Policies
+    /// observe and act in a frame that moves with the goal, in which the goal is where it is in the demonstrations.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("domain" = "plane"))]
+    pub goal: Option<Goal>,
+    /// A sudden change of the scene in every episode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub disturbance: Option<Disturbance>,
+    /// Age of the observations that the policy acts on, in control steps: 0 to 10. In the first steps of an episode, the policy
+    /// acts on the observation after the reset.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub latency: u32,
     /// robosuite tasks: how closely the simulation follows robosuite: `robosuite` (bit-exact) or `fast`.
     #[serde(default)]
     #[schemars(extend("domain" = "space"))]
@@ -94,15 +109,37 @@ pub struct RolloutSection {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseSection {
-    /// Standard deviation along each axis of the world frame, in metres, at most 1.
+    /// Standard deviation along each axis of the world frame: in px for Push-T, at most 100; in metres for robosuite tasks, at
+    /// most 1.
     #[serde(default)]
     pub translation: f64,
-    /// Standard deviation of each component of the rotation vector, in rad, at most 3.14.
+    /// Standard deviation of the angle (Push-T) or of each component of the rotation vector (robosuite tasks), in rad, at most
+    /// 3.14.
     #[serde(default)]
     pub rotation: f64,
 }
 
+impl NoiseSection {
+    /// Whether there are errors.
+    pub(crate) fn is_noisy(&self) -> bool {
+        self.translation != 0.0 || self.rotation != 0.0
+    }
+}
+
 impl RolloutSection {
+    /// Whether rollouts have the table `worlds`.
+    pub(crate) fn has_worlds(&self) -> bool {
+        self.goal.is_some() || self.disturbance.is_some()
+    }
+
+    /// The conditions of all episodes.
+    pub(crate) fn conditions(&self) -> Conditions {
+        Conditions {
+            latency: self.latency,
+            disturbance: self.disturbance,
+        }
+    }
+
     /// The object symmetry that the policy uses: the setting, or the default of the task, variant and policy.
     pub(crate) fn symmetry(&self, task: RobosuiteTask, variant: Option<Variant>, policy: &SpacePolicy) -> Symmetry {
         let usual = if matches!(policy, SpacePolicy::Re4(_)) && variant != Some(Variant::Image) {
@@ -112,6 +149,11 @@ impl RolloutSection {
         };
         self.symmetry.unwrap_or(usual)
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 fn diffusion_policy() -> SeedScheme {

@@ -10,7 +10,7 @@ use re4_artifact::{Artifact, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
 use re4_rollout::{Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::demo_names;
 use crate::inputs::simulators::simulator_of;
@@ -136,10 +136,17 @@ impl Runner {
             env: setup.env,
             source: setup.source,
             max_steps: self.pipeline.rollout()?.max_steps,
+            conditions: self.pipeline.rollout()?.conditions(),
             progress: &going,
         };
         let mut recording = opened.begin(writer)?;
         let (mut results, mut steps, mut decisions) = (writer.rows()?, writer.rows()?, writer.rows()?);
+        let mut worlds = self
+            .pipeline
+            .rollout()?
+            .has_worlds()
+            .then(|| writer.rows())
+            .transpose()?;
         loop {
             let starts: Vec<Start<D>> = starts.take(BATCH).collect();
             if starts.is_empty() {
@@ -150,12 +157,18 @@ impl Runner {
             results.extend(batch.results)?;
             steps.extend(batch.steps)?;
             decisions.extend(batch.decisions)?;
+            if let Some(worlds) = &mut worlds {
+                worlds.extend(batch.worlds)?;
+            }
         }
         bar.finish_and_clear();
         recording.finish()?;
         results.finish()?;
         steps.finish()?;
         decisions.finish()?;
+        if let Some(worlds) = worlds {
+            worlds.finish()?;
+        }
         Ok(())
     }
 
@@ -181,6 +194,26 @@ impl Runner {
             "max_steps": self.pipeline.rollout()?.max_steps,
         });
         extend(&mut config, more);
+        extend(&mut config, Value::Object(self.conditions_config()?));
+        Ok(config)
+    }
+
+    /// The conditions of rollouts that are set. Conditions that are not set have no entry, so that they do not change keys.
+    fn conditions_config(&self) -> Result<Map<String, Value>> {
+        let section = self.pipeline.rollout()?;
+        let mut config = Map::new();
+        if let Some(goal) = section.goal {
+            config.insert("goal".to_owned(), json!(goal));
+        }
+        if let (Some(noise), true) = (&section.noise, self.pipeline.task.is_planar()) {
+            config.insert("noise".to_owned(), json!(noise));
+        }
+        if let Some(disturbance) = &section.disturbance {
+            config.insert("disturbance".to_owned(), json!(disturbance));
+        }
+        if section.latency != 0 {
+            config.insert("latency".to_owned(), json!(section.latency));
+        }
         Ok(config)
     }
 }

@@ -5,6 +5,7 @@ pub mod plane;
 mod sections;
 pub mod space;
 mod summary;
+mod world;
 
 use std::collections::BTreeMap;
 
@@ -12,6 +13,8 @@ use maud::{Markup, html};
 use serde_json::{Map, Value, json};
 
 use self::summary::Summary;
+pub use self::world::World;
+use self::world::conditions;
 use re4_artifact::Row;
 use re4_policy::kinds::Kinds;
 use re4_rollout::{DecisionCore, ResultCore, StepCore};
@@ -70,6 +73,8 @@ pub struct Rollout<S: Scene> {
     pub steps: Vec<S::Step>,
     /// Decisions.
     pub decisions: Vec<Decided<S>>,
+    /// Goal and disturbance; `None` if the rollouts have those of the task.
+    pub world: Option<S::World>,
 }
 
 /// A decision.
@@ -85,6 +90,11 @@ impl<S: Scene> Rollout<S> {
     /// Returns the part of the result that all scenes have.
     pub fn core(&self) -> &ResultCore {
         S::result(&self.result)
+    }
+
+    /// Returns the number of control steps taken before the disturbance, and the disturbance in words.
+    pub fn disturbance(&self) -> Option<(u32, String)> {
+        self.world.as_ref()?.disturbance()
     }
 }
 
@@ -106,13 +116,22 @@ impl<S: Scene> Rollouts<S> {
         if self.altered { " · settings changed" } else { "" }
     }
 
+    /// Returns the conditions that are not those of the task, in words.
+    pub(crate) fn conditions(&self) -> Vec<String> {
+        conditions(&self.protocol)
+    }
+
     fn data(&self, label: &str, extra: &S::Extra) -> Value {
         let shown: Vec<usize> = (0..self.rollouts.len()).filter(|&i| self.rollouts[i].shown).collect();
         let results = Pack::of(&self.rollouts)
             .list("seed", |r| r.core().seed)
             .list("success", |r| u8::from(r.core().success))
             .list("steps", |r| r.steps.len())
-            .list("decisions", |r| r.decisions.len());
+            .list("decisions", |r| r.decisions.len())
+            .where_any(
+                |r| r.disturbance().is_some(),
+                |pack| pack.list("disturbance", Rollout::disturbance),
+            );
         let steps = Pack::of(self.shown().flat_map(|r| &r.steps))
             .u32("decision", |s| S::step(s).decision)
             .u8("phase", |s| S::step(s).phase as u8);
@@ -182,6 +201,8 @@ pub trait Scene: Clone + std::fmt::Debug {
     type Decision: Row + Clone + std::fmt::Debug;
     /// Row of the data of a decision that only RE4 records.
     type Detail: Row + Clone + std::fmt::Debug;
+    /// Row of a rollout's goal and disturbance.
+    type World: World + Row + Clone + std::fmt::Debug;
     /// Row of a demonstration's frame in the index.
     type Frame: Row;
     /// Kinds of policies.

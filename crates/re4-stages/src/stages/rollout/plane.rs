@@ -8,10 +8,10 @@ use re4_episode::PlanarFrame;
 use re4_fault::bail;
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Kinds as _, PlanePolicy};
-use re4_rollout::{Batch, Env, Plane, PlaneResultRow, PlaneStepRow, PushTEnv, Source, Start};
+use re4_rollout::{Batch, Env, Plane, PlaneResultRow, PlaneStepRow, PoseNoise, PushTEnv, Source, Start};
 use re4_sim::{
     AGENT_RADIUS, DAMPING_GAIN, GOAL, PROPORTIONAL_GAIN, ResetOrder, SUBSTEPS, SUCCESS_COVERAGE, TIME_STEP,
-    chipmunk_version,
+    chipmunk_version, random_goal,
 };
 use re4_stats::{mean_interval, median, wilson_interval};
 use serde_json::{Value, json};
@@ -21,6 +21,7 @@ use super::estimators::LogPolar;
 use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
 use crate::inputs::estimators::open_estimator;
 use crate::inputs::starts::read_starts;
+use crate::pipeline::{Goal, NoiseSection};
 use crate::runner::{Built, Runner};
 
 impl Runner {
@@ -38,12 +39,17 @@ impl Runner {
                 None => None,
             };
             let env = |_: &Start<Plane>| -> Result<Box<dyn Env<Plane>>, _> { Ok(Box::new(PushTEnv::new()?)) };
-            let source = |_| match &estimator {
-                Some(estimator) => Source::Image {
+            let noise = self.pipeline.rollout()?.noise.filter(NoiseSection::is_noisy);
+            let source = |seed| match (&estimator, noise) {
+                (Some(estimator), _) => Source::Image {
                     camera: "image".to_owned(),
                     estimator: Box::new(LogPolar::new(estimator)),
                 },
-                None => Source::Recorded,
+                (None, Some(noise)) => {
+                    let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
+                    Source::Noisy(Box::new(move |pose| errors.perturb_planar(pose)))
+                }
+                (None, None) => Source::Recorded,
             };
             let starts = self.starts(artifacts.scenes)?;
             let mut summary = Summary::up_to(self.pipeline.rollout()?.max_steps);
@@ -69,6 +75,7 @@ impl Runner {
                 "physics": format!("Chipmunk {}", chipmunk_version()),
             });
             extend(&mut protocol, self.starts_config()?);
+            extend(&mut protocol, Value::Object(self.conditions_config()?));
             Ok(ArtifactSummary {
                 summary: summary.state(&self.protocol(&artifacts.episodes.artifact, protocol)?),
                 warnings: Vec::new(),
@@ -77,6 +84,19 @@ impl Runner {
     }
 
     fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start<Plane>>> {
+        let mut starts = self.scenes_of_starts(scenes)?;
+        let goal = self.pipeline.rollout()?.goal;
+        for Start { seed, scene } in &mut starts {
+            match goal {
+                Some(Goal::Random) => scene.goal = random_goal(*seed, scene.state.arrival(scene.order)),
+                Some(Goal::Fixed(goal)) => scene.goal = goal,
+                None => {}
+            }
+        }
+        Ok(starts)
+    }
+
+    fn scenes_of_starts(&self, scenes: Option<&Built>) -> Result<Vec<Start<Plane>>> {
         if let Some(scenes) = scenes {
             return read_starts(&scenes.artifact);
         }

@@ -14,7 +14,7 @@ use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
 use super::estimators::{Encoder, read_calibration};
-use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup};
+use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
@@ -142,7 +142,7 @@ impl Runner {
                     camera: camera.clone(),
                     estimator: estimator(),
                 },
-                (None, Some(noise)) if noise.translation != 0.0 || noise.rotation != 0.0 => {
+                (None, Some(noise)) if noise.is_noisy() => {
                     let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
                     Source::Noisy(Box::new(move |pose| errors.perturb(pose)))
                 }
@@ -162,7 +162,7 @@ impl Runner {
             let mut summary = Summary::default();
             let add = &mut |batch: &Batch<Space>| summary.add(&batch.results, &batch.decisions);
             self.record(&setup, artifacts, &mut starts, writer, add)?;
-            let protocol = self.protocol(
+            let mut protocol = self.protocol(
                 episodes,
                 json!({
                     "measure": "success by the task's own rule after any control step",
@@ -177,6 +177,7 @@ impl Runner {
                     "controller": "OSC_POSE, absolute goals of the grip site",
                 }),
             )?;
+            extend(&mut protocol, Value::Object(self.conditions_config()?));
             Ok(ArtifactSummary {
                 summary: summary.state(&protocol, observer.is_some()),
                 warnings: Vec::new(),

@@ -10,7 +10,7 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_index::{IndexRow, PlanarState};
 use re4_policy::kinds::{PlanePolicy, PlaneRe4Row};
-use re4_rollout::{DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, ResultCore, StepCore};
+use re4_rollout::{DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, PlaneWorldRow, ResultCore, StepCore};
 use re4_sim::{AGENT_RADIUS, GOAL, SUCCESS_COVERAGE};
 use re4_stats::Interval;
 use serde_json::json;
@@ -71,6 +71,13 @@ pub struct Metrics {
     pub success_rate: Interval,
 }
 
+impl Rollout<Plane> {
+    /// Returns the goal pose of the block.
+    pub fn goal(&self) -> Pose2 {
+        self.world.map_or(GOAL, |world| world.goal)
+    }
+}
+
 impl Decided<Plane> {
     /// Returns an integer that RE4 records, or [`NONE`].
     fn count(&self, value: fn(&PlaneRe4Row) -> u32) -> u32 {
@@ -109,6 +116,7 @@ impl Scene for Plane {
     type Step = PlaneStepRow;
     type Decision = PlaneDecisionRow;
     type Detail = PlaneRe4Row;
+    type World = PlaneWorldRow;
     type Frame = IndexRow<PlanarState>;
     type Policies = PlanePolicy;
     type Extra = Curve;
@@ -171,6 +179,7 @@ impl Scene for Plane {
                 &|artifact| artifact.variant.clone(),
                 &|artifact| count(artifact.scene.demonstrations),
                 &|artifact| artifact.scene.scenes.clone(),
+                &|artifact| artifact.conditions().join(", "),
             ],
         )
     }
@@ -189,7 +198,9 @@ impl Scene for Plane {
         let steps = plural(artifact.max_steps as usize, "step", "steps");
         vec![
             format!("{} · {demos}{}", artifact.variant, artifact.changed()),
-            format!("{} · {steps}", artifact.scene.scenes),
+            [vec![artifact.scene.scenes.clone(), steps], artifact.conditions()]
+                .concat()
+                .join(" · "),
         ]
     }
 
@@ -238,6 +249,7 @@ impl Scene for Plane {
             .list("coverage", |r| r.result.coverage_max)
             .list("iou", |r| r.result.iou_max)
             .list("coverage_final", |r| r.result.coverage_final)
+            .where_any(|r| r.world.is_some(), |pack| pack.list("goal", |r| pose(r.goal())))
     }
 
     fn pack_steps<'a>(pack: Pack<'a, PlaneStepRow>, _: &Rollouts<Self>) -> Pack<'a, PlaneStepRow> {

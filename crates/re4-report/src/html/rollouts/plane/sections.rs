@@ -31,13 +31,13 @@ pub(super) fn score_cells(artifact: &Rollouts<Plane>) -> Markup {
 }
 
 /// Returns the paper's result for the same experiment. The experiment is the same if it has the paper's dataset, scenes from seeds,
-/// the paper's number of steps and an unchanged preset.
+/// the paper's number of steps, the conditions of the task and an unchanged preset.
 fn paper_counterpart(artifact: &Rollouts<Plane>) -> Option<(&'static str, f64)> {
     let experiment = (artifact.scene.in_dataset, artifact.scene.starts, artifact.max_steps);
     if experiment != (Some(paper::DEMONSTRATIONS), Starts::Seeds, paper::MAX_STEPS) {
         return None;
     }
-    if artifact.altered {
+    if artifact.altered || !artifact.conditions().is_empty() {
         return None;
     }
     let demonstrations = match artifact.scene.taken {

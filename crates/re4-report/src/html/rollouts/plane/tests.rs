@@ -94,6 +94,7 @@ pub(crate) fn rollout(seed: u32, coverage: &[f64]) -> Rollout<Plane> {
             coverage_final: *coverage.last().unwrap(),
         },
         shown: true,
+        world: None,
         steps: coverage.iter().enumerate().map(|(i, &c)| step(c, i > 0)).collect(),
         decisions: vec![decision("nearest")],
     }

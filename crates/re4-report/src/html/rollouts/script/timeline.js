@@ -30,6 +30,12 @@ const runs = (data, value) => {
   return found;
 };
 
+const disturbanceMark = ({ disturbance }, x, [top, floor]) => {
+  if (disturbance === undefined) return [];
+  const [step, words] = disturbance;
+  return [svg("path", { class: "disturbance", d: `M${near(x(step))} ${top}V${floor}` }, svg("title", {}, `before step ${step}: ${words}`))];
+};
+
 const drawTimeline = () => {
   const host = byId("timeline");
   const width = Math.floor(host.clientWidth);
@@ -38,7 +44,8 @@ const drawTimeline = () => {
   const { height, name, playhead: [top, floor] } = TIMELINE;
   const root = svg("svg", { class: "chart", width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": name });
   playhead = svg("g", { class: "playhead" }, svg("line", { x1: 0, x2: 0, y1: top, y2: floor }));
-  root.append(...timelineParts(data, timelineX(width), width), playhead);
+  const x = timelineX(width);
+  root.append(...timelineParts(data, x, width), ...disturbanceMark(data, x, [top, floor]), playhead);
   host.replaceChildren(root);
   movePlayhead();
 };

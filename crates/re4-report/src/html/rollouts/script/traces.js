@@ -51,6 +51,9 @@ const loadRollout = (artifact, rollout) => {
     seed: figures.seed[rollout],
     success: figures.success[rollout] === 1,
     length,
+    goal: figures.goal?.[rollout],
+    // The number of steps before the disturbance, and the disturbance in words.
+    disturbance: figures.disturbance?.[rollout] ?? undefined,
     decisionOf: rows.map((i) => steps.decision[i]),
     phase: rows.map((i) => PHASES[steps.phase[i]]),
     decisions: decided,

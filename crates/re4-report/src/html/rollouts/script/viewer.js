@@ -51,7 +51,8 @@ const showRollout = () => {
   byId("scrubber").max = data.length;
   byId("seed-noun").textContent = titled(noun);
   const ending = data.success ? `success after ${data.length} steps` : `no success in ${data.length} steps`;
-  byId("scene-caption").textContent = `${noun} ${data.seed} · ${captionOf(rollouts, rollout, ending)}`;
+  const disturbed = data.disturbance ? ` · ${data.disturbance[1]} before step ${data.disturbance[0]}` : "";
+  byId("scene-caption").textContent = `${noun} ${data.seed} · ${captionOf(rollouts, rollout, ending)}${disturbed}`;
   drawTimeline();
 };
 

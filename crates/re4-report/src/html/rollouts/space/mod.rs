@@ -12,7 +12,7 @@ use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_index::{IndexRow, SpatialState};
 use re4_policy::kinds::{SpacePolicy, SpaceRe4Row};
-use re4_rollout::{DecisionCore, ResultCore, SpaceDecisionRow, SpaceResultRow, SpaceStepRow, StepCore};
+use re4_rollout::{DecisionCore, ResultCore, SpaceDecisionRow, SpaceResultRow, SpaceStepRow, SpaceWorldRow, StepCore};
 use re4_stats::Interval;
 use re4_task::{RobosuiteTask, Solid};
 use serde_json::{Value, json};
@@ -130,6 +130,7 @@ impl Scene for Space {
     type Step = SpaceStepRow;
     type Decision = SpaceDecisionRow;
     type Detail = SpaceRe4Row;
+    type World = SpaceWorldRow;
     type Frame = IndexRow<SpatialState>;
     type Policies = SpacePolicy;
     type Extra = ();
@@ -212,7 +213,12 @@ impl Scene for Space {
                 artifact.variant,
                 artifact.changed()
             ),
-            format!("seeds {} · at most {steps}", artifact.scene.seeds),
+            [
+                vec![format!("seeds {}", artifact.scene.seeds), format!("at most {steps}")],
+                artifact.conditions(),
+            ]
+            .concat()
+            .join(" · "),
         ]
     }
 

@@ -76,6 +76,7 @@ fn trace(seed: u32, success: bool) -> Rollout<Space> {
             state: Vec::new(),
         },
         shown: true,
+        world: None,
         steps: (0..3).map(step).collect(),
         decisions: vec![decision(0, true), decision(2, false)],
     }

@@ -7,9 +7,9 @@ const plane = (name, layers) => {
   root.append(
     svg("rect", { class: "floor", width: side, height: side }),
     svg("rect", { class: "walls", x: wall, y: wall, width: side - 2 * wall, height: side - 2 * wall }),
-    svg("path", { class: "goal", d: blockAt(WORLD.goal) }),
   );
-  const named = {};
+  const named = { goal: svg("path", { class: "goal", d: blockAt(WORLD.goal) }) };
+  root.append(named.goal);
   for (const [layer, kind] of layers) {
     named[layer] = svg(kind, { class: layer, ...(kind === "circle" ? { r: layer === "pusher" ? WORLD.pusher_radius : 5 } : {}) });
     root.append(named[layer]);
@@ -49,6 +49,7 @@ const drawScene = (data, step, number, chunk) => {
   const paths = trails(data, step, number);
   for (const [layer] of TRAILS) setPath(named[layer], paths[layer] ?? "");
   const estimate = estimateAt(data, step);
+  setPath(named.goal, blockAt(data.goal ?? WORLD.goal));
   setPath(named.block, blockAt(data.object[step]));
   setPath(named.observed, estimate?.differs ? blockAt(estimate.pose) : "");
   setCircle(named.pusher, data.eef[step]);
