@@ -29,11 +29,13 @@ pub enum Stage {
     Rollout,
     /// Replays `episodes` open-loop in the simulator and produces `replays`.
     Replay,
+    /// Reads the `rollouts` of the cells of a suite and produces `comparison`.
+    Compare,
 }
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ingest,
         Self::Segment,
         Self::Audit,
@@ -42,6 +44,7 @@ impl Stage {
         Self::Scenes,
         Self::Rollout,
         Self::Replay,
+        Self::Compare,
     ];
 
     /// Name of the stage, as typed on the command line.
@@ -55,6 +58,7 @@ impl Stage {
             Self::Scenes => "scenes",
             Self::Rollout => "rollout",
             Self::Replay => "replay",
+            Self::Compare => "compare",
         }
     }
 
@@ -69,6 +73,7 @@ impl Stage {
             Self::Scenes => "scenes",
             Self::Rollout => "rollouts",
             Self::Replay => "replays",
+            Self::Compare => "comparison",
         }
     }
 

@@ -20,6 +20,7 @@ mod rollout;
 mod scene_renderer;
 mod senses;
 mod tables;
+mod times;
 
 pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
 pub use env::{Env, Image, PushTEnv, RobosuiteEnv};
@@ -29,6 +30,7 @@ pub use record::{Batch, Explained, Explanation, Named, Opened, RecordError, Reco
 pub use rollout::{Harness, MakeEnv, MakeSource, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
 pub use scene_renderer::{SceneCamera, SceneRenderer, drop_renderer, set_state};
 pub use senses::{Asked, CLEAR, Errors, Estimator, ObservedPose, Senses, Source};
+pub use times::ActTimes;
 pub use tables::{
     DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, Recorded, ResultCore, SpaceDecisionRow,
     SpaceResultRow, SpaceStepRow, StepCore, tables,

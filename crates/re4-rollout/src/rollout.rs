@@ -2,12 +2,13 @@
 
 use re4_fault::Remedy;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use re4_sim::{PushTObservation, ResetOrder, SeedScheme, SimError, Step, scene_from_seed};
 use thiserror::Error;
 
 use crate::senses::Sensing;
-use crate::{Asked, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory, Senses as _, Source};
+use crate::{ActTimes, Asked, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory, Senses as _, Source};
 
 /// The start of a rollout. Scores over different sets of starts are not comparable.
 #[derive(Debug, Clone, PartialEq)]
@@ -124,6 +125,19 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     start: Start<D>,
     max_steps: u32,
 ) -> Result<RolloutOf<D, F>, RolloutError> {
+    timed_rollout(factory, env, source, start, max_steps, &ActTimes::default())
+}
+
+/// As [`rollout`], and adds the wall time of every call of the policy to `times` at the end of the episode.
+fn timed_rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
+    factory: &F,
+    env: &mut dyn Env<D>,
+    source: Source<D>,
+    start: Start<D>,
+    max_steps: u32,
+    times: &ActTimes,
+) -> Result<RolloutOf<D, F>, RolloutError> {
+    let mut calls = Vec::new();
     let scene = start.seed;
     let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
     let first = env.reset(&start.scene).map_err(refused(0))?;
@@ -132,9 +146,11 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     let mut steps: Vec<StepRecord<D>> = Vec::new();
     let mut decisions = Vec::new();
     for step in 0..max_steps as usize {
+        let before = Instant::now();
         let act = policy
             .act(&mut senses)
             .map_err(|source| RolloutError::Policy { scene, step, source })?;
+        calls.push((before.elapsed(), act.decision.is_some()));
         decisions.extend(act.decision);
         let after = senses.env.step(&act.action).map_err(refused(step))?;
         let asked = senses.finish();
@@ -151,6 +167,7 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
             break;
         }
     }
+    times.add(&calls);
     Ok(Rollout {
         start,
         first,
@@ -178,6 +195,8 @@ pub struct Harness<'a, 'e, D: Domain> {
     pub max_steps: u32,
     /// Called after every episode. Returns false to stop the rollouts.
     pub progress: &'a (dyn Fn() -> bool + Sync),
+    /// Receives the wall time of every call of the policy. Times are no part of the rollouts, which are the same in every run.
+    pub times: &'a ActTimes,
 }
 
 /// Rolls out a policy from many starts on as many threads as the current rayon thread pool has. The results are in the order of
@@ -201,7 +220,8 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
         };
         let mut env = (harness.env)(start).map_err(refused)?;
         let source = (harness.source)(start.seed);
-        let episode = rollout(factory, env.as_mut(), source, start.clone(), harness.max_steps)?;
+        let (start, steps) = (start.clone(), harness.max_steps);
+        let episode = timed_rollout(factory, env.as_mut(), source, start, steps, harness.times)?;
         if (harness.progress)() {
             Ok(episode)
         } else {

@@ -1,6 +1,7 @@
 //! The tables of all artifacts.
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
+use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_ingest::{
@@ -60,6 +61,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             PlanarDivergenceRow::table(),
             DivergenceRow::<SpatialDivergence>::table(),
         ],
+        Stage::Compare => vec![CellRow::table(), DifferenceRow::table(), CurveRow::table()],
         Stage::TrainPose => vec![
             PoseRow::<Estimate>::table(),
             PoseRow::<SpatialEstimate>::table(),
@@ -186,6 +188,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 42);
+        assert_eq!(names.len(), 45);
     }
 }

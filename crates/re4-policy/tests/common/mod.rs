@@ -179,6 +179,7 @@ pub(crate) fn rollouts(
         source: &|_| Source::Recorded,
         max_steps,
         progress,
+        times: &re4_rollout::ActTimes::default(),
     };
     re4_rollout::rollouts(&factory, &harness, starts)
 }

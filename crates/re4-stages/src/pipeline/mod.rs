@@ -16,7 +16,7 @@ use re4_segment::SegmentConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use load::parse;
+pub(crate) use load::{one_line, parse, placed, resolve, suggestion};
 pub use load::read_pipeline;
 pub use re4_task::{Camera, Task};
 pub use rollout::{NoiseSection, Policy, RolloutSection};

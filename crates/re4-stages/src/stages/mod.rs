@@ -1,6 +1,7 @@
 //! The stages: one module for each, named by its subcommand.
 
 mod audit;
+mod compare;
 mod index;
 mod ingest;
 mod replay;
@@ -9,6 +10,7 @@ mod scenes;
 mod segment;
 mod train_pose;
 
+pub use compare::{Compared, compare};
 pub(crate) use ingest::WorkerCrashed;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};

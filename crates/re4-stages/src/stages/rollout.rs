@@ -9,7 +9,8 @@ use anyhow::{Result, bail};
 use re4_artifact::{Artifact, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
-use re4_rollout::{Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
+use re4_rollout::{ActTimes, Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
+use re4_stats::Durations;
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
@@ -128,11 +129,13 @@ impl Runner {
             bar.inc(1);
             !self.interrupt.requested()
         };
+        let times = ActTimes::default();
         let harness = Harness {
             env: setup.env,
             source: setup.source,
             max_steps: self.pipeline.rollout()?.max_steps,
             progress: &going,
+            times: &times,
         };
         let mut recording = opened.begin(writer)?;
         let (mut results, mut steps, mut decisions) = (writer.rows()?, writer.rows()?, writer.rows()?);
@@ -152,6 +155,8 @@ impl Runner {
         results.finish()?;
         steps.finish()?;
         decisions.finish()?;
+        self.measured("actions", spread(&times.actions()));
+        self.measured("decisions", spread(&times.decisions()));
         Ok(())
     }
 
@@ -179,6 +184,17 @@ impl Runner {
         extend(&mut config, more);
         Ok(config)
     }
+}
+
+/// Wall times in microseconds, for the record of a run.
+fn spread(times: &Durations) -> Value {
+    json!({
+        "count": times.count(),
+        "mean_us": times.mean(),
+        "p50_us": times.quantile(0.5),
+        "p99_us": times.quantile(0.99),
+        "max_us": times.maximum(),
+    })
 }
 
 /// Adds the fields of one object to another.
