@@ -445,6 +445,10 @@ mod tests {
         let mut seen = 0;
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
+            if std::fs::read_to_string(&path).unwrap().contains("[[row]]") {
+                // A suite of pipelines.
+                continue;
+            }
             assert_eq!(
                 read_pipeline(&path, &[]).unwrap().without_effect,
                 Vec::<String>::new(),

@@ -8,15 +8,19 @@ use serde_json::Value;
 
 use super::{Overrides, Suite, SuiteCell, SuiteColumn, SuiteRow};
 use crate::notes::fault_of;
-use crate::pipeline::{Pipeline, read_pipeline, suggestion};
+use crate::pipeline::{Pipeline, Seeds, read_pipeline, suggestion};
 
-/// Names of the rows and columns that a run is restricted to; empty lists stand for all.
+/// What the command line changes in a suite: the rows and columns that run (empty lists stand for all), seeds and settings.
 #[derive(Debug, Clone, Default)]
 pub struct Selection {
     /// Names of rows.
     pub rows: Vec<String>,
     /// Names of columns.
     pub columns: Vec<String>,
+    /// Seeds in place of those of the suite.
+    pub seeds: Option<Seeds>,
+    /// Overrides of all cells, as for `--set`.
+    pub set: Vec<String>,
 }
 
 /// A policy under a pipeline.
@@ -44,9 +48,8 @@ pub struct Cell {
 const PLANAR: [Measure; 3] = [Measure::Score, Measure::Coverage, Measure::Success];
 
 impl Suite {
-    /// The cells of the selected rows and columns, column by column, and every fault of the suite. `more` are overrides of the
-    /// command line.
-    pub(super) fn cells(&self, file: &Path, selection: &Selection, more: &[String]) -> (Vec<Cell>, Vec<Fault>) {
+    /// The cells of the selected rows and columns, column by column, and every fault of the suite.
+    pub(super) fn cells(&self, file: &Path, selection: &Selection) -> (Vec<Cell>, Vec<Fault>) {
         let mut faults = self.faults();
         for (what, names, selected) in [
             ("--rows", self.row_names(), &selection.rows),
@@ -60,7 +63,7 @@ impl Suite {
             match self.base(column, folder) {
                 Ok(base) => {
                     let rows = self.row.iter().filter(|row| wanted(&selection.rows, &row.name));
-                    cells.extend(rows.filter_map(|row| self.cell(&base, row, column, more)));
+                    cells.extend(rows.filter_map(|row| self.cell(&base, row, column, selection)));
                 }
                 Err(fault) => faults.push(fault.at(format!("column {:?}: ", column.name))),
             }
@@ -139,7 +142,7 @@ impl Suite {
     }
 
     /// The cell of a row and a column; `None` if it is left out.
-    fn cell(&self, base: &Base, row: &SuiteRow, column: &SuiteColumn, more: &[String]) -> Option<Cell> {
+    fn cell(&self, base: &Base, row: &SuiteRow, column: &SuiteColumn, selection: &Selection) -> Option<Cell> {
         let applies = |cell: &&SuiteCell| wanted(&cell.rows, &row.name) && wanted(&cell.columns, &column.name);
         let exceptions: Vec<&SuiteCell> = self.cell.iter().filter(applies).collect();
         if exceptions.iter().any(|cell| cell.leave_out) {
@@ -150,7 +153,8 @@ impl Suite {
         if let Some(kind) = row.policy.as_ref().filter(|kind| base.kind() != Some(kind)) {
             overrides.push(format!("policy={{ kind = {} }}", toml::Value::from(kind.as_str())));
         }
-        if let Some(seeds) = self.seeds.as_ref().filter(|_| base.pipeline.scenes.is_none()) {
+        let seeds = selection.seeds.as_ref().or(self.seeds.as_ref());
+        if let Some(seeds) = seeds.filter(|_| base.pipeline.scenes.is_none()) {
             let text = serde_json::to_value(seeds).unwrap_or(Value::Null);
             overrides.push(format!("rollout.seeds={text}"));
         }
@@ -158,7 +162,7 @@ impl Suite {
         for set in sets.chain(exceptions.iter().map(|cell| &cell.set)) {
             flatten(set, "", &mut overrides);
         }
-        overrides.extend_from_slice(more);
+        overrides.extend_from_slice(&selection.set);
         let pipeline = read_pipeline(&base.file, &overrides).map_err(|error| fault_of(&error));
         let pipeline = pipeline.map_err(|fault| re4_fault::Remedy::sentence(&fault));
         Some(Cell {
@@ -243,7 +247,7 @@ impl Base {
 }
 
 /// Whether a name is in a list; an empty list stands for all names.
-fn wanted(list: &[String], name: &str) -> bool {
+pub(super) fn wanted(list: &[String], name: &str) -> bool {
     list.is_empty() || list.iter().any(|listed| listed == name)
 }
 

@@ -6,18 +6,18 @@ use anyhow::{Context as _, Result};
 use re4_fault::{Fault, OrFault as _, Remedy as _, fault};
 use serde_json::Value;
 
+use super::cells::wanted;
 use super::{Cell, Selection, Suite, suite_schema};
 use crate::pipeline::{one_line, placed, resolve, suggestion};
 
-/// Reads a suite file. Returns it with the cells of the selected rows and columns. `overrides` are those of the command line, which
-/// apply to all cells.
+/// Reads a suite file. Returns it with the cells of the selected rows and columns.
 ///
 /// A cell whose own settings are not valid is no fault of the suite: it has a sentence in place of a pipeline.
 ///
 /// # Errors
 /// If the file cannot be read or is not TOML, or with one sentence for each of its faults: an unknown key, a missing pipeline, an
 /// unknown name, a measure that the task does not have, or a cell with other seeds than the baseline's.
-pub fn read_suite(path: &Path, selection: &Selection, overrides: &[String]) -> Result<(Suite, Vec<Cell>)> {
+pub fn read_suite(path: &Path, selection: &Selection) -> Result<(Suite, Vec<Cell>)> {
     let text = std::fs::read_to_string(path).or_fault(|| {
         fault!(
             "cannot read the suite file {}", path.display();
@@ -35,7 +35,7 @@ pub fn read_suite(path: &Path, selection: &Selection, overrides: &[String]) -> R
         // The pipelines and names are checked as well, without the unknown keys.
         let known = without_unknown(&schema, &schema, document);
         if let Ok(suite) = serde_json::from_value::<Suite>(known) {
-            faults.extend(suite.cells(path, selection, overrides).1);
+            faults.extend(suite.cells(path, selection).1);
         }
         return Err(all(path, faults).into());
     }
@@ -46,13 +46,14 @@ pub fn read_suite(path: &Path, selection: &Selection, overrides: &[String]) -> R
     if suite.title.is_empty() {
         suite.title = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     }
-    let (cells, mut faults) = suite.cells(path, selection, overrides);
+    let (cells, mut faults) = suite.cells(path, selection);
     faults.extend(suite.unpaired(&cells));
-    if faults.is_empty() {
-        Ok((suite, cells))
-    } else {
-        Err(all(path, faults).into())
+    if !faults.is_empty() {
+        return Err(all(path, faults).into());
     }
+    suite.row.retain(|row| wanted(&selection.rows, &row.name));
+    suite.column.retain(|column| wanted(&selection.columns, &column.name));
+    Ok((suite, cells))
 }
 
 /// One fault made of all faults of a file, each with its remedy.
