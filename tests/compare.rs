@@ -93,9 +93,15 @@ fn cells_and_differences_are_those_of_the_rollouts() {
     let cells: Vec<CellRow> = artifact.read().unwrap();
     // Three measures of four rows, and one measure of three rows.
     assert_eq!((cells.len(), json["cells"].as_array().unwrap().len()), (15, 15));
-    assert_eq!((&json["failed"], &json["skipped"]), (&Value::from(2), &Value::from(false)));
+    assert_eq!(
+        (&json["failed"], &json["skipped"]),
+        (&Value::from(2), &Value::from(false))
+    );
     let key = |row: &str, column: &str| {
-        let cell = cells.iter().find(|cell| cell.row == *row && cell.column == *column).unwrap();
+        let cell = cells
+            .iter()
+            .find(|cell| cell.row == *row && cell.column == *column)
+            .unwrap();
         cell.rollouts_key.clone().unwrap()
     };
     for cell in &cells {
@@ -103,7 +109,10 @@ fn cells_and_differences_are_those_of_the_rollouts() {
             let sentence = cell.error.as_ref().unwrap();
             assert!(sentence.contains("policy.kind is \"not_yet\""), "{sentence}");
             assert!(answer.stderr.contains(sentence), "{}", answer.stderr);
-            assert_eq!((cell.value, cell.rollouts, &cell.rollouts_key, cell.carried), (None, None, &None, None));
+            assert_eq!(
+                (cell.value, cell.rollouts, &cell.rollouts_key, cell.carried),
+                (None, None, &None, None)
+            );
             continue;
         }
         let rows = results(&place, &key(&cell.row, &cell.column));
@@ -120,19 +129,38 @@ fn cells_and_differences_are_those_of_the_rollouts() {
         let bytes: u64 = tables.map(|entry| entry.metadata().unwrap().len()).sum();
         assert_eq!(cell.carried, Some(bytes));
     }
-    let printed: Vec<(&str, f64)> = cells.iter().filter_map(|cell| Some((&*cell.row, cell.printed?))).collect();
-    assert_eq!(printed, [("RE2", 0.25), ("later", 0.5)], "only the first measure has a printed figure");
+    let printed: Vec<(&str, f64)> = cells
+        .iter()
+        .filter_map(|cell| Some((&*cell.row, cell.printed?)))
+        .collect();
+    assert_eq!(
+        printed,
+        [("RE2", 0.25), ("later", 0.5)],
+        "only the first measure has a printed figure"
+    );
     assert!(!cells.iter().any(|cell| cell.row == "nearest" && cell.column == "short"));
     let differences: Vec<DifferenceRow> = artifact.read().unwrap();
     let named: Vec<(&str, &str)> = differences.iter().map(|row| (&*row.column, &*row.row)).collect();
     assert_eq!(named[..3], [("long", "RE2"); 3]);
-    assert_eq!((named[3..6].to_vec(), named[6..].to_vec()), (vec![("long", "nearest"); 3], vec![("short", "RE2")]));
+    assert_eq!(
+        (named[3..6].to_vec(), named[6..].to_vec()),
+        (vec![("long", "nearest"); 3], vec![("short", "RE2")])
+    );
     for row in &differences {
-        let (one, two) = (results(&place, &key(&row.row, &row.column)), results(&place, &key("ours", &row.column)));
-        let pairs: Vec<f64> = one.iter().map(|(seed, a)| value(a, row.measure) - value(&two[seed], row.measure)).collect();
+        let (one, two) = (
+            results(&place, &key(&row.row, &row.column)),
+            results(&place, &key("ours", &row.column)),
+        );
+        let pairs: Vec<f64> = one
+            .iter()
+            .map(|(seed, a)| value(a, row.measure) - value(&two[seed], row.measure))
+            .collect();
         assert!((row.difference - pairs.iter().sum::<f64>() / 8.0).abs() < 1e-12);
         let count = |sign: fn(f64) -> bool| pairs.iter().filter(|&&pair| sign(pair)).count() as u32;
-        assert_eq!((row.pairs, row.better, row.worse), (8, count(|d| d > 0.0), count(|d| d < 0.0)));
+        assert_eq!(
+            (row.pairs, row.better, row.worse),
+            (8, count(|d| d > 0.0), count(|d| d < 0.0))
+        );
         assert_eq!(row.better + row.worse + row.equal, 8);
         assert!(row.low <= row.difference && row.difference <= row.high && (0.0..=1.0).contains(&row.p));
     }
@@ -140,7 +168,8 @@ fn cells_and_differences_are_those_of_the_rollouts() {
     let curves: Vec<CurveRow> = artifact.read().unwrap();
     assert_eq!(curves.len(), 3 * 3 * 2 + 2, "{curves:?}");
     for point in curves.iter().filter(|point| point.budget != 50) {
-        let same = |cell: &&CellRow| (&cell.row, &cell.column, cell.measure) == (&point.row, &point.column, point.measure);
+        let same =
+            |cell: &&CellRow| (&cell.row, &cell.column, cell.measure) == (&point.row, &point.column, point.measure);
         assert_eq!(cells.iter().find(same).unwrap().value, Some(point.value));
     }
 }
@@ -186,7 +215,9 @@ fn a_second_run_and_another_number_of_threads_give_the_same_bytes() {
 /// The times at which the rollouts of finished cells were written.
 fn finished(place: &Place) -> BTreeMap<PathBuf, SystemTime> {
     let folders = folders_in(&place.artifacts().join("rollouts"));
-    let published = folders.into_iter().filter(|folder| folder.join("manifest.json").exists() && !name(folder).starts_with('.'));
+    let published = folders
+        .into_iter()
+        .filter(|folder| folder.join("manifest.json").exists() && !name(folder).starts_with('.'));
     published
         .map(|folder| {
             let written = fs::metadata(folder.join("manifest.json")).unwrap().modified().unwrap();
@@ -218,7 +249,10 @@ fn a_killed_comparison_continues_with_the_cells_that_are_missing() {
     let before = finished(&place);
     assert_eq!(place.run("compare suite.toml").code, Some(1));
     let after = finished(&place);
-    assert!(before.iter().all(|(folder, written)| after[folder] == *written), "a finished cell ran again");
+    assert!(
+        before.iter().all(|(folder, written)| after[folder] == *written),
+        "a finished cell ran again"
+    );
     assert!(place.temporaries().is_empty(), "{:?}", place.temporaries());
     assert_same_bytes(&place.bytes(), &undisturbed.bytes());
 }
@@ -227,7 +261,9 @@ fn a_killed_comparison_continues_with_the_cells_that_are_missing() {
 fn an_interrupted_comparison_leaves_nothing_half_written() {
     let place = with_suite();
     let child = place.start("compare suite.toml --seeds 0..100000");
-    wait_for("the index", || (!folders_in(&place.artifacts().join("index")).is_empty()).then_some(()));
+    wait_for("the index", || {
+        (!folders_in(&place.artifacts().join("index")).is_empty()).then_some(())
+    });
     signal(&child, "INT");
     let output = child.wait_with_output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -240,13 +276,18 @@ fn an_interrupted_comparison_leaves_nothing_half_written() {
 #[test]
 fn rows_and_columns_can_be_selected() {
     let place = with_suite();
-    let answer = place.run("compare suite.toml --rows ours,RE2 --columns short --output one.html").done();
+    let answer = place
+        .run("compare suite.toml --rows ours,RE2 --columns short --output one.html")
+        .done();
     assert_eq!(comparison(&place).read::<CellRow>().unwrap().len(), 2);
     with_settings!({ filters => filters() }, { assert_snapshot!("selected", answer.stdout) });
     let page = fs::read_to_string(place.path().join("one.html")).unwrap();
     assert!(page.contains("data-column=\"short\"") && !page.contains("data-column=\"long\""));
     let refused = place.run("compare suite.toml --rows RE3").refused_at_once();
-    assert!(refused.contains("--rows: there is no \"RE3\" (did you mean RE2?)"), "{refused}");
+    assert!(
+        refused.contains("--rows: there is no \"RE3\" (did you mean RE2?)"),
+        "{refused}"
+    );
 }
 
 #[test]
@@ -257,32 +298,64 @@ fn all_faults_of_a_suite_are_reported_at_once() {
     let column = "[[column]]\nname = \"c\"\npipeline = \"small.toml\"\n";
     let suites = [
         ("no rows", String::new()),
-        ("unknown keys and a missing pipeline", format!("baselin = \"a\"\n{rows}polcy = \"re2\"\n{column}[[column]]\nname = \"d\"\npipeline = \"missing.toml\"\n")),
-        ("two missing pipelines", format!("{rows}[[column]]\nname = \"c\"\npipeline = \"one.toml\"\n[[column]]\nname = \"d\"\npipeline = \"two.toml\"\n[[column]]\nname = \"e\"\n")),
-        ("names", format!("baseline = \"A\"\n{rows}{rows}{column}printed = {{ bb = 0.5 }}\n[[cell]]\nrows = [\"z\"]\ncolumns = [\"y\"]\n[[column]]\nname = \"d, e\"\npipeline = \"small.toml\"\n")),
-        ("a measure of another task", format!("{rows}[[column]]\nname = \"c\"\npipeline = \"spatial.toml\"\nmeasures = [\"coverage\"]\n")),
-        ("other seeds", format!("baseline = \"a\"\n{rows}set.rollout.seeds = \"1..3\"\n{column}")),
+        (
+            "unknown keys and a missing pipeline",
+            format!(
+                "baselin = \"a\"\n{rows}polcy = \"re2\"\n{column}[[column]]\nname = \"d\"\npipeline = \"missing.toml\"\n"
+            ),
+        ),
+        (
+            "two missing pipelines",
+            format!(
+                "{rows}[[column]]\nname = \"c\"\npipeline = \"one.toml\"\n[[column]]\nname = \"d\"\npipeline = \"two.toml\"\n[[column]]\nname = \"e\"\n"
+            ),
+        ),
+        (
+            "names",
+            format!(
+                "baseline = \"A\"\n{rows}{rows}{column}printed = {{ bb = 0.5 }}\n[[cell]]\nrows = [\"z\"]\ncolumns = [\"y\"]\n[[column]]\nname = \"d, e\"\npipeline = \"small.toml\"\n"
+            ),
+        ),
+        (
+            "a measure of another task",
+            format!("{rows}[[column]]\nname = \"c\"\npipeline = \"spatial.toml\"\nmeasures = [\"coverage\"]\n"),
+        ),
+        (
+            "other seeds",
+            format!("baseline = \"a\"\n{rows}set.rollout.seeds = \"1..3\"\n{column}"),
+        ),
         ("a wrong type", format!("{rows}{column}measures = \"speed\"\n")),
         ("a wrong word", format!("{rows}{column}measures = [\"speed\"]\n")),
         ("not TOML", "[[row\n".to_owned()),
-        ("a pipeline without rollouts", format!("{rows}[[column]]\nname = \"c\"\npipeline = \"audit.toml\"\n")),
+        (
+            "a pipeline without rollouts",
+            format!("{rows}[[column]]\nname = \"c\"\npipeline = \"audit.toml\"\n"),
+        ),
         ("nothing left", format!("{rows}{column}[[cell]]\nleave_out = true\n")),
     ];
-    place.write("audit.toml", "task = \"pusht\"\n[ingest]\nsource = \"small.zarr\"\n[segment]\nrule = \"always_transit\"\n");
+    place.write(
+        "audit.toml",
+        "task = \"pusht\"\n[ingest]\nsource = \"small.zarr\"\n[segment]\nrule = \"always_transit\"\n",
+    );
     let sentences: Vec<String> = suites
         .iter()
         .map(|(what, suite)| {
             place.write("bad.toml", suite);
             format!("{what}\n  {}", place.run("compare bad.toml").refused_at_once())
         })
-        .chain([format!("missing\n  {}", place.run("compare nowhere.toml").refused_at_once())])
+        .chain([format!(
+            "missing\n  {}",
+            place.run("compare nowhere.toml").refused_at_once()
+        )])
         .collect();
     assert!(!place.artifacts().exists(), "a refused suite ran a stage");
     with_settings!({ filters => filters() }, { assert_snapshot!("faults", sentences.join("\n")) });
     // A page that cannot be written is refused before any cell runs.
     place.write("suite.toml", SUITE.replace("short, success", "short"));
     for output in ["missing/page.html", "suite.toml", "small.toml"] {
-        let refused = place.run(&format!("compare suite.toml --output {output}")).refused_at_once();
+        let refused = place
+            .run(&format!("compare suite.toml --output {output}"))
+            .refused_at_once();
         assert!(refused.contains("cannot write the page"), "{refused}");
     }
     assert!(!place.artifacts().exists());
@@ -321,11 +394,19 @@ fn the_record_of_a_run_has_the_times_of_actions() {
     let place = with_suite();
     place.run("compare suite.toml --rows ours --columns long").done();
     let rollouts = place.artifact(Stage::Rollout);
-    let path = place.artifacts().join(format!("runs/rollout-{}.json", rollouts.key().short()));
+    let path = place
+        .artifacts()
+        .join(format!("runs/rollout-{}.json", rollouts.key().short()));
     let record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     let rows: Vec<PlaneResultRow> = rollouts.read().unwrap();
-    assert_eq!(record["actions"]["count"], rows.iter().map(|row| row.core.steps).sum::<u32>());
-    assert_eq!(record["decisions"]["count"], rows.iter().map(|row| row.core.decisions).sum::<u32>());
+    assert_eq!(
+        record["actions"]["count"],
+        rows.iter().map(|row| row.core.steps).sum::<u32>()
+    );
+    assert_eq!(
+        record["decisions"]["count"],
+        rows.iter().map(|row| row.core.decisions).sum::<u32>()
+    );
     let time = |quantile: &str| record["actions"][quantile].as_f64().unwrap();
     assert!(0.0 < time("p50_us") && time("p50_us") <= time("p99_us") && time("p99_us") <= 1.005 * time("max_us"));
     assert!(record["threads"].as_u64().unwrap() > 0 && record["finished_unix_s"].as_u64().unwrap() > 1_700_000_000);
@@ -339,7 +420,10 @@ fn the_record_of_a_run_has_the_times_of_actions() {
     place.run(&report).done();
     assert!(page().contains("Some times have no record"));
     let refused = place.run(&format!("{report} --seeds 500")).refused_at_once();
-    assert!(refused.contains("it has a comparison artifact, not rollouts"), "{refused}");
+    assert!(
+        refused.contains("it has a comparison artifact, not rollouts"),
+        "{refused}"
+    );
 }
 
 /// Without data, every cell of a shipped suite reports that the dataset or a simulator is missing, or that the policy is unknown.
@@ -354,7 +438,11 @@ fn the_shipped_suites_are_accepted() {
         for cell in answer.json()["cells"].as_array().unwrap() {
             let sentence = cell["error"].as_str().unwrap();
             let missing = ["was not found in", "simulators", "policy.kind is"];
-            assert!(missing.iter().any(|words| sentence.contains(words)), "{}: {sentence}", path.display());
+            assert!(
+                missing.iter().any(|words| sentence.contains(words)),
+                "{}: {sentence}",
+                path.display()
+            );
         }
         count += 1;
     }
@@ -363,7 +451,9 @@ fn the_shipped_suites_are_accepted() {
 
 /// The suites among the shipped pipelines.
 pub(crate) fn suites() -> Vec<PathBuf> {
-    let entries = fs::read_dir(repository().join("pipelines")).unwrap().map(|entry| entry.unwrap().path());
+    let entries = fs::read_dir(repository().join("pipelines"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
     let mut suites: Vec<PathBuf> = entries.filter(|path| is_suite(path)).collect();
     suites.sort();
     suites
@@ -378,7 +468,9 @@ pub(crate) fn is_suite(path: &Path) -> bool {
 #[test]
 fn the_page_works_in_a_browser() {
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
-        println!("skipped: RE4_PYTHON names no Python with selenium, polars and a Chromium beside it; run scripts/test.sh");
+        println!(
+            "skipped: RE4_PYTHON names no Python with selenium, polars and a Chromium beside it; run scripts/test.sh"
+        );
         return;
     };
     let place = with_suite();
@@ -390,5 +482,10 @@ fn the_page_works_in_a_browser() {
         .output()
         .unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    assert!(answer.status.success(), "{}\n{}", text(&answer.stdout), text(&answer.stderr));
+    assert!(
+        answer.status.success(),
+        "{}\n{}",
+        text(&answer.stdout),
+        text(&answer.stderr)
+    );
 }

@@ -98,7 +98,10 @@ mod tests {
     #[test]
     fn other_seeds_are_not_paired() {
         let one = outcomes(&[1, 2], &[true, true]);
-        for (seeds, why) in [(vec![1, 3], "seed 2 and seed 3 in the same place"), (vec![1], "2 and 1 seeds")] {
+        for (seeds, why) in [
+            (vec![1, 3], "seed 2 and seed 3 in the same place"),
+            (vec![1], "2 and 1 seeds"),
+        ] {
             let other = outcomes(&seeds, &vec![false; seeds.len()]);
             assert_eq!(unpaired(&one, &other).unwrap(), why);
             assert_eq!(differences(["a", "b", "c"], &[Measure::Success], &one, &other), []);

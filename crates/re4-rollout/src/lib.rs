@@ -30,8 +30,8 @@ pub use record::{Batch, Explained, Explanation, Named, Opened, RecordError, Reco
 pub use rollout::{Harness, MakeEnv, MakeSource, Rollout, RolloutError, Start, StepRecord, rollout, rollouts};
 pub use scene_renderer::{SceneCamera, SceneRenderer, drop_renderer, set_state};
 pub use senses::{Asked, CLEAR, Errors, Estimator, ObservedPose, Senses, Source};
-pub use times::ActTimes;
 pub use tables::{
     DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, Recorded, ResultCore, SpaceDecisionRow,
     SpaceResultRow, SpaceStepRow, StepCore, tables,
 };
+pub use times::ActTimes;

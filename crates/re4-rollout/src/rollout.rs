@@ -8,7 +8,9 @@ use re4_sim::{PushTObservation, ResetOrder, SeedScheme, SimError, Step, scene_fr
 use thiserror::Error;
 
 use crate::senses::Sensing;
-use crate::{ActTimes, Asked, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory, Senses as _, Source};
+use crate::{
+    ActTimes, Asked, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory, Senses as _, Source,
+};
 
 /// The start of a rollout. Scores over different sets of starts are not comparable.
 #[derive(Debug, Clone, PartialEq)]

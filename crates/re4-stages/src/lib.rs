@@ -27,7 +27,7 @@ pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
     RolloutSection, Seeds, Task, Variant, read_pipeline, schema,
 };
-pub use reference::{pipeline_reference, tables_reference};
+pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, warning_text};
 pub use stages::{

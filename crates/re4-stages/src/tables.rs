@@ -1,8 +1,8 @@
 //! The tables of all artifacts.
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
-use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_ingest::{
     Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,

@@ -89,7 +89,10 @@ mod tests {
             assert!(class == last || class == last + 1 || value > 100_000, "{value}");
             last = class;
             let middle = middle_of(class);
-            assert!((middle - value as f64).abs() <= 0.004 * value as f64 + 0.5, "{value} {middle}");
+            assert!(
+                (middle - value as f64).abs() <= 0.004 * value as f64 + 0.5,
+                "{value} {middle}"
+            );
         }
         assert!(Durations::default().quantile(0.5).is_none() && Durations::default().mean().is_none());
     }

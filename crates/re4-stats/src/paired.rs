@@ -23,7 +23,8 @@ pub fn sign_test(values: &[f64], baseline: &[f64]) -> Option<SignTest> {
     if values.len() != baseline.len() || values.iter().chain(baseline).any(|value| value.is_nan()) {
         return None;
     }
-    let count = |larger: fn(f64, f64) -> bool| values.iter().zip(baseline).filter(|&(&a, &b)| larger(a, b)).count() as u64;
+    let count =
+        |larger: fn(f64, f64) -> bool| values.iter().zip(baseline).filter(|&(&a, &b)| larger(a, b)).count() as u64;
     let (better, worse) = (count(|a, b| a > b), count(|a, b| a < b));
     Some(SignTest {
         better,
@@ -99,9 +100,16 @@ mod tests {
                 let test = sign_test(&values, &baseline).unwrap();
                 assert_eq!((test.better, test.worse, test.equal), (better as u64, worse as u64, 3));
                 let expected = enumerated(better as u32, worse as u32);
-                assert!((test.p - expected).abs() < 1e-14, "{better} {worse}: {} {expected}", test.p);
+                assert!(
+                    (test.p - expected).abs() < 1e-14,
+                    "{better} {worse}: {} {expected}",
+                    test.p
+                );
                 let mirrored = sign_test(&baseline, &values).unwrap();
-                assert_eq!((mirrored.better, mirrored.worse, mirrored.p), (test.worse, test.better, test.p));
+                assert_eq!(
+                    (mirrored.better, mirrored.worse, mirrored.p),
+                    (test.worse, test.better, test.p)
+                );
             }
         }
     }

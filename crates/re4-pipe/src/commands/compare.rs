@@ -18,7 +18,9 @@ use crate::output::Output;
 /// `re4-pipe compare`.
 pub(crate) fn compare(arguments: &CompareArguments) -> Result<Outcome> {
     let start = Instant::now();
-    let CompareArguments { common, suite: file, .. } = arguments;
+    let CompareArguments {
+        common, suite: file, ..
+    } = arguments;
     let console = Console::new(common);
     let selection = Selection {
         rows: trimmed(&arguments.rows),
@@ -44,14 +46,21 @@ pub(crate) fn compare(arguments: &CompareArguments) -> Result<Outcome> {
         ("page", json!(path)),
         ("failed", json!(compared.failed)),
         ("cells", compared.cells.iter().map(cell_json).collect()),
-        ("differences", compared.differences.iter().map(difference_json).collect()),
+        (
+            "differences",
+            compared.differences.iter().map(difference_json).collect(),
+        ),
         ("wall_s", json!(start.elapsed().as_secs_f64())),
     ] {
         answer[name] = value;
     }
     console.answer(&answer)?;
     console.say(&text(&suite, &compared)?)?;
-    Ok(if compared.failed == 0 { Outcome::Done } else { Outcome::GateFailed })
+    Ok(if compared.failed == 0 {
+        Outcome::Done
+    } else {
+        Outcome::GateFailed
+    })
 }
 
 fn trimmed(names: &[String]) -> Vec<String> {
@@ -104,7 +113,11 @@ fn text(suite: &Suite, compared: &Compared) -> Result<String> {
     let mut text = suite.title.clone();
     let width = suite.row.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
     for column in &suite.column {
-        let cells: Vec<&CellRow> = compared.cells.iter().filter(|cell| cell.column == *column.name).collect();
+        let cells: Vec<&CellRow> = compared
+            .cells
+            .iter()
+            .filter(|cell| cell.column == *column.name)
+            .collect();
         let Some(first) = cells.first() else { continue };
         write!(text, "\n\n{}: {}, 95 % interval", column.name, first.measure.title())?;
         for cell in cells.iter().filter(|cell| cell.measure == first.measure) {
@@ -117,14 +130,21 @@ fn text(suite: &Suite, compared: &Compared) -> Result<String> {
             if let Some(printed) = cell.printed {
                 write!(text, "  printed {printed:.3}")?;
             }
-            let own = |row: &&DifferenceRow| {
-                (&row.row, &row.column, row.measure) == (&cell.row, &cell.column, cell.measure)
-            };
+            let own =
+                |row: &&DifferenceRow| (&row.row, &row.column, row.measure) == (&cell.row, &cell.column, cell.measure);
             if let Some(row) = compared.differences.iter().find(own) {
                 write!(
                     text,
-                    "  difference from {} {:+.3} [{:+.3}, {:+.3}], p {:.3}",
-                    row.baseline, row.difference, row.low, row.high, row.p
+                    "  difference from {} {:+.3} [{:+.3}, {:+.3}], p {}",
+                    row.baseline,
+                    row.difference,
+                    row.low,
+                    row.high,
+                    if row.p < 0.001 {
+                        "< 0.001".to_owned()
+                    } else {
+                        format!("{:.3}", row.p)
+                    }
                 )?;
             }
         }

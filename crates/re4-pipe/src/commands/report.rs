@@ -97,7 +97,13 @@ fn report_training(
     refuse_selection(artifact, arguments)?;
     artifact.verify_bytes()?;
     let (html, warnings) = training_page(artifact, &arguments.common.artifacts)?;
-    answer_single(artifact, arguments, output, console, ("training of an encoder", &html, &warnings))
+    answer_single(
+        artifact,
+        arguments,
+        output,
+        console,
+        ("training of an encoder", &html, &warnings),
+    )
 }
 
 /// Writes the page of a comparison.

@@ -40,7 +40,9 @@ pub fn comparison_page(artifact: &Artifact, store: &Path) -> Result<String> {
     let mut scores = artifact.read::<CellRow>()?.into_iter();
     let cells = stated_cells.into_iter().map(|stated| {
         let scores: Vec<CellRow> = scores.by_ref().take(stated.measures.len()).collect();
-        let first = scores.first().filter(|first| first.row == *stated.row && first.column == *stated.column);
+        let first = scores
+            .first()
+            .filter(|first| first.row == *stated.row && first.column == *stated.column);
         let first = first.with_context(|| {
             format!(
                 "cannot report on {}: table cells has no rows of the cell {}, {}; run re4-pipe compare again",
@@ -109,7 +111,9 @@ fn cost(store: &Path, rollouts: &Key) -> Option<Cost> {
             p99: of("p99_us")?,
         })
     };
-    let trained = TRAINING.iter().filter_map(|&stage| Some((stage, artifact.manifest().inputs.get(stage.artifact())?)));
+    let trained = TRAINING
+        .iter()
+        .filter_map(|&stage| Some((stage, artifact.manifest().inputs.get(stage.artifact())?)));
     let training = trained.fold(Training::Nothing, |sum, (stage, key)| {
         let took = Store::run_record(store, stage, key).and_then(|record| record["wall_s"].as_f64());
         match (sum, took) {

@@ -16,8 +16,8 @@ use re4_segment::SegmentConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use load::{one_line, parse, placed, resolve, suggestion};
 pub use load::read_pipeline;
+pub(crate) use load::{one_line, parse, placed, resolve, suggestion};
 pub use re4_task::{Camera, Task};
 pub use rollout::{NoiseSection, Policy, RolloutSection};
 pub use schema::schema;

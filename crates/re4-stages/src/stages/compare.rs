@@ -62,7 +62,11 @@ pub fn compare(session: &Session, suite: &Suite, cells: &[Cell]) -> Result<Compa
         }
         ran.push(result);
     }
-    let rows: Vec<CellRow> = cells.iter().zip(&ran).flat_map(|(cell, ran)| rows_of(cell, ran)).collect();
+    let rows: Vec<CellRow> = cells
+        .iter()
+        .zip(&ran)
+        .flat_map(|(cell, ran)| rows_of(cell, ran))
+        .collect();
     let (differences, unpaired) = differences_of(suite, cells, &ran);
     let curves: Vec<&CurveRow> = ran.iter().flatten().flat_map(|ran| &ran.curves).collect();
     let mut recipe = Recipe::new(Stage::Compare, CODE_VERSION).config(&config(suite, cells, &ran))?;
@@ -73,7 +77,10 @@ pub fn compare(session: &Session, suite: &Suite, cells: &[Cell]) -> Result<Compa
     }
     let failed = ran.iter().filter(|ran| ran.is_err()).count();
     let warning = |code: &'static str| move |message: String| json!({ "code": code, "message": message });
-    let protocols = suite.different_protocols(cells).into_iter().map(warning("different_protocols"));
+    let protocols = suite
+        .different_protocols(cells)
+        .into_iter()
+        .map(warning("different_protocols"));
     let unpaired = unpaired.into_iter().map(warning("unpaired"));
     let warnings: Vec<Value> = protocols.chain(unpaired).collect();
     let built = session.build(&recipe, |writer| {
@@ -126,7 +133,11 @@ fn carried(session: &Session, opened: &[Stage], rollouts: &Manifest) -> Result<u
         let opens = |name: &str| stage != Stage::TrainPose || [WEIGHTS, CONFIDENCE, AnchorRow::NAME].contains(&name);
         let tables = tables.iter().map(|(name, table)| (name, table.bytes));
         let files = files.iter().map(|(name, file)| (name, file.bytes));
-        bytes += tables.chain(files).filter(|(name, _)| opens(name)).map(|(_, bytes)| bytes).sum::<u64>();
+        bytes += tables
+            .chain(files)
+            .filter(|(name, _)| opens(name))
+            .map(|(_, bytes)| bytes)
+            .sum::<u64>();
     }
     Ok(bytes)
 }
@@ -135,7 +146,9 @@ fn carried(session: &Session, opened: &[Stage], rollouts: &Manifest) -> Result<u
 fn rows_of(cell: &Cell, ran: &Result<Ran, String>) -> Vec<CellRow> {
     let label = |text: &str| Label::from(text.to_owned());
     let pipeline = cell.pipeline.as_ref().ok();
-    let section = pipeline.and_then(|pipeline| pipeline.rollout.as_ref()).filter(|_| ran.is_ok());
+    let section = pipeline
+        .and_then(|pipeline| pipeline.rollout.as_ref())
+        .filter(|_| ran.is_ok());
     let row = |(number, &measure): (usize, _)| {
         let found = ran.as_ref().ok();
         let values = found.and_then(|ran| ran.outcomes.of(measure));
@@ -173,7 +186,11 @@ fn differences_of(suite: &Suite, cells: &[Cell], ran: &[Result<Ran, String>]) ->
         .collect();
     let (mut rows, mut sentences) = (Vec::new(), Vec::new());
     for (cell, other) in suite.compared(cells) {
-        let of = |cell: &Cell| found.get(&[cell.row.as_str(), cell.column.as_str()]).map(|ran| &ran.outcomes);
+        let of = |cell: &Cell| {
+            found
+                .get(&[cell.row.as_str(), cell.column.as_str()])
+                .map(|ran| &ran.outcomes)
+        };
         let (Some(outcomes), Some(against)) = (of(cell), of(other)) else {
             continue;
         };

@@ -59,7 +59,11 @@ impl Suite {
         }
         let folder = file.parent().unwrap_or(Path::new(""));
         let mut cells = Vec::new();
-        for column in self.column.iter().filter(|column| wanted(&selection.columns, &column.name)) {
+        for column in self
+            .column
+            .iter()
+            .filter(|column| wanted(&selection.columns, &column.name))
+        {
             match self.base(column, folder) {
                 Ok(base) => {
                     let rows = self.row.iter().filter(|row| wanted(&selection.rows, &row.name));
@@ -95,9 +99,7 @@ impl Suite {
                     faults.push(fault!("two {kind}s have the name {name:?}"; "rename one"));
                 }
                 if name.trim().is_empty() || name.contains([',', '\n']) {
-                    faults.push(
-                        fault!("{kind} {} has the name {name:?}", number + 1; "give a name without commas"),
-                    );
+                    faults.push(fault!("{kind} {} has the name {name:?}", number + 1; "give a name without commas"));
                 }
             }
         }
@@ -118,17 +120,27 @@ impl Suite {
 
     /// The pipeline of a column without overrides.
     fn base(&self, column: &SuiteColumn, folder: &Path) -> Result<Base, Fault> {
-        let named = column.pipeline.as_ref().or(self.pipeline.as_ref()).ok_or_else(|| {
-            fault!("it has no pipeline"; "give it a key pipeline, or give one to the whole suite")
-        })?;
+        let named =
+            column.pipeline.as_ref().or(self.pipeline.as_ref()).ok_or_else(
+                || fault!("it has no pipeline"; "give it a key pipeline, or give one to the whole suite"),
+            )?;
         let file = folder.join(named);
         let pipeline = read_pipeline(&file, &[]).map_err(|error| fault_of(&error))?;
-        for table in [pipeline.policy().err(), pipeline.rollout().err()].into_iter().flatten() {
+        for table in [pipeline.policy().err(), pipeline.rollout().err()]
+            .into_iter()
+            .flatten()
+        {
             return Err(fault_of(&table).at(format!("{}: ", file.display())));
         }
-        let measures = [&column.measures, &self.measures].into_iter().find(|list| !list.is_empty());
+        let measures = [&column.measures, &self.measures]
+            .into_iter()
+            .find(|list| !list.is_empty());
         let planar = pipeline.task.is_planar();
-        let usual = if planar { PLANAR.to_vec() } else { vec![Measure::Success] };
+        let usual = if planar {
+            PLANAR.to_vec()
+        } else {
+            vec![Measure::Success]
+        };
         let measures = measures.cloned().unwrap_or(usual);
         if let Some(measure) = measures.iter().find(|measure| measure.is_planar() && !planar) {
             return Err(fault!("the measure {:?} applies only to Push-T", measure.as_str(); "use \"success\""));
@@ -226,7 +238,9 @@ impl Suite {
         let baseline = self.baseline.clone();
         let other = move |cell: &Cell| {
             let name = baseline.as_ref().filter(|name| **name != cell.row)?;
-            cells.iter().find(|other| other.column == cell.column && other.row == *name)
+            cells
+                .iter()
+                .find(|other| other.column == cell.column && other.row == *name)
         };
         cells.iter().filter_map(move |cell| Some((cell, other(cell)?)))
     }
@@ -281,7 +295,13 @@ fn unequal_settings(place: &str, one: &Value, two: &Value, found: &mut Vec<Strin
             unequal_settings(&format!("{place}.{key}"), &of(a, key), &of(b, key), found);
         }
     } else if one != two {
-        let word = |value: &Value| if value.is_null() { "not set".to_owned() } else { value.to_string() };
+        let word = |value: &Value| {
+            if value.is_null() {
+                "not set".to_owned()
+            } else {
+                value.to_string()
+            }
+        };
         found.push(format!("{place} is {} and {}", word(one), word(two)));
     }
 }

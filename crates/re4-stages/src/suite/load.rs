@@ -25,7 +25,11 @@ pub fn read_suite(path: &Path, selection: &Selection) -> Result<(Suite, Vec<Cell
         )
     })?;
     let table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
-        anyhow::anyhow!("cannot read the suite file {}: {}", path.display(), one_line(&text, &error))
+        anyhow::anyhow!(
+            "cannot read the suite file {}: {}",
+            path.display(),
+            one_line(&text, &error)
+        )
     })?;
     let document = serde_json::to_value(&table).context("cannot represent the suite file")?;
     let schema = suite_schema();
@@ -64,9 +68,15 @@ fn all(path: &Path, mut faults: Vec<Fault>) -> Fault {
     {
         return fault.at(format!("{file}: "));
     }
-    let numbered = faults.iter().enumerate().map(|(i, fault)| format!("({}) {}", i + 1, fault.sentence()));
+    let numbered = faults
+        .iter()
+        .enumerate()
+        .map(|(i, fault)| format!("({}) {}", i + 1, fault.sentence()));
     let list = numbered.collect::<Vec<_>>().join("; ");
-    Fault::new(format!("{file}, which has {} faults: {list}", faults.len()), None::<String>)
+    Fault::new(
+        format!("{file}, which has {} faults: {list}", faults.len()),
+        None::<String>,
+    )
 }
 
 /// Collects the keys that the schema does not have.
@@ -106,9 +116,10 @@ fn without_unknown(root: &Value, schema: &Value, document: Value) -> Value {
             };
             Value::Object(map.into_iter().filter_map(known).collect())
         }
-        (Value::Array(list), _, Some(inner)) => {
-            list.into_iter().map(|value| without_unknown(root, inner, value)).collect()
-        }
+        (Value::Array(list), _, Some(inner)) => list
+            .into_iter()
+            .map(|value| without_unknown(root, inner, value))
+            .collect(),
         (document, _, _) => document,
     }
 }

@@ -44,7 +44,13 @@ fn curve<'a>(page: &'a Comparison, row: &str, column: &str) -> Vec<&'a CurveRow>
 
 fn figure(page: &Comparison, column: &str) -> Markup {
     let [left, right, top, bottom] = MARGINS;
-    let last = page.curves.iter().filter(|row| row.column == *column).map(|row| row.budget).max().unwrap_or(1);
+    let last = page
+        .curves
+        .iter()
+        .filter(|row| row.column == *column)
+        .map(|row| row.budget)
+        .max()
+        .unwrap_or(1);
     let x = |budget: u32| left + (WIDTH - left - right) * f64::from(budget) / f64::from(last);
     let y = |value: f64| top + (HEIGHT - top - bottom) * (1.0 - value.clamp(0.0, 1.0));
     let rows: Vec<(usize, &String, Vec<&CurveRow>)> = page
@@ -99,9 +105,15 @@ fn budgets(page: &Comparison, column: &str) -> Markup {
         .filter(|(_, points)| !points.is_empty())
         .collect();
     let longest = rows.iter().map(|(_, points)| points).max_by_key(|points| points.len());
-    let names: Vec<String> = longest.into_iter().flatten().map(|point| point.budget.to_string()).collect();
-    let columns: Vec<(&str, bool)> =
-        [("policy", false)].into_iter().chain(names.iter().map(|name| (name.as_str(), true))).collect();
+    let names: Vec<String> = longest
+        .into_iter()
+        .flatten()
+        .map(|point| point.budget.to_string())
+        .collect();
+    let columns: Vec<(&str, bool)> = [("policy", false)]
+        .into_iter()
+        .chain(names.iter().map(|name| (name.as_str(), true)))
+        .collect();
     let body = html! {
         @for (row, points) in &rows {
             tr {

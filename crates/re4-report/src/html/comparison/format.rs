@@ -43,7 +43,11 @@ pub(super) fn signed(value: f64) -> String {
 
 /// A probability.
 pub(super) fn probability(p: f64) -> String {
-    if p < 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
+    if p < 0.001 {
+        "< 0.001".to_owned()
+    } else {
+        format!("{p:.3}")
+    }
 }
 
 /// A time of the clock in UTC, from seconds since 1970.
@@ -68,10 +72,19 @@ mod tests {
 
     #[test]
     fn numbers_have_units_and_signs() {
-        assert_eq!([time(3.14), time(812.4), time(4567.0), time(2.5e6)], ["3.1 µs", "812 µs", "4.57 ms", "2.50 s"]);
-        assert_eq!([span(3.0), span(90.0), span(600.0), span(9000.0)], ["3.0 s", "90 s", "10 min", "2.5 h"]);
+        assert_eq!(
+            [time(3.14), time(812.4), time(4567.0), time(2.5e6)],
+            ["3.1 µs", "812 µs", "4.57 ms", "2.50 s"]
+        );
+        assert_eq!(
+            [span(3.0), span(90.0), span(600.0), span(9000.0)],
+            ["3.0 s", "90 s", "10 min", "2.5 h"]
+        );
         assert_eq!([size(12), size(4500), size(12_300_000)], ["12 B", "4 kB", "12.3 MB"]);
-        assert_eq!([signed(0.25), signed(-0.25), signed(-0.0001)], ["+0.250", "−0.250", "0.000"]);
+        assert_eq!(
+            [signed(0.25), signed(-0.25), signed(-0.0001)],
+            ["+0.250", "−0.250", "0.000"]
+        );
         assert_eq!([probability(0.0001), probability(0.05)], ["< 0.001", "0.050"]);
     }
 

@@ -103,7 +103,9 @@ pub struct Times {
 
 impl Comparison {
     fn cell(&self, row: &str, column: &str) -> Option<&Cell> {
-        self.cells.iter().find(|cell| cell.first().row == *row && cell.first().column == *column)
+        self.cells
+            .iter()
+            .find(|cell| cell.first().row == *row && cell.first().column == *column)
     }
 
     /// Every measure that a cell has.

@@ -16,9 +16,15 @@ pub(super) fn header(page: &Comparison) -> Markup {
         strong data-fact="ran" data-value=(ran) { (ran) " of " (plural(all, "cell", "cells")) } " ran"
         @if let Some(baseline) = &page.baseline { "; differences are from " strong { (baseline) } } "."
     };
-    shell::header("compare", &page.title, &lead, "", &html! {
-        @for warning in &page.warnings { p.notice.warning { "Warning: " (warning) "." } }
-    })
+    shell::header(
+        "compare",
+        &page.title,
+        &lead,
+        "",
+        &html! {
+            @for warning in &page.warnings { p.notice.warning { "Warning: " (warning) "." } }
+        },
+    )
 }
 
 /// The table of all cells: our figure, its interval, and the printed figure.
@@ -93,7 +99,10 @@ fn figure(score: &CellRow, printed: Option<f64>) -> Markup {
 
 /// The cells that cannot run, each with its sentence.
 pub(super) fn failures(page: &Comparison) -> Markup {
-    let failed = page.cells.iter().filter_map(|cell| Some((cell.first(), cell.first().error.as_ref()?)));
+    let failed = page
+        .cells
+        .iter()
+        .filter_map(|cell| Some((cell.first(), cell.first().error.as_ref()?)));
     let mut sentences: Vec<(&str, Vec<String>)> = Vec::new();
     for (score, sentence) in failed {
         let name = format!("{}, {}", score.row, score.column);
@@ -106,6 +115,7 @@ pub(super) fn failures(page: &Comparison) -> Markup {
         @if !sentences.is_empty() {
             section aria-labelledby="failed-title" {
                 h2 #failed-title { "Cells that cannot run" }
+                p.note { "The other cells ran. The next run tries these again." }
                 div.card { ul.failures {
                     @for (sentence, names) in &sentences {
                         li { p { (sentence) } p.names { (names.join(" · ")) } }
@@ -140,8 +150,13 @@ pub(super) fn differences(page: &Comparison) -> Markup {
 }
 
 fn difference_table(name: &str, rows: &[&DifferenceRow]) -> Markup {
-    let ends = rows.iter().flat_map(|row| [row.low.abs(), row.high.abs()]);
-    let widest = ends.filter(|end| end.is_finite()).fold(0.05, f64::max);
+    // The axis of all intervals contains 0.
+    let ends = || {
+        rows.iter()
+            .flat_map(|row| [row.low, row.high])
+            .filter(|end| end.is_finite())
+    };
+    let axis = [ends().fold(-0.02, f64::min), ends().fold(0.02, f64::max)];
     let columns = [
         ("column", false),
         ("policy", false),
@@ -164,7 +179,7 @@ fn difference_table(name: &str, rows: &[&DifferenceRow]) -> Markup {
                 td { (row.measure.title()) }
                 td.figure.difference.ahead[clear && row.difference > 0.0].behind[clear && row.difference < 0.0] { (signed(row.difference)) }
                 td.figure.interval { "[" (signed(row.low)) ", " (signed(row.high)) "]" }
-                td { (whisker(row, widest)) }
+                td { (whisker(row, axis)) }
                 td.figure { (row.better) }
                 td.figure { (row.worse) }
                 td.figure { (row.equal) }
@@ -175,12 +190,12 @@ fn difference_table(name: &str, rows: &[&DifferenceRow]) -> Markup {
     framed(name, "scroll", "differences", &columns, &body)
 }
 
-/// The interval of a difference on an axis with 0 in the middle.
-fn whisker(row: &DifferenceRow, widest: f64) -> Markup {
-    let at = |value: f64| format!("{:.1}", 70.0 + 68.0 * (value / widest).clamp(-1.0, 1.0));
+/// The interval of a difference on an axis with a mark at 0.
+fn whisker(row: &DifferenceRow, [low, high]: [f64; 2]) -> Markup {
+    let at = |value: f64| format!("{:.1}", 6.0 + 148.0 * (value.clamp(low, high) - low) / (high - low));
     html! {
-        svg.whiskers viewBox="0 0 140 14" aria-hidden="true" {
-            line.zero x1="70" x2="70" y1="0" y2="14" {}
+        svg.whiskers viewBox="0 0 160 14" aria-hidden="true" {
+            line.zero x1=(at(0.0)) x2=(at(0.0)) y1="0" y2="14" {}
             line.range x1=(at(row.low)) x2=(at(row.high)) y1="7" y2="7" {}
             circle cx=(at(row.difference)) cy="7" r="3.2" {}
         }
@@ -215,7 +230,9 @@ pub(super) fn costs(page: &Comparison) -> Markup {
             }
         }
     };
-    let unrecorded = ran.iter().any(|cell| cell.cost.as_ref().is_none_or(Cost::lacks_a_record));
+    let unrecorded = ran
+        .iter()
+        .any(|cell| cell.cost.as_ref().is_none_or(Cost::lacks_a_record));
     html! {
         @if !ran.is_empty() {
             section aria-labelledby="costs-title" {
@@ -248,7 +265,8 @@ fn cost(cost: Option<&Cost>) -> Markup {
         Some(Training::Unrecorded) | None => "–".to_owned(),
     };
     let quantiles = |times: Option<Times>| times.map_or([None; 2], |times| [Some(times.p50), Some(times.p99)]);
-    let [actions, decisions] = [cost.and_then(|cost| cost.actions), cost.and_then(|cost| cost.decisions)].map(quantiles);
+    let [actions, decisions] =
+        [cost.and_then(|cost| cost.actions), cost.and_then(|cost| cost.decisions)].map(quantiles);
     html! {
         td.figure { (training) }
         @for value in actions.into_iter().chain(decisions) {
@@ -273,8 +291,16 @@ pub(super) fn measures(page: &Comparison) -> Markup {
 fn measure_table(page: &Comparison, measure: Measure) -> Markup {
     let of = |row: &str, column: &str| page.cell(row, column)?.score(measure);
     let has = |column: &&str| page.rows.iter().any(|row| of(row, column).is_some());
-    let names: Vec<&str> = page.columns.iter().map(|column| column.name.as_str()).filter(has).collect();
-    let columns: Vec<(&str, bool)> = [("policy", false)].into_iter().chain(names.iter().map(|name| (*name, true))).collect();
+    let names: Vec<&str> = page
+        .columns
+        .iter()
+        .map(|column| column.name.as_str())
+        .filter(has)
+        .collect();
+    let columns: Vec<(&str, bool)> = [("policy", false)]
+        .into_iter()
+        .chain(names.iter().map(|name| (*name, true)))
+        .collect();
     let body = html! {
         @for row in &page.rows {
             tr {
