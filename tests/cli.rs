@@ -6,7 +6,7 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 16] = [
+pub(crate) const COMMANDS: [&str; 17] = [
     "ingest",
     "segment",
     "audit",
@@ -15,6 +15,7 @@ pub(crate) const COMMANDS: [&str; 16] = [
     "scenes",
     "rollout",
     "run",
+    "compare",
     "replay",
     "video",
     "verify",

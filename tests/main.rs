@@ -11,6 +11,7 @@ mod audit;
 mod audit_page;
 mod bad_input;
 mod cli;
+mod compare;
 mod dependencies;
 mod encoder;
 mod foreign;

@@ -31,11 +31,13 @@ pub enum Stage {
     Rollout,
     /// Replays `episodes` open-loop in the simulator and produces `replays`.
     Replay,
+    /// Reads the `rollouts` of the cells of a suite and produces `comparison`.
+    Compare,
 }
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Ingest,
         Self::Segment,
         Self::Audit,
@@ -45,6 +47,7 @@ impl Stage {
         Self::Scenes,
         Self::Rollout,
         Self::Replay,
+        Self::Compare,
     ];
 
     /// Name of the stage, as typed on the command line.
@@ -59,6 +62,7 @@ impl Stage {
             Self::Scenes => "scenes",
             Self::Rollout => "rollout",
             Self::Replay => "replay",
+            Self::Compare => "compare",
         }
     }
 
@@ -74,6 +78,7 @@ impl Stage {
             Self::Scenes => "scenes",
             Self::Rollout => "rollouts",
             Self::Replay => "replays",
+            Self::Compare => "comparison",
         }
     }
 

@@ -1,10 +1,15 @@
 //! The store: a folder that contains artifacts by stage and key.
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs;
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::canonical::{canonical_json, canonical_text};
 use crate::disk::{LOCK_NAME, TEMPORARY_PREFIX, is_alive, lock};
@@ -22,7 +27,12 @@ const RUNS: &str = "runs";
 #[derive(Debug, Clone)]
 pub struct Store {
     root: PathBuf,
+    /// The files of artifacts that were verified, if they are verified only once.
+    verified: Option<Arc<Mutex<BTreeMap<PathBuf, Vec<FileState>>>>>,
 }
+
+/// Name, device, inode, length, and times of the last write and of the last change of a file. Every write changes the last one.
+type FileState = (OsString, u64, u64, u64, [i64; 2], [i64; 2]);
 
 impl Store {
     /// Opens the store at `root`, creates the folder if necessary, and removes the temporary files of writers that no longer run.
@@ -35,6 +45,7 @@ impl Store {
         fs::create_dir_all(root).map_err(ArtifactError::io("create the artifacts folder", root))?;
         let store = Self {
             root: root.to_path_buf(),
+            verified: None,
         };
         match store.lock() {
             Ok(guard) => {
@@ -62,6 +73,16 @@ impl Store {
         // Leftovers that cannot be removed now are removed when the store is opened the next time.
         let _ = self.remove_leftovers();
         Some(guard)
+    }
+
+    /// The same store, for a process that looks up the same artifacts many times: [`Store::lookup`] reads the bytes of an artifact
+    /// again only if one of its files was written to since the last time.
+    #[must_use]
+    pub fn verifying_once(self) -> Self {
+        Self {
+            verified: Some(Arc::default()),
+            ..self
+        }
     }
 
     /// The root folder of the store.
@@ -94,10 +115,24 @@ impl Store {
                         found: artifact.key().to_string(),
                     });
                 }
-                artifact.verify_bytes()?;
+                self.verify(&artifact)?;
                 Ok(Some(artifact))
             }
         }
+    }
+
+    fn verify(&self, artifact: &Artifact) -> Result<(), ArtifactError> {
+        let Some(verified) = &self.verified else {
+            return artifact.verify_bytes();
+        };
+        // The state is taken before the bytes are read, so that a write during the reading is noticed the next time.
+        let states = file_states(artifact.path()).map_err(ArtifactError::io("list", artifact.path()))?;
+        let known = || verified.lock().unwrap_or_else(PoisonError::into_inner);
+        if known().get(artifact.path()) != Some(&states) {
+            artifact.verify_bytes()?;
+            known().insert(artifact.path().to_path_buf(), states);
+        }
+        Ok(())
     }
 
     /// Starts writing the artifact of this recipe, in a temporary folder next to the final one.
@@ -132,6 +167,12 @@ impl Store {
         Ok(path)
     }
 
+    /// Reads the record of the run that made an artifact; `None` if there is none, or if it is not JSON.
+    pub fn run_record(root: &Path, stage: Stage, key: &Key) -> Option<Value> {
+        let path = root.join(RUNS).join(format!("{stage}-{}.json", key.short()));
+        serde_json::from_slice(&fs::read(path).ok()?).ok()
+    }
+
     /// Acquires the lock of the whole store. It is held only while a temporary folder is created, published or removed.
     pub(crate) fn lock(&self) -> Result<fs::File, ArtifactError> {
         lock(&self.root.join(LOCK_NAME))
@@ -151,6 +192,24 @@ impl Store {
         }
         Ok(())
     }
+}
+
+fn file_states(folder: &Path) -> io::Result<Vec<FileState>> {
+    let state = |entry: io::Result<fs::DirEntry>| {
+        let entry = entry?;
+        let of = entry.metadata()?;
+        Ok((
+            entry.file_name(),
+            of.dev(),
+            of.ino(),
+            of.len(),
+            [of.mtime(), of.mtime_nsec()],
+            [of.ctime(), of.ctime_nsec()],
+        ))
+    };
+    let mut states: Vec<FileState> = fs::read_dir(folder)?.map(state).collect::<io::Result<_>>()?;
+    states.sort();
+    Ok(states)
 }
 
 fn is_temporary(path: &Path) -> bool {

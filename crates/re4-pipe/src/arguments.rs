@@ -51,6 +51,8 @@ pub(crate) enum Command {
     Rollout(RolloutArguments),
     /// Run the stages of a pipeline: up to the rollouts, or to the audit if it has no table `[rollout]`
     Run(RolloutArguments),
+    /// Compare policies over equal seeds: run the cells of a suite file; writes the `comparison` artifact and an HTML page
+    Compare(CompareArguments),
     /// Replay the demonstrations' actions open-loop and measure the divergence; writes the `replays` artifact
     Replay(ReplayArguments),
     /// Render rollouts as a GIF video, with the plan and the coverage (Push-T) or the retrieved demonstrations (robosuite)
@@ -89,7 +91,8 @@ impl Command {
             | Self::Audit(AuditArguments { stage, .. })
             | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
             Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
-            Self::Video(VideoArguments { common, .. })
+            Self::Compare(CompareArguments { common, .. })
+            | Self::Video(VideoArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })
             | Self::Inspect(InspectArguments { common, .. })
             | Self::Report(ReportArguments { common, .. })
@@ -215,6 +218,32 @@ pub(crate) struct RolloutArguments {
     pub(crate) record: Option<PathBuf>,
 }
 
+/// Arguments of `compare`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct CompareArguments {
+    /// Suite file
+    #[arg(value_name = "SUITE.toml")]
+    pub(crate) suite: PathBuf,
+    /// Names of the rows to run, separated by commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(crate) rows: Vec<String>,
+    /// Names of the columns to run, separated by commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(crate) columns: Vec<String>,
+    /// Override a setting of every cell's pipeline; can be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// Seeds of the scenes in place of those of the suite, such as 500..600 (600 is excluded)
+    #[arg(long, value_name = "SEEDS")]
+    pub(crate) seeds: Option<Seeds>,
+    /// HTML page to write [default: the name of the suite file with the ending .html, in the current folder]
+    #[arg(long, short, value_name = "OUT.html")]
+    pub(crate) output: Option<PathBuf>,
+    /// Options of all commands.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
 /// Arguments of `replay`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ReplayArguments {
@@ -287,7 +316,7 @@ pub(crate) struct InspectArguments {
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ReportArguments {
     /// Folders of `rollouts` artifacts, in the order in which the page shows them; or the folder of one `poses` artifact, to show
-    /// the training of its encoder
+    /// the training of its encoder; or the folder of one `comparison` artifact
     #[arg(value_name = "ARTIFACT", required = true)]
     pub(crate) paths: Vec<PathBuf>,
     /// HTML file to write

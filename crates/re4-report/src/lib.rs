@@ -6,6 +6,7 @@ mod svg;
 mod video;
 
 pub use sources::audit::{AuditSources, audit_page};
+pub use sources::comparison::comparison_page;
 pub use sources::findings::Findings;
 pub use sources::plane::{planar_rollout, planar_videos};
 pub use sources::report::{AddImages, LARGE_PAGE, ReportPage, open_rollouts, report_page};

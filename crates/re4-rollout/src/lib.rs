@@ -21,6 +21,7 @@ mod rollout;
 mod scene_renderer;
 mod senses;
 mod tables;
+mod times;
 
 pub use conditions::{AppliedDisturbance, Conditions, Displaced, Displacement, Disturbance, Disturbed};
 pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
@@ -35,3 +36,4 @@ pub use tables::{
     DecisionCore, PlaneDecisionRow, PlaneResultRow, PlaneStepRow, PlaneWorldRow, Recorded, ResultCore,
     SpaceDecisionRow, SpaceResultRow, SpaceStepRow, SpaceWorldRow, StepCore, tables,
 };
+pub use times::ActTimes;

@@ -2,6 +2,7 @@
 
 use re4_fault::Remedy;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use re4_sim::{GOAL, PushTObservation, ResetOrder, SeedScheme, SimError, Step, scene_from_seed};
 use thiserror::Error;
@@ -9,8 +10,8 @@ use thiserror::Error;
 use crate::conditions::Disturber;
 use crate::senses::Sensing;
 use crate::{
-    AppliedDisturbance, Asked, Conditions, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError, PolicyFactory,
-    Senses as _, Source,
+    ActTimes, AppliedDisturbance, Asked, Conditions, Domain, Env, Phase, Plane, PlaneScene, Policy, PolicyError,
+    PolicyFactory, Senses as _, Source,
 };
 
 /// The start of a rollout. Scores over different sets of starts are not comparable.
@@ -137,6 +138,20 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     max_steps: u32,
     conditions: &Conditions,
 ) -> Result<RolloutOf<D, F>, RolloutError> {
+    timed_rollout(factory, env, source, start, max_steps, conditions, &ActTimes::default())
+}
+
+/// As [`rollout`], and adds the wall time of every call of the policy to `times` at the end of the episode.
+fn timed_rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
+    factory: &F,
+    env: &mut dyn Env<D>,
+    source: Source<D>,
+    start: Start<D>,
+    max_steps: u32,
+    conditions: &Conditions,
+    times: &ActTimes,
+) -> Result<RolloutOf<D, F>, RolloutError> {
+    let mut calls = Vec::new();
     let scene = start.seed;
     let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
     let first = env.reset(&start.scene).map_err(refused(0))?;
@@ -154,9 +169,11 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
             disturber.before_step(step as u32, senses.env).map_err(refused(step))?;
         }
         senses.begin();
+        let before = Instant::now();
         let act = policy
             .act(&mut senses)
             .map_err(|source| RolloutError::Policy { scene, step, source })?;
+        calls.push((before.elapsed(), act.decision.is_some()));
         decisions.extend(act.decision);
         let (action, object) = match &world_from_observed {
             Some(motion) => (
@@ -180,6 +197,7 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
             break;
         }
     }
+    times.add(&calls);
     Ok(Rollout {
         start,
         first,
@@ -210,6 +228,8 @@ pub struct Harness<'a, 'e, D: Domain> {
     pub conditions: Conditions,
     /// Called after every episode. Returns false to stop the rollouts.
     pub progress: &'a (dyn Fn() -> bool + Sync),
+    /// Receives the wall time of every call of the policy. Times are no part of the rollouts, which are the same in every run.
+    pub times: &'a ActTimes,
 }
 
 /// Rolls out a policy from many starts on as many threads as the current rayon thread pool has, or as
@@ -234,8 +254,8 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
         };
         let mut env = (harness.env)(start).map_err(refused)?;
         let source = (harness.source)(start.seed);
-        let (steps, conditions) = (harness.max_steps, &harness.conditions);
-        let episode = rollout(factory, env.as_mut(), source, start.clone(), steps, conditions)?;
+        let (start, steps, conditions) = (start.clone(), harness.max_steps, &harness.conditions);
+        let episode = timed_rollout(factory, env.as_mut(), source, start, steps, conditions, harness.times)?;
         if (harness.progress)() {
             Ok(episode)
         } else {

@@ -40,13 +40,26 @@ fn coverage_and_success_are_those_of_the_goal() {
         // Near the goal, so that most blocks cover a part of it.
         let [dx, dy, turn] = [37, 61, 29].map(|factor| f64::from(seed * factor % 101) / 50.5 - 1.0);
         let size = f64::from(seed % 10) / 10.0;
-        let block = Pose2::new(goal.x + 30.0 * size * dx, goal.y + 30.0 * size * dy, goal.theta + size * turn);
+        let block = Pose2::new(
+            goal.x + 30.0 * size * dx,
+            goal.y + 30.0 * size * dy,
+            goal.theta + size * turn,
+        );
         simulator.set_goal(goal);
-        let agent = Point2::new(if goal.x < 256.0 { 480.0 } else { 30.0 }, if goal.y < 256.0 { 480.0 } else { 30.0 });
-        simulator.reset(&Scene { agent, block }, ResetOrder::PoseIsPose).unwrap();
+        let agent = Point2::new(
+            if goal.x < 256.0 { 480.0 } else { 30.0 },
+            if goal.y < 256.0 { 480.0 } else { 30.0 },
+        );
+        simulator
+            .reset(&Scene { agent, block }, ResetOrder::PoseIsPose)
+            .unwrap();
         let outcome = simulator.outcome();
         let expected = sampled_coverage(outcome.observation.block, goal);
-        assert!((outcome.coverage - expected).abs() < 0.01, "seed {seed}: {} {expected}", outcome.coverage);
+        assert!(
+            (outcome.coverage - expected).abs() < 0.01,
+            "seed {seed}: {} {expected}",
+            outcome.coverage
+        );
         assert_eq!(outcome.success, outcome.coverage > 0.95);
         let iou = expected / (2.0 - expected);
         assert!((outcome.iou - iou).abs() < 0.01);
@@ -68,7 +81,9 @@ fn an_image_shows_the_goal_where_it_is_and_the_scene_as_a_moved_camera_sees_it()
     let mut simulator = PushT::new().unwrap();
     simulator.set_goal(goal);
     let agent = Point2::new(440.0, 440.0);
-    simulator.reset(&Scene { agent, block }, ResetOrder::PoseIsPose).unwrap();
+    simulator
+        .reset(&Scene { agent, block }, ResetOrder::PoseIsPose)
+        .unwrap();
     let canvas = simulator.render();
     assert_eq!(at(&canvas, middle(goal)), green);
     assert_ne!(at(&canvas, middle(GOAL)), green);
@@ -103,7 +118,10 @@ fn the_arrival_of_a_scene_is_where_the_reset_places_the_block() {
                 continue;
             }
             let arrival = scene.arrival(order);
-            assert!((arrival.translation() - now.block.translation()).norm() < 1e-9, "seed {seed}");
+            assert!(
+                (arrival.translation() - now.block.translation()).norm() < 1e-9,
+                "seed {seed}"
+            );
             checked += 1;
         }
     }
@@ -114,7 +132,9 @@ fn the_arrival_of_a_scene_is_where_the_reset_places_the_block() {
 fn only_valid_displacements_are_applied() {
     let mut simulator = PushT::new().unwrap();
     let (agent, block) = (Point2::new(120.0, 120.0), Pose2::new(300.0, 300.0, 1.0));
-    simulator.reset(&Scene { agent, block }, ResetOrder::PoseIsPose).unwrap();
+    simulator
+        .reset(&Scene { agent, block }, ResetOrder::PoseIsPose)
+        .unwrap();
     let mut valid = [0, 0];
     for i in 0..2000 {
         let before = simulator.observation();

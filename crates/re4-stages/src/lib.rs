@@ -14,6 +14,7 @@ mod reference;
 mod rerender;
 mod runner;
 mod stages;
+mod suite;
 pub mod tables;
 #[doc(hidden)]
 pub mod testing;
@@ -26,10 +27,11 @@ pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
     RolloutSection, Seeds, Task, Variant, read_pipeline, schema,
 };
-pub use reference::{pipeline_reference, tables_reference};
+pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
-pub use runner::{Built, Runner, Settings, warning_text};
+pub use runner::{Built, Runner, Session, Settings, warning_text};
 pub use stages::{
-    BudgetRow, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
-    SpatialReplay, metrics, read_rollouts, serve_ingest,
+    BudgetRow, Compared, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
+    SpatialReplay, compare, metrics, read_rollouts, serve_ingest,
 };
+pub use suite::{Cell, Selection, Suite, read_suite, suite_schema};

@@ -1,15 +1,17 @@
 //! The [`Runner`], which holds a pipeline and everything that all stages need.
 
+use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Result;
 use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Stage, Store, Writer};
 use re4_fault::{OrFault as _, bail, fault};
 use re4_ingest::{IngestError, Stop};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use tracing::{debug, info, info_span};
 
 use crate::interrupt::Interrupt;
@@ -31,12 +33,9 @@ pub struct Settings<'a> {
     pub notes: Notes,
 }
 
-/// A pipeline, the artifact store and everything else that all stages need.
-pub struct Runner {
-    /// The pipeline, with overrides applied.
-    pub pipeline: Pipeline,
-    /// Path of the pipeline file.
-    pub(crate) file: PathBuf,
+/// What all stages need besides their settings: the artifact store, the messages to the user and Ctrl-C. Pipelines that one process
+/// runs share them.
+pub struct Session {
     /// The artifacts folder.
     pub(crate) store: Store,
     /// Messages to the user.
@@ -45,6 +44,89 @@ pub struct Runner {
     pub(crate) interrupt: Interrupt,
     /// Warnings of the stages run so far.
     warnings: Mutex<Vec<Value>>,
+    /// Warnings that were printed, if each is printed only once.
+    said: Option<Arc<Mutex<BTreeSet<String>>>>,
+    /// What the running stage measured for the record of its run.
+    measured: Mutex<Map<String, Value>>,
+}
+
+impl Session {
+    /// Sets up threads and opens the store. To be called once per process.
+    ///
+    /// # Errors
+    /// If the threads cannot be started, or the artifacts folder cannot be created or opened.
+    pub fn open(artifacts: &Path, jobs: Option<NonZeroUsize>, notes: Notes) -> Result<Self> {
+        if let Some(jobs) = jobs {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(jobs.get())
+                .build_global()
+                .or_fault(|| fault!("cannot start {jobs} worker threads"; "give a smaller --jobs"))?;
+        }
+        if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
+            bail!(
+                "cannot keep artifacts in {}: {} is a file", artifacts.display(), file.display();
+                "name a folder with --artifacts"
+            );
+        }
+        let store = Store::open(artifacts)?;
+        debug!(artifacts = %artifacts.display(), threads = rayon::current_num_threads(), "store open");
+        Ok(Self {
+            interrupt: Interrupt::listen(Some(&store)),
+            store,
+            notes,
+            warnings: Mutex::default(),
+            said: None,
+            measured: Mutex::default(),
+        })
+    }
+
+    /// The same session for many pipelines: notes about unchanged artifacts are not printed, warnings once, and an artifact that
+    /// was verified is not read again unless its files were written to.
+    #[must_use]
+    pub fn of_many_pipelines(self) -> Self {
+        Self {
+            store: self.store.verifying_once(),
+            said: Some(Arc::default()),
+            ..self
+        }
+    }
+
+    /// The runner of a pipeline that was read from `file`.
+    pub fn runner(&self, file: &Path, pipeline: Pipeline) -> Runner {
+        let session = Self {
+            store: self.store.clone(),
+            notes: self.notes,
+            interrupt: self.interrupt.clone(),
+            warnings: Mutex::default(),
+            said: self.said.clone(),
+            measured: Mutex::default(),
+        };
+        for message in &pipeline.without_effect {
+            session.say(json!({ "stage": "pipeline", "code": "setting_without_effect", "message": message }));
+        }
+        Runner {
+            pipeline,
+            file: file.to_owned(),
+            session,
+        }
+    }
+}
+
+/// A pipeline and the session in which it runs.
+pub struct Runner {
+    /// The pipeline, with overrides applied.
+    pub pipeline: Pipeline,
+    /// Path of the pipeline file.
+    pub(crate) file: PathBuf,
+    session: Session,
+}
+
+impl Deref for Runner {
+    type Target = Session;
+
+    fn deref(&self) -> &Session {
+        &self.session
+    }
 }
 
 /// The artifact of a stage, and whether it existed before.
@@ -82,37 +164,12 @@ impl Runner {
     pub fn new(settings: &Settings<'_>) -> Result<Self> {
         let pipeline = read_pipeline(settings.pipeline, &settings.overrides)?;
         info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
-        if let Some(jobs) = settings.jobs {
-            rayon::ThreadPoolBuilder::new()
-                .num_threads(jobs.get())
-                .build_global()
-                .or_fault(|| fault!("cannot start {jobs} worker threads"; "give a smaller --jobs"))?;
-        }
-        let artifacts = settings.artifacts;
-        if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
-            bail!(
-                "cannot keep artifacts in {}: {} is a file", artifacts.display(), file.display();
-                "name a folder with --artifacts"
-            );
-        }
-        let store = Store::open(artifacts)?;
-        let mut warnings = Vec::new();
-        for message in &pipeline.without_effect {
-            let warning = json!({ "stage": "pipeline", "code": "setting_without_effect", "message": message });
-            settings.notes.warning(&warning);
-            warnings.push(warning);
-        }
-        debug!(artifacts = %artifacts.display(), threads = rayon::current_num_threads(), "store open");
-        Ok(Self {
-            pipeline,
-            file: settings.pipeline.to_owned(),
-            interrupt: Interrupt::listen(Some(&store)),
-            store,
-            notes: settings.notes,
-            warnings: Mutex::new(warnings),
-        })
+        let session = Session::open(settings.artifacts, settings.jobs, settings.notes)?;
+        Ok(session.runner(settings.pipeline, pipeline))
     }
+}
 
+impl Session {
     /// Computes the hash of a source. Ctrl-C ends the hashing.
     pub(crate) fn hash(
         &self,
@@ -153,11 +210,13 @@ impl Runner {
         };
         crate::tables::refuse_newer(&artifact)?;
         info!(key = %recipe.key(), wall = ?start.elapsed(), "artifact exists and is intact");
-        self.notes.note(&format!(
-            "{:>10}  {}  unchanged, skipped",
-            stage.as_str(),
-            artifact.path().display()
-        ));
+        if self.said.is_none() {
+            self.notes.note(&format!(
+                "{:>10}  {}  unchanged, skipped",
+                stage.as_str(),
+                artifact.path().display()
+            ));
+        }
         self.warn(&artifact, stage);
         Ok(Some(Built {
             stage,
@@ -171,21 +230,34 @@ impl Runner {
     /// output of `ingest`.
     fn warn(&self, artifact: &Artifact, stage: Stage) {
         for warning in &artifact.manifest().warnings {
-            self.notes.warning(warning);
             let mut warning = warning.clone();
             if let Some(object) = warning.as_object_mut() {
                 object.insert("stage".to_owned(), stage.as_str().into());
             }
-            self.warnings
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .push(warning);
+            self.say(warning);
         }
+    }
+
+    /// Prints and keeps a warning.
+    pub(crate) fn say(&self, warning: Value) {
+        let new = self
+            .said
+            .as_ref()
+            .is_none_or(|said| locked(said).insert(warning.to_string()));
+        if new {
+            self.notes.warning(&warning);
+        }
+        locked(&self.warnings).push(warning);
+    }
+
+    /// Adds a measurement to the record of the run of the current stage, which is no part of its artifact.
+    pub(crate) fn measured(&self, name: &str, value: Value) {
+        locked(&self.measured).insert(name.to_owned(), value);
     }
 
     /// The warnings of all stages run so far, each with its stage, in the order of the stages.
     pub fn warnings(&self) -> Vec<Value> {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        locked(&self.warnings).clone()
     }
 
     /// Records the run that made an artifact, and prints a note.
@@ -193,11 +265,11 @@ impl Runner {
         let stage = recipe.stage();
         let wall = start.elapsed();
         // Wall time and threads differ between runs, so they are recorded outside of the artifact and of every hash.
-        self.store.record_run(
-            stage,
-            &recipe.key(),
-            &json!({ "wall_s": wall.as_secs_f64(), "threads": rayon::current_num_threads() }),
-        )?;
+        let mut record = std::mem::take(&mut *locked(&self.measured));
+        record.insert("wall_s".to_owned(), json!(wall.as_secs_f64()));
+        record.insert("threads".to_owned(), json!(rayon::current_num_threads()));
+        record.insert("finished_unix_s".to_owned(), json!(seconds_since_1970()));
+        self.store.record_run(stage, &recipe.key(), &record)?;
         let manifest = artifact.manifest();
         for (name, table) in &manifest.tables {
             debug!(name, rows = table.rows, bytes = table.bytes, "table written");
@@ -223,6 +295,16 @@ impl Runner {
             wall,
         })
     }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The time of the system's clock.
+fn seconds_since_1970() -> u64 {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    since.map_or(0, |since| since.as_secs())
 }
 
 /// A warning of a manifest in one line: its code and its message.

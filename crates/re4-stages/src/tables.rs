@@ -2,6 +2,7 @@
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_ingest::{
     Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
@@ -62,6 +63,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             PlanarDivergenceRow::table(),
             DivergenceRow::<SpatialDivergence>::table(),
         ],
+        Stage::Compare => vec![CellRow::table(), DifferenceRow::table(), CurveRow::table()],
         Stage::TrainPose => vec![
             PoseRow::<Estimate>::table(),
             PoseRow::<SpatialEstimate>::table(),

@@ -1,6 +1,7 @@
 //! The subcommands. Those that run stages share the file `run.rs`, except `audit`.
 
 pub(crate) mod audit;
+pub(crate) mod compare;
 pub(crate) mod doctor;
 pub(crate) mod fetch;
 pub(crate) mod inspect;

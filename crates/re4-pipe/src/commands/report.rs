@@ -1,10 +1,11 @@
-//! `re4-pipe report`: writes one self-contained HTML page about `rollouts` artifacts, or about the training of an encoder.
+//! `re4-pipe report`: writes one self-contained HTML page about `rollouts` artifacts, about the training of an encoder, or about a
+//! comparison.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use re4_artifact::{Artifact, Stage};
-use re4_report::{ReportPage, open_rollouts, report_page, training_page};
+use re4_report::{ReportPage, comparison_page, open_rollouts, report_page, training_page};
 use re4_stages::{Seeds, add_images};
 use serde_json::json;
 
@@ -60,6 +61,9 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
         if artifact.manifest().artifact == Stage::TrainPose.artifact() {
             return report_training(&artifact, arguments, &output, console);
         }
+        if artifact.manifest().artifact == Stage::Compare.artifact() {
+            return report_comparison(&artifact, arguments, &output, console);
+        }
     }
     let shown = Shown {
         seeds: seeds.as_ref(),
@@ -90,15 +94,51 @@ fn report_training(
     output: &Output,
     console: Console,
 ) -> Result<Outcome> {
-    ensure!(
-        arguments.seeds.is_none() && arguments.images.is_none(),
-        "cannot show rollouts of {}: it has poses, not rollouts; leave --seeds and --images out",
-        artifact.path().display()
-    );
+    refuse_selection(artifact, arguments)?;
     artifact.verify_bytes()?;
     let (html, warnings) = training_page(artifact, &arguments.common.artifacts)?;
-    output.write(&html)?;
-    for warning in &warnings {
+    answer_single(
+        artifact,
+        arguments,
+        output,
+        console,
+        ("training of an encoder", &html, &warnings),
+    )
+}
+
+/// Writes the page of a comparison.
+fn report_comparison(
+    artifact: &Artifact,
+    arguments: &ReportArguments,
+    output: &Output,
+    console: Console,
+) -> Result<Outcome> {
+    refuse_selection(artifact, arguments)?;
+    let html = comparison_page(artifact, &arguments.common.artifacts)?;
+    answer_single(artifact, arguments, output, console, ("comparison", &html, &[]))
+}
+
+/// Refuses options that select rollouts for an artifact without rollouts.
+fn refuse_selection(artifact: &Artifact, arguments: &ReportArguments) -> Result<()> {
+    ensure!(
+        arguments.seeds.is_none() && arguments.images.is_none(),
+        "cannot show rollouts of {}: it has a {} artifact, not rollouts; leave --seeds and --images out",
+        artifact.path().display(),
+        artifact.manifest().artifact
+    );
+    Ok(())
+}
+
+/// Writes a page that was made from one artifact, and prints what it is.
+fn answer_single(
+    artifact: &Artifact,
+    arguments: &ReportArguments,
+    output: &Output,
+    console: Console,
+    (what, html, warnings): (&str, &str, &[String]),
+) -> Result<Outcome> {
+    output.write(html)?;
+    for warning in warnings {
         console.note(&format!("warning: {warning}"));
     }
     console.answer(&json!({
@@ -108,7 +148,7 @@ fn report_training(
         "warnings": warnings,
     }))?;
     console.say(&format!(
-        "report {}  training of an encoder, {:.1} MB",
+        "report {}  {what}, {:.1} MB",
         arguments.output.display(),
         html.len() as f64 / 1e6
     ))?;

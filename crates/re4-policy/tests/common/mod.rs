@@ -180,6 +180,7 @@ pub(crate) fn rollouts(
         conditions: Conditions::default(),
         max_steps,
         progress,
+        times: &re4_rollout::ActTimes::default(),
     };
     re4_rollout::rollouts(&factory, &harness, starts)
 }

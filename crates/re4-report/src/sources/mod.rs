@@ -1,6 +1,7 @@
 //! Reads artifacts and converts them to the content of pages, videos and images.
 
 pub(crate) mod audit;
+pub(crate) mod comparison;
 pub(crate) mod findings;
 pub(crate) mod plane;
 pub(crate) mod report;

@@ -18,8 +18,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use goal::Goal;
-pub(crate) use load::parse;
 pub use load::read_pipeline;
+pub(crate) use load::{one_line, parse, placed, resolve, suggestion};
 pub use re4_task::{Camera, Task};
 pub use rollout::{NoiseSection, Policy, RolloutSection};
 pub use schema::schema;

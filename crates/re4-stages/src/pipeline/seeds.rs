@@ -21,6 +21,11 @@ pub struct Seeds {
 }
 
 impl Seeds {
+    /// The seeds as they were written.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
     /// The seeds.
     pub fn as_slice(&self) -> &[u32] {
         &self.seeds

@@ -1,6 +1,7 @@
 //! The stages: one module for each, named by its subcommand.
 
 mod audit;
+mod compare;
 mod index;
 mod ingest;
 mod replay;
@@ -10,6 +11,7 @@ mod segment;
 mod train;
 mod train_pose;
 
+pub use compare::{Compared, compare};
 pub(crate) use ingest::WorkerCrashed;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};

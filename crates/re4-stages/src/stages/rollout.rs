@@ -9,7 +9,8 @@ use anyhow::{Context as _, Result, bail};
 use re4_artifact::{Artifact, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
-use re4_rollout::{Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
+use re4_rollout::{ActTimes, Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
+use re4_stats::Durations;
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::demo_names;
@@ -132,12 +133,14 @@ impl Runner {
             bar.inc(1);
             !self.interrupt.requested()
         };
+        let times = ActTimes::default();
         let harness = Harness {
             env: setup.env,
             source: setup.source,
             max_steps: self.pipeline.rollout()?.max_steps,
             conditions: self.pipeline.rollout()?.conditions(),
             progress: &going,
+            times: &times,
         };
         let mut recording = opened.begin(writer)?;
         let (mut results, mut steps, mut decisions) = (writer.rows()?, writer.rows()?, writer.rows()?);
@@ -169,6 +172,8 @@ impl Runner {
         if let Some(worlds) = worlds {
             worlds.finish()?;
         }
+        self.measured("actions", spread(&times.actions()));
+        self.measured("decisions", spread(&times.decisions()));
         Ok(())
     }
 
@@ -216,6 +221,17 @@ impl Runner {
         }
         Ok(config)
     }
+}
+
+/// Wall times in microseconds, for the record of a run.
+fn spread(times: &Durations) -> Value {
+    json!({
+        "count": times.count(),
+        "mean_us": times.mean(),
+        "p50_us": times.quantile(0.5),
+        "p99_us": times.quantile(0.99),
+        "max_us": times.maximum(),
+    })
 }
 
 /// Adds the fields of one object to another.

@@ -64,13 +64,15 @@ impl Runner {
         let key = recipe.key();
         let folder = self.store.root().join(CHECKPOINTS).join(key.short());
         let mut checkpoints = None;
-        let mut rate = None;
         let built = self.build(&recipe, |writer| {
             info!(checkpoints = %folder.display(), resumed = folder.is_dir(), "training the encoder");
             let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
             let (summary, measured) =
                 self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
-            rate = measured;
+            if let Some(rate) = measured {
+                // The rate differs between runs, so it is recorded outside of the artifact.
+                self.measured("training_images_per_s", json!(rate));
+            }
             Ok(summary)
         })?;
         // If the artifact existed already, this run has no checkpoints, but a run that was killed after publishing has left some.
@@ -79,18 +81,6 @@ impl Runner {
         }
         if let Some(checkpoints) = checkpoints {
             checkpoints.remove()?;
-        }
-        if let Some(rate) = rate {
-            // The rate differs between runs, so it is recorded outside of the artifact.
-            self.store.record_run(
-                Stage::TrainPose,
-                &key,
-                &json!({
-                    "wall_s": built.wall.as_secs_f64(),
-                    "threads": rayon::current_num_threads(),
-                    "training_images_per_s": rate,
-                }),
-            )?;
         }
         Ok(built)
     }
