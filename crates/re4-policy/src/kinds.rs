@@ -13,6 +13,7 @@
 //! The pipeline parser, the schema of the pipeline file, the list of tables and the rollout driver use these lists, so nothing
 //! else needs to change.
 
+mod gpi;
 mod nearest;
 mod re4;
 
@@ -26,6 +27,7 @@ use re4_fault::Remedy;
 use re4_geometry::spatial::Symmetry;
 use re4_index::{IndexError, Normalization};
 use re4_rollout::{Opened, Plane, Recorded, Space};
+use re4_sim::robosuite::RobosuiteTask;
 use schemars::{Schema, schema_for};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -34,6 +36,8 @@ use crate::LookupError;
 use crate::config::PolicyConfig;
 use crate::spatial::SpatialPolicyConfig;
 
+pub use crate::lookup::{ActionFrame, QueryNoiseConfig, SpaceWeights};
+pub use gpi::{GpiRow, PlaneGpi, SpaceGpi};
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
 
@@ -109,6 +113,8 @@ kinds! {
         Re2(PolicyConfig) = "re2", PolicyConfig::re2(), re4::PlaneRe4Row;
         /// Replays the actions of the nearest frame.
         Nearest(PlaneNearest) = "nearest", PlaneNearest::default(), NearestRow;
+        /// Follows a velocity field over the frames of the demonstrations (GPI).
+        Gpi(PlaneGpi) = "gpi", PlaneGpi::default(), GpiRow;
     }
 }
 
@@ -123,6 +129,8 @@ kinds! {
         Re2(SpatialPolicyConfig) = "re2", SpatialPolicyConfig::re2(), re4::SpaceRe4Row;
         /// Replays the actions of the nearest frame.
         Nearest(SpaceNearest) = "nearest", SpaceNearest::default(), NearestRow;
+        /// Follows a velocity field over the frames of the demonstrations (GPI), as the RE4 paper ports it.
+        Gpi(SpaceGpi) = "gpi", SpaceGpi::default(), GpiRow;
     }
 }
 
@@ -223,6 +231,10 @@ impl SettingError {
 pub struct Inputs<'a> {
     /// The artifacts of the stages that [`Settings::inputs`] lists.
     pub artifacts: &'a [(Stage, &'a Artifact)],
+    /// The artifact `episodes`, with everything that was recorded of the demonstrations.
+    pub episodes: &'a Artifact,
+    /// The robosuite task, or `None` for Push-T.
+    pub task: Option<RobosuiteTask>,
     /// Names of the demonstrations.
     pub names: DemoNames,
     /// Symmetry of the object, in the object frame.

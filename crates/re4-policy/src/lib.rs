@@ -12,6 +12,7 @@ mod artifact;
 mod config;
 mod demos;
 pub mod kinds;
+mod lookup;
 mod open_loop;
 mod outcome;
 mod path;
