@@ -13,9 +13,11 @@
 //! The pipeline parser, the schema of the pipeline file, the list of tables and the rollout driver use these lists, so nothing
 //! else needs to change.
 
+mod alt;
 mod gpi;
 mod nearest;
 mod re4;
+mod vinn;
 
 use std::collections::BTreeSet;
 use std::error::Error;
@@ -37,9 +39,11 @@ use crate::config::PolicyConfig;
 use crate::spatial::SpatialPolicyConfig;
 
 pub use crate::lookup::{ActionFrame, QueryNoiseConfig, SpaceWeights};
+pub use alt::{AltRow, PlaneAlt, SpaceAlt};
 pub use gpi::{GpiRow, PlaneGpi, SpaceGpi};
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
+pub use vinn::{PlaneVinn, SpaceVinn, VinnRow};
 
 /// Declares the enum of the kinds of a domain and implements [`Kinds`] for it. An entry lists the variant, the type of its
 /// settings, its name in pipeline files, its default settings, and the row type of its table.
@@ -115,6 +119,10 @@ kinds! {
         Nearest(PlaneNearest) = "nearest", PlaneNearest::default(), NearestRow;
         /// Follows a velocity field over the frames of the demonstrations (GPI).
         Gpi(PlaneGpi) = "gpi", PlaneGpi::default(), GpiRow;
+        /// Averages the actions of the nearest frames (VINN).
+        Vinn(PlaneVinn) = "vinn", PlaneVinn::default(), VinnRow;
+        /// Replays the actions of a table entry, with a monitor for unfamiliar states (ALT).
+        Alt(PlaneAlt) = "alt", PlaneAlt::default(), AltRow;
     }
 }
 
@@ -131,6 +139,10 @@ kinds! {
         Nearest(SpaceNearest) = "nearest", SpaceNearest::default(), NearestRow;
         /// Follows a velocity field over the frames of the demonstrations (GPI), as the RE4 paper ports it.
         Gpi(SpaceGpi) = "gpi", SpaceGpi::default(), GpiRow;
+        /// Averages the actions of the nearest frames (VINN).
+        Vinn(SpaceVinn) = "vinn", SpaceVinn::default(), VinnRow;
+        /// Replays the actions of a table entry, with a monitor for unfamiliar states (ALT).
+        Alt(SpaceAlt) = "alt", SpaceAlt::default(), AltRow;
     }
 }
 

@@ -38,13 +38,12 @@ struct Gpi {
     memory: Option<u32>,
 }
 
-/// Settings of GPI for Push-T. The defaults are those of the authors' run with states, except for the horizon, which is that of
-/// the RE4 paper.
+/// Settings of GPI for Push-T. The defaults are those of the authors' run with states.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlaneGpi {
-    /// Number of actions of a plan. 1: a new query at every step, which combines several frames (RE4 paper, states; the authors
-    /// use 8, and 1 to 16 in their batch evaluation).
+    /// Number of actions of a plan (authors: 8, and 1 to 16 in their batch evaluation; RE4 paper: 1 from states, 4 from images).
+    /// 1: a new query at every step, which combines several frames.
     pub horizon: u32,
     /// Number of frames that are combined if the horizon is 1 (authors and RE4 paper: 3).
     pub neighbors: u32,
@@ -71,7 +70,7 @@ pub struct PlaneGpi {
 impl Default for PlaneGpi {
     fn default() -> Self {
         Self {
-            horizon: 1,
+            horizon: 8,
             neighbors: 3,
             noise: QueryNoiseConfig::default(),
             actions: ActionFrame::Object,

@@ -5,6 +5,7 @@
 //! are linear scans: with 26,000 frames of Push-T, one takes about a tenth of a millisecond, and unlike a tree it can exclude any
 //! set of frames.
 
+mod history;
 mod latent;
 mod noise;
 mod plane;
@@ -18,7 +19,8 @@ use serde::{Deserialize, Serialize};
 use crate::LookupError;
 use crate::kinds::{Inputs, OpenError};
 
-pub(crate) use latent::Latent;
+pub(crate) use history::History;
+pub(crate) use latent::{Latent, squared};
 pub(crate) use noise::QueryNoise;
 pub use noise::QueryNoiseConfig;
 pub use space::SpaceWeights;
