@@ -15,6 +15,7 @@
 
 mod alt;
 mod gpi;
+mod gpi_tuned;
 mod nearest;
 mod re4;
 mod vinn;
@@ -41,6 +42,7 @@ use crate::spatial::SpatialPolicyConfig;
 pub use crate::lookup::{ActionFrame, QueryNoiseConfig, SpaceWeights};
 pub use alt::{AltRow, PlaneAlt, SpaceAlt};
 pub use gpi::{GpiRow, PlaneGpi, SpaceGpi};
+pub use gpi_tuned::{GpiTunedRow, SpaceGpiTuned, TunedFor};
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
 pub use vinn::{PlaneVinn, SpaceVinn, VinnRow};
@@ -139,6 +141,8 @@ kinds! {
         Nearest(SpaceNearest) = "nearest", SpaceNearest::default(), NearestRow;
         /// Follows a velocity field over the frames of the demonstrations (GPI), as the RE4 paper ports it.
         Gpi(SpaceGpi) = "gpi", SpaceGpi::default(), GpiRow;
+        /// GPI as its authors tuned it for Lift, Can and Square.
+        GpiTuned(SpaceGpiTuned) = "gpi-tuned", SpaceGpiTuned::default(), GpiTunedRow;
         /// Averages the actions of the nearest frames (VINN).
         Vinn(SpaceVinn) = "vinn", SpaceVinn::default(), VinnRow;
         /// Replays the actions of a table entry, with a monitor for unfamiliar states (ALT).
@@ -299,6 +303,10 @@ pub enum OpenError {
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Lookup(#[from] LookupError),
+    /// `gpi-tuned` has no constants for the task.
+    #[error("gpi-tuned has no constants for this task")]
+    #[remedy("set policy.tuning to lift, can or square to use those of another task, or use the policy gpi")]
+    NoTuning,
     /// An error of the policy's own type.
     #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),
