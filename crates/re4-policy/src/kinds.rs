@@ -42,7 +42,7 @@ use crate::spatial::SpatialPolicyConfig;
 pub use crate::lookup::{ActionFrame, QueryNoiseConfig, SpaceWeights};
 pub use alt::{AltRow, PlaneAlt, SpaceAlt};
 pub use gpi::{GpiRow, PlaneGpi, SpaceGpi};
-pub use gpi_tuned::{GpiTunedRow, SpaceGpiTuned, TunedFor};
+pub use gpi_tuned::{GpiTunedRow, Reach, SpaceGpiTuned, TunedFor};
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
 pub use vinn::{PlaneVinn, SpaceVinn, VinnRow};

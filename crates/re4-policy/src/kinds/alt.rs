@@ -57,11 +57,11 @@ pub struct PlaneAlt {
 impl Default for PlaneAlt {
     fn default() -> Self {
         Self {
-            horizon: 8,
+            horizon: 12,
             components: 6,
             cell: 0.02,
             history: 1,
-            actions: ActionFrame::World,
+            actions: ActionFrame::Object,
             alarm: 0.99,
         }
     }

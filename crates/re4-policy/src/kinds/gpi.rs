@@ -21,7 +21,8 @@ use serde::{Deserialize, Serialize};
 use super::{Inputs, OpenError, SettingError, Settings};
 use crate::LookupError;
 use crate::lookup::{
-    ActionFrame, Field, Lookup, Memory, QueryNoise, QueryNoiseConfig, SpaceWeights, UsedFrames, inverse_weights, nearest,
+    ActionFrame, Field, Lookup, Memory, QueryNoise, QueryNoiseConfig, SpaceWeights, UsedFrames, inverse_weights,
+    nearest,
 };
 
 /// Settings of GPI in both domains.
@@ -321,12 +322,16 @@ impl<D: Lookup> Policy<D> for GpiPolicy<D> {
     type Decision = GpiDecision<D>;
 
     fn act(&mut self, senses: &mut dyn Senses<D>) -> Result<Act<D, GpiDecision<D>>, PolicyError> {
-        let (proprio, object) = (senses.proprio(), senses.object()?.pose);
-        let (decision, mut parts) = if self.plan.is_empty() {
-            let (decision, parts) = self.decide(proprio, object)?;
-            (Some(decision), parts)
-        } else {
-            (None, Vec::new())
+        let proprio = senses.proprio();
+        // In a plan with world actions, the object pose has no effect, so that no image is needed.
+        let observes = self.plan.is_empty() || self.config.actions == ActionFrame::Object;
+        let object = if observes { Some(senses.object()?.pose) } else { None };
+        let (decision, mut parts) = match object {
+            Some(object) if self.plan.is_empty() => {
+                let (decision, parts) = self.decide(proprio, object)?;
+                (Some(decision), parts)
+            }
+            _ => (None, Vec::new()),
         };
         let left = self.plan.len();
         if let Some(at) = self.plan.pop_front() {
@@ -339,7 +344,9 @@ impl<D: Lookup> Policy<D> for GpiPolicy<D> {
         };
         let entries = &self.memory.entries;
         let neighbors: Vec<_> = parts.iter().map(|(weight, at)| (*weight, &entries[*at])).collect();
-        let mut action = D::flow(&neighbors, &proprio, &object, &field);
+        let (_, first) = neighbors.first().ok_or(LookupError::NothingToDo)?;
+        let pose = object.unwrap_or(first.object);
+        let mut action = D::flow(&neighbors, &proprio, &pose, &field);
         if let Some((_, at)) = parts.first() {
             self.used.insert(*at);
         }
@@ -351,7 +358,7 @@ impl<D: Lookup> Policy<D> for GpiPolicy<D> {
         Ok(Act {
             action,
             phase: Phase::Replay,
-            object: Some(object),
+            object,
             decision,
         })
     }

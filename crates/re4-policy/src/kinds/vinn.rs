@@ -45,10 +45,10 @@ pub struct PlaneVinn {
 impl Default for PlaneVinn {
     fn default() -> Self {
         Self {
-            neighbors: 5,
-            temperature: 1.0,
-            history: 1,
-            actions: ActionFrame::World,
+            neighbors: 3,
+            temperature: 0.03,
+            history: 8,
+            actions: ActionFrame::Object,
         }
     }
 }

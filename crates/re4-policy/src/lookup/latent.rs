@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Principal components of a set of vectors, in descending order of their variances.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Latent {
     mean: Vec<f64>,
     /// Unit vectors, with the sign that makes the largest component positive.
@@ -17,6 +17,9 @@ impl Latent {
     /// `(variance_c + 1e-8)^w`: 0 keeps distances, 0.5 gives every component the variance 1.
     pub(crate) fn fit(rows: &[Vec<f64>], components: usize, whitening: f64) -> Self {
         let dimensions = rows.first().map_or(0, Vec::len);
+        if dimensions == 0 {
+            return Self::default();
+        }
         let count = rows.len().max(1) as f64;
         let mean: Vec<f64> = (0..dimensions)
             .map(|i| rows.iter().map(|row| row[i]).sum::<f64>() / count)
@@ -33,7 +36,9 @@ impl Latent {
         order.truncate(components);
         let axes = order.iter().map(|&column| {
             let axis: Vec<f64> = eigen.eigenvectors.column(column).iter().copied().collect();
-            let largest = axis.iter().fold(0.0f64, |best, v| if v.abs() > best.abs() { *v } else { best });
+            let largest = axis
+                .iter()
+                .fold(0.0f64, |best, v| if v.abs() > best.abs() { *v } else { best });
             axis.iter().map(|v| v * largest.signum()).collect()
         });
         let divisors = order

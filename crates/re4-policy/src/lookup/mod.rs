@@ -85,7 +85,12 @@ pub(crate) trait Lookup: Recorded {
     /// The velocity field of GPI, evaluated at the present state: each neighbour contributes its recorded motion, weighted by
     /// `progression`, and an attraction towards its recorded position, weighted by `attraction`. The weights of the neighbours
     /// sum to 1; the first one is the nearest.
-    fn flow(neighbors: &[(f64, &Entry<Self>)], proprio: &Self::Proprio, object: &Self::Pose, field: &Field) -> Self::Action;
+    fn flow(
+        neighbors: &[(f64, &Entry<Self>)],
+        proprio: &Self::Proprio,
+        object: &Self::Pose,
+        field: &Field,
+    ) -> Self::Action;
 
     /// Weighted mean of the neighbours' actions in a frame, as an action in the world frame for the observed object. The weights
     /// sum to 1; the first neighbour is the nearest.
@@ -116,7 +121,10 @@ impl<D: Lookup> Memory<D> {
     /// If the index cannot be read or no frame can be retrieved.
     pub(crate) fn open(inputs: &Inputs<'_>, weights: &D::Weights) -> Result<Self, OpenError> {
         let (entries, scales) = D::read(inputs, weights)?;
-        if entries.iter().any(|entry| entry.retrievable && !D::is_finite(&entry.state)) {
+        if entries
+            .iter()
+            .any(|entry| entry.retrievable && !D::is_finite(&entry.state))
+        {
             return Err(LookupError::Retrieve(re4_index::IndexError::QueryNotFinite).into());
         }
         let memory = Self { entries, scales };
@@ -151,6 +159,9 @@ impl<D: Lookup> Memory<D> {
         at - back.min(self.entries[at].frame as usize).min(at)
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests;
 
 /// Returns the `count` smallest distances in ascending order with their positions. Ties go to the lowest position, and positions
 /// whose distance is `None` are left out.
@@ -205,5 +216,3 @@ fn normalized(mut weights: Vec<f64>) -> Vec<f64> {
     }
     weights
 }
-
-

@@ -157,10 +157,7 @@ impl Lookup for Space {
         let fingers = read_fingers(inputs)?;
         let arm_of = |row: &IndexRow<SpatialState>| ArmState {
             eef: row.state.eef,
-            fingers: fingers
-                .get(&(row.episode, row.frame))
-                .copied()
-                .unwrap_or([f64::NAN; 2]),
+            fingers: fingers.get(&(row.episode, row.frame)).copied().unwrap_or([f64::NAN; 2]),
         };
         let all = rows.iter().map(|row| raw(&arm_of(row), &row.state.object));
         let scales = SpaceScales::over(all, *weights);
@@ -272,14 +269,17 @@ impl Lookup for Space {
             .iter()
             .map(|(weight, entry)| (*weight, local(frame, &entry.object, &entry.action.goal)))
             .collect();
-        let position = goals
-            .iter()
-            .fold(Vector3::zeros(), |sum, (weight, goal)| sum + goal.translation.vector * *weight);
+        let position = goals.iter().fold(Vector3::zeros(), |sum, (weight, goal)| {
+            sum + goal.translation.vector * *weight
+        });
         let rotation = mean_rotation(goals.iter().map(|(weight, goal)| (*weight, goal.rotation)));
         let goal = Isometry3::from_parts(position.into(), rotation.unwrap_or_else(UnitQuaternion::identity));
         ArmAction {
             goal: world(frame, object, &goal),
-            gripper: neighbors.iter().map(|(weight, entry)| weight * entry.action.gripper).sum(),
+            gripper: neighbors
+                .iter()
+                .map(|(weight, entry)| weight * entry.action.gripper)
+                .sum(),
         }
     }
 
@@ -292,4 +292,13 @@ impl Lookup for Space {
 #[cfg(test)]
 pub(super) fn mean_of_rotations(parts: &[(f64, UnitQuaternion<f64>)]) -> Option<UnitQuaternion<f64>> {
     mean_rotation(parts.iter().copied())
+}
+
+/// Scales that leave all coordinates as they are.
+#[cfg(test)]
+pub(super) fn unit_scales(weights: SpaceWeights) -> SpaceScales {
+    SpaceScales {
+        ranges: [(-1.0, 1.0); 10],
+        weights,
+    }
 }

@@ -75,7 +75,10 @@ impl Library {
 
     fn adjust_square(&self, distances: &mut [Option<f64>], live: &Live, fingers: f64, followed: Option<usize>) {
         if live.stage == Stage::PreInsert {
-            let smallest: Vec<f64> = nearest(distances.iter().copied(), 64).into_iter().map(|(d, _)| d).collect();
+            let smallest: Vec<f64> = nearest(distances.iter().copied(), 64)
+                .into_iter()
+                .map(|(d, _)| d)
+                .collect();
             let spread = match (smallest.first(), re4_stats::median(&smallest)) {
                 (Some(first), Some(middle)) => (middle - first).max(0.004_062),
                 _ => 0.004_062,
@@ -106,7 +109,10 @@ impl Library {
 
     /// Chooses the first frame of a plan. Returns its distance and position.
     pub(super) fn choose(&self, distances: &[Option<f64>], stage: Stage) -> Option<(f64, usize, How)> {
-        let count = self.tuning.rerank.map_or(VOTERS, |rerank| rerank.candidates.max(VOTERS));
+        let count = self
+            .tuning
+            .rerank
+            .map_or(VOTERS, |rerank| rerank.candidates.max(VOTERS));
         let found = nearest(distances.iter().copied(), count);
         let (distance, at) = *found.first()?;
         let mut choice = (distance, at, How::Nearest);
@@ -130,7 +136,11 @@ impl Library {
         let group = |at: usize| -> Vec<(f64, usize)> {
             let of = &self.frames[at];
             let near = |other: &Frame| other.demo == of.demo && other.frame.abs_diff(of.frame) <= VOTE_STEPS;
-            found.iter().copied().filter(|(_, at)| near(&self.frames[*at])).collect()
+            found
+                .iter()
+                .copied()
+                .filter(|(_, at)| near(&self.frames[*at]))
+                .collect()
         };
         let score = |group: &[(f64, usize)]| {
             let mean = group.iter().map(|(d, _)| d).sum::<f64>() / group.len() as f64;
@@ -138,9 +148,10 @@ impl Library {
         };
         let (first, at) = *found.first()?;
         let own = group(at);
-        let best = found.iter().map(|(_, at)| group(*at)).reduce(|best, other| {
-            if score(&other) > score(&best) { other } else { best }
-        })?;
+        let best = found
+            .iter()
+            .map(|(_, at)| group(*at))
+            .reduce(|best, other| if score(&other) > score(&best) { other } else { best })?;
         let (distance, member) = *best.first()?;
         let accepted = best.len() >= (own.len() + 2).max(3)
             && score(&best) >= 1.5 * score(&own)
@@ -153,9 +164,8 @@ impl Library {
         let Some((least, _)) = candidates.first().copied() else {
             return choice;
         };
-        let score = |distance: f64, at: usize| {
-            -((distance - least) / (least + 1e-6)).ln_1p() + self.progress(at, rerank)
-        };
+        let score =
+            |distance: f64, at: usize| -((distance - least) / (least + 1e-6)).ln_1p() + self.progress(at, rerank);
         let limit = rerank.factor * choice.0 + rerank.offset;
         let mut best = (score(choice.0, choice.1), choice);
         for (distance, at) in candidates.iter().copied().filter(|(distance, _)| *distance <= limit) {

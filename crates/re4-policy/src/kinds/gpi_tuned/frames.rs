@@ -71,9 +71,12 @@ impl Space {
             target,
             scales: Vec::new(),
             references,
-            latent: Latent::fit(&[], 0, 0.0),
+            latent: Latent::default(),
         };
-        let rows: Vec<Vec<f64>> = frames.iter().map(|frame| space.raw(&frame.arm, &frame.object)).collect();
+        let rows: Vec<Vec<f64>> = frames
+            .iter()
+            .map(|frame| space.raw(&frame.arm, &frame.object))
+            .collect();
         space.scales = scales(&rows, &tuning.weights);
         let rows: Vec<Vec<f64>> = rows.iter().map(|row| space.standardised(row)).collect();
         space.latent = Latent::fit(&rows, tuning.components, 0.25);

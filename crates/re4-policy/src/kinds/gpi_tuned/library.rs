@@ -17,6 +17,8 @@ pub(super) struct Switches {
     pub(super) vote: bool,
     pub(super) rerank: bool,
     pub(super) flow: bool,
+    /// Can: whether goals before the lift are relative to the object instead of the end effector.
+    pub(super) reach: bool,
 }
 
 /// The read-only data of the policy.
@@ -42,10 +44,7 @@ impl Library {
             retrievable: row.retrievable.unwrap_or(true),
             arm: ArmState {
                 eef: row.state.eef,
-                fingers: fingers
-                    .get(&(row.episode, row.frame))
-                    .copied()
-                    .unwrap_or([f64::NAN; 2]),
+                fingers: fingers.get(&(row.episode, row.frame)).copied().unwrap_or([f64::NAN; 2]),
             },
             object: row.state.object,
             action: ArmAction {
@@ -59,7 +58,10 @@ impl Library {
     /// Builds the library from the frames of all demonstrations, sorted by demonstration and frame.
     pub(super) fn build(frames: Vec<Frame>, tuning: Tuning, switches: Switches) -> Self {
         let space = Space::fit(&tuning, &frames);
-        let codes = frames.iter().map(|frame| space.code(&frame.arm, &frame.object)).collect();
+        let codes = frames
+            .iter()
+            .map(|frame| space.code(&frame.arm, &frame.object))
+            .collect();
         let phases = Phases::fit(&tuning, space.target, &frames);
         let mut ends = Vec::with_capacity(frames.len());
         for demo in frames.chunk_by(|a, b| a.demo == b.demo) {

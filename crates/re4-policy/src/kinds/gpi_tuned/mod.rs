@@ -67,6 +67,12 @@ pub struct SpaceGpiTuned {
     /// Number of principal components in which states are compared. Default: the authors' (Lift 5, Can 16, Square 26).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub components: Option<u32>,
+    /// Number of frames ahead at which the correction of actions (`flow`) looks. Default: the authors' (Can 8, Square 5).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flow_ahead: Option<u32>,
+    /// Gain of the correction of positions. Default: the authors' (Can 0.5, Square 0.496402).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flow_gain: Option<f64>,
     /// Number of used frames that are not used again.
     pub memory: u32,
     /// Whether only frames of the present phase and the next one are compared.
@@ -77,6 +83,19 @@ pub struct SpaceGpiTuned {
     pub rerank: bool,
     /// Whether actions are corrected towards the later poses of the demonstrations (Can: of the end effector; Square: of the nut).
     pub flow: bool,
+    /// Can: the position to which goals before the lift are relative. The authors use `end_effector` for Can; for Square, goals
+    /// before the lift are always relative to the object.
+    pub reach: Reach,
+}
+
+/// The position to which recorded goals are relative.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Reach {
+    /// Recorded displacements of the end effector (authors).
+    EndEffector,
+    /// Recorded offsets from the object, without rotation.
+    Object,
 }
 
 impl Default for SpaceGpiTuned {
@@ -85,11 +104,14 @@ impl Default for SpaceGpiTuned {
             tuning: None,
             horizon: None,
             components: None,
-            memory: 0,
+            flow_ahead: None,
+            flow_gain: None,
+            memory: 25,
             gate: true,
             vote: true,
             rerank: true,
             flow: true,
+            reach: Reach::EndEffector,
         }
     }
 }
@@ -262,7 +284,14 @@ impl Settings<Space> for SpaceGpiTuned {
         let horizon = self.horizon.unwrap_or(1);
         SettingError::unless(horizon >= 1, "horizon", horizon, "give 1 or more")?;
         let components = self.components.unwrap_or(1);
-        SettingError::unless(components >= 1, "components", components, "give 1 or more")
+        SettingError::unless(components >= 1, "components", components, "give 1 or more")?;
+        let gain = self.flow_gain.unwrap_or(0.0);
+        SettingError::unless(
+            (0.0..=10.0).contains(&gain),
+            "flow_gain",
+            gain,
+            "give a number from 0 to 10",
+        )
     }
 
     fn open(&self, inputs: &Inputs<'_>) -> Result<Box<dyn Opened<Space>>, OpenError> {
@@ -274,11 +303,14 @@ impl Settings<Space> for SpaceGpiTuned {
         let mut tuning = tuning.ok_or(OpenError::NoTuning)?;
         tuning.horizon = self.horizon.unwrap_or(tuning.horizon);
         tuning.components = self.components.map_or(tuning.components, |count| count as usize);
+        tuning.flow_ahead = self.flow_ahead.map_or(tuning.flow_ahead, |frames| frames as usize);
+        tuning.flow_gain = self.flow_gain.unwrap_or(tuning.flow_gain);
         let switches = Switches {
             gate: self.gate,
             vote: self.vote,
             rerank: self.rerank,
             flow: self.flow,
+            reach: self.reach == Reach::Object,
         };
         Ok(Box::new(Named {
             factory: TunedFactory {

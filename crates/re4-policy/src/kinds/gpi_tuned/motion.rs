@@ -10,10 +10,6 @@ use super::phases::Stage;
 use super::tuning::{OPEN, Rule, cap};
 use crate::lookup::nearest;
 
-/// Number of frames ahead at which the flow of Can and the residual of Square look.
-const FLOW_AHEAD: usize = 8;
-const RESIDUAL_AHEAD: usize = 5;
-
 impl Library {
     /// The action of a frame for the observed poses. `distances` are those of the present state.
     pub(super) fn action(
@@ -28,7 +24,12 @@ impl Library {
         let goal = match self.tuning.rule {
             Rule::Lift => displaced(frame, &arm.eef, true),
             Rule::Can => {
-                let mut goal = displaced(frame, &arm.eef, false);
+                let mut goal = if self.switches.reach && stage == Stage::Pick {
+                    let offset = frame.action.goal.translation.vector - frame.object.translation.vector;
+                    Isometry3::from_parts((object.translation.vector + offset).into(), frame.action.goal.rotation)
+                } else {
+                    displaced(frame, &arm.eef, false)
+                };
                 if self.switches.flow {
                     goal.translation.vector += self.flow(arm, object, distances);
                 }
@@ -43,13 +44,14 @@ impl Library {
         }
     }
 
-    /// Can: half of the mean way to where the end effector is in the neighbouring demonstrations some frames later, at most 25 mm.
+    /// Can: a part of the mean way to where the end effector is in the neighbouring demonstrations some frames later, which is
+    /// limited to 50 mm.
     fn flow(&self, arm: &ArmState, object: &Isometry3<f64>, distances: &[Option<f64>]) -> Vector3<f64> {
         let found = nearest(distances.iter().copied(), 8);
         let here = arm.eef.translation.vector;
         let (mut sum, mut total) = (Vector3::zeros(), 0.0);
         for (distance, at) in found {
-            let later = &self.frames[(at + FLOW_AHEAD).min(self.end_of(at))];
+            let later = &self.frames[(at + self.tuning.flow_ahead).min(self.end_of(at))];
             let there = if arm.fingers[0] > OPEN {
                 let relative = later.arm.eef.inv_mul(&later.object).translation.vector;
                 object.translation.vector - arm.eef.rotation * relative
@@ -60,7 +62,11 @@ impl Library {
             sum += (there - here) * weight;
             total += weight;
         }
-        if total > 0.0 { cap(sum / total, 0.05) * 0.5 } else { sum }
+        if total > 0.0 {
+            cap(sum / total, 0.05) * self.tuning.flow_gain
+        } else {
+            sum
+        }
     }
 
     /// Square with the nut in the gripper: between the recorded displacement of the end effector and the goal that carries the
@@ -81,11 +87,11 @@ impl Library {
         let rotation = rotation_between(&moved.rotation, &placed.rotation, part);
         let mut goal = Isometry3::from_parts(position.into(), rotation);
         if stage >= Stage::PreInsert && self.switches.flow {
-            let later = &self.frames[(at + RESIDUAL_AHEAD).min(self.end_of(at))];
+            let later = &self.frames[(at + self.tuning.flow_ahead).min(self.end_of(at))];
             let wanted = later.object * grasp;
             let shift = cap(wanted.translation.vector - goal.translation.vector, 0.006_206);
             let turn = cap(rotation_vector(&(wanted.rotation * goal.rotation.inverse())), 0.127_581);
-            goal.translation.vector += shift * 0.496_402;
+            goal.translation.vector += shift * self.tuning.flow_gain;
             goal.rotation = rotation_from_vector(turn * 0.310_497) * goal.rotation;
         }
         goal

@@ -148,7 +148,10 @@ impl Events {
 
     fn lift_start(&self) -> Option<usize> {
         let lifted = self.lifted?.saturating_sub(4);
-        Some(self.closed.map_or(lifted, |closed| closed.saturating_sub(4).min(lifted)))
+        Some(
+            self.closed
+                .map_or(lifted, |closed| closed.saturating_sub(4).min(lifted)),
+        )
     }
 
     fn labels(&self, length: usize) -> Vec<Label> {

@@ -63,6 +63,9 @@ pub(super) struct Tuning {
     pub(super) contact: f64,
     pub(super) close: f64,
     pub(super) rerank: Option<Rerank>,
+    /// Number of frames ahead at which the correction of an action looks, and its gain.
+    pub(super) flow_ahead: usize,
+    pub(super) flow_gain: f64,
 }
 
 pub(super) const LIFT: Tuning = Tuning {
@@ -76,6 +79,8 @@ pub(super) const LIFT: Tuning = Tuning {
     contact: 0.085,
     close: 0.03,
     rerank: None,
+    flow_ahead: 0,
+    flow_gain: 0.0,
 };
 
 pub(super) const CAN: Tuning = Tuning {
@@ -97,6 +102,8 @@ pub(super) const CAN: Tuning = Tuning {
         factor: 1.6,
         offset: 0.04,
     }),
+    flow_ahead: 8,
+    flow_gain: 0.5,
 };
 
 pub(super) const SQUARE: Tuning = Tuning {
@@ -118,6 +125,8 @@ pub(super) const SQUARE: Tuning = Tuning {
         factor: 2.270_861,
         offset: 0.055_830,
     }),
+    flow_ahead: 5,
+    flow_gain: 0.496_402,
 };
 
 /// Finger position in metres above which the gripper counts as open.
@@ -126,5 +135,9 @@ pub(super) const OPEN: f64 = 0.035;
 /// Limits the length of a vector.
 pub(super) fn cap(vector: Vector3<f64>, length: f64) -> Vector3<f64> {
     let norm = vector.norm();
-    if norm > length { vector * (length / norm) } else { vector }
+    if norm > length {
+        vector * (length / norm)
+    } else {
+        vector
+    }
 }
