@@ -72,9 +72,9 @@ pub struct SpaceVinn {
 impl Default for SpaceVinn {
     fn default() -> Self {
         Self {
-            neighbors: 5,
-            temperature: 1.0,
-            history: 1,
+            neighbors: 3,
+            temperature: 0.03,
+            history: 8,
             actions: ActionFrame::World,
             weights: SpaceWeights::default(),
         }
