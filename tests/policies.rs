@@ -5,7 +5,7 @@ use std::sync::Arc;
 use re4_artifact::{Artifact, ArtifactSummary, Label, Recipe, Stage, Store, col_f64, col_u32, col_u32_or_null, table};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
-use re4_policy::kinds::{NearestRow, PlaneRe4Row};
+use re4_policy::kinds::{AltRow, GpiRow, GpiTunedRow, NearestRow, PlaneRe4Row, VinnRow};
 use re4_rollout::{PlaneDecisionRow, PlaneStepRow, SpaceStepRow};
 use re4_stages::testing::{Estimate, MockRun};
 use serde_json::Value;
@@ -192,6 +192,177 @@ fn the_nearest_neighbour_runs_on_lift_from_state_and_image() {
     let actions = |rows: &[SpaceStepRow]| rows.iter().map(|row| (row.action, row.gripper)).collect::<Vec<_>>();
     assert_eq!(actions(&of_state), actions(&of_image));
     assert!(of_image.iter().all(|row| row.core.asked_images == Some(1)));
+}
+
+/// The rollouts in another artifact folder.
+fn rollouts_below(place: &Place, folder: &str) -> Artifact {
+    let folder = folders_in(&place.path().join(folder).join("rollouts")).remove(0);
+    Artifact::open(&folder).unwrap()
+}
+
+#[test]
+fn retrieval_baselines_run_on_push_t_from_state_and_image() {
+    let place = Place::new();
+    place.write_image();
+    for file in ["small.toml", "image.toml"] {
+        for policy in ["gpi", "vinn", "alt"] {
+            let folder = format!("{policy}-{file}");
+            place
+                .run(&format!("rollout {file} --policy {policy} --artifacts {folder}"))
+                .done();
+            let rollouts = rollouts_below(&place, &folder);
+            let decisions = crate::support::decisions_of(&rollouts).num_rows();
+            let neighbors = |lists: Vec<Vec<f64>>| {
+                assert_eq!(lists.len(), decisions);
+                for list in lists {
+                    let weights: f64 = list.iter().skip(2).step_by(3).sum();
+                    assert!((weights - 1.0).abs() < 1e-9, "{list:?}");
+                }
+            };
+            match policy {
+                "gpi" => neighbors(
+                    rollouts
+                        .read::<GpiRow>()
+                        .unwrap()
+                        .into_iter()
+                        .map(|r| r.neighbors)
+                        .collect(),
+                ),
+                "vinn" => neighbors(
+                    rollouts
+                        .read::<VinnRow>()
+                        .unwrap()
+                        .into_iter()
+                        .map(|r| r.neighbors)
+                        .collect(),
+                ),
+                _ => {
+                    let rows = rollouts.read::<AltRow>().unwrap();
+                    assert_eq!(rows.len(), decisions);
+                    for row in rows {
+                        let quantile = row.quantile.unwrap();
+                        assert_eq!(row.out_of_distribution, quantile > 0.99, "{row:?}");
+                    }
+                }
+            }
+            let asked = rollouts.read::<PlaneStepRow>().unwrap();
+            assert!(asked.iter().all(|row| row.core.asked_object == Some(true)));
+        }
+    }
+    // The noise of queries depends on the scene only, so that one thread gives the same rollouts as several.
+    place
+        .run("rollout small.toml --policy gpi --jobs 1 --artifacts one")
+        .done();
+    let rows = |folder: &str| rollouts_below(&place, folder).read::<GpiRow>().unwrap();
+    assert_eq!(rows("one"), rows("gpi-small.toml"));
+    // With world actions, ALT needs the block only at lookups.
+    place
+        .run("rollout image.toml --policy alt --set policy.actions=\"world\" --artifacts world")
+        .done();
+    let rows = rollouts_below(&place, "world").read::<PlaneStepRow>().unwrap();
+    let asked = rows.iter().filter(|row| row.core.asked_object == Some(true)).count();
+    assert!(asked * 4 < rows.len(), "{asked} of {}", rows.len());
+}
+
+#[test]
+fn settings_of_retrieval_baselines_that_make_no_sense_are_refused() {
+    let place = Place::empty();
+    for (arguments, expected) in [
+        ("gpi --set policy.horizon=0", "policy.horizon is 0; give 1 or more"),
+        ("gpi --set policy.neighbors=0", "policy.neighbors is 0; give 1 or more"),
+        (
+            "gpi --set policy.noise.sigma=-1",
+            "policy.noise.sigma is -1; give a number from 0 to 1",
+        ),
+        (
+            "gpi --set policy.smoothing=-0.5",
+            "policy.smoothing is -0.5; give a number from 0 to 100",
+        ),
+        (
+            "gpi --set policy.neighbours=2",
+            "unknown key policy.neighbours (did you mean neighbors?)",
+        ),
+        (
+            "vinn --set policy.temperature=0",
+            "policy.temperature is 0; give a finite number above 0",
+        ),
+        (
+            "vinn --set policy.history=0",
+            "policy.history is 0; give a number from 1 to 100",
+        ),
+        (
+            "alt --set policy.cell=-1",
+            "policy.cell is -1; give 0, or a number from",
+        ),
+        (
+            "alt --set policy.alarm=2",
+            "policy.alarm is 2; give a number from 0 to 1",
+        ),
+        ("gpi-tuned", "unknown policy \"gpi-tuned\""),
+    ] {
+        let sentence = place
+            .run(&format!("rollout small.toml --policy {arguments}"))
+            .refused_at_once();
+        assert!(sentence.contains(expected), "{arguments}: {sentence}");
+    }
+}
+
+#[test]
+fn retrieval_baselines_run_on_lift() {
+    let Some((data, simulators)) = scripted_and_simulators() else {
+        return;
+    };
+    let place = Place::empty();
+    place.write(
+        "lift.toml",
+        format!(
+            "task = \"lift\"\nvariant = \"state\"\n[ingest]\nsource = \"{}\"\nselect = {{ first = 20 }}\n[segment]\n[pose]\nsource = \"recorded\"\n[index]\n[policy]\nkind = \"gpi\"\n[rollout]\nseeds = \"201000..201002\"\nmax_steps = 60\n",
+            data.join("lift/low_dim.hdf5").display()
+        ),
+    );
+    let run = |arguments: &str, folder: &str| {
+        let mut command = place.command();
+        command.env("RE4_SIMULATORS", &simulators);
+        command
+            .args(["rollout", "lift.toml", "--artifacts", folder])
+            .args(arguments.split(' '));
+        Answer::new(&command.output().unwrap(), place.path())
+    };
+    for policy in ["gpi", "gpi-tuned", "vinn", "alt"] {
+        run(&format!("--policy {policy}"), policy).done();
+        let rollouts = rollouts_below(&place, policy);
+        let decisions = crate::support::decisions_of(&rollouts).num_rows();
+        let details = match policy {
+            "gpi" => rollouts.read::<GpiRow>().unwrap().len(),
+            "vinn" => rollouts.read::<VinnRow>().unwrap().len(),
+            "alt" => rollouts.read::<AltRow>().unwrap().len(),
+            _ => {
+                let rows = rollouts.read::<GpiTunedRow>().unwrap();
+                assert!(rows.iter().any(|row| &*row.phase == "pick"));
+                rows.len()
+            }
+        };
+        assert_eq!(details, decisions, "{policy}");
+        let steps = rollouts.read::<SpaceStepRow>().unwrap();
+        assert!(
+            steps
+                .iter()
+                .all(|row| row.core.asked_object == Some(true) || policy == "alt")
+        );
+    }
+    for (arguments, expected) in [
+        (
+            "--policy gpi-tuned --set policy.horizon=0",
+            "policy.horizon is 0; give 1 or more",
+        ),
+        (
+            "--policy gpi --set policy.weights.fingers=-1",
+            "policy.weights.fingers is -1; give a number from 0 to 1000000",
+        ),
+    ] {
+        let sentence = run(arguments, "refused").refused();
+        assert!(sentence.contains(expected), "{arguments}: {sentence}");
+    }
 }
 
 table! {

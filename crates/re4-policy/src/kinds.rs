@@ -13,11 +13,15 @@
 //! The pipeline parser, the schema of the pipeline file, the list of tables and the rollout driver use these lists, so nothing
 //! else needs to change.
 
+mod alt;
 mod diffusion;
 mod flow;
 mod generative;
+mod gpi;
+mod gpi_tuned;
 mod nearest;
 mod re4;
+mod vinn;
 
 use std::collections::BTreeSet;
 use std::error::Error;
@@ -30,6 +34,7 @@ use re4_generative::GenerativeError;
 use re4_geometry::spatial::Symmetry;
 use re4_index::{IndexError, Normalization};
 use re4_rollout::{Opened, Plane, Recorded, Space};
+use re4_sim::robosuite::RobosuiteTask;
 use schemars::{Schema, schema_for};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -38,11 +43,16 @@ use crate::LookupError;
 use crate::config::PolicyConfig;
 use crate::spatial::SpatialPolicyConfig;
 
+pub use crate::lookup::{ActionFrame, QueryNoiseConfig, SpaceWeights};
+pub use alt::{AltRow, PlaneAlt, SpaceAlt};
 pub use diffusion::{DiffusionSampler, PlaneDiffusion, SpaceDiffusion};
 pub use flow::{PlaneFlow, SpaceFlow};
 pub use generative::{Codec, GenerativeRow, PlaneCodec, PolicyCard, SpaceCodec, Training};
+pub use gpi::{GpiRow, PlaneGpi, SpaceGpi};
+pub use gpi_tuned::{GpiTunedRow, Reach, SpaceGpiTuned, TunedFor};
 pub use nearest::{NearestRow, PlaneNearest, SpaceNearest};
 pub use re4::{PlaneRe4Row, SpaceRe4Row};
+pub use vinn::{PlaneVinn, SpaceVinn, VinnRow};
 
 /// Declares the enum of the kinds of a domain and implements [`Kinds`] for it. An entry lists the variant, the type of its
 /// settings, its name in pipeline files, its default settings, and the row type of its table.
@@ -120,6 +130,12 @@ kinds! {
         Diffusion(PlaneDiffusion) = "diffusion", PlaneDiffusion::default(), GenerativeRow;
         /// Streaming Flow Policy.
         Flow(PlaneFlow) = "flow", PlaneFlow::default(), GenerativeRow;
+        /// Follows a velocity field over the frames of the demonstrations (GPI).
+        Gpi(PlaneGpi) = "gpi", PlaneGpi::default(), GpiRow;
+        /// Averages the actions of the nearest frames (VINN).
+        Vinn(PlaneVinn) = "vinn", PlaneVinn::default(), VinnRow;
+        /// Replays the actions of a table entry, with a monitor for unfamiliar states (ALT).
+        Alt(PlaneAlt) = "alt", PlaneAlt::default(), AltRow;
     }
 }
 
@@ -138,6 +154,14 @@ kinds! {
         Diffusion(SpaceDiffusion) = "diffusion", SpaceDiffusion::default(), GenerativeRow;
         /// Streaming Flow Policy.
         Flow(SpaceFlow) = "flow", SpaceFlow::default(), GenerativeRow;
+        /// Follows a velocity field over the frames of the demonstrations (GPI), as the RE4 paper ports it.
+        Gpi(SpaceGpi) = "gpi", SpaceGpi::default(), GpiRow;
+        /// GPI as its authors tuned it for Lift, Can and Square.
+        GpiTuned(SpaceGpiTuned) = "gpi-tuned", SpaceGpiTuned::default(), GpiTunedRow;
+        /// Averages the actions of the nearest frames (VINN).
+        Vinn(SpaceVinn) = "vinn", SpaceVinn::default(), VinnRow;
+        /// Replays the actions of a table entry, with a monitor for unfamiliar states (ALT).
+        Alt(SpaceAlt) = "alt", SpaceAlt::default(), AltRow;
     }
 }
 
@@ -243,6 +267,10 @@ impl SettingError {
 pub struct Inputs<'a> {
     /// The artifacts of the stages that [`Settings::inputs`] lists.
     pub artifacts: &'a [(Stage, &'a Artifact)],
+    /// The artifact `episodes`, with everything that was recorded of the demonstrations.
+    pub episodes: &'a Artifact,
+    /// The robosuite task, or `None` for Push-T.
+    pub task: Option<RobosuiteTask>,
     /// Names of the demonstrations.
     pub names: DemoNames,
     /// Symmetry of the object, in the object frame.
@@ -308,6 +336,10 @@ pub enum OpenError {
     #[error(transparent)]
     #[remedy(_0.remedy())]
     Generative(#[from] GenerativeError),
+    /// `gpi-tuned` has no constants for the task.
+    #[error("gpi-tuned has no constants for this task")]
+    #[remedy("set policy.tuning to lift, can or square to use those of another task, or use the policy gpi")]
+    NoTuning,
     /// An error of the policy's own type.
     #[error("{0}")]
     Own(#[from] Box<dyn Error + Send + Sync>),

@@ -13,6 +13,7 @@ mod config;
 mod decision;
 mod demos;
 pub mod kinds;
+mod lookup;
 mod open_loop;
 mod outcome;
 mod path;

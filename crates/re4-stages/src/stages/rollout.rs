@@ -124,6 +124,8 @@ impl Runner {
             .collect();
         let opened = setup.policy.open(&Inputs {
             artifacts: &inputs,
+            episodes: &artifacts.episodes.artifact,
+            task: self.pipeline.task.robosuite(),
             names: demo_names(&artifacts.episodes.artifact)?,
             symmetry: setup.symmetry,
         })?;
