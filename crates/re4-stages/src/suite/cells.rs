@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use re4_compare::Measure;
-use re4_fault::{Fault, fault};
+use re4_fault::{Fault, Remedy as _, fault};
 use serde_json::Value;
 
 use super::{Overrides, Suite, SuiteCell, SuiteColumn, SuiteRow};
@@ -175,8 +175,12 @@ impl Suite {
             flatten(set, "", &mut overrides);
         }
         overrides.extend_from_slice(&selection.set);
-        let pipeline = read_pipeline(&base.file, &overrides).map_err(|error| fault_of(&error));
-        let pipeline = pipeline.map_err(|fault| re4_fault::Remedy::sentence(&fault));
+        let pipeline = read_pipeline(&base.file, &overrides).map_err(|error| {
+            let sentence = fault_of(&error).sentence();
+            // The cell names the file already, and sentences without it are the same for all columns.
+            let place = format!("cannot use the pipeline file {}: ", base.file.display());
+            sentence.strip_prefix(&place).unwrap_or(&sentence).to_owned()
+        });
         Some(Cell {
             row: row.name.clone(),
             column: column.name.clone(),
