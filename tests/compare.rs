@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::SystemTime;
 
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Row as _, Stage};
+use re4_artifact::{Artifact, Stage};
 use re4_compare::{CellRow, CurveRow, DifferenceRow, Measure};
 use re4_rollout::PlaneResultRow;
 use serde_json::Value;

@@ -138,7 +138,7 @@ pub(super) fn differences(page: &Comparison) -> Markup {
             h2 #differences-title { "Differences from " (baseline) }
             p.note {
                 "Both policies start from the same seeds, so each seed is a pair. Intervals: percentile bootstrap over pairs, 95 %, "
-                (RESAMPLES) " resamples, seed 0. p: exact sign test of the seeds on which the policies differ; for success this is "
+                (RESAMPLES / 1000) ",000 resamples, seed 0. p: exact sign test of the seeds on which the policies differ; for success this is "
                 "the exact McNemar test; it asks on which side more seeds are, not how large their differences are. p is not corrected for the "
                 "number of comparisons. Colored: the interval excludes 0 and p < 0.05."
             }
