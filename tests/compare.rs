@@ -56,6 +56,23 @@ columns = ["short, success"]
 leave_out = true
 "#;
 
+/// Two policies under `small.toml`.
+pub(crate) const TWO_ROWS: &str = r#"
+pipeline = "small.toml"
+baseline = "re4"
+curves = true
+
+[[row]]
+name = "re4"
+
+[[row]]
+name = "RE2"
+policy = "re2"
+
+[[column]]
+name = "small"
+"#;
+
 /// The small dataset with a suite. Column names contain no comma, except in a test of that.
 fn with_suite() -> Place {
     let place = Place::new();
