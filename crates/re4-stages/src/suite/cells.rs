@@ -7,6 +7,7 @@ use re4_fault::{Fault, Remedy as _, fault};
 use serde_json::Value;
 
 use super::{Overrides, Suite, SuiteCell, SuiteColumn, SuiteRow};
+use crate::inputs::sources::find_source;
 use crate::notes::fault_of;
 use crate::pipeline::{Pipeline, Seeds, read_pipeline, suggestion};
 
@@ -42,6 +43,18 @@ pub struct Cell {
     pub overrides: Vec<String>,
     /// The pipeline with its overrides, or why there is none, in one sentence.
     pub pipeline: Result<Pipeline, String>,
+}
+
+impl Cell {
+    /// The files that the cell reads and that exist: the pipeline file and the datasets.
+    pub fn inputs(&self) -> Vec<PathBuf> {
+        let ingest = self.pipeline.as_ref().ok().map(|pipeline| &pipeline.ingest);
+        let sources = ingest
+            .into_iter()
+            .flat_map(|ingest| [Some(&ingest.source), ingest.compare.as_ref()]);
+        let found = sources.flatten().filter_map(|source| find_source(source).ok());
+        [self.file.clone()].into_iter().chain(found).collect()
+    }
 }
 
 /// Measures of a column of Push-T that names none.
