@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::SystemTime;
 
 use insta::{assert_snapshot, with_settings};
-use re4_artifact::{Artifact, Row as _, Stage};
+use re4_artifact::{Artifact, Stage};
 use re4_compare::{CellRow, CurveRow, DifferenceRow, Measure};
 use re4_rollout::PlaneResultRow;
 use serde_json::Value;
@@ -54,6 +54,23 @@ set = { rollout.max_steps = 30 }
 rows = ["nearest"]
 columns = ["short, success"]
 leave_out = true
+"#;
+
+/// Two policies under `small.toml`.
+pub(crate) const TWO_ROWS: &str = r#"
+pipeline = "small.toml"
+baseline = "re4"
+curves = true
+
+[[row]]
+name = "re4"
+
+[[row]]
+name = "RE2"
+policy = "re2"
+
+[[column]]
+name = "small"
 "#;
 
 /// The small dataset with a suite. Column names contain no comma, except in a test of that.
@@ -107,7 +124,10 @@ fn cells_and_differences_are_those_of_the_rollouts() {
     for cell in &cells {
         if cell.row == "later" {
             let sentence = cell.error.as_ref().unwrap();
-            assert!(sentence.contains("policy.kind is \"not_yet\""), "{sentence}");
+            assert!(
+                sentence.starts_with("unknown policy \"not_yet\" in policy.kind"),
+                "{sentence}"
+            );
             assert!(answer.stderr.contains(sentence), "{}", answer.stderr);
             assert_eq!(
                 (cell.value, cell.rollouts, &cell.rollouts_key, cell.carried),
@@ -437,7 +457,7 @@ fn the_shipped_suites_are_accepted() {
         assert_eq!(answer.code, Some(1), "{}", answer.stderr);
         for cell in answer.json()["cells"].as_array().unwrap() {
             let sentence = cell["error"].as_str().unwrap();
-            let missing = ["was not found in", "simulators", "policy.kind is"];
+            let missing = ["was not found in", "simulators", "unknown policy"];
             assert!(
                 missing.iter().any(|words| sentence.contains(words)),
                 "{}: {sentence}",

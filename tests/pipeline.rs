@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use crate::compare::TWO_ROWS;
 use crate::support::dataset::{LENGTH, SIDE, image};
 use crate::support::{Answer, Place, artifact_bytes, assert_same_bytes, filters, folders_in};
 use insta::{assert_snapshot, with_settings};
@@ -449,11 +450,13 @@ fn inspect_shows_every_artifact() {
     ]
     .map(|stage| (stage, place.artifact(stage)))
     .into();
-    // Made afterwards, because it has other episodes.
+    // Made afterwards, because they have other episodes or several rollouts.
     place.write_image();
     place.run("train-pose image.toml").done();
-    let poses = (Stage::TrainPose, place.artifact(Stage::TrainPose));
-    for (stage, artifact) in stages.into_iter().chain([poses]) {
+    place.write("suite.toml", TWO_ROWS);
+    place.run("compare suite.toml").done();
+    let more = [Stage::TrainPose, Stage::Compare].map(|stage| (stage, place.artifact(stage)));
+    for (stage, artifact) in stages.into_iter().chain(more) {
         let path = artifact
             .path()
             .strip_prefix(place.path())

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 
-use crate::compare::is_suite;
+use crate::compare::{TWO_ROWS, is_suite};
 use crate::support::{Answer, Place, compare_with_schemas, repository};
 
 #[test]
@@ -66,6 +66,8 @@ fn the_schemas_match_the_written_columns() {
     place.write_image();
     place.run("train-pose image.toml").done();
     place.run("audit small.toml").done();
+    place.write("suite.toml", TWO_ROWS);
+    place.run("compare suite.toml").done();
     let audited = place
         .command()
         .env("RE4_DATA", repository().join("data"))

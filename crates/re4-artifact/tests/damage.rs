@@ -326,3 +326,48 @@ fn the_verification_report_lists_every_file() {
     assert_eq!(report.manifest.warnings, [json!({"kind": "sample"})]);
     assert_eq!(report.manifest.source, json!({"format": "zarr"}));
 }
+
+/// A store that verifies an artifact once notices a later write, also one that keeps length and modification time.
+#[test]
+fn a_write_after_the_first_verification_is_noticed() {
+    let place = published();
+    let store = place.store.clone().verifying_once();
+    let lookup = || store.lookup(Stage::Segment, &recipe(1).key());
+    assert!(lookup().unwrap().is_some() && lookup().unwrap().is_some());
+    let file = fs::read_dir(&place.folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| path.extension().is_some_and(|ending| ending == "parquet"))
+        .unwrap();
+    let modified = fs::metadata(&file).unwrap().modified().unwrap();
+    let mut bytes = fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    // The clock of the file system has ticks, so the time of a change at once can equal the time of publication.
+    std::thread::sleep(std::time::Duration::from_millis(50));
+    fs::write(&file, &bytes).unwrap();
+    fs::File::open(&file).unwrap().set_modified(modified).unwrap();
+    assert!(matches!(lookup(), Err(ArtifactError::Damaged { .. })));
+    bytes[middle] ^= 1;
+    fs::write(&file, &bytes).unwrap();
+    assert!(lookup().unwrap().is_some());
+    fs::write(place.folder.join("stray"), "").unwrap();
+    assert!(matches!(lookup(), Err(ArtifactError::Damaged { .. })));
+}
+
+#[test]
+fn the_record_of_a_run_is_read_back() {
+    let root = tempfile::tempdir().unwrap();
+    let store = Store::open(root.path()).unwrap();
+    let key = recipe(1).key();
+    assert_eq!(Store::run_record(root.path(), Stage::Segment, &key), None);
+    let path = store
+        .record_run(Stage::Segment, &key, &json!({ "wall_s": 1.5 }))
+        .unwrap();
+    assert_eq!(
+        Store::run_record(root.path(), Stage::Segment, &key),
+        Some(json!({ "wall_s": 1.5 }))
+    );
+    fs::write(path, "{").unwrap();
+    assert_eq!(Store::run_record(root.path(), Stage::Segment, &key), None);
+}

@@ -33,7 +33,8 @@ pub(crate) fn compare(arguments: &CompareArguments) -> Result<Outcome> {
     let default = || PathBuf::from(file.file_stem().unwrap_or_default()).with_extension("html");
     let path = arguments.output.clone().unwrap_or_else(default);
     let output = Output::at(&path, "page")?;
-    output.refuse_inputs(&inputs(arguments, &cells))?;
+    let inputs = cells.iter().flat_map(Cell::inputs).chain([file.clone()]);
+    output.refuse_inputs(&inputs.collect::<Vec<_>>())?;
     let session = Session::open(&common.artifacts, common.jobs, Notes::new(common.quiet))?.of_many_pipelines();
     let compared = re4_stages::compare(&session, &suite, &cells)?;
     let page = comparison_page(&compared.built.artifact, &common.artifacts)?;
@@ -65,12 +66,6 @@ pub(crate) fn compare(arguments: &CompareArguments) -> Result<Outcome> {
 
 fn trimmed(names: &[String]) -> Vec<String> {
     names.iter().map(|name| name.trim().to_owned()).collect()
-}
-
-/// The files that the command reads, apart from datasets.
-fn inputs(arguments: &CompareArguments, cells: &[Cell]) -> Vec<PathBuf> {
-    let pipelines = cells.iter().map(|cell| cell.file.clone());
-    pipelines.chain([arguments.suite.clone()]).collect()
 }
 
 fn cell_json(row: &CellRow) -> Value {

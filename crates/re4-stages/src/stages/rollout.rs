@@ -118,8 +118,9 @@ impl Runner {
         writer: &Writer,
         add: &mut dyn FnMut(&Batch<D>),
     ) -> Result<()> {
-        let inputs: Vec<(Stage, &Artifact)> = std::iter::once(artifacts.episodes)
-            .chain(artifacts.inputs)
+        let inputs: Vec<(Stage, &Artifact)> = artifacts
+            .inputs
+            .iter()
             .map(|built| (built.stage, &built.artifact))
             .collect();
         let opened = setup.policy.open(&Inputs {

@@ -147,7 +147,9 @@ impl Runner {
             config.backend.set_threads(rayon::current_num_threads(), BACKEND)?;
         }
         let demos = training.codec.read(&Inputs {
-            artifacts: &[(Stage::Ingest, episodes), (Stage::Index, index)],
+            artifacts: &[(Stage::Index, index)],
+            episodes,
+            task: self.pipeline.task.robosuite(),
             names: demo_names(episodes)?,
             symmetry: Symmetry::None,
         })?;

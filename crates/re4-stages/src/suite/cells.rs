@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use re4_compare::Measure;
-use re4_fault::{Fault, fault};
+use re4_fault::{Fault, Remedy as _, fault};
 use serde_json::Value;
 
 use super::{Overrides, Suite, SuiteCell, SuiteColumn, SuiteRow};
+use crate::inputs::sources::find_source;
 use crate::notes::fault_of;
 use crate::pipeline::{Pipeline, Seeds, read_pipeline, suggestion};
 
@@ -42,6 +43,18 @@ pub struct Cell {
     pub overrides: Vec<String>,
     /// The pipeline with its overrides, or why there is none, in one sentence.
     pub pipeline: Result<Pipeline, String>,
+}
+
+impl Cell {
+    /// The files that the cell reads and that exist: the pipeline file and the datasets.
+    pub fn inputs(&self) -> Vec<PathBuf> {
+        let ingest = self.pipeline.as_ref().ok().map(|pipeline| &pipeline.ingest);
+        let sources = ingest
+            .into_iter()
+            .flat_map(|ingest| [Some(&ingest.source), ingest.compare.as_ref()]);
+        let found = sources.flatten().filter_map(|source| find_source(source).ok());
+        [self.file.clone()].into_iter().chain(found).collect()
+    }
 }
 
 /// Measures of a column of Push-T that names none.
@@ -175,8 +188,12 @@ impl Suite {
             flatten(set, "", &mut overrides);
         }
         overrides.extend_from_slice(&selection.set);
-        let pipeline = read_pipeline(&base.file, &overrides).map_err(|error| fault_of(&error));
-        let pipeline = pipeline.map_err(|fault| re4_fault::Remedy::sentence(&fault));
+        let pipeline = read_pipeline(&base.file, &overrides).map_err(|error| {
+            let sentence = fault_of(&error).sentence();
+            // The cell names the file already, and sentences without it are the same for all columns.
+            let place = format!("cannot use the pipeline file {}: ", base.file.display());
+            sentence.strip_prefix(&place).unwrap_or(&sentence).to_owned()
+        });
         Some(Cell {
             row: row.name.clone(),
             column: column.name.clone(),

@@ -44,7 +44,7 @@ pub fn read_suite(path: &Path, selection: &Selection) -> Result<(Suite, Vec<Cell
         return Err(all(path, faults).into());
     }
     let mut suite: Suite = serde_path_to_error::deserialize(toml::Value::Table(table)).map_err(|error| {
-        let place = error.path().to_string();
+        let place = counted_from_one(&error.path().to_string());
         all(path, vec![placed(&place, &error.into_inner().message())])
     })?;
     if suite.title.is_empty() {
@@ -77,6 +77,20 @@ fn all(path: &Path, mut faults: Vec<Fault>) -> Fault {
         format!("{file}, which has {} faults: {list}", faults.len()),
         None::<String>,
     )
+}
+
+/// A path such as `row[0].name` with numbers of tables counted from 1.
+fn counted_from_one(place: &str) -> String {
+    let mut parts = place.split('[');
+    let mut counted = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let (number, rest) = part.split_once(']').unwrap_or((part, ""));
+        let next = number
+            .parse::<usize>()
+            .map_or_else(|_| number.to_owned(), |number| (number + 1).to_string());
+        counted.push_str(&["[", &next, "]", rest].concat());
+    }
+    counted
 }
 
 /// Collects the keys that the schema does not have.

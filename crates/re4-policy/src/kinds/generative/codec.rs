@@ -200,7 +200,7 @@ impl Codec<Space> for SpaceCodec {
 
     fn read(&self, inputs: &Inputs<'_>) -> Result<Vec<Demo>, OpenError> {
         let rows: Vec<IndexRow<SpatialState>> = inputs.of(Stage::Index)?.read()?;
-        let fingers = read_fingers(inputs.of(Stage::Ingest)?)?;
+        let fingers = read_fingers(inputs.episodes)?;
         let demos = rows.chunk_by(|a, b| a.episode == b.episode).map(|rows| {
             let arm = |row: &IndexRow<SpatialState>| ArmState {
                 eef: row.state.eef,

@@ -78,7 +78,7 @@ fn figure(page: &Comparison, column: &str) -> Markup {
                 }
                 text.axis x=(point((left + WIDTH - right) / 2.0)) y=(HEIGHT - 4.0) text-anchor="middle" { "budget of control steps" }
                 @for (color, row, points) in &rows {
-                    g.series class=(format!("series series-{color}")) data-curve=(row) {
+                    g class=(format!("series series-{color}")) data-curve=(row) {
                         polyline.curve points=(points.iter().map(|p| format!("{},{}", point(x(p.budget)), point(y(p.value)))).collect::<Vec<_>>().join(" ")) {}
                         @for p in points {
                             line.whisker x1=(point(x(p.budget))) x2=(point(x(p.budget))) y1=(point(y(p.low))) y2=(point(y(p.high))) {}

@@ -126,8 +126,7 @@ impl Comparison {
 }
 
 impl Cell {
-    /// The row of the printed measure.
-    #[expect(clippy::indexing_slicing, reason = "a cell has at least one measure")]
+    /// The row of the printed measure. A cell has at least one measure.
     fn first(&self) -> &CellRow {
         &self.scores[0]
     }

@@ -138,8 +138,9 @@ pub(super) fn differences(page: &Comparison) -> Markup {
             h2 #differences-title { "Differences from " (baseline) }
             p.note {
                 "Both policies start from the same seeds, so each seed is a pair. Intervals: percentile bootstrap over pairs, 95 %, "
-                (RESAMPLES) " resamples, seed 0. p: exact sign test of the seeds on which the policies differ; for success this is "
-                "the exact McNemar test. p is not corrected for the number of comparisons."
+                (RESAMPLES / 1000) ",000 resamples, seed 0. p: exact sign test of the seeds on which the policies differ; for success this is "
+                "the exact McNemar test; it asks on which side more seeds are, not how large their differences are. p is not corrected for the "
+                "number of comparisons. Colored: the interval excludes 0 and p < 0.05."
             }
             div.card { (difference_table("Paired differences", &first)) }
             @if !others.is_empty() {
@@ -172,7 +173,7 @@ fn difference_table(name: &str, rows: &[&DifferenceRow]) -> Markup {
     let body = html! {
         @for (number, row) in rows.iter().enumerate() {
             @let new = number == 0 || rows.get(number.wrapping_sub(1)).is_some_and(|last| last.column != row.column);
-            @let clear = row.p < 0.05;
+            @let clear = row.p < 0.05 && (row.low > 0.0 || row.high < 0.0);
             tr.group[new] data-difference=(row.row) data-column=(row.column) data-measure=(row.measure.as_str()) data-value=(exact(row.difference)) data-p=(exact(row.p)) {
                 td { @if new { (row.column) } }
                 th scope="row" { (row.row) }

@@ -98,6 +98,7 @@ fn the_page_states_scores_differences_costs_and_failures() {
         assert!(html.contains(expected), "{expected} is not in {html}");
     }
     assert_eq!(html.matches("cannot run</span>").count(), 1);
+    assert!(!html.contains("figure difference behind"), "p is not below 0.05");
     assert!(!html.contains("Some times have no record") && !html.contains("Scores under smaller budgets"));
     assert_eq!(html, page(&comparison()));
 }
@@ -135,6 +136,8 @@ fn curves_have_a_point_per_budget() {
         .to_vec();
     let html = page(&with);
     assert!(html.contains("ours, 50 steps: 0.250 [0.100, 0.400]"));
+    // A second class attribute would be ignored, and the curve would be black.
+    assert!(html.contains("<g class=\"series series-0\" data-curve=\"ours\">"));
     assert_eq!(
         (
             html.matches("<circle class=\"point\"").count(),
