@@ -14,7 +14,10 @@ const DISTURBED: &str = "--set rollout.disturbance.steps=[2,6] --set rollout.dis
      --set rollout.disturbance.rotation=0.3 --set rollout.disturbance.kind=either";
 
 fn rolled(place: &Place, arguments: &str) -> Value {
-    place.run(&format!("rollout small.toml {arguments} --no-images --json")).done().json()
+    place
+        .run(&format!("rollout small.toml {arguments} --no-images --json"))
+        .done()
+        .json()
 }
 
 #[test]
@@ -26,13 +29,19 @@ fn bad_settings_are_refused_in_one_sentence() {
             "--set rollout.goal=[20,256,0]",
             "rollout.goal is [20, 256, 0], where the block would reach 47.0 px into a wall; give a pose with the whole block between 7 and 504 px",
         ),
-        ("--set rollout.goal=center", "\"center\" is not a goal; write \"random\", or [x, y, theta] in pixels and radians"),
+        (
+            "--set rollout.goal=center",
+            "\"center\" is not a goal; write \"random\", or [x, y, theta] in pixels and radians",
+        ),
         ("--set rollout.goal=[1,2]", "[1,2] is not a goal; write \"random\""),
         ("--set rollout.goal=[\"a\",1,2,3]", "is not a goal; write \"random\""),
         ("--set rollout.goal=[256,nan,0]", "rollout.goal is nan"),
         ("--set rollout.latency=-1", "rollout.latency"),
         ("--set rollout.latency=11", "rollout.latency is 11; give 0 to 10"),
-        ("--set rollout.latncy=1", "unknown key rollout.latncy (did you mean latency?)"),
+        (
+            "--set rollout.latncy=1",
+            "unknown key rollout.latncy (did you mean latency?)",
+        ),
         ("--set rollout.disturbance.steps=[9,3]", "missing field"),
         (
             "--set rollout.disturbance={steps=[9,3],translation=1,rotation=0}",
@@ -58,7 +67,10 @@ fn bad_settings_are_refused_in_one_sentence() {
             "--set rollout.disturbance={steps=[1,2],translation=1,rotation=0,step=3}",
             "unknown key rollout.disturbance.step",
         ),
-        ("--set rollout.noise.translation=200", "rollout.noise.translation is 200 px; give 0 to 100.00"),
+        (
+            "--set rollout.noise.translation=200",
+            "rollout.noise.translation is 200 px; give 0 to 100.00",
+        ),
         (
             "--set rollout.noise.translation=1 --set variant=image --set pose.source=log_polar",
             "variant is \"image\", but rollout.noise adds errors to recorded poses only; remove rollout.noise",
@@ -119,7 +131,11 @@ fn tables_have_the_goal_and_are_in_the_world_frame() {
     let decisions: Vec<PlaneDecisionRow> = rollouts.read().unwrap();
     let details: Vec<PlaneRe4Row> = rollouts.read().unwrap();
     assert_eq!(worlds.len(), results.len());
-    assert!(worlds.iter().all(|world| world.disturbance_step.is_none() && depth_in_walls(world.goal) == 0.0));
+    assert!(
+        worlds
+            .iter()
+            .all(|world| world.disturbance_step.is_none() && depth_in_walls(world.goal) == 0.0)
+    );
     let goal_of = |seed: u32| worlds.iter().find(|world| world.seed == seed).unwrap().goal;
     for (world, result) in worlds.iter().zip(&results) {
         assert_eq!(world.seed, result.core.seed);
@@ -131,16 +147,23 @@ fn tables_have_the_goal_and_are_in_the_world_frame() {
         assert!((0.0..=512.0).contains(&step.action.x) && (0.0..=512.0).contains(&step.action.y));
     }
     let before = |seed: u32, step: u32| {
-        let own = steps.iter().filter(|row| row.core.seed == seed && row.core.step + 1 == step);
+        let own = steps
+            .iter()
+            .filter(|row| row.core.seed == seed && row.core.step + 1 == step);
         let result = results.iter().find(|row| row.core.seed == seed).unwrap();
-        own.map(|row| (row.eef, row.object)).next().unwrap_or((result.eef, result.object))
+        own.map(|row| (row.eef, row.object))
+            .next()
+            .unwrap_or((result.eef, result.object))
     };
     for (decision, detail) in decisions.iter().zip(&details) {
         let (eef, object) = before(decision.core.seed, decision.core.step);
         assert!((decision.query_eef - eef).norm() < 1e-6);
         assert!(close(decision.query_object.unwrap(), object));
         let start = &detail.plan_path[..2];
-        assert!((start[0] - eef.x).hypot(start[1] - eef.y) < 1e-6, "the plan starts at the pusher");
+        assert!(
+            (start[0] - eef.x).hypot(start[1] - eef.y) < 1e-6,
+            "the plan starts at the pusher"
+        );
         let predicted = coverage(detail.predicted_object, goal_of(detail.seed));
         assert!((predicted - detail.predicted_coverage).abs() < 1e-6);
     }
@@ -150,7 +173,9 @@ fn tables_have_the_goal_and_are_in_the_world_frame() {
 #[test]
 fn pages_and_videos_show_goals_and_disturbances() {
     let place = Place::new();
-    place.run(&format!("rollout small.toml {DISTURBED} --set rollout.goal=random")).done();
+    place
+        .run(&format!("rollout small.toml {DISTURBED} --set rollout.goal=random"))
+        .done();
     let rollouts = place.artifact(Stage::Rollout);
     let worlds: Vec<PlaneWorldRow> = rollouts.read().unwrap();
     let disturbed: Vec<&PlaneWorldRow> = worlds.iter().filter(|world| world.disturbance_step.is_some()).collect();
@@ -169,6 +194,10 @@ fn pages_and_videos_show_goals_and_disturbances() {
     assert!(page.contains("moved by 25 px"));
     assert!(page.contains("\"goal\":[["), "every rollout has its goal");
     let seed = disturbed[0].seed;
-    place.run(&format!("video {folder} one.gif --seeds {seed} --size 128")).done();
-    place.run(&format!("inspect {folder} --seed {seed} --image one.svg")).done();
+    place
+        .run(&format!("video {folder} one.gif --seeds {seed} --size 128"))
+        .done();
+    place
+        .run(&format!("inspect {folder} --seed {seed} --image one.svg"))
+        .done();
 }

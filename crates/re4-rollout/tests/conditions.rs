@@ -13,7 +13,7 @@ use re4_rollout::{
 use re4_sim::robosuite::{Placement, RobosuiteObservation, RobosuiteStep, RobosuiteTask};
 use re4_sim::{GOAL, ResetOrder, Scene, SimError};
 
-/// Pushes against the block, away from the middle between the block and the goal, and records what it observes.
+/// Moves towards the middle of the block, and records what it observes.
 struct Pusher;
 
 /// What a policy observed at a step.
@@ -56,7 +56,7 @@ impl Policy<Plane> for Pusher {
 fn pushed(scene: PlaneScene, conditions: &Conditions) -> Rollout<Plane, Seen> {
     let mut env = PushTEnv::new().unwrap();
     let start = Start { seed: 200_000, scene };
-    rollout(&Pusher, &mut env, Source::Recorded, start, 25, conditions).unwrap()
+    rollout(&Pusher, &mut env, Source::Recorded, start, 15, conditions).unwrap()
 }
 
 fn scene(agent: Point2, block: Pose2, goal: Pose2) -> PlaneScene {
@@ -68,7 +68,9 @@ fn scene(agent: Point2, block: Pose2, goal: Pose2) -> PlaneScene {
 }
 
 fn apart(a: Pose2, b: Pose2) -> f64 {
-    (a.translation() - b.translation()).norm().max(100.0 * periodic_distance(a.theta, b.theta, TAU))
+    (a.translation() - b.translation())
+        .norm()
+        .max(100.0 * periodic_distance(a.theta, b.theta, TAU))
 }
 
 #[test]
@@ -108,8 +110,8 @@ fn a_moved_world_gives_the_same_rollout_up_to_the_motion() {
             let differ = inner.filter(|&(x, y)| pixel(&here.image, x, y) != pixel(&there.image, x, y));
             assert!(differ.count() < 250, "{motion:?}");
         }
-        let block_moved = apart(block, plain.steps[24].after.observation.block);
-        assert!(block_moved > 20.0, "the pusher moves the block by {block_moved} px");
+        let block_moved = apart(block, plain.steps[14].after.observation.block);
+        assert!(block_moved > 10.0, "the pusher moves the block by {block_moved} px");
     }
 }
 
@@ -179,7 +181,13 @@ impl Env<Space> for Counter {
         vec![f64::from(self.steps)]
     }
 
-    fn render(&mut self, view: &Vec<f64>, _: Option<&Isometry3<f64>>, _: &str, into: &mut Image) -> Result<(), PolicyError> {
+    fn render(
+        &mut self,
+        view: &Vec<f64>,
+        _: Option<&Isometry3<f64>>,
+        _: &str,
+        into: &mut Image,
+    ) -> Result<(), PolicyError> {
         into.pixels = vec![view[0] as u8];
         Ok(())
     }
@@ -209,7 +217,11 @@ impl Policy<Space> for Reader {
     fn act(&mut self, senses: &mut dyn Senses<Space>) -> Result<Act<Space, [u32; 4]>, PolicyError> {
         let read = |pose: &Isometry3<f64>| pose.translation.x as u32;
         let (eef, object) = (read(&senses.proprio().eef), read(&senses.object()?.pose));
-        let image = if self.step < 3 { eef } else { u32::from(senses.image("agentview")?.pixels[0]) };
+        let image = if self.step < 3 {
+            eef
+        } else {
+            u32::from(senses.image("agentview")?.pixels[0])
+        };
         self.step += 1;
         Ok(Act {
             action: ArmAction {
@@ -266,18 +278,26 @@ fn a_disturbance_happens_once_in_its_range_of_steps_by_the_seed() {
     let mut steps = [0; 9];
     let mut pushers = 0;
     for seed in 0..600 {
-        let applied = count(disturbance(Disturbed::Either, [2, 5]), 0, seed).disturbance.unwrap();
+        let applied = count(disturbance(Disturbed::Either, [2, 5]), 0, seed)
+            .disturbance
+            .unwrap();
         steps[applied.step as usize] += 1;
         let Displacement { what, motion } = applied.displacement;
         assert!((motion.translation().norm() - 40.0).abs() < 1e-9);
         let rotation = if what == Displaced::Object { 0.5 } else { 0.0 };
         assert_eq!(motion.theta.abs(), rotation);
         pushers += u32::from(what == Displaced::Pusher);
-        assert_eq!(count(disturbance(Disturbed::Either, [2, 5]), 0, seed).disturbance, Some(applied));
+        assert_eq!(
+            count(disturbance(Disturbed::Either, [2, 5]), 0, seed).disturbance,
+            Some(applied)
+        );
     }
     assert!((240..360).contains(&pushers), "{pushers}");
     let [none, range] = [[&steps[..2], &steps[6..]].concat(), steps[2..6].to_vec()];
-    assert!(none.iter().all(|&n| n == 0) && range.iter().all(|&n| n > 110), "{steps:?}");
+    assert!(
+        none.iter().all(|&n| n == 0) && range.iter().all(|&n| n > 110),
+        "{steps:?}"
+    );
     // Without a valid direction, it happens at the next step with one, or never.
     let put_off = |displaceable| count(disturbance(Disturbed::Object, [2, 5]), displaceable, 3).disturbance;
     assert_eq!(put_off(7).unwrap().step, 7);
@@ -286,7 +306,10 @@ fn a_disturbance_happens_once_in_its_range_of_steps_by_the_seed() {
 
 #[test]
 fn the_block_and_the_pusher_are_moved_as_recorded() {
-    for (kind, what) in [(Disturbed::Object, Displaced::Object), (Disturbed::Pusher, Displaced::Pusher)] {
+    for (kind, what) in [
+        (Disturbed::Object, Displaced::Object),
+        (Disturbed::Pusher, Displaced::Pusher),
+    ] {
         let here = scene(Point2::new(100.0, 400.0), Pose2::new(240.0, 200.0, 0.4), GOAL);
         let mut disturbed = disturbance(kind, [3, 3]);
         disturbed.latency = 0;
@@ -317,7 +340,7 @@ fn threads_do_not_change_disturbed_rollouts() {
             start
         })
         .collect();
-    let harness = Harness {
+    let harness: Harness<'_, '_, Plane> = Harness {
         env: &|_| Ok(Box::new(PushTEnv::new()?)),
         source: &|seed| {
             let mut noise = PoseNoise::new(u64::from(seed), 2.0, 0.02);
@@ -352,7 +375,10 @@ fn noise_in_the_plane_has_its_standard_deviations() {
         }
     }
     let [x, y, theta] = squares.map(|sum| (sum / f64::from(count)).sqrt());
-    assert!((x - 3.0).abs() < 0.06 && (y - 3.0).abs() < 0.06 && (theta - 0.05).abs() < 0.001, "{x} {y} {theta}");
+    assert!(
+        (x - 3.0).abs() < 0.06 && (y - 3.0).abs() < 0.06 && (theta - 0.05).abs() < 0.001,
+        "{x} {y} {theta}"
+    );
     let mut again = PoseNoise::new(7, 3.0, 0.05);
     let mut other = PoseNoise::new(8, 3.0, 0.05);
     assert_ne!(again.perturb_planar(&truth), other.perturb_planar(&truth));
