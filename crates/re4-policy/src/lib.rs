@@ -21,6 +21,7 @@ mod policy;
 mod pusher;
 mod reframe;
 mod replan;
+mod rest;
 pub mod spatial;
 mod visibility;
 mod workspace;

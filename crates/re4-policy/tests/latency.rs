@@ -17,7 +17,7 @@ fn successes(knowledge: &Arc<Knowledge>, starts: &[Start<Plane>], latency: u32) 
         config: PolicyConfig::re4(),
         knowledge: Arc::clone(knowledge),
     };
-    let harness = Harness {
+    let harness: Harness<'_, '_, Plane> = Harness {
         env: &|_| Ok(Box::new(PushTEnv::new()?)),
         source: &|_| Source::Recorded,
         conditions: Conditions {

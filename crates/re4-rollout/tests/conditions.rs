@@ -13,7 +13,7 @@ use re4_rollout::{
 use re4_sim::robosuite::{Placement, RobosuiteObservation, RobosuiteStep, RobosuiteTask};
 use re4_sim::{GOAL, ResetOrder, Scene, SimError};
 
-/// Pushes against the block, away from the middle between the block and the goal, and records what it observes.
+/// Moves towards the middle of the block, and records what it observes.
 struct Pusher;
 
 /// What a policy observed at a step.
@@ -56,7 +56,7 @@ impl Policy<Plane> for Pusher {
 fn pushed(scene: PlaneScene, conditions: &Conditions) -> Rollout<Plane, Seen> {
     let mut env = PushTEnv::new().unwrap();
     let start = Start { seed: 200_000, scene };
-    rollout(&Pusher, &mut env, Source::Recorded, start, 25, conditions).unwrap()
+    rollout(&Pusher, &mut env, Source::Recorded, start, 15, conditions).unwrap()
 }
 
 fn scene(agent: Point2, block: Pose2, goal: Pose2) -> PlaneScene {
@@ -110,8 +110,8 @@ fn a_moved_world_gives_the_same_rollout_up_to_the_motion() {
             let differ = inner.filter(|&(x, y)| pixel(&here.image, x, y) != pixel(&there.image, x, y));
             assert!(differ.count() < 250, "{motion:?}");
         }
-        let block_moved = apart(block, plain.steps[24].after.observation.block);
-        assert!(block_moved > 20.0, "the pusher moves the block by {block_moved} px");
+        let block_moved = apart(block, plain.steps[14].after.observation.block);
+        assert!(block_moved > 10.0, "the pusher moves the block by {block_moved} px");
     }
 }
 
@@ -340,7 +340,7 @@ fn threads_do_not_change_disturbed_rollouts() {
             start
         })
         .collect();
-    let harness = Harness {
+    let harness: Harness<'_, '_, Plane> = Harness {
         env: &|_| Ok(Box::new(PushTEnv::new()?)),
         source: &|seed| {
             let mut noise = PoseNoise::new(u64::from(seed), 2.0, 0.02);

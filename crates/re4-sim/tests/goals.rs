@@ -62,7 +62,7 @@ fn coverage_and_success_are_those_of_the_goal() {
         );
         assert_eq!(outcome.success, outcome.coverage > 0.95);
         let iou = expected / (2.0 - expected);
-        assert!((outcome.iou - iou).abs() < 0.01);
+        assert!((outcome.iou - iou).abs() < 0.02);
         covering += u32::from(outcome.success);
         assert_eq!(simulator.goal(), goal);
     }
@@ -77,7 +77,7 @@ fn an_image_shows_the_goal_where_it_is_and_the_scene_as_a_moved_camera_sees_it()
         <[u8; 3]>::try_from(&canvas.bytes()[pixel..pixel + 3]).unwrap()
     };
     let middle = |pose: Pose2| pose.transform_point(Point2::new(0.0, 20.0));
-    let (goal, block) = (Pose2::new(150.0, 340.0, 2.0), Pose2::new(380.0, 100.0, 0.3));
+    let (goal, block) = (Pose2::new(150.0, 340.0, 2.0), Pose2::new(300.0, 150.0, 0.3));
     let mut simulator = PushT::new().unwrap();
     simulator.set_goal(goal);
     let agent = Point2::new(440.0, 440.0);
@@ -177,6 +177,6 @@ fn only_valid_displacements_are_applied() {
     assert!(valid.iter().all(|&n| n > 100), "{valid:?}");
     // The physics goes on from the new state.
     let here = simulator.observation();
-    let step = simulator.step(&here.agent.clone()).unwrap();
+    let step = simulator.step(&here.agent).unwrap();
     assert!((step.observation.block.translation() - here.block.translation()).norm() < 1e-6);
 }
