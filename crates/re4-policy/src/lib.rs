@@ -20,7 +20,6 @@ mod policy;
 mod pusher;
 mod reframe;
 mod replan;
-mod rest;
 pub mod spatial;
 mod visibility;
 mod workspace;
