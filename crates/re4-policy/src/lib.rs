@@ -21,7 +21,6 @@ mod policy;
 mod pusher;
 mod reframe;
 mod replan;
-mod rest;
 pub mod spatial;
 mod visibility;
 mod workspace;

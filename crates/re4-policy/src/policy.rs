@@ -20,7 +20,6 @@ use crate::path::{Leg, legs};
 use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, plan, waypoints};
-use crate::rest::Rest;
 use crate::workspace::Workspace;
 /// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
 const MAX_PLANS: usize = 8;
@@ -34,9 +33,6 @@ const WIDENING_FACTOR: NonZeroUsize = NonZeroUsize::MIN.saturating_add(7);
 /// Maximum depth in pixels to which the recorded motion may move the block into a wall, in addition to the depth at which it
 /// already is. Tuned on randomly sampled blocks in corners (`tests/walls.rs`).
 const WALL_TOLERANCE: f64 = 30.0;
-
-/// Minimum limit of the divergence check in multiples of the noise of observations.
-const NOISE_LIMIT: f64 = 2.5;
 
 /// Maximum deviation in pixels of the legs of a replayed path from the recorded path.
 const CORNER_TOLERANCE: f64 = 0.5;
@@ -75,9 +71,6 @@ pub struct Re4 {
     unseen: VecDeque<(Point2, Point2)>,
     /// Number of control steps until an observation shows the effect of the last replayed command.
     unsettled: usize,
-    /// Whether the last command may have pushed the block.
-    pushing: bool,
-    rest: Rest,
     queue: VecDeque<(Phase, Command)>,
     /// Object poses along the chunk that is being replayed, as the demonstration predicts them.
     expected: Vec<Pose2>,
@@ -153,8 +146,6 @@ impl Re4 {
             pusher: None,
             unseen: VecDeque::new(),
             unsettled: 0,
-            pushing: false,
-            rest: Rest::default(),
             queue: VecDeque::new(),
             body: Body::tee(),
             expected: Vec::new(),
@@ -186,24 +177,15 @@ impl Policy<Plane> for Re4 {
 
     fn act(&mut self, senses: &mut dyn Senses<Plane>) -> Result<Act<Plane, Decision>, PolicyError> {
         self.workspace = Workspace::new(senses.observed_from_world());
-        let (eef, observed) = (senses.proprio(), senses.object()?.pose);
-        // The paper's method, which replays actions, takes observations as they are.
-        let aware = self.config.replay.tracking == Tracking::Path;
-        if aware {
-            let pushed = self.pushing || self.unsettled > 0;
-            self.rest.observe(&self.body, observed, pushed);
-        }
-        let mean = self.rest.mean().filter(|_| self.rest.is_noisy());
-        let object = mean.unwrap_or(observed);
-        let latency = if aware { senses.latency() as usize } else { 0 };
+        let (eef, object) = (senses.proprio(), senses.object()?.pose);
+        let latency = senses.latency() as usize;
         let pusher = self.current_pusher(eef);
-        if self.has_diverged(observed) {
+        if self.has_diverged(object) {
             self.queue.clear();
         }
-        // A decision needs the pose of the object at rest. The pusher holds its position until it is known.
-        if self.queue.is_empty() && (self.unsettled > 0 || !self.rest.is_known()) {
-            self.unsettled = self.unsettled.saturating_sub(1);
-            self.pushing = false;
+        // A decision needs the pose of the object at rest. The pusher holds its position until the observation shows it.
+        if self.queue.is_empty() && self.unsettled > 0 {
+            self.unsettled -= 1;
             return Ok(self.send(Phase::Replay, pusher, pusher.position, None, object, latency));
         }
         let decision = if self.queue.is_empty() {
@@ -219,8 +201,7 @@ impl Policy<Plane> for Re4 {
                 self.workspace.clamp(target)
             }
         };
-        self.pushing = phase == Phase::Replay;
-        if self.pushing {
+        if phase == Phase::Replay {
             self.unsettled = latency;
         }
         Ok(self.send(phase, pusher, target, decision, object, latency))
@@ -269,11 +250,6 @@ impl Re4 {
     fn has_diverged(&self, block: Pose2) -> bool {
         let (Some(limit), Some((Phase::Replay, _))) = (self.config.replay.divergence, self.queue.front()) else {
             return false;
-        };
-        let limit = if self.rest.is_noisy() {
-            limit.max(NOISE_LIMIT * self.rest.noise())
-        } else {
-            limit
         };
         self.expected
             .iter()
