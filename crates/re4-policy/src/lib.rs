@@ -1,5 +1,5 @@
-//! The policies: RE4 (Retrieve, Reframe, Replan, Replay) in the plane and in SE(3), its presets, and the nearest-neighbour
-//! baseline.
+//! The policies: RE4 (Retrieve, Reframe, Replan, Replay) in the plane and in SE(3), its presets, and the baselines `nearest`,
+//! GPI, VINN and ALT.
 //!
 //! * [`kinds`] lists the policies that a pipeline file can select. Start there to add a policy.
 //! * [`Re4`] is the planar policy for Push-T, with [`PolicyConfig`] as its settings.

@@ -61,7 +61,7 @@ fn pose() -> impl Strategy<Value = Pose2> {
 }
 
 fn rotation() -> impl Strategy<Value = UnitQuaternion<f64>> {
-    prop::array::uniform3(-2.0..2.0f64).prop_map(|v| rotation_from(v))
+    prop::array::uniform3(-2.0..2.0f64).prop_map(rotation_from)
 }
 
 fn rotation_from(vector: [f64; 3]) -> UnitQuaternion<f64> {
