@@ -139,11 +139,8 @@ impl Suite {
             )?;
         let file = folder.join(named);
         let pipeline = read_pipeline(&file, &[]).map_err(|error| fault_of(&error))?;
-        for table in [pipeline.policy().err(), pipeline.rollout().err()]
-            .into_iter()
-            .flatten()
-        {
-            return Err(fault_of(&table).at(format!("{}: ", file.display())));
+        if let Some(error) = pipeline.policy().err().or_else(|| pipeline.rollout().err()) {
+            return Err(fault_of(&error).at(format!("{}: ", file.display())));
         }
         let measures = [&column.measures, &self.measures]
             .into_iter()
