@@ -29,7 +29,7 @@ fn check_rollouts(rollouts: &Artifact, sampler: &str, passes: u32) {
     assert_eq!(details.len(), decisions.len());
     assert!(!details.is_empty());
     for (decision, detail) in decisions.iter().zip(&details) {
-        assert_eq!(detail.sampler.as_str(), sampler);
+        assert_eq!(&*detail.sampler, sampler);
         assert_eq!((detail.passes, detail.actions), (passes, 8));
         // Every eighth step is a decision, and it is based on the observed pose.
         assert_eq!(decision.core.step, 8 * decision.core.decision);
@@ -76,7 +76,7 @@ fn learned_policies_run_with_equal_bytes_for_any_number_of_threads() {
         let opened = newest.iter().map(|path| Artifact::open(path).unwrap());
         let own = opened.filter(|artifact| {
             let rows = artifact.read::<GenerativeRow>().unwrap();
-            rows[0].sampler.as_str() == sampler && rows[0].passes == passes
+            &*rows[0].sampler == sampler && rows[0].passes == passes
         });
         own.for_each(|artifact| check_rollouts(&artifact, sampler, passes));
     }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use common::{knowledge, pusht, starts};
 use re4_index::AngleMetric;
 use re4_policy::{Knowledge, PolicyConfig, Re4Factory};
-use re4_rollout::{Conditions, Harness, Plane, PushTEnv, Source, Start};
+use re4_rollout::{ActTimes, Conditions, Harness, Plane, PushTEnv, Source, Start};
 use re4_sim::random_goal;
 
 /// Returns the fraction of the rollouts that succeed within 300 steps.
@@ -26,6 +26,7 @@ fn successes(knowledge: &Arc<Knowledge>, starts: &[Start<Plane>], latency: u32) 
         },
         max_steps: 300,
         progress: &|| true,
+        times: &ActTimes::default(),
     };
     let rolled = re4_rollout::rollouts(&factory, &harness, starts).unwrap_or_else(|error| panic!("{error}"));
     rolled.iter().filter(|rollout| rollout.success()).count() as f64 / starts.len() as f64

@@ -363,6 +363,7 @@ fn threads_do_not_change_disturbed_rollouts() {
             ..disturbance(Disturbed::Either, [2, 9])
         },
         progress: &|| true,
+        times: &re4_rollout::ActTimes::default(),
     };
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -6,6 +6,7 @@ use anyhow::{Result, bail};
 use re4_artifact::{Artifact, ArtifactSummary, Key, Label, Manifest, Recipe, Row as _, Stage};
 use re4_compare::{CellRow, CurveRow, DifferenceRow, Outcomes, curves, differences, score, unpaired};
 use re4_fault::Remedy as _;
+use re4_policy::kinds::PolicyCard;
 use re4_pose::AnchorRow;
 use serde_json::{Value, json};
 
@@ -120,17 +121,24 @@ fn run_cell(session: &Session, suite: &Suite, cell: &Cell) -> Result<Ran> {
     })
 }
 
-/// Size in bytes of what the policy and its pose estimator open.
+/// Size in bytes of what the policy and its pose estimator need.
 fn carried(session: &Session, opened: &[Stage], rollouts: &Manifest) -> Result<u64> {
     let mut bytes = 0;
-    for &stage in opened.iter().chain(&[Stage::TrainPose]) {
+    // A learned policy opens the index only to name the most similar demonstrated chunk.
+    let learned = opened.contains(&Stage::Train);
+    let opened = opened.iter().filter(|stage| !learned || **stage == Stage::Train);
+    for &stage in opened.chain(&[Stage::TrainPose]) {
         let Some(key) = rollouts.inputs.get(stage.artifact()) else {
             continue;
         };
         let artifact = Artifact::open(&session.store.folder(stage, key))?;
         let Manifest { tables, files, .. } = artifact.manifest();
-        // A poses artifact also has the estimates of the demonstrations' images, which a rollout does not read.
-        let opens = |name: &str| stage != Stage::TrainPose || [WEIGHTS, CONFIDENCE, AnchorRow::NAME].contains(&name);
+        let opens = |name: &str| match stage {
+            // A poses artifact also has the estimates of the demonstrations' images, which a rollout does not read.
+            Stage::TrainPose => [WEIGHTS, CONFIDENCE, AnchorRow::NAME].contains(&name),
+            Stage::Train => [PolicyCard::WEIGHTS, PolicyCard::FILE].contains(&name),
+            _ => true,
+        };
         let tables = tables.iter().map(|(name, table)| (name, table.bytes));
         let files = files.iter().map(|(name, file)| (name, file.bytes));
         bytes += tables
