@@ -6,12 +6,13 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 17] = [
+pub(crate) const COMMANDS: [&str; 18] = [
     "ingest",
     "segment",
     "audit",
     "train-pose",
     "index",
+    "train",
     "scenes",
     "rollout",
     "run",

@@ -318,7 +318,7 @@ fn the_page_of_a_training_shows_errors_and_images() {
     let refused = place
         .run(&format!("report {folder} --images 2 --output no.html"))
         .refused();
-    assert!(refused.contains("it has poses, not rollouts"), "{refused}");
+    assert!(refused.contains("it has a poses artifact, not rollouts"), "{refused}");
     // Without the episodes there are no images, which is said.
     std::fs::rename(place.path().join("artifacts/episodes"), place.path().join("elsewhere")).unwrap();
     let answer = place.run(&format!("report {folder} --output bare.html"));

@@ -455,7 +455,10 @@ fn inspect_shows_every_artifact() {
     place.run("train-pose image.toml").done();
     place.write("suite.toml", TWO_ROWS);
     place.run("compare suite.toml").done();
-    let more = [Stage::TrainPose, Stage::Compare].map(|stage| (stage, place.artifact(stage)));
+    place
+        .run("train small.toml --policy flow --set policy.training.steps=20 --set policy.training.batch=8")
+        .done();
+    let more = [Stage::TrainPose, Stage::Compare, Stage::Train].map(|stage| (stage, place.artifact(stage)));
     for (stage, artifact) in stages.into_iter().chain(more) {
         let path = artifact
             .path()
@@ -500,6 +503,8 @@ fn inspect_shows_every_artifact() {
         "pose_errors",
         "states",
         "training",
+        // Written only by rollouts with other goals or disturbances.
+        "worlds",
     ];
     let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)

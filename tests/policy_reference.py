@@ -17,10 +17,8 @@ import pathlib
 import sys
 import zlib
 
-import diffusers.schedulers.scheduling_ddpm as ddpm
 import numpy as np
 import torch
-from diffusers import DDIMScheduler, DDPMScheduler
 from torch import nn
 
 BATCH = 2
@@ -216,6 +214,10 @@ def networks() -> list[dict]:
 
 @torch.no_grad()
 def samplers() -> dict:
+    # Here, because benches/policy_rate.py uses the networks without diffusers.
+    import diffusers.schedulers.scheduling_ddpm as ddpm
+    from diffusers import DDIMScheduler, DDPMScheduler
+
     settings = {
         "num_train_timesteps": 100,
         "beta_schedule": "squaredcos_cap_v2",

@@ -68,6 +68,12 @@ fn the_schemas_match_the_written_columns() {
     place.run("audit small.toml").done();
     place.write("suite.toml", TWO_ROWS);
     place.run("compare suite.toml").done();
+    place
+        .run("train small.toml --policy flow --set policy.training.steps=20 --set policy.training.batch=8")
+        .done();
+    place
+        .run("rollout small.toml --set rollout.goal=random --set rollout.seeds=500..502")
+        .done();
     let audited = place
         .command()
         .env("RE4_DATA", repository().join("data"))
@@ -106,6 +112,7 @@ fn the_schemas_match_the_written_columns() {
             "results-space",
             "steps-space",
             "decisions-space",
+            "worlds-space",
             "decisions_re4-space",
             "replays-space",
             "divergence-space",

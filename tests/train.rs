@@ -10,7 +10,7 @@ use re4_rollout::{PlaneDecisionRow, PlaneStepRow};
 use crate::support::{Place, artifact_bytes, assert_same_bytes, scripted_and_simulators, wait_for};
 
 /// A training of seconds. The small dataset has 12 demonstrations.
-const SHORT: &str = "--set policy.training.steps=100 --set policy.training.batch=32";
+const SHORT: &str = "--set policy.training.steps=50 --set policy.training.batch=16";
 
 /// The bytes of all artifacts, without the records of runs.
 fn bytes(place: &Place, artifacts: &str) -> BTreeMap<String, Vec<u8>> {
@@ -65,7 +65,7 @@ fn learned_policies_run_with_equal_bytes_for_any_number_of_threads() {
     ] {
         for jobs in [1, 2] {
             let arguments = format!(
-                "rollout small.toml --policy {policy} {settings} {SHORT} --no-images --jobs {jobs} --artifacts jobs{jobs}"
+                "rollout small.toml --policy {policy} {settings} {SHORT} --seeds 500..503 --max-steps 40 --no-images --jobs {jobs} --artifacts jobs{jobs}"
             );
             place.run(&arguments).done();
         }
@@ -88,7 +88,7 @@ fn learned_policies_run_with_equal_bytes_for_any_number_of_threads() {
 
 #[test]
 fn a_killed_training_resumes_with_equal_bytes() {
-    let train = "train small.toml --policy diffusion --set policy.training.steps=300 --set policy.training.batch=32 --no-images";
+    let train = "train small.toml --policy diffusion --set policy.training.steps=150 --set policy.training.batch=16 --no-images";
     let undisturbed = Place::new();
     undisturbed.run(train).done();
     let expected = weights(&undisturbed.artifact(Stage::Train));
@@ -227,7 +227,7 @@ fn unusable_settings_are_one_sentence() {
 #[test]
 fn damaged_weights_are_refused() {
     let place = Place::new();
-    let run = format!("rollout small.toml --policy flow {SHORT} --no-images");
+    let run = format!("rollout small.toml --policy flow {SHORT} --seeds 500..502 --no-images");
     place.run(&run).done();
     let policy = place.artifact(Stage::Train);
     let path = policy.path().join(PolicyCard::WEIGHTS);

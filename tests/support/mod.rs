@@ -395,7 +395,7 @@ pub(crate) fn assert_same_bytes(left: &BTreeMap<String, Vec<u8>>, right: &BTreeM
 /// Snapshot filters for text that differs between machines: keys, other hashes and times.
 pub(crate) fn filters() -> Vec<(&'static str, &'static str)> {
     vec![
-        ("the kinds are [a-z0-9_, ]+", "the kinds are [kinds]"),
+        ("the kinds are [a-z0-9_, -]+", "the kinds are [kinds]"),
         (r"\.tmp-[0-9a-z]+-\w+", "[temporary]"),
         (r"\.re4-record-\w+", "[temporary]"),
         (r"\b[0-9a-f]{64}\b", "[hash]"),

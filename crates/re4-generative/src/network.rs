@@ -180,7 +180,7 @@ impl Parameters for ConvBlock {
     }
 }
 
-/// Two convolution blocks with a residual connection. The condition scales and shifts the result of the first (FiLM).
+/// Two convolution blocks with a residual connection. The condition scales and shifts the result of the first.
 #[derive(Module, Debug)]
 struct ResidualBlock {
     first: ConvBlock,
@@ -340,7 +340,7 @@ impl Parameters for UNet {
     }
 }
 
-/// A residual block of the MLP: two linear layers with FiLM and `ReLU` between them.
+/// A residual block of the MLP: two linear layers; between them, the condition scales and shifts, and `ReLU` is applied.
 #[derive(Module, Debug)]
 struct MlpBlock {
     film: Dense,

@@ -100,6 +100,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_artifact::ArtifactError,
         re4_audit::AuditError,
         re4_encoder::EncoderError,
+        re4_generative::GenerativeError,
         re4_geometry::spatial::SymmetryError,
         re4_index::IndexError,
         re4_mujoco::MujocoError,
@@ -114,6 +115,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_scenes::ScenesError,
         re4_segment::SegmentError,
         re4_sim::SimError,
+        re4_train::TrainError,
         crate::stages::WorkerCrashed,
     );
     None

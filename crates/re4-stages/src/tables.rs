@@ -190,6 +190,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 44);
+        assert_eq!(names.len(), 53);
     }
 }

@@ -45,13 +45,19 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     // Before the overrides, so that an override of [policy] applies to the policy of an older file; and again after them, because
     // an override can replace the whole table [rollout] by one in the older form.
     move_policy(&mut document).with_context(unusable)?;
+    let of_file = document.get("policy").cloned();
     for text in overrides {
         apply(&mut document, text)?;
     }
     refuse_not_finite(&document, "").with_context(unusable)?;
     move_policy(&mut document).with_context(unusable)?;
-    let given = document.clone();
     let planar = document.get("task").and_then(Value::as_str).unwrap_or("pusht") == "pusht";
+    let dropped = match &of_file {
+        Some(of_file) if planar => drop_foreign::<PlanePolicy>(&mut document, of_file),
+        Some(of_file) => drop_foreign::<SpacePolicy>(&mut document, of_file),
+        None => Vec::new(),
+    };
+    let given = document.clone();
     let policy = if planar {
         read_policy::<PlanePolicy>(&mut document, "plane").map(|(policy, schema)| (policy.map(Policy::Plane), schema))
     } else {
@@ -66,7 +72,10 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     })?;
     pipeline.policy = policy;
     checks::check(&pipeline).with_context(unusable)?;
-    pipeline.without_effect = without_effect(&schema, &given, &pipeline)?;
+    pipeline.without_effect = dropped;
+    pipeline
+        .without_effect
+        .extend(without_effect(&schema, &given, &pipeline)?);
     Ok(pipeline)
 }
 
@@ -223,6 +232,33 @@ fn move_policy(document: &mut Value) -> Result<()> {
     }
     map.insert("policy".to_owned(), Value::Object(policy));
     Ok(())
+}
+
+/// If an override has changed the kind of the policy, removes the settings of the file's policy that the new kind does not have. Returns
+/// a sentence for each.
+fn drop_foreign<K: Kinds>(document: &mut Value, of_file: &Value) -> Vec<String> {
+    let kind_in = |policy: &Value| policy.get("kind").and_then(Value::as_str).map(str::to_owned);
+    let (Some(old), Some(new)) = (kind_in(of_file), document.get("policy").and_then(kind_in)) else {
+        return Vec::new();
+    };
+    let (Some(schema), Some(policy)) = (
+        K::schema(&new).filter(|_| old != new),
+        document.get_mut("policy").and_then(Value::as_object_mut),
+    ) else {
+        return Vec::new();
+    };
+    let known = |key: &str| schema.get("properties").is_some_and(|known| known.get(key).is_some());
+    let mut dropped = Vec::new();
+    for (key, value) in of_file.as_object().into_iter().flatten() {
+        // A setting that an override has changed is refused later.
+        if key != "kind" && !known(key) && policy.get(key) == Some(value) {
+            policy.remove(key);
+            dropped.push(format!(
+                "policy.{key} has no effect, because the policy is {new:?} instead of {old:?}; remove it"
+            ));
+        }
+    }
+    dropped
 }
 
 /// Refuses unknown keys, and moves the policy out of the document: the defaults of its kind, overridden by the file's own
@@ -436,6 +472,30 @@ mod tests {
                 .iter()
                 .any(|text| text.contains("the pipeline has a table [scenes]")),
             "{scenes:?}"
+        );
+    }
+
+    #[test]
+    fn settings_of_the_files_policy_do_not_prevent_another_policy() {
+        let text = include_str!("../../../../pipelines/square-image.toml");
+        let with = |overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+            parse(text, Path::new("x.toml"), &overrides)
+        };
+        let pipeline = with(&["policy.kind=nearest"]).unwrap();
+        assert_eq!(pipeline.policy.unwrap().kind(), "nearest");
+        assert_eq!(
+            pipeline.without_effect,
+            ["policy.reframe has no effect, because the policy is \"nearest\" instead of \"re4\"; remove it"]
+        );
+        // What an override gives is still checked.
+        let error = with(&["policy.kind=nearest", "policy.reframe.measure=step"])
+            .err()
+            .unwrap();
+        assert!(format!("{error:#}").contains("unknown key policy.reframe"), "{error:#}");
+        assert_eq!(
+            with(&["policy.kind=paper"]).unwrap().without_effect,
+            Vec::<String>::new()
         );
     }
 

@@ -1,6 +1,6 @@
 //! Generation of chunks for several rollouts in one pass through the network.
 //!
-//! Whoever needs a chunk while no batch is being generated generates one for all rollouts that wait. A chunk does not depend on
+//! A rollout that needs a chunk while no batch is being generated generates one for all rollouts that wait. A chunk does not depend on
 //! the others of its batch (`re4-generative` tests this), so the results do not depend on how requests meet.
 
 use std::collections::BTreeMap;
